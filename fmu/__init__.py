@@ -1,0 +1,1 @@
+"""Export of a plant as an FMU, and its check."""

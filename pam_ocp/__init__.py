@@ -1,0 +1,1 @@
+"""Pneumatic artificial muscles."""

@@ -1,0 +1,1 @@
+"""Fit: from measurements to parameters."""

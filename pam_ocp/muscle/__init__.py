@@ -1,0 +1,1 @@
+"""Muscles: force laws, losses, and the catalogue of known ones."""

@@ -1,0 +1,1 @@
+"""Plan: optimal motions by direct transcription."""

@@ -1,0 +1,1 @@
+"""Plants: muscles and a load, as named variables and CasADi expressions."""

@@ -1,0 +1,172 @@
+"""A muscle as part of a plant: its constants become parameters, its pressure a feed's business."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import casadi as ca
+
+from ..errors import InputError, require_positive
+from ..muscle.muscle import Muscle
+
+if TYPE_CHECKING:
+    from .plant import Plant
+
+__all__ = ["AttachedMuscle", "Feed", "IdealPressure", "Regulator", "attach"]
+
+
+@dataclass(frozen=True)
+class AttachedMuscle:
+    """Expressions of a muscle inside a plant."""
+
+    name: str
+    muscle: Muscle
+    """The muscle with symbols for its constants."""
+    pressure: ca.SX
+    """Gauge pressure [Pa]."""
+    contraction: ca.SX
+    force: ca.SX
+    """Pulling force [N], >= 0."""
+    stiffness: ca.SX
+    """Stiffness at constant pressure [N/m]."""
+
+
+class Feed(Protocol):
+    """How the pressure of a muscle comes about."""
+
+    def connect(
+        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+    ) -> ca.SX:
+        """Declare the feed's variables under ``name``; return the gauge pressure [Pa].
+
+        contraction [1] and its rate [1/s] are there for feeds whose gas is compressed by motion.
+        """
+
+
+@dataclass(frozen=True)
+class IdealPressure:
+    """The input ``<name>.pressure`` is the pressure itself."""
+
+    max_pressure: float | None = None
+
+    def connect(
+        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+    ) -> ca.SX:
+        return plant.input(
+            f"{name}.pressure", **_pressure_attributes(muscle, self.max_pressure),
+            description=f"gauge pressure in {name}",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """First-order pressure regulator: p' = (u - p)/lag, u the commanded pressure.
+
+    lag : time constant [s]; 0.05-0.2 s are usual.
+    max_pressure : largest command [Pa]; by default the end of the muscle's measured range.
+    max_rate : largest |p'| [Pa/s] a plan may ask for, as path constraint ``<name>.pressure_rate``;
+        None for no limit. A simulation is not limited by it.
+    """
+
+    lag: float = 0.05
+    max_pressure: float | None = None
+    max_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        require_positive("Regulator.lag", self.lag, "s")
+        for argument in ("max_pressure", "max_rate"):
+            if getattr(self, argument) is not None:
+                require_positive(f"Regulator.{argument}", getattr(self, argument), "Pa")
+
+    def connect(
+        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+    ) -> ca.SX:
+        attributes = _pressure_attributes(muscle, self.max_pressure)
+        pressure = plant.state(
+            f"{name}.pressure", **attributes, description=f"gauge pressure in {name}"
+        )
+        command = plant.input(
+            f"{name}.command", **attributes, description=f"commanded gauge pressure of {name}"
+        )
+        lag = plant.parameter(
+            f"{name}.lag", self.lag, unit="s", min=1e-6, nominal=0.1,
+            description=f"time constant of the pressure regulator of {name}",
+        )  # fmt: skip
+        change = (command - pressure) / lag
+        plant.der(pressure, change)
+        if self.max_rate is not None:
+            plant.constraint(
+                f"{name}.pressure_rate", change, unit="Pa/s", nominal=1e6,
+                min=-self.max_rate, max=self.max_rate,
+                description=f"rate of the pressure in {name}",
+            )  # fmt: skip
+        return pressure
+
+
+def _pressure_attributes(muscle: Muscle, limit: float | None) -> dict[str, Any]:
+    top = muscle.pressure_range[1] if limit is None else limit
+    return {"unit": "Pa", "min": 0.0, "max": top, "start": top / 2, "nominal": 1e5}
+
+
+_UNITS = {"rest_length": ("m", 0.1), "slack_width": ("N", 1.0)}
+
+
+def attach(
+    plant: Plant,
+    name: str,
+    muscle: Muscle,
+    *,
+    shortening: Any,
+    rate: Any,
+    pre_contraction: Any,
+    feed: Feed | None,
+) -> AttachedMuscle:
+    """See :meth:`Plant.add_muscle`."""
+    if not isinstance(muscle, Muscle):
+        raise InputError(f"muscle = {muscle!r} must be a Muscle, such as pam_ocp.muscle('DMSP-20-300')")
+    described = {v.name: v for v in muscle.law.coefficient_variables()}
+
+    def symbol(constant: str, value: Any) -> ca.SX:
+        if constant in described:
+            variable = described[constant]
+            return plant.parameter(
+                f"{name}.{constant}", value, unit=variable.unit, nominal=variable.nominal,
+                description=f"{variable.description} ({muscle.law.name} law of {name})",
+            )  # fmt: skip
+        unit, nominal = _UNITS[constant]
+        words = re.sub("_", " ", constant)
+        return plant.parameter(
+            f"{name}.{constant}", value, unit=unit, nominal=nominal, min=1e-6,
+            description=f"{words} of {name}",
+        )  # fmt: skip
+
+    symbolic = muscle.substituted(symbol)
+    if not isinstance(pre_contraction, ca.SX):
+        pre_contraction = plant.parameter(
+            f"{name}.pre_contraction", pre_contraction, min=-0.1, max=0.45, nominal=0.1,
+            display_unit="%", description=f"contraction of {name} at zero displacement",
+        )  # fmt: skip
+    contraction = pre_contraction + shortening / symbolic.rest_length
+    pressure = (feed or Regulator()).connect(
+        plant, name, symbolic, contraction, rate / symbolic.rest_length
+    )
+    force = symbolic.force(pressure, contraction)
+    stiffness = symbolic.stiffness(pressure, contraction)
+    plant.output(
+        f"{name}.force", force, unit="N", nominal=100.0, description=f"pulling force of {name}"
+    )
+    plant.output(
+        f"{name}.contraction", contraction, nominal=0.1, display_unit="%",
+        description=f"contraction ratio of {name}",
+    )  # fmt: skip
+    plant.output(
+        f"{name}.stiffness", stiffness, unit="N/m", nominal=1e4,
+        description=f"stiffness of {name} at constant pressure",
+    )  # fmt: skip
+    plant.constraint(
+        f"{name}.tension", symbolic.tension(pressure, contraction), unit="N", nominal=100.0, min=0.0,
+        description=f"tension of {name} before the clamp at zero: never slack",
+    )  # fmt: skip
+    return AttachedMuscle(name, symbolic, pressure, contraction, force, stiffness)

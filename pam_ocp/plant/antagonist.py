@@ -1,0 +1,101 @@
+"""Two muscles against each other: the antagonistic pair on a slide."""
+
+from __future__ import annotations
+
+from ..errors import InputError, require_positive
+from ..muscle.losses import ConstantDamping, Damping
+from ..muscle.muscle import Muscle
+from .actuator import Feed
+from .plant import Plant
+
+__all__ = ["AntagonisticSlide"]
+
+
+class AntagonisticSlide(Plant):
+    """Two muscles pulling a slide in opposite directions: m x'' + c x' = F1 - F2.
+
+    kappa1 = k0 + x/l0 and kappa2 = k0 - x/l0: muscle 1 pulls towards +x, muscle 2 towards -x.
+
+    Parameters
+    ----------
+    muscle : muscle 1, and muscle 2 unless ``muscle2`` is given.
+    mass : moving mass [kg].
+    pre_contraction : contraction k0 of both muscles at x = 0.
+    stroke : largest |x| [m]; by default as far as both muscles stay in their measured range.
+    damping : ``ConstantDamping(value)`` (default 20 N s/m) or ``StiffnessDamping(ratio)``.
+    feed : how each pressure comes about; default ``Regulator()``.
+
+    States x [m], v [m/s] and those of the feeds; outputs of both muscles, and ``stiffness``.
+    With equal muscles the plant is its own mirror image (x -> -x, muscle 1 <-> muscle 2).
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle,
+        mass: float = 2.0,
+        pre_contraction: float = 0.10,
+        *,
+        muscle2: Muscle | None = None,
+        stroke: float | None = None,
+        damping: Damping | None = None,
+        feed: Feed | None = None,
+        name: str = "antagonistic_slide",
+    ) -> None:
+        super().__init__(name, "an antagonistic pair of pneumatic muscles on a slide")
+        require_positive("mass", mass, "kg")
+        muscles = (muscle, muscle if muscle2 is None else muscle2)
+        reach = min(_reach(m, pre_contraction) for m in muscles)
+        if stroke is None:
+            stroke = reach
+        elif require_positive("stroke", stroke, "m") > reach:
+            raise InputError(
+                f"stroke = {stroke:g} m: with pre_contraction = {pre_contraction:g} the muscles allow "
+                f"at most {reach:.4g} m before one leaves its range of contraction"
+            )
+        x = self.state(
+            "x", unit="m", min=-stroke, max=stroke, nominal=0.01,
+            description="position of the slide, towards muscle 1",
+        )  # fmt: skip
+        v = self.state("v", unit="m/s", nominal=1.0, description="velocity of the slide")
+        m = self.parameter(
+            "mass", mass, unit="kg", min=1e-6, nominal=1.0, tunable=True, description="moving mass"
+        )
+        k0 = self.parameter(
+            "pre_contraction", pre_contraction, min=0.0, max=0.45, nominal=0.1, display_unit="%",
+            description="contraction of both muscles at x = 0",
+        )  # fmt: skip
+        pair = [
+            self.add_muscle(
+                f"muscle{i}", part, shortening=sign * x, rate=sign * v, pre_contraction=k0, feed=feed
+            )
+            for i, part, sign in ((1, muscles[0], 1), (2, muscles[1], -1))
+        ]
+        stiffness = pair[0].stiffness + pair[1].stiffness
+        c = (damping or ConstantDamping()).coefficient(self, m, stiffness)
+        self.der(x, v)
+        self.der(v, (pair[0].force - pair[1].force - c * v) / m)
+        self.output(
+            "stiffness", stiffness, unit="N/m", nominal=1e4,
+            description="stiffness of the slide at constant pressures",
+        )  # fmt: skip
+        if muscles[0] == muscles[1]:
+            self.mirror({"x": (-1.0, "x"), "v": (-1.0, "v"), **self._swapped_muscles()})
+
+    def _swapped_muscles(self) -> dict[str, tuple[float, str]]:
+        swapped = {}
+        for variable in (*self.states, *self.inputs):
+            for one, two in (("muscle1.", "muscle2."), ("muscle2.", "muscle1.")):
+                if variable.name.startswith(one):
+                    swapped[variable.name] = (1.0, two + variable.name.removeprefix(one))
+        return swapped
+
+
+def _reach(muscle: Muscle, pre_contraction: float) -> float:
+    """How far [m] the slide may move before a muscle leaves its range of contraction."""
+    low, high = muscle.contraction_range
+    if not low < pre_contraction < high:
+        raise InputError(
+            f"pre_contraction = {pre_contraction:g} is outside the muscle's range of contraction "
+            f"{low:g} .. {high:g}: a muscle would be slack or overstretched at x = 0"
+        )
+    return min(pre_contraction - low, high - pre_contraction) * float(muscle.rest_length)

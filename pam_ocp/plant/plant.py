@@ -1,0 +1,328 @@
+"""Plant: named, united variables and CasADi expressions for them. Nothing downstream knows physics.
+
+Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that a user wrote.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, UnknownNameError
+from ..muscle.muscle import Muscle
+from ..variables import Causality, Variable
+from .actuator import AttachedMuscle, Feed, attach
+
+__all__ = ["Plant", "Values"]
+
+Values = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class _System:
+    """The finished expressions and functions of a plant; shared by all its copies."""
+
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+    xdot: ca.SX
+    y: ca.SX
+    c: ca.SX
+
+    @cached_property
+    def function(self) -> ca.Function:
+        return ca.Function(
+            "plant",
+            [self.x, self.u, self.p],
+            [self.xdot, self.y, self.c],
+            ["x", "u", "p"],
+            ["xdot", "y", "c"],
+        )
+
+
+class Plant:
+    """A system to move: states x, inputs u, parameters p; x' = f(x, u, p), y = g(x, u, p).
+
+    Build one by declaring variables (each call gives its CasADi symbol) and equations::
+
+        plant = Plant("mass", "a mass on a spring")
+        x = plant.state("x", unit="m", start=0.1)
+        v = plant.state("v", unit="m/s")
+        f = plant.input("force", unit="N")
+        m = plant.parameter("mass", 2.0, unit="kg", min=1e-9)
+        plant.der(x, v)
+        plant.der(v, (f - 100 * x) / m)
+        plant.output("spring_force", 100 * x, unit="N")
+
+    :meth:`add_muscle` brings a muscle with its pressure feed. The first use of the finished system
+    closes it: further declarations are refused. A plant is autonomous: what changes with time is an
+    input. Values are changed by :meth:`with_values`, which shares the expressions (no rebuilding).
+
+    Raises InputError for duplicate names, missing equations, or symbols that nothing declares.
+    """
+
+    def __init__(self, name: str, description: str = "") -> None:
+        self.name = Variable(name, "parameter").name  # same rule as for variables
+        self.description = description
+        self._variables: dict[str, Variable] = {}
+        self._symbols: dict[str, ca.SX] = {}
+        self._expressions: dict[str, ca.SX] = {}  # derivatives, outputs and constraints by name
+        self._mirror: dict[str, tuple[float, str]] = {}
+        self._system: _System | None = None
+
+    # ---- declaring ----------------------------------------------------------------------------
+    def state(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX:
+        """Declare a continuous state; give its derivative with :meth:`der`. See Variable."""
+        return self._declare(Variable(name, "state", start=start, **attributes))
+
+    def input(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX:
+        """Declare an input; ``start`` is its value where nothing else is given."""
+        return self._declare(Variable(name, "input", start=start, **attributes))
+
+    def parameter(self, name: str, value: float, **attributes: Any) -> ca.SX:
+        """Declare a physical constant; ``tunable=True`` if it may change during a simulation."""
+        return self._declare(Variable(name, "parameter", start=value, **attributes))
+
+    def der(self, state: ca.SX, derivative: Any) -> None:
+        """State the equation d(state)/dt = derivative."""
+        self._open()
+        name = next((n for n, s in self._symbols.items() if s is state), None)
+        if name is None or self._variables[name].causality != "state":
+            raise InputError(f"der({state}): the first argument must be the symbol of a state")
+        if name in self._expressions:
+            raise InputError(f"der({name}) is given twice")
+        self._expressions[name] = ca.SX(derivative)
+
+    def output(self, name: str, expression: Any, **attributes: Any) -> ca.SX:
+        """Declare an output and its expression in states, inputs and parameters."""
+        return self._define(Variable(name, "output", **attributes), expression)
+
+    def constraint(self, name: str, expression: Any, **attributes: Any) -> ca.SX:
+        """Declare a path constraint min <= expression <= max, which plans keep."""
+        return self._define(Variable(name, "constraint", **attributes), expression)
+
+    def mirror(self, mapping: Mapping[str, tuple[float, str]]) -> None:
+        """Declare a symmetry: {name: (sign, name of its mirror image)}; others map to themselves.
+
+        Plans use it for motions whose second half is the mirrored first (``cyclic="mirrored"``).
+        """
+        self._open()
+        for name, (_, image) in mapping.items():
+            self.variable(name), self.variable(image)
+        self._mirror = dict(mapping)
+
+    def add_muscle(
+        self,
+        name: str,
+        muscle: Muscle,
+        *,
+        shortening: Any,
+        rate: Any,
+        pre_contraction: Any = 0.0,
+        feed: Feed | None = None,
+    ) -> AttachedMuscle:
+        """Attach a muscle: its constants as parameters, its feed, its outputs.
+
+        shortening, rate : by how much the plant's motion shortens it [m], and the derivative [m/s];
+            its contraction is pre_contraction + shortening / rest length.
+        pre_contraction : a number (becomes the parameter ``<name>.pre_contraction``) or a symbol.
+        feed : how its pressure comes about; by default a first-order ``Regulator()``.
+
+        Adds the outputs ``<name>.force``, ``.contraction``, ``.stiffness`` and the path constraint
+        ``<name>.tension`` >= 0 (never slack). Returns expressions to use in the equation of motion.
+        """
+        return attach(
+            self, name, muscle, shortening=shortening, rate=rate,
+            pre_contraction=pre_contraction, feed=feed,
+        )  # fmt: skip
+
+    def _open(self) -> None:
+        if self._system is not None:
+            raise InputError(
+                f"plant {self.name!r} is in use and cannot be changed any more; "
+                "declare everything before the first simulate, plan, linearize or export"
+            )
+
+    def _add(self, variable: Variable) -> None:
+        self._open()
+        if variable.name in self._variables:
+            raise InputError(f"the name {variable.name!r} is declared twice in plant {self.name!r}")
+        self._variables[variable.name] = variable
+
+    def _declare(self, variable: Variable) -> ca.SX:
+        if variable.start is None:
+            raise InputError(f"{variable.name}: start is not set; give it a number")
+        self._add(variable)
+        self._symbols[variable.name] = ca.SX.sym(variable.name)
+        return self._symbols[variable.name]
+
+    def _define(self, variable: Variable, expression: Any) -> ca.SX:
+        value = ca.SX(expression)
+        if value.shape != (1, 1):
+            raise InputError(f"{variable.name}: the expression has shape {value.shape}; give a scalar")
+        self._add(variable)
+        self._expressions[variable.name] = value
+        return value
+
+    # ---- variables -------------------------------------------------------------------------
+    def _of(self, causality: Causality) -> tuple[Variable, ...]:
+        return tuple(v for v in self._variables.values() if v.causality == causality)
+
+    @property
+    def states(self) -> tuple[Variable, ...]:
+        return self._of("state")
+
+    @property
+    def inputs(self) -> tuple[Variable, ...]:
+        return self._of("input")
+
+    @property
+    def parameters(self) -> tuple[Variable, ...]:
+        return self._of("parameter")
+
+    @property
+    def outputs(self) -> tuple[Variable, ...]:
+        return self._of("output")
+
+    @property
+    def constraints(self) -> tuple[Variable, ...]:
+        return self._of("constraint")
+
+    def variable(self, name: str) -> Variable:
+        """The variable of this name; ``_`` may stand for ``.`` (``muscle1_pressure``).
+
+        Raises UnknownNameError with the nearest names.
+        """
+        if name in self._variables:
+            return self._variables[name]
+        for known in self._variables:
+            if known.replace(".", "_") == name:
+                return self._variables[known]
+        raise UnknownNameError(f"variable of plant {self.name!r}", name, self._variables)
+
+    def with_values(self, values: Values | None = None, /, **more: Any) -> Plant:
+        """A copy with other parameter values and start values; expressions are shared.
+
+        ``plant.with_values(mass=3.0)`` or ``plant.with_values({"muscle1.a3": -30.0})``.
+        """
+        self._finished()
+        changed = dict(self._variables)
+        for name, value in {**(values or {}), **more}.items():
+            variable = self.variable(name)
+            if variable.causality in ("output", "constraint"):
+                raise InputError(
+                    f"{variable.name} is an {variable.causality} and follows from the others; "
+                    "set states, inputs or parameters"
+                )
+            changed[variable.name] = variable.with_start(value)
+        other = copy.copy(self)
+        other._variables = changed
+        return other
+
+    def vector(
+        self, causality: Causality, values: Values | None = None, attribute: str = "start"
+    ) -> NDArray[np.float64]:
+        """``start`` (or ``min``, ``max``, ``nominal``) of all variables of a causality, as an array.
+
+        ``values`` replaces single ones by name; names of another causality are an error.
+        """
+        variables = self._of(causality)
+        array = np.array([getattr(v, attribute) for v in variables], dtype=float)
+        position = {v.name: i for i, v in enumerate(variables)}
+        for name, value in (values or {}).items():
+            variable = self.variable(name)
+            if variable.name not in position:
+                raise InputError(f"{variable.name} is a {variable.causality}, not a {causality}")
+            array[position[variable.name]] = variable.check(value)
+        return array
+
+    # ---- expressions and functions -----------------------------------------------------------
+    def _finished(self) -> _System:
+        if self._system is None:
+            self._system = self._close()
+        return self._system
+
+    def _close(self) -> _System:
+        missing = [v.name for v in self.states if v.name not in self._expressions]
+        if missing:
+            raise InputError(f"plant {self.name!r}: no equation der({', '.join(missing)}) is given")
+        if not self.states:
+            raise InputError(f"plant {self.name!r} has no state")
+        symbols, expressions = (
+            {c: ca.vertcat(*(table[v.name] for v in self._of(c))) for c in wanted}
+            for table, wanted in (
+                (self._symbols, ("state", "input", "parameter")),
+                (self._expressions, ("state", "output", "constraint")),
+            )
+        )
+        declared = {s.name() for s in self._symbols.values()}
+        for name, expression in self._expressions.items():
+            free = {s.name() for s in ca.symvar(expression)} - declared
+            if free:
+                raise InputError(
+                    f"plant {self.name!r}: the expression of {name!r} holds symbols that no state, "
+                    f"input or parameter declares: {', '.join(sorted(free))}"
+                )
+        return _System(*(ca.SX(e) for e in (*symbols.values(), *expressions.values())))
+
+    @property
+    def x(self) -> ca.SX:
+        """All states as one symbolic column, in the order of :attr:`states`."""
+        return self._finished().x
+
+    @property
+    def u(self) -> ca.SX:
+        """All inputs as one symbolic column."""
+        return self._finished().u
+
+    @property
+    def p(self) -> ca.SX:
+        """All parameters as one symbolic column."""
+        return self._finished().p
+
+    @property
+    def function(self) -> ca.Function:
+        """CasADi function (x, u, p) -> (xdot, y, c)."""
+        return self._finished().function
+
+    def expression(self, name: str) -> ca.SX:
+        """The CasADi expression of any variable; ``"der(NAME)"`` for the derivative of a state."""
+        self._finished()
+        if name.startswith("der(") and name.endswith(")"):
+            variable = self.variable(name[4:-1])
+            if variable.causality != "state":
+                raise InputError(f"{name}: {variable.name} is no state, so it has no derivative here")
+            return self._expressions[variable.name]
+        variable = self.variable(name)
+        if variable.name in self._symbols:
+            return self._symbols[variable.name]
+        return self._expressions[variable.name]
+
+    @cached_property
+    def positions(self) -> dict[str, str]:
+        """{position: velocity} for the states whose derivative is itself a state (x' = v)."""
+        self._finished()
+        pairs = {}
+        for name in (v.name for v in self.states):
+            for other in (v.name for v in self.states):
+                if ca.is_equal(self._expressions[name], self._symbols[other]):
+                    pairs[name] = other
+        return pairs
+
+    @property
+    def mirror_map(self) -> dict[str, tuple[float, str]]:
+        """The declared symmetry, or {} when the plant has none."""
+        return dict(self._mirror)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(
+            f"{len(self._of(c))} {c}s" for c in ("state", "input", "parameter", "output")  # type: ignore[arg-type]
+        )
+        return f"<{type(self).__name__} {self.name!r}: {counts}>"

@@ -1,0 +1,106 @@
+"""Physical units: exponents of the SI base units, and factors for display.
+
+One small table serves the table reader, the plots and the FMU's unit definitions.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+
+from .errors import UnknownNameError
+
+__all__ = ["BASE", "Unit", "display_unit", "unit"]
+
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+"""Base units in the order of FMI's BaseUnit element."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: SI value = ``factor`` * value + ``offset``, and its base exponents."""
+
+    name: str
+    exponents: tuple[int, ...]
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def base_exponents(self) -> dict[str, int]:
+        """The non-zero exponents, as {"kg": 1, "m": -1, ...}."""
+        return {b: e for b, e in zip(BASE, self.exponents, strict=True) if e}
+
+    def compatible(self, other: Unit) -> bool:
+        """Whether both measure the same quantity."""
+        return self.exponents == other.exponents
+
+
+def _exponents(**powers: int) -> tuple[int, ...]:
+    return tuple(powers.get(b, 0) for b in BASE)
+
+
+# name: (exponents, factor to SI). Offsets (degC, absolute scales) are not needed here.
+_SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
+    "1": (_exponents(), 1.0),
+    "%": (_exponents(), 0.01),
+    "kg": (_exponents(kg=1), 1.0),
+    "g": (_exponents(kg=1), 1e-3),
+    "m": (_exponents(m=1), 1.0),
+    "mm": (_exponents(m=1), 1e-3),
+    "cm": (_exponents(m=1), 1e-2),
+    "in": (_exponents(m=1), 0.0254),
+    "l": (_exponents(m=3), 1e-3),
+    "s": (_exponents(s=1), 1.0),
+    "ms": (_exponents(s=1), 1e-3),
+    "min": (_exponents(s=1), 60.0),
+    "Hz": (_exponents(s=-1), 1.0),
+    "K": (_exponents(K=1), 1.0),
+    "rad": (_exponents(rad=1), 1.0),
+    "deg": (_exponents(rad=1), 0.017453292519943295),
+    "N": (_exponents(kg=1, m=1, s=-2), 1.0),
+    "kN": (_exponents(kg=1, m=1, s=-2), 1e3),
+    "lbf": (_exponents(kg=1, m=1, s=-2), 4.4482216152605),
+    "J": (_exponents(kg=1, m=2, s=-2), 1.0),
+    "W": (_exponents(kg=1, m=2, s=-3), 1.0),
+    "Pa": (_exponents(kg=1, m=-1, s=-2), 1.0),
+    "hPa": (_exponents(kg=1, m=-1, s=-2), 1e2),
+    "mbar": (_exponents(kg=1, m=-1, s=-2), 1e2),
+    "kPa": (_exponents(kg=1, m=-1, s=-2), 1e3),
+    "bar": (_exponents(kg=1, m=-1, s=-2), 1e5),
+    "MPa": (_exponents(kg=1, m=-1, s=-2), 1e6),
+    "psi": (_exponents(kg=1, m=-1, s=-2), 6894.757293168),
+}
+
+_TOKEN = re.compile(r"(?P<symbol>[A-Za-z%]+|1)(?P<power>-?\d+)?$")
+
+
+@cache
+def unit(name: str) -> Unit:
+    """Parse a unit such as ``"N"``, ``"N.s/m"``, ``"m3/(s.Pa)"`` or ``"bar"``.
+
+    Grammar of Modelica: factors joined by ``.``, an integer power behind a symbol, one ``/``
+    with the denominator in brackets when it has several factors.
+    Raises UnknownNameError when a symbol is not known.
+    """
+    numerator, _, denominator = name.replace(" ", "").partition("/")
+    exponents = [0] * len(BASE)
+    factor = 1.0
+    for part, sign in ((numerator, 1), (denominator.strip("()"), -1)):
+        for token in filter(None, part.strip("()").split(".")):
+            match = _TOKEN.match(token)
+            if match is None or match["symbol"] not in _SYMBOLS:
+                raise UnknownNameError("unit", name, _SYMBOLS)
+            power = sign * int(match["power"] or 1)
+            base, scale = _SYMBOLS[match["symbol"]]
+            exponents = [e + power * b for e, b in zip(exponents, base, strict=True)]
+            factor *= scale**power
+    return Unit(name, tuple(exponents), factor)
+
+
+_DISPLAY = {"Pa": "bar", "Pa/s": "bar/s", "m": "mm", "rad": "deg", "rad/s": "deg/s"}
+
+
+def display_unit(name: str) -> str:
+    """The unit in which people read this one: bar for Pa, mm for m, deg for rad."""
+    return _DISPLAY.get(name, name)

@@ -1,0 +1,101 @@
+"""Variable: one named quantity of a plant, with all that a reader or a tool wants to know of it."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from . import units
+from .errors import InputError
+
+__all__ = ["Causality", "Variable"]
+
+Causality = Literal["state", "input", "parameter", "output", "constraint"]
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A named quantity.
+
+    Parameters
+    ----------
+    name : letters, digits and underscores; parts joined by dots (``muscle1.pressure``).
+    causality : "state", "input", "parameter", "output" or "constraint".
+    unit : SI unit in Modelica's spelling (``"N.s/m"``); ``"1"`` for a pure number.
+    start : initial value of a state, default of an input, value of a parameter [unit].
+    min, max : allowed range [unit].
+    nominal : a typical size, > 0 [unit]; scales solvers and tolerances.
+    description : one line for people.
+    tunable : for parameters: may change while a simulation runs.
+    display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
+    """
+
+    name: str
+    causality: Causality
+    unit: str = "1"
+    start: float | None = None
+    min: float = -math.inf
+    max: float = math.inf
+    nominal: float = 1.0
+    description: str = ""
+    tunable: bool = False
+    display_unit: str = ""
+
+    def __post_init__(self) -> None:
+        if not _NAME.match(self.name):
+            raise InputError(
+                f"name {self.name!r} of a variable: use letters, digits and underscores, "
+                "starting with a letter, parts joined by dots"
+            )
+        measured = units.unit(self.unit)
+        if not self.display_unit:
+            object.__setattr__(self, "display_unit", units.display_unit(self.unit))
+        elif not units.unit(self.display_unit).compatible(measured):
+            raise InputError(
+                f"{self.name}: display_unit {self.display_unit!r} does not measure the same "
+                f"quantity as unit {self.unit!r}"
+            )
+        if not (math.isfinite(self.nominal) and self.nominal > 0):
+            raise InputError(f"{self.name}: nominal = {self.nominal} must be finite and > 0")
+        if math.isnan(self.min) or math.isnan(self.max) or self.min > self.max:
+            raise InputError(f"{self.name}: min = {self.min:g} must not lie above max = {self.max:g}")
+        if self.start is not None:
+            self.check(self.start, "start")
+
+    def check(self, value: Any, argument: str = "value") -> float:
+        """``value`` as a float; InputError when it is no finite number in [min, max]."""
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
+        if not math.isfinite(number):
+            raise InputError(f"{self.name}: {argument} = {number} must be finite")
+        if not self.min <= number <= self.max:
+            raise InputError(
+                f"{self.name}: {argument} = {self.shown(number)} is outside "
+                f"{self.shown(self.min)} .. {self.shown(self.max)}"
+            )
+        return number
+
+    def with_start(self, value: Any) -> Variable:
+        """The same variable with another start value, checked against min and max."""
+        return replace(self, start=self.check(value, "start"))
+
+    @property
+    def display_factor(self) -> float:
+        """SI value per display unit: value_SI = display_factor * value_displayed."""
+        return units.unit(self.display_unit).factor / units.unit(self.unit).factor
+
+    def shown(self, value: float) -> str:
+        """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``."""
+        text = f"{value / self.display_factor:.6g}"
+        return text if self.display_unit == "1" else f"{text} {self.display_unit}"
+
+    @property
+    def label(self) -> str:
+        """Name and display unit, for an axis or a column head."""
+        return self.name if self.display_unit == "1" else f"{self.name} [{self.display_unit}]"
