@@ -1,1 +1,71 @@
-"""Pneumatic artificial muscles."""
+"""pam_ocp: pneumatic artificial muscles, from a measured table to a verified optimal motion and an FMU.
+
+Three nouns (Muscle, Plant, Trajectory) and five verbs (simulate, fit, plan, linearize, export)
+around one symbolic CasADi model. SI units inside; pressures are gauge; contraction is a fraction.
+"""
+
+from __future__ import annotations
+
+from .errors import (
+    ExportError,
+    FitError,
+    InputError,
+    PamError,
+    PlanError,
+    SimulationError,
+    UnknownNameError,
+)
+from .linear import EquilibriumError, OperatingPoint, equilibrium, linearize, modes
+from .muscle.catalogue import muscle, muscle_names
+from .muscle.force import LAWS, ForceLaw, SixParameterLaw
+from .muscle.losses import ConstantDamping, StiffnessDamping
+from .muscle.muscle import Muscle
+from .muscle.muscle_file import load_muscle, save_muscle
+from .plan.solve import Plan, plan
+from .plan.transcription import Collocation
+from .plant.actuator import IdealPressure, Regulator
+from .plant.antagonist import AntagonisticSlide
+from .plant.plant import Plant
+from .plant.single import HangingLoad
+from .simulate import simulate
+from .trajectory import Comparison, Trajectory
+from .variables import Variable
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "LAWS",
+    "AntagonisticSlide",
+    "Collocation",
+    "Comparison",
+    "ConstantDamping",
+    "EquilibriumError",
+    "ExportError",
+    "FitError",
+    "ForceLaw",
+    "HangingLoad",
+    "IdealPressure",
+    "InputError",
+    "Muscle",
+    "OperatingPoint",
+    "PamError",
+    "Plan",
+    "PlanError",
+    "Plant",
+    "Regulator",
+    "SimulationError",
+    "SixParameterLaw",
+    "StiffnessDamping",
+    "Trajectory",
+    "UnknownNameError",
+    "Variable",
+    "equilibrium",
+    "linearize",
+    "load_muscle",
+    "modes",
+    "muscle",
+    "muscle_names",
+    "plan",
+    "save_muscle",
+    "simulate",
+]

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
+from math import comb
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -69,7 +71,7 @@ class PiecewisePolynomial:
         n = self.degree + 1
         for j in range(n):  # Taylor shift: (s + h)^m = sum_j binom(m, j) s^(m-j) h^j
             for m in range(j, n):
-                new[:, j] += _binomial(m, j) * (s ** (m - j))[:, None] * old[:, m]
+                new[:, j] += comb(m, j) * (s ** (m - j))[:, None] * old[:, m]
         outside = (breaks[:-1] < self.breaks[0]) | (breaks[:-1] >= self.breaks[-1])
         new[outside, 1:] = 0.0
         new[outside, 0] = self(breaks[:-1][outside])
@@ -82,12 +84,6 @@ class PiecewisePolynomial:
         """The value at the last break, from the left."""
         h = self.breaks[-1] - self.breaks[-2]
         return np.asarray((h ** np.arange(self.degree + 1)) @ self.coefficients[-1])
-
-
-def _binomial(n: int, k: int) -> int:
-    from math import comb
-
-    return comb(n, k)
 
 
 def signals(
@@ -154,7 +150,9 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
         )
     if not np.all(np.isfinite(samples)):
         row = int(np.argmin(np.isfinite(samples)))
-        raise InputError(f"input {variable.name}: sample {row} is {samples[row]}; all must be finite")
+        raise InputError(
+            f"input {variable.name}: sample {row} is {samples[row]}; all must be finite"
+        )
     if not np.all(np.diff(times) > 0):
         raise InputError(f"input {variable.name}: the times must rise from sample to sample")
     if interpolation == "previous":
@@ -163,7 +161,9 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
     return PiecewisePolynomial(times, np.stack([samples[:-1], slopes], axis=1)[:, :, None])
 
 
-def _from_function(variable: Any, function: Callable[[float], float], t: Array) -> PiecewisePolynomial:
+def _from_function(
+    variable: Any, function: Callable[[float], float], t: Array
+) -> PiecewisePolynomial:
     """Cubic pieces through four Chebyshev points, halved until they follow the function."""
 
     def sample(time: float) -> float:
@@ -179,7 +179,7 @@ def _from_function(variable: Any, function: Callable[[float], float], t: Array) 
     inverse = np.linalg.inv(nodes[:, None] ** np.arange(4))
     probes = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-9])
     done: list[tuple[float, Array]] = []
-    stack = [(a, b) for a, b in zip(t[:-1], t[1:], strict=True)][::-1]
+    stack = list(pairwise(t))[::-1]
     while stack:
         a, b = stack.pop()
         h = b - a

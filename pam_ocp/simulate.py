@@ -92,16 +92,16 @@ def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array
         return inputs.t
     if isinstance(inputs, PiecewisePolynomial):
         return inputs.breaks
-    raise InputError("give duration (seconds) or t (output times); only a Trajectory brings its own")
+    raise InputError(
+        "give duration (seconds) or t (output times); only a Trajectory brings its own"
+    )
 
 
 def _start(plant: Plant, inputs: Inputs, start: Values | None) -> dict[str, Any]:
     first: dict[str, Any] = {}
     if isinstance(inputs, Trajectory) and all(v.name in inputs for v in plant.states):
         # a record may leave the range by rounding; start values are held to it elsewhere
-        first = {
-            v.name: float(np.clip(inputs[v.name][0], v.min, v.max)) for v in plant.states
-        }
+        first = {v.name: float(np.clip(inputs[v.name][0], v.min, v.max)) for v in plant.states}
     given = {plant.variable(n).name: value for n, value in (start or {}).items()}
     return {**first, **given}
 
@@ -130,7 +130,13 @@ class _Run:
     """The integration over the first k intervals of a grid, k chosen at the call."""
 
     def __init__(
-        self, plant: Plant, u: PiecewisePolynomial, grid: Array, x0: Array, rtol: float, max_steps: int
+        self,
+        plant: Plant,
+        u: PiecewisePolynomial,
+        grid: Array,
+        x0: Array,
+        rtol: float,
+        max_steps: int,
     ) -> None:
         self.grid, self.x0, self.u = grid, x0, u
         self.options = {"reltol": rtol, "abstol": rtol, "max_num_steps": max_steps}

@@ -11,7 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -166,7 +166,11 @@ class Trajectory:
         Raises InputError for another ending. An existing file is replaced only when all is written.
         """
         target = Path(path)
-        writers = {".csv": self._write_csv, ".npz": self._write_npz, ".parquet": self._write_parquet}
+        writers = {
+            ".csv": self._write_csv,
+            ".npz": self._write_npz,
+            ".parquet": self._write_parquet,
+        }
         writer = writers.get(target.suffix.lower())
         if writer is None:
             raise InputError(f"{target.name}: save as one of {', '.join(writers)}")
@@ -223,7 +227,9 @@ class Trajectory:
         with path.open(newline="", encoding="utf-8-sig") as file:
             header, *lines = csv.reader(file)
         if not header or header[0].partition(" ")[0] != "time":
-            raise InputError(f"{path.name}: the first column is {header[:1]}, it must be 'time [s]'")
+            raise InputError(
+                f"{path.name}: the first column is {header[:1]}, it must be 'time [s]'"
+            )
         try:
             data = np.array([[float(c) for c in line] for line in lines])
         except ValueError as error:
@@ -247,7 +253,9 @@ class Trajectory:
         try:
             import pandas as pd
         except ImportError:
-            raise InputError("Parquet needs pandas and pyarrow: pip install pam_ocp[studies]") from None
+            raise InputError(
+                "Parquet needs pandas and pyarrow: pip install pam_ocp[studies]"
+            ) from None
         frame = pd.read_parquet(path)
         return cls._from_meta(frame.attrs["pam_ocp"], frame.index.to_numpy(), frame.to_numpy())
 

@@ -62,7 +62,9 @@ class Variable:
         if not (math.isfinite(self.nominal) and self.nominal > 0):
             raise InputError(f"{self.name}: nominal = {self.nominal} must be finite and > 0")
         if math.isnan(self.min) or math.isnan(self.max) or self.min > self.max:
-            raise InputError(f"{self.name}: min = {self.min:g} must not lie above max = {self.max:g}")
+            raise InputError(
+                f"{self.name}: min = {self.min:g} must not lie above max = {self.max:g}"
+            )
         if self.start is not None:
             self.check(self.start, "start")
 

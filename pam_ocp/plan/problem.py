@@ -117,10 +117,14 @@ def _subject(plant: Plant, name: str) -> tuple[Variable, ca.SX]:
     state = plant.variable(name[4:-1])
     numerator, _, denominator = state.unit.partition("/")
     unit = f"{numerator}/({denominator.strip('()')}.s)" if denominator else f"{numerator}/s"
-    return Variable(f"der_{state.name}", "constraint", unit=unit, nominal=10 * state.nominal), expression
+    return Variable(
+        f"der_{state.name}", "constraint", unit=unit, nominal=10 * state.nominal
+    ), expression
 
 
-def _limits(plant: Plant, bounds: Mapping[str, Any]) -> tuple[dict[str, Range], tuple[Condition, ...]]:
+def _limits(
+    plant: Plant, bounds: Mapping[str, Any]
+) -> tuple[dict[str, Range], tuple[Condition, ...]]:
     """Bounds of states and inputs, and path conditions: the plant's own narrowed by the user's."""
     given: dict[str, Range] = {}
     for name, value in bounds.items():

@@ -182,7 +182,9 @@ def _solver(program: Program, options: Mapping[str, Any] | None) -> ca.Function:
     try:
         return ca.nlpsol("plan", "ipopt", program.nlp, {"print_time": False, "ipopt": ipopt})
     except RuntimeError as error:
-        raise InputError(f"options = {dict(options or {})}: {str(error).splitlines()[-1]}") from None
+        raise InputError(
+            f"options = {dict(options or {})}: {str(error).splitlines()[-1]}"
+        ) from None
 
 
 def _solve(solver: ca.Function, program: Program) -> dict[str, ca.DM]:
@@ -227,13 +229,15 @@ def _replay(problem: Problem, samples: Trajectory, success: bool) -> Replay | No
         motion = simulate(plant, samples, t=fine, rtol=REPLAY_TOLERANCE)
     except SimulationError as error:
         part = error.trajectory or samples
-        return Replay(float("inf"), f"the replay stops at t = {error.time:g} s", float("inf"), "", part)
+        return Replay(
+            float("inf"), f"the replay stops at t = {error.time:g} s", float("inf"), "", part
+        )
     names = samples.named("state")
     nominal = plant.vector("state", attribute="nominal")
-    error = np.abs(motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal
+    deviation = np.abs(motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal
     violation, constraint = _violation(problem, motion)
-    worst = names[int(np.argmax(error.max(axis=0)))]
-    return Replay(float(error.max()), worst, violation, constraint, motion)
+    worst = names[int(np.argmax(deviation.max(axis=0)))]
+    return Replay(float(deviation.max()), worst, violation, constraint, motion)
 
 
 def _violation(problem: Problem, motion: Trajectory) -> tuple[float, str]:
@@ -266,7 +270,9 @@ def _reason(
             "options={'max_iter': ...}"
         )
     if not row.conditions:
-        return opening + f"The most violated constraint is the {row.label} (by {slack:.3g} of nominal)"
+        return (
+            opening + f"The most violated constraint is the {row.label} (by {slack:.3g} of nominal)"
+        )
     per = len(row.conditions)
     condition = row.conditions[index % per]
     amount = condition.shown.shown(slack * condition.nominal)
@@ -301,7 +307,14 @@ def _elastic(program: Program, options: Mapping[str, Any] | None) -> tuple[float
         "x": ca.vertcat(program.nlp["x"], above, below), "p": program.nlp["p"],
         "f": ca.sum1(above) + ca.sum1(below), "g": relaxed,
     }  # fmt: skip
-    ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": 1000, **(options or {})}
+    ipopt = {
+        "print_level": 0,
+        "sb": "yes",
+        **DEFAULTS,
+        "tol": 1e-7,
+        "max_iter": 1000,
+        **(options or {}),
+    }
     solver = ca.nlpsol("elastic", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
     zero = np.zeros(2 * len(chosen))
     result = solver(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import casadi as ca
@@ -116,7 +117,9 @@ def transcribe(problem: Problem, method: Collocation) -> Program:
     p = ca.MX.sym("p", len(plant.parameters))
     w = ca.veccat(z.start, z.states, z.inputs, z.durations)
     durations = z.durations * t_nominal
-    h = ca.horzcat(*(ca.repmat(durations[i] / method.intervals, 1, method.intervals) for i in range(phases)))
+    h = ca.horzcat(
+        *(ca.repmat(durations[i] / method.intervals, 1, method.intervals) for i in range(phases))
+    )
     begins = ca.horzcat(z.start, z.states[:, degree - 1 :: degree])[:, :-1]
 
     stage = _stage(problem, method, x_nominal, u_nominal)
@@ -148,7 +151,9 @@ def transcribe(problem: Problem, method: Collocation) -> Program:
     )  # fmt: skip
 
 
-def _stage(problem: Problem, method: Collocation, x_nominal: Array, u_nominal: Array) -> ca.Function:
+def _stage(
+    problem: Problem, method: Collocation, x_nominal: Array, u_nominal: Array
+) -> ca.Function:
     """One interval: (start, points, inputs, h, p) -> (scaled defects, path values, effort)."""
     plant, degree = problem.plant, method.degree
     nx, nu = len(x_nominal), len(u_nominal)
@@ -170,7 +175,9 @@ def _stage(problem: Problem, method: Collocation, x_nominal: Array, u_nominal: A
         values.append(path(x, u, p))
         effort += h * quadrature[j] * ca.sumsqr(u_scaled)
     # an input may jump at the start of the interval: what depends on it is checked there too
-    values.append(_functions(plant, _with_inputs(problem))(start * x_nominal, inputs[:, 0] * u_nominal, p))
+    values.append(
+        _functions(plant, _with_inputs(problem))(start * x_nominal, inputs[:, 0] * u_nominal, p)
+    )
     return ca.Function(
         "stage",
         [start, ca.vec(points), ca.vec(inputs), h, p],
@@ -214,7 +221,12 @@ def _rows(
 
 
 def _nodes(
-    problem: Problem, method: Collocation, z: _Unknowns, x_nominal: Array, u_nominal: Array, p: ca.MX
+    problem: Problem,
+    method: Collocation,
+    z: _Unknowns,
+    x_nominal: Array,
+    u_nominal: Array,
+    p: ca.MX,
 ) -> list[tuple[ca.MX, Row]]:
     """Conditions at the stops, and the closing of a cycle."""
     ends = 2 if method.control == "linear" else 1
@@ -225,9 +237,13 @@ def _nodes(
             continue
         x = z.start if i == 0 else z.states[:, i * per_phase * method.degree - 1]
         column = i * per_phase * ends if i < last else z.inputs.shape[1] - 1
-        values = _functions(problem.plant, conditions)(x * x_nominal, z.inputs[:, column] * u_nominal, p)
+        values = _functions(problem.plant, conditions)(
+            x * x_nominal, z.inputs[:, column] * u_nominal, p
+        )
         low, high = _limits(conditions)
-        pieces.append((values, Row(f"stop {i + 1}", "stop", len(conditions), low, high, 1.0, conditions)))
+        pieces.append(
+            (values, Row(f"stop {i + 1}", "stop", len(conditions), low, high, 1.0, conditions))
+        )
     if problem.closing is not None:
         names = [v.name for v in problem.plant.states]
         image = ca.vertcat(
@@ -248,7 +264,12 @@ def _continuity(inputs: ca.MX, intervals: int, phases: int) -> ca.MX:
 
 
 def _bounds_and_guess(
-    problem: Problem, method: Collocation, x_nominal: Array, u_nominal: Array, t_nominal: Array, ends: int
+    problem: Problem,
+    method: Collocation,
+    x_nominal: Array,
+    u_nominal: Array,
+    t_nominal: Array,
+    ends: int,
 ) -> tuple[Array, Array, Array]:
     plant, n = problem.plant, len(problem.durations) * method.intervals
     columns = 1 + n * method.degree
@@ -277,10 +298,12 @@ def _guess(problem: Problem, method: Collocation, durations: Array) -> Array:
     slope = 30 * h**2 * (1 - h) ** 2
     states = np.repeat(plant.vector("state")[:, None], 1 + len(durations) * len(h), axis=1)
     for name in names:
-        targets = [_middle(stop.get(name), plant.variable(name).start or 0.0) for stop in problem.stops]
+        targets = [
+            _middle(stop.get(name), plant.variable(name).start or 0.0) for stop in problem.stops
+        ]
         row = states[names.index(name)]
         row[0] = targets[0]
-        for i, (a, b) in enumerate(zip(targets[:-1], targets[1:], strict=True)):
+        for i, (a, b) in enumerate(pairwise(targets)):
             row[1 + i * len(h) : 1 + (i + 1) * len(h)] = a + (b - a) * blend
             velocity = plant.positions.get(name)
             if velocity is not None:

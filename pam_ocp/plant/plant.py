@@ -9,7 +9,7 @@ import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,11 @@ from ..errors import InputError, UnknownNameError
 from ..muscle.muscle import Muscle
 from ..variables import Causality, Variable
 from .actuator import AttachedMuscle, Feed, attach
+
+if TYPE_CHECKING:
+    import control
+
+    from ..linear import OperatingPoint
 
 __all__ = ["Plant", "Values"]
 
@@ -44,6 +49,17 @@ class _System:
             [self.xdot, self.y, self.c],
             ["x", "u", "p"],
             ["xdot", "y", "c"],
+        )
+
+    @cached_property
+    def jacobians(self) -> ca.Function:
+        blocks = [ca.jacobian(e, z) for e in (self.xdot, self.y) for z in (self.x, self.u)]
+        return ca.Function(
+            "jacobians",
+            [self.x, self.u, self.p],
+            [ca.densify(b) for b in blocks],
+            ["x", "u", "p"],
+            ["A", "B", "C", "D"],
         )
 
 
@@ -166,7 +182,9 @@ class Plant:
     def _define(self, variable: Variable, expression: Any) -> ca.SX:
         value = ca.SX(expression)
         if value.shape != (1, 1):
-            raise InputError(f"{variable.name}: the expression has shape {value.shape}; give a scalar")
+            raise InputError(
+                f"{variable.name}: the expression has shape {value.shape}; give a scalar"
+            )
         self._add(variable)
         self._expressions[variable.name] = value
         return value
@@ -194,6 +212,11 @@ class Plant:
     @property
     def constraints(self) -> tuple[Variable, ...]:
         return self._of("constraint")
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """All variables in the order of their declaration."""
+        return tuple(self._variables.values())
 
     def variable(self, name: str) -> Variable:
         """The variable of this name; ``_`` may stand for ``.`` (``muscle1_pressure``).
@@ -243,6 +266,19 @@ class Plant:
             array[position[variable.name]] = variable.check(value)
         return array
 
+    # ---- verbs that read like properties of the plant -------------------------------------------
+    def equilibrium(self, conditions: Values | None = None, /, **more: Any) -> OperatingPoint:
+        """The point of rest under conditions; see :func:`pam_ocp.linear.equilibrium`."""
+        from ..linear import equilibrium
+
+        return equilibrium(self, conditions, **more)
+
+    def linearize(self, at: Any = None, **options: Any) -> control.StateSpace:
+        """python-control's StateSpace near a point; see :func:`pam_ocp.linear.linearize`."""
+        from ..linear import linearize
+
+        return linearize(self, at, **options)
+
     # ---- expressions and functions -----------------------------------------------------------
     def _finished(self) -> _System:
         if self._system is None:
@@ -255,13 +291,6 @@ class Plant:
             raise InputError(f"plant {self.name!r}: no equation der({', '.join(missing)}) is given")
         if not self.states:
             raise InputError(f"plant {self.name!r} has no state")
-        symbols, expressions = (
-            {c: ca.vertcat(*(table[v.name] for v in self._of(c))) for c in wanted}
-            for table, wanted in (
-                (self._symbols, ("state", "input", "parameter")),
-                (self._expressions, ("state", "output", "constraint")),
-            )
-        )
         declared = {s.name() for s in self._symbols.values()}
         for name, expression in self._expressions.items():
             free = {s.name() for s in ca.symvar(expression)} - declared
@@ -270,7 +299,13 @@ class Plant:
                     f"plant {self.name!r}: the expression of {name!r} holds symbols that no state, "
                     f"input or parameter declares: {', '.join(sorted(free))}"
                 )
-        return _System(*(ca.SX(e) for e in (*symbols.values(), *expressions.values())))
+        return _System(
+            *(self._column(self._symbols, c) for c in ("state", "input", "parameter")),
+            *(self._column(self._expressions, c) for c in ("state", "output", "constraint")),
+        )
+
+    def _column(self, table: Mapping[str, ca.SX], causality: Causality) -> ca.SX:
+        return ca.SX(ca.vertcat(*(table[v.name] for v in self._of(causality))))
 
     @property
     def x(self) -> ca.SX:
@@ -292,13 +327,20 @@ class Plant:
         """CasADi function (x, u, p) -> (xdot, y, c)."""
         return self._finished().function
 
+    @property
+    def jacobians(self) -> ca.Function:
+        """CasADi function (x, u, p) -> (A, B, C, D), the exact Jacobians of xdot and y."""
+        return self._finished().jacobians
+
     def expression(self, name: str) -> ca.SX:
         """The CasADi expression of any variable; ``"der(NAME)"`` for the derivative of a state."""
         self._finished()
         if name.startswith("der(") and name.endswith(")"):
             variable = self.variable(name[4:-1])
             if variable.causality != "state":
-                raise InputError(f"{name}: {variable.name} is no state, so it has no derivative here")
+                raise InputError(
+                    f"{name}: {variable.name} is no state, so it has no derivative here"
+                )
             return self._expressions[variable.name]
         variable = self.variable(name)
         if variable.name in self._symbols:
@@ -322,7 +364,6 @@ class Plant:
         return dict(self._mirror)
 
     def __repr__(self) -> str:
-        counts = ", ".join(
-            f"{len(self._of(c))} {c}s" for c in ("state", "input", "parameter", "output")  # type: ignore[arg-type]
-        )
+        kinds: tuple[Causality, ...] = ("state", "input", "parameter", "output")
+        counts = ", ".join(f"{len(self._of(kind))} {kind}s" for kind in kinds)
         return f"<{type(self).__name__} {self.name!r}: {counts}>"

@@ -1,0 +1,237 @@
+"""The command ``pam-ocp``."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError, PamError
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit code (0 done, 1 checked and found wanting, 2 bad input)."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if not hasattr(options, "run"):
+        parser.print_help()
+        return 2
+    try:
+        return int(options.run(options) or 0)
+    except PamError as error:
+        print(f"pam-ocp {options.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pam-ocp",
+        description="Pneumatic artificial muscles: fit a measured muscle, plan its optimal motion, "
+        "export the plant as an FMU.",
+        epilog="Start with 'pam-ocp tour': it does all of it on a bundled measured muscle.",
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+
+    tour = commands.add_parser("tour", help="the whole chain on a bundled measured muscle")
+    tour.add_argument(
+        "--out",
+        type=Path,
+        default=Path("tour"),
+        metavar="DIR",
+        help="folder for the results (default: tour)",
+    )
+    tour.set_defaults(run=_tour)
+
+    fit = commands.add_parser("fit", help="fit a force law to a measured table")
+    fit.add_argument(
+        "table",
+        metavar="TABLE",
+        help="CSV with length (or contraction), pressure, force; units in the header, as in length_m,pressure_Pa,force_N; or a bundled table such as DMSP-20-300_static.csv",
+    )
+    fit.add_argument(
+        "--rest-length",
+        type=float,
+        metavar="M",
+        help="length at zero pressure and load, in metres (needed unless the table holds contractions)",
+    )
+    fit.add_argument(
+        "--diameter", type=float, metavar="M", help="inner diameter at rest, in metres"
+    )
+    fit.add_argument(
+        "--law", default="six-parameter", metavar="LAW", help="force law (default: six-parameter)"
+    )
+    fit.add_argument("--name", metavar="NAME", help="name of the muscle in the muscle file")
+    fit.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.json",
+        help="write the muscle file that the other commands take",
+    )
+    fit.add_argument(
+        "--plot", type=Path, metavar="FILE.png", help="draw measurement, law and residuals"
+    )
+    fit.set_defaults(run=_fit)
+
+    export = commands.add_parser(
+        "export", help="export a plant as an FMU",
+        description="Export a plant as an FMU for Model Exchange and Co-Simulation.",
+    )  # fmt: skip
+    export.add_argument(
+        "plant",
+        metavar="PLANT",
+        help=f"{', '.join(_PLANTS)}, or FILE.py:NAME (a Plant, or a function that returns one)",
+    )
+    export.add_argument(
+        "--muscle",
+        default="DMSP-20-300",
+        metavar="MUSCLE",
+        help="name in the catalogue, or a muscle file (default: DMSP-20-300)",
+    )
+    export.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="value of a parameter or start value, in SI (may be repeated)",
+    )
+    export.add_argument(
+        "--fmi",
+        choices=("2.0", "3.0"),
+        default="2.0",
+        help="version of the standard (default: 2.0, which every tool reads)",
+    )
+    export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
+    export.set_defaults(run=_export)
+
+    check = commands.add_parser(
+        "check", help="check an FMU",
+        description="Validate an FMU and run it by fmpy. Exit code 0 when nothing is found, 1 otherwise.",
+    )  # fmt: skip
+    check.add_argument("fmu", type=Path, metavar="FMU")
+    check.add_argument(
+        "--against",
+        type=Path,
+        metavar="FILE",
+        help="Trajectory (.npz, .parquet) whose inputs are replayed and whose outputs are compared",
+    )
+    check.set_defaults(run=_check)
+
+    muscles = commands.add_parser("muscles", help="list the catalogue of muscles")
+    muscles.set_defaults(run=_muscles)
+    return parser
+
+
+def _tour(options: argparse.Namespace) -> int:
+    from .tour import tour
+
+    tour(options.out, say=lambda text: print(text, flush=True))
+    return 0
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from .fit.static import fit_force
+    from .fit.tables import read_table
+    from .muscle.muscle_file import save_muscle
+
+    table = read_table(options.table, rest_length=options.rest_length)
+    fitted = fit_force(table, options.law)
+    print(fitted.report())
+    if options.plot:
+        from .files import atomic_path
+        from .plot import plot_fit
+
+        with atomic_path(options.plot) as temporary:
+            plot_fit(fitted).savefig(temporary, dpi=130)
+        print(f"-> {options.plot}")
+    if options.out:
+        length = table.rest_length if options.rest_length is None else options.rest_length
+        if length is None:
+            raise InputError("--rest-length is needed to write a muscle file")
+        name = options.name or Path(options.table).stem
+        muscle = fitted.muscle(rest_length=length, diameter=options.diameter, name=name)
+        print(f"-> {save_muscle(muscle, options.out)}")
+    return 0
+
+
+_PLANTS = ("hanging_load", "antagonistic_slide")
+
+
+def _export(options: argparse.Namespace) -> int:
+    from .fmu import export_fmu
+
+    plant = _plant(options.plant, options.muscle)
+    values = {}
+    for text in options.set:
+        name, equals, number = text.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise InputError(f"--set {text}: give NAME=VALUE with a number in SI, as in mass=3.0")
+    plant = plant.with_values(values)
+    target = options.out or Path(f"{plant.name}.fmu")
+    print(f"-> {export_fmu(plant, target, fmi=options.fmi)}")
+    return 0
+
+
+def _plant(name: str, muscle_name: str) -> Any:
+    """A plant by its name here, or from a user's file (FILE.py:NAME)."""
+    from .errors import UnknownNameError
+    from .plant.antagonist import AntagonisticSlide
+    from .plant.plant import Plant
+    from .plant.single import HangingLoad
+
+    muscle = _muscle(muscle_name)
+    built_in = {"hanging_load": HangingLoad, "antagonistic_slide": AntagonisticSlide}
+    if name in built_in:
+        return built_in[name](muscle)
+    file, colon, member = name.rpartition(":")
+    if not colon:
+        raise UnknownNameError("plant", name, [*built_in, "FILE.py:NAME"])
+    spec = importlib.util.spec_from_file_location("users_plant", file)
+    if spec is None or spec.loader is None or not Path(file).is_file():
+        raise InputError(f"{file}: no such Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not hasattr(module, member):
+        raise UnknownNameError(f"name in {file}", member, [n for n in vars(module) if n[0] != "_"])
+    found = getattr(module, member)
+    plant = found if isinstance(found, Plant) else found(muscle)
+    if not isinstance(plant, Plant):
+        raise InputError(f"{name} gives {type(plant).__name__}, not a Plant")
+    return plant
+
+
+def _muscle(name: str) -> Any:
+    from .muscle.catalogue import muscle
+    from .muscle.muscle_file import load_muscle
+
+    return load_muscle(name) if name.endswith(".json") else muscle(name)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from .fmu import check_fmu
+    from .trajectory import Trajectory
+
+    reference = Trajectory.load(options.against) if options.against else None
+    result = check_fmu(options.fmu, against=reference)
+    print(result)
+    return 0 if result.ok else 1
+
+
+def _muscles(options: argparse.Namespace) -> int:
+    from .muscle.catalogue import muscle_names, summary, transfer_note
+
+    for name in muscle_names():
+        print(summary(name))
+    print(f"\n{transfer_note()}")
+    return 0

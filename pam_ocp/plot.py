@@ -1,0 +1,219 @@
+"""Pictures. matplotlib is loaded only when one is drawn; figures need no display."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import InputError
+from .trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import control
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from .fit.static import ForceFit
+    from .plan.solve import Plan
+
+__all__ = ["plot_bode", "plot_comparison", "plot_fit", "plot_plan", "plot_trajectory"]
+
+COLOURS = ("#1b6ca8", "#c8553d", "#4c956c", "#7b5ea7", "#c98b14", "#5b6770")
+
+
+def _figure(
+    rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
+) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex)
+    for ax in axes.ravel():
+        ax.grid(True, color="#dddddd", linewidth=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _draw(ax: Axes, trajectory: Trajectory, name: str, colour: str, **style: Any) -> None:
+    variable = trajectory.variable(name)
+    values = trajectory[name] / variable.display_factor
+    held = variable.causality == "input" and trajectory.interpolation == "previous"
+    ax.plot(
+        trajectory.t, values, color=colour, drawstyle="steps-post" if held else "default",
+        **{"linewidth": 1.6, "label": variable.name, **style},
+    )  # fmt: skip
+
+
+def plot_trajectory(trajectory: Trajectory, names: Sequence[str] | None = None) -> Figure:
+    """One panel per display unit (and kind of quantity), over time."""
+    chosen = [trajectory.variable(n).name for n in (trajectory.names if names is None else names)]
+    if not chosen:
+        raise InputError("names is empty: nothing to draw")
+    panels: dict[str, list[str]] = {}
+    for name in chosen:
+        panels.setdefault(trajectory.variable(name).display_unit, []).append(name)
+    figure, axes = _figure(len(panels), size=(8, 1.2 + 1.7 * len(panels)), sharex=True)
+    for ax, (unit, members) in zip(axes[:, 0], panels.items(), strict=True):
+        for i, name in enumerate(members):
+            dashed = trajectory.variable(name).causality == "input"
+            _draw(
+                ax, trajectory, name, COLOURS[i % len(COLOURS)], linestyle="--" if dashed else "-"
+            )
+        ax.set_ylabel("" if unit == "1" else unit)
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def plot_fit(fit: ForceFit, title: str = "") -> Figure:
+    """Measured and fitted force over contraction, one line per pressure; residuals below."""
+    table = fit.table
+    figure, axes = _figure(2, size=(8, 7), sharex=True)
+    upper, lower = axes[:, 0]
+    pressures = np.unique(table.pressure)
+    shade = _colours(len(pressures))
+    grid = np.linspace(0.0, float(table.contraction.max()) * 1.08, 200)
+    for colour, p in zip(shade, pressures, strict=True):
+        at = table.pressure == p
+        taut, slack = at & ~table.slack, at & table.slack
+        upper.plot(100 * table.contraction[taut], table.force[taut], "o", color=colour, ms=4)
+        upper.plot(
+            100 * table.contraction[slack], table.force[slack], "x", color=colour, ms=3, alpha=0.5
+        )
+        model = np.maximum(np.asarray(fit.law.tension(p, grid)), 0.0)
+        upper.plot(100 * grid, model, "-", color=colour, lw=1.0)
+        residual = table.force[taut] - np.asarray(fit.law.tension(p, table.contraction[taut]))
+        lower.plot(100 * table.contraction[taut], residual, "o", color=colour, ms=4)
+    _pressure_scale(figure, [upper, lower], pressures, shade)
+    upper.set_ylabel("pulling force [N]")
+    upper.set_ylim(bottom=-0.03 * float(table.force.max()))
+    heading = title or f"{fit.law.title}: RMSE {fit.rmse:.2f} N over {len(table.taut)} cells"
+    upper.set_title(heading, loc="left", fontsize="medium")
+    upper.plot([], [], "o", color="#555555", ms=4, label="measured")
+    upper.plot([], [], "x", color="#555555", ms=3, label="slack (not fitted)")
+    upper.plot([], [], "-", color="#555555", lw=1, label="fitted law")
+    upper.legend(frameon=False, fontsize="small")
+    lower.axhline(0.0, color="#555555", lw=0.8)
+    lower.set_ylabel("measured - fitted [N]")
+    lower.set_xlabel("contraction [%]")
+    return figure
+
+
+def _colours(count: int) -> Any:
+    from matplotlib import colormaps
+
+    return colormaps["viridis"](np.linspace(0.0, 0.9, count))
+
+
+def _pressure_scale(figure: Figure, axes: list[Any], pressures: Any, shade: Any) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+
+    if len(pressures) < 2:
+        return
+    scale = Normalize(float(pressures.min()) / 1e5, float(pressures.max()) / 1e5)
+    from matplotlib import colormaps
+
+    part = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.9, 256)))
+    # the lines' colours are spread by rank, pressures nearly evenly: the bar is a guide
+    figure.colorbar(
+        ScalarMappable(scale, part), ax=axes, label="pressure [bar gauge]", fraction=0.05
+    )
+
+
+def plot_plan(plan: Plan) -> Figure:
+    """The planned motion: positions, velocities, pressures with commands, forces, stiffness."""
+    trajectory = plan.trajectory
+    replay = plan.replay.trajectory if plan.replay else trajectory
+    panels = _panels(trajectory)
+    figure, axes = _figure(len(panels), size=(8, 1.0 + 1.75 * len(panels)), sharex=True)
+    for ax, (label, names) in zip(axes[:, 0], panels.items(), strict=True):
+        for i, name in enumerate(names):
+            variable = trajectory.variable(name)
+            if variable.causality == "input":
+                owner = [n for n in names if n.split(".")[0] == name.split(".")[0] and n != name]
+                colour = COLOURS[names.index(owner[0])] if owner else COLOURS[i % len(COLOURS)]
+                _draw(ax, trajectory, name, colour, linewidth=0.9, alpha=0.75)
+            else:
+                _draw(ax, replay, name, COLOURS[i % len(COLOURS)])
+        _limits(ax, plan, names)
+        ax.set_ylabel(label)
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+        for time in np.cumsum(plan.durations)[:-1]:
+            ax.axvline(time, color="#999999", lw=0.8, ls=":")
+    axes[0, 0].set_title(
+        f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error {plan.replay_error:.1e} of nominal",
+        loc="left", fontsize="medium",
+    )  # fmt: skip
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def _panels(trajectory: Trajectory) -> dict[str, list[str]]:
+    """Columns to draw by unit; contractions say nothing that positions do not."""
+    panels: dict[str, list[str]] = {}
+    for variable in trajectory.variables:
+        if variable.name.endswith(".contraction"):
+            continue
+        panels.setdefault(variable.display_unit, []).append(variable.name)
+    for names in panels.values():  # states before inputs: an input takes its state's colour
+        names.sort(key=lambda n: trajectory.variable(n).causality == "input")
+    return panels
+
+
+def _limits(ax: Axes, plan: Plan, names: Sequence[str]) -> None:
+    for name in names:
+        variable = plan.plant.variable(name)
+        if variable.causality != "state":
+            continue
+        for bound in (variable.min, variable.max):
+            if np.isfinite(bound):
+                ax.axhline(bound / variable.display_factor, color="#bbbbbb", lw=0.8, ls="--")
+
+
+def plot_comparison(
+    reference: Trajectory, other: Trajectory, names: Sequence[str], labels: tuple[str, str]
+) -> Figure:
+    """Two trajectories over each other, and their difference in units of nominal below."""
+    figure, axes = _figure(len(names) + 1, size=(8, 2.0 + 1.6 * len(names)), sharex=True)
+    there = other if np.array_equal(reference.t, other.t) else other.at(reference.t)
+    for i, (ax, name) in enumerate(zip(axes[:, 0], names, strict=False)):
+        colour = COLOURS[i % len(COLOURS)]
+        _draw(ax, reference, name, "#bbbbbb", linewidth=3.5, label=labels[0])
+        _draw(ax, there, name, colour, linewidth=1.1, label=labels[1])
+        ax.set_ylabel(reference.variable(name).label)
+        ax.legend(frameon=False, fontsize="small", loc="upper right")
+        difference = np.abs(there[name] - reference[name]) / reference.variable(name).nominal
+        axes[-1, 0].semilogy(
+            reference.t, np.maximum(difference, 1e-17), color=colour, lw=1.2, label=name
+        )
+    axes[-1, 0].set_ylabel("|difference| / nominal")
+    axes[-1, 0].legend(frameon=False, fontsize="small", ncols=3)
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def plot_bode(
+    systems: dict[str, control.StateSpace],
+    output: str,
+    source: str,
+    hertz: tuple[float, float] = (0.1, 100.0),
+) -> Figure:
+    """Bode diagram from one input to one output, for each named system."""
+    figure, axes = _figure(2, size=(8, 6), sharex=True)
+    magnitude, phase = axes[:, 0]
+    frequency = np.geomspace(*hertz, 600)
+    for i, (label, system) in enumerate(systems.items()):
+        row, column = system.output_labels.index(output), system.input_labels.index(source)
+        response = np.asarray(system(2j * np.pi * frequency, squeeze=False))[row, column]
+        colour = COLOURS[i % len(COLOURS)]
+        magnitude.loglog(frequency, np.abs(response), color=colour, label=label)
+        phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(response))), color=colour)
+    magnitude.set_ylabel(f"|{output} / {source}| (SI)")
+    magnitude.legend(frameon=False, fontsize="small")
+    phase.set_ylabel("phase [deg]")
+    phase.set_xlabel("frequency [Hz]")
+    return figure

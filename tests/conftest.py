@@ -1,0 +1,82 @@
+"""Muscles and plants that several tests use, and independent integration by SciPy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import pam_ocp as pam
+
+BAR = 1e5
+
+
+@pytest.fixture
+def long_muscle() -> pam.Muscle:
+    """The DMSP-20-400N of the catalogue."""
+    return pam.muscle("DMSP-20-400N")
+
+
+@pytest.fixture
+def hanging(long_muscle: pam.Muscle) -> pam.Plant:
+    return pam.HangingLoad(long_muscle, mass=20.0)
+
+
+@pytest.fixture
+def slide() -> pam.Plant:
+    """The plant of the planner's benchmark PAM-2DIR."""
+    return benchmark_slide()
+
+
+def benchmark_slide(feed: Any = None, muscle: pam.Muscle | None = None) -> pam.Plant:
+    return pam.AntagonisticSlide(
+        muscle or pam.muscle("DMSP-20-200N"),
+        mass=2.0,
+        pre_contraction=0.10,
+        stroke=0.016,
+        damping=pam.ConstantDamping(20.0),
+        feed=feed or pam.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
+    )
+
+
+def flat(value: Any) -> Any:
+    """A CasADi matrix as a row of numbers."""
+    return np.asarray(value).ravel()
+
+
+def scipy_states(
+    plant: pam.Plant,
+    inputs: Callable[[float], Any],
+    t: Any,
+    x0: Any = None,
+    *,
+    method: str = "DOP853",
+    rtol: float = 1e-11,
+) -> Any:
+    """States (n, nx) at ``t`` by SciPy, a jump of the inputs allowed at each t (right-hand value)."""
+    p, nominal = plant.vector("parameter"), plant.vector("state", attribute="nominal")
+    x = plant.vector("state") if x0 is None else np.asarray(x0, float)
+
+    def f(time: float, z: Any, low: float, high: float) -> Any:
+        # stages of a step over [low, high) never see the input beyond its end
+        inside = min(max(time, low), np.nextafter(high, low))
+        return np.asarray(plant.function(z * nominal, inputs(inside), p)[0]).ravel() / nominal
+
+    rows = [x]
+    for low, high in pairwise(t):
+        solution = solve_ivp(
+            f,
+            (low, high),
+            rows[-1] / nominal,
+            method=method,
+            rtol=rtol,
+            atol=rtol,
+            args=(low, high),
+        )
+        assert solution.success
+        rows.append(solution.y[:, -1] * nominal)
+    return np.array(rows)
