@@ -16,6 +16,7 @@ from .errors import (
     UnknownNameError,
 )
 from .linear import EquilibriumError, OperatingPoint, equilibrium, linearize, modes
+from .many import ManySimulations, draws, simulate_many, sweep
 from .muscle.catalogue import muscle, muscle_names
 from .muscle.force import LAWS, ForceLaw, SixParameterLaw
 from .muscle.losses import ConstantDamping, StiffnessDamping
@@ -46,6 +47,7 @@ __all__ = [
     "HangingLoad",
     "IdealPressure",
     "InputError",
+    "ManySimulations",
     "Muscle",
     "OperatingPoint",
     "PamError",
@@ -59,6 +61,7 @@ __all__ = [
     "Trajectory",
     "UnknownNameError",
     "Variable",
+    "draws",
     "equilibrium",
     "linearize",
     "load_muscle",
@@ -68,4 +71,6 @@ __all__ = [
     "plan",
     "save_muscle",
     "simulate",
+    "simulate_many",
+    "sweep",
 ]

@@ -25,9 +25,18 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Trajectory"]
+__all__ = ["Comparison", "Event", "Trajectory"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Event:
+    """A zero crossing of the variable ``name`` at ``time`` [s]; ``rising`` when it grows."""
+
+    time: float
+    name: str
+    rising: bool
 
 
 class Trajectory:
@@ -39,6 +48,7 @@ class Trajectory:
     columns : {name: (n,) values in SI}.
     variables : what the columns are (unit, causality, nominal, description), in order of display.
     interpolation : how inputs run between samples: "previous" (held) or "linear".
+    events : zero crossings that a simulation located (they are not saved to files).
 
     ``trajectory["x"]`` gives the samples of one variable; ``_`` may stand for ``.`` in names.
     """
@@ -49,7 +59,9 @@ class Trajectory:
         columns: Mapping[str, ArrayLike],
         variables: Sequence[Variable] | None = None,
         interpolation: Interpolation = "linear",
+        events: Sequence[Event] = (),
     ) -> None:
+        self.events: tuple[Event, ...] = tuple(events)
         self.t: Array = np.array(t, dtype=float)
         if self.t.ndim != 1 or self.t.size == 0:
             raise InputError(f"t has shape {self.t.shape}; give a row of at least one time")

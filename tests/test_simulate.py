@@ -99,3 +99,85 @@ def test_a_failure_says_where_and_keeps_what_was_computed():
 def test_bad_arguments_are_refused(hanging, arguments, message):
     with pytest.raises(InputError, match=message):
         pam.simulate(hanging, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("method", "step"), [("cvodes", None), ("rk4", 1e-4), ("rosenbrock", 1e-3)]
+)
+def test_all_methods_agree(slide, method, step):
+    t = np.linspace(0.0, 0.3, 16)
+    u = np.random.default_rng(4).uniform(2.5 * BAR, 4.5 * BAR, size=(2, 16))
+    inputs = {"muscle1.command": u[0], "muscle2.command": u[1]}
+    one = pam.simulate(slide, inputs, t=t)
+    other = pam.simulate(slide, inputs, t=t, method=method, step=step, rtol=1e-11)
+    assert one.compare(other, one.named("state")).largest < 1e-6
+
+
+def test_rk4_has_order_four(slide):
+    inputs = {"muscle1.command": 4 * BAR, "muscle2.command": 3.5 * BAR}
+    t = [0.0, 0.064]
+    exact = pam.simulate(slide, inputs, t=t, rtol=1e-13)["x"][-1]
+    errors = [
+        abs(pam.simulate(slide, inputs, t=t, method="rk4", step=h)["x"][-1] - exact)
+        for h in (0.002, 0.001, 0.0005)
+    ]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert orders == pytest.approx([4.0, 4.0], abs=0.5)
+
+
+def test_crossings_of_an_oscillator_are_where_the_cosine_says():
+    plant = pam.Plant("oscillator")
+    x, v = plant.state("x", start=1.0), plant.state("v")
+    plant.der(x, v)
+    plant.der(v, -((2 * np.pi) ** 2) * x)
+    motion = pam.simulate(plant, t=np.linspace(0.0, 2.0, 23), events=["x"], rtol=1e-12)
+    assert [e.time for e in motion.events] == pytest.approx([0.25, 0.75, 1.25, 1.75], abs=1e-10)
+    assert [e.rising for e in motion.events] == [False, True, False, True]
+    assert motion["x"] == pytest.approx(np.cos(2 * np.pi * motion.t), abs=1e-9)
+
+
+def test_slack_begins_and_ends_where_scipy_finds_it():
+    """A load thrown upwards: slack, free fall, taut again; with a clamp narrower than 1e-5 N."""
+    from dataclasses import replace
+
+    from scipy.integrate import solve_ivp
+
+    muscle = replace(pam.muscle("DMSP-20-400N"), slack_width=1e-5)
+    plant = pam.HangingLoad(
+        muscle, 20.0, damping=pam.ConstantDamping(0.0), feed=pam.IdealPressure()
+    )
+    t = np.linspace(0.0, 0.4, 81)
+    start = {"x": 0.06, "v": 0.8}
+    motion = pam.simulate(plant, {"muscle.pressure": 4 * BAR}, t=t, start=start,
+                          events=["muscle.tension"], rtol=1e-12)  # fmt: skip
+    slack = lambda s, z: muscle.law.tension(4 * BAR, z[0] / 0.4)  # noqa: E731
+    slack.terminal = True
+
+    def fall(s, z):
+        return [z[1], -9.80665]
+
+    def pull(s, z):
+        return [z[1], slack(s, z) / 20.0 - 9.80665]
+
+    time, z, expected = 0.0, np.array([0.06, 0.8]), []
+    for rule, direction in ((pull, -1), (fall, 1)):
+        slack.direction = direction
+        run = solve_ivp(rule, (time, 1.0), z, events=slack, method="DOP853", rtol=1e-13, atol=1e-14)
+        time, z = run.t_events[0][0], run.y_events[0][0]
+        expected.append(time)
+    assert [e.time for e in motion.events[:2]] == pytest.approx(expected, abs=1e-9)
+    assert [e.rising for e in motion.events[:2]] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "euler"}, "rosenbrock, cvodes, rk4"),
+        ({"method": "rk4"}, "needs a step"),
+        ({"method": "cvodes", "step": 1e-3}, "leave out step"),
+        ({"events": ["muscle.tensoin"]}, r"muscle\.tension"),
+    ],
+)
+def test_a_method_or_event_that_does_not_exist_is_refused(hanging, arguments, message):
+    with pytest.raises(InputError, match=message):
+        pam.simulate(hanging, duration=0.1, **arguments)

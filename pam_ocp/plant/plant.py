@@ -6,8 +6,9 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,10 @@ __all__ = ["Plant", "Values"]
 
 Values = Mapping[str, Any]
 
+# in the order of the plant's function: arguments, and results (a state's is its derivative)
+_CHANGEABLE: tuple[Causality, ...] = ("state", "input", "parameter")
+_DEFINED: tuple[Causality, ...] = ("state", "output", "constraint")
+
 
 @dataclass(frozen=True)
 class _System:
@@ -40,6 +45,8 @@ class _System:
     xdot: ca.SX
     y: ca.SX
     c: ca.SX
+    built: OrderedDict[Any, Any] = field(default_factory=OrderedDict)
+    """What verbs have built from these expressions, the latest last."""
 
     @cached_property
     def function(self) -> ca.Function:
@@ -299,10 +306,9 @@ class Plant:
                     f"plant {self.name!r}: the expression of {name!r} holds symbols that no state, "
                     f"input or parameter declares: {', '.join(sorted(free))}"
                 )
-        return _System(
-            *(self._column(self._symbols, c) for c in ("state", "input", "parameter")),
-            *(self._column(self._expressions, c) for c in ("state", "output", "constraint")),
-        )
+        x, u, p = (self._column(self._symbols, c) for c in _CHANGEABLE)
+        xdot, y, c = (self._column(self._expressions, c) for c in _DEFINED)
+        return _System(x, u, p, xdot, y, c)
 
     def _column(self, table: Mapping[str, ca.SX], causality: Causality) -> ca.SX:
         return ca.SX(ca.vertcat(*(table[v.name] for v in self._of(causality))))
@@ -326,6 +332,19 @@ class Plant:
     def function(self) -> ca.Function:
         """CasADi function (x, u, p) -> (xdot, y, c)."""
         return self._finished().function
+
+    def cached(self, key: Hashable, build: Callable[[], Any]) -> Any:
+        """What ``build()`` gives, kept with the expressions under ``key`` (the latest 32 are kept).
+
+        For verbs that make CasADi functions of this plant: copies with other values share them.
+        """
+        built = self._finished().built
+        if key not in built:
+            built[key] = build()
+            while len(built) > 32:
+                built.popitem(last=False)
+        built.move_to_end(key)
+        return built[key]
 
     @property
     def jacobians(self) -> ca.Function:
@@ -362,6 +381,27 @@ class Plant:
     def mirror_map(self) -> dict[str, tuple[float, str]]:
         """The declared symmetry, or {} when the plant has none."""
         return dict(self._mirror)
+
+    # ---- pickling: CasADi functions travel, symbols are made anew ---------------------------------
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "description": self.description,
+            "variables": list(self._variables.values()),
+            "mirror": self._mirror,
+            "function": self.function,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        Plant.__init__(self, state["name"], state["description"])
+        self._variables = {v.name: v for v in state["variables"]}
+        self._mirror = state["mirror"]
+        symbols = {v.name: ca.SX.sym(v.name) for v in state["variables"]}
+        self._symbols = {v.name: symbols[v.name] for c in _CHANGEABLE for v in self._of(c)}
+        values = state["function"](*(self._column(self._symbols, c) for c in _CHANGEABLE))
+        for kind, column in zip(_DEFINED, values, strict=True):
+            for i, variable in enumerate(self._of(kind)):
+                self._expressions[variable.name] = column[i]
 
     def __repr__(self) -> str:
         kinds: tuple[Causality, ...] = ("state", "input", "parameter", "output")
