@@ -41,7 +41,7 @@ class _Crossings:
         """Values (number of times, number of names)."""
         values = self.function(states.T, self.u(t).T, self.parameters)
         table: Array = np.asarray(values, dtype=float).reshape(len(self.names), len(t))
-        return table.T
+        return np.ascontiguousarray(table.T)
 
 
 def integrate_with_events(

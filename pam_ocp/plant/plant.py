@@ -5,7 +5,6 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 
 from __future__ import annotations
 
-import copy
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
@@ -252,7 +251,8 @@ class Plant:
                     "set states, inputs or parameters"
                 )
             changed[variable.name] = variable.with_start(value)
-        other = copy.copy(self)
+        other = object.__new__(type(self))  # copy.copy would make new symbols, as pickling does
+        other.__dict__.update(self.__dict__)
         other._variables = changed
         return other
 
