@@ -25,7 +25,11 @@ from .muscle.muscle_file import load_muscle, save_muscle
 from .plan.solve import Plan, plan
 from .plan.transcription import Collocation
 from .plant.actuator import IdealPressure, Regulator
+from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
 from .plant.antagonist import AntagonisticSlide
+from .plant.elastic import SeriesLoad, SpringOverMuscle
+from .plant.joint import AntagonisticJoint
+from .plant.loads import Damper, DryFriction, ExternalForce, Inertia, Spring, Wall
 from .plant.plant import Plant
 from .plant.single import HangingLoad
 from .simulate import simulate
@@ -36,16 +40,23 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LAWS",
+    "Allocation",
+    "AllocationError",
+    "AntagonisticJoint",
     "AntagonisticSlide",
     "Collocation",
     "Comparison",
     "ConstantDamping",
+    "Damper",
+    "DryFriction",
     "EquilibriumError",
     "ExportError",
+    "ExternalForce",
     "FitError",
     "ForceLaw",
     "HangingLoad",
     "IdealPressure",
+    "Inertia",
     "InputError",
     "ManySimulations",
     "Muscle",
@@ -55,12 +66,17 @@ __all__ = [
     "PlanError",
     "Plant",
     "Regulator",
+    "SeriesLoad",
     "SimulationError",
     "SixParameterLaw",
+    "Spring",
+    "SpringOverMuscle",
     "StiffnessDamping",
     "Trajectory",
     "UnknownNameError",
     "Variable",
+    "Wall",
+    "common_and_difference",
     "draws",
     "equilibrium",
     "linearize",
@@ -69,6 +85,7 @@ __all__ = [
     "muscle",
     "muscle_names",
     "plan",
+    "pressures_of",
     "save_muscle",
     "simulate",
     "simulate_many",

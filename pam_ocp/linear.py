@@ -57,7 +57,8 @@ def equilibrium(plant: Plant, conditions: Values | None = None, /, **more: Any) 
     """The point of rest that meets conditions on states, inputs, outputs (or parameters).
 
     ``equilibrium(plant, x=0.0, stiffness=2e4)``; values of parameters replace the plant's. As many
-    conditions are needed as the plant has inputs (each condition fixes one freedom of rest).
+    conditions are needed as the plant has inputs (each condition fixes one freedom of rest);
+    disturbances (external forces) that are not named are held at their start value.
 
     Solved within the variables' bounds by IPOPT from several starts, then by Newton to rounding.
     Raises InputError when the conditions are too few or too many, EquilibriumError when no point
@@ -71,11 +72,16 @@ def equilibrium(plant: Plant, conditions: Values | None = None, /, **more: Any) 
         if not np.isfinite(value):
             raise InputError(f"equilibrium: {name} = {value} must be finite")
         plant.variable(name).check(value, "the condition")
+    disturbances = {
+        v.name: v.start or 0.0 for v in plant.inputs if v.disturbance and v.name not in targets
+    }
+    if len(targets) + len(disturbances) == len(plant.inputs):
+        targets.update(disturbances)
     if len(targets) != len(plant.inputs):
-        inputs = ", ".join(v.name for v in plant.inputs)
+        controls = [v.name for v in plant.inputs if v.name not in disturbances]
         raise InputError(
-            f"equilibrium of {plant.name!r} needs {len(plant.inputs)} condition(s), one for each of its "
-            f"inputs ({inputs}); {len(targets)} given: {', '.join(targets) or 'none'}"
+            f"equilibrium of {plant.name!r} needs {len(controls)} condition(s), one for each of its "
+            f"inputs ({', '.join(controls)}); {len(targets)} given: {', '.join(targets) or 'none'}"
         )
     return _solved(plant, targets)
 

@@ -31,6 +31,7 @@ class Variable:
     nominal : a typical size, > 0 [unit]; scales solvers and tolerances.
     description : one line for people.
     tunable : for parameters: may change while a simulation runs.
+    disturbance : for inputs: not for a controller to choose; plans and equilibria hold it at start.
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
     """
 
@@ -44,6 +45,7 @@ class Variable:
     description: str = ""
     tunable: bool = False
     display_unit: str = ""
+    disturbance: bool = False
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):

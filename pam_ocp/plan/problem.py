@@ -137,7 +137,8 @@ def _limits(
         given[key] = _range(f"bounds[{name!r}]", value, variable)
     variables: dict[str, Range] = {}
     for variable in (*plant.states, *plant.inputs):
-        low, high = given.pop(variable.name, (-math.inf, math.inf))
+        held = (variable.start or 0.0,) * 2 if variable.disturbance else (-math.inf, math.inf)
+        low, high = given.pop(variable.name, held)
         variables[variable.name] = _narrowed(variable, low, high)
     path = []
     for variable in plant.constraints:

@@ -6,7 +6,7 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, UnknownNameError
+from ..muscle.losses import Loss
 from ..muscle.muscle import Muscle
 from ..variables import Causality, Variable
 from .actuator import AttachedMuscle, Feed, attach
@@ -149,20 +150,22 @@ class Plant:
         rate: Any,
         pre_contraction: Any = 0.0,
         feed: Feed | None = None,
+        losses: Sequence[Loss] = (),
     ) -> AttachedMuscle:
-        """Attach a muscle: its constants as parameters, its feed, its outputs.
+        """Attach a muscle: its constants as parameters, its feed, its losses, its outputs.
 
         shortening, rate : by how much the plant's motion shortens it [m], and the derivative [m/s];
             its contraction is pre_contraction + shortening / rest length.
         pre_contraction : a number (becomes the parameter ``<name>.pre_contraction``) or a symbol.
         feed : how its pressure comes about; by default a first-order ``Regulator()``.
+        losses : friction, hysteresis, creep, such as ``CoulombFriction()``.
 
         Adds the outputs ``<name>.force``, ``.contraction``, ``.stiffness`` and the path constraint
         ``<name>.tension`` >= 0 (never slack). Returns expressions to use in the equation of motion.
         """
         return attach(
             self, name, muscle, shortening=shortening, rate=rate,
-            pre_contraction=pre_contraction, feed=feed,
+            pre_contraction=pre_contraction, feed=feed, losses=losses,
         )  # fmt: skip
 
     def _open(self) -> None:

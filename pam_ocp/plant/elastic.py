@@ -1,0 +1,175 @@
+"""One muscle against an elastic element: a spring over the muscle, a tendon in series."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from ..errors import require_finite, require_positive
+from ..muscle.force import SLACK_WIDTH, clamp
+from ..muscle.losses import ConstantDamping, Damping, Loss, StiffnessDamping
+from ..muscle.muscle import Muscle
+from .actuator import Feed
+from .loads import Coordinate, Load, applied
+from .plant import Plant
+from .single import GRAVITY
+
+__all__ = ["SeriesLoad", "SpringOverMuscle"]
+
+
+class SpringOverMuscle(Plant):
+    """A muscle inside a bias spring: m x'' + c x' = F - (preload + k_som x) - m g sin(inclination).
+
+    The spring over the muscle (SOM) stretches it back, so that one muscle moves a load both ways.
+    x is the contraction [m].
+
+    Parameters
+    ----------
+    muscle : the muscle. mass : moved [kg].
+    spring_stiffness : k_som [N/m]. preload : force of the spring at x = 0 [N].
+    inclination : of the +x direction above the horizontal [rad].
+    damping, feed, losses, loads : components; by default 2 zeta sqrt(m k) with zeta = 0.1 (k with
+        the spring) and a ``Regulator()``.
+
+    States x [m], v [m/s], those of feed and losses; outputs of the muscle, ``spring_force``,
+    ``stiffness`` (muscle and spring).
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle,
+        mass: float = 2.0,
+        spring_stiffness: float = 5e3,
+        preload: float = 100.0,
+        *,
+        inclination: float = 0.0,
+        damping: Damping | None = None,
+        feed: Feed | None = None,
+        losses: Sequence[Loss] = (),
+        loads: Sequence[Load] = (),
+        name: str = "spring_over_muscle",
+    ) -> None:
+        super().__init__(name, "a pneumatic muscle inside a bias spring")
+        x, v, m = _moved(self, muscle, mass)
+        k_som = self.parameter(
+            "spring_stiffness", require_positive("spring_stiffness", spring_stiffness, "N/m"),
+            unit="N/m", min=1e-9, nominal=1e3, description="stiffness of the spring over the muscle",
+        )  # fmt: skip
+        f0 = self.parameter(
+            "preload", require_finite("preload", preload, "N"), unit="N", nominal=100.0,
+            description="force of the spring at x = 0, against contraction",
+        )  # fmt: skip
+        attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed, losses=losses)
+        spring = self.output(
+            "spring_force", f0 + k_som * x, unit="N", nominal=100.0, description="of the spring"
+        )
+        stiffness = self.output(
+            "stiffness", attached.stiffness + k_som, unit="N/m", nominal=1e4,
+            description="stiffness of muscle and spring at constant pressure",
+        )  # fmt: skip
+        c = (damping or StiffnessDamping()).coefficient(self, m, stiffness)
+        outside, added = applied(self, loads, Coordinate(x, v))
+        self.der(x, v)
+        self.der(
+            v,
+            (attached.force - spring - _weight(self, m, inclination) - c * v + outside)
+            / (m + added),
+        )
+
+
+class SeriesLoad(Plant):
+    """A muscle pulls a hanging mass by an elastic tendon: two masses, the tendon only pulls.
+
+    m x'' = T - m g + loads and m_e y'' + c y' = F - T with T = k_t (y - x) + c_t (y' - x') >= 0:
+    y is the contraction of the muscle, x the position of the mass, m_e its end fitting.
+
+    Parameters
+    ----------
+    muscle : the muscle. mass : hanging [kg].
+    tendon_stiffness : k_t [N/m]. tendon_damping : c_t [N s/m].
+    fitting_mass : of the muscle's moving end [kg].
+    damping : of the muscle (default ``ConstantDamping(50)``). feed, losses, loads : components;
+        loads act on the mass.
+
+    States x, v, ``muscle.shortening`` y, ``muscle.velocity``, those of feed and losses; outputs of
+    the muscle, ``tendon_force`` and ``stiffness`` (muscle and tendon in series).
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle,
+        mass: float = 20.0,
+        tendon_stiffness: float = 1e5,
+        *,
+        tendon_damping: float = 20.0,
+        fitting_mass: float = 0.2,
+        damping: Damping | None = None,
+        feed: Feed | None = None,
+        losses: Sequence[Loss] = (),
+        loads: Sequence[Load] = (),
+        name: str = "series_load",
+    ) -> None:
+        super().__init__(name, "a pneumatic muscle pulling a hanging mass by an elastic tendon")
+        x, v, m = _moved(self, muscle, mass, slack=0.1)
+        low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
+        y = self.state(
+            "muscle.shortening", unit="m", min=low, max=high, nominal=0.01,
+            description="shortening of the muscle",
+        )  # fmt: skip
+        w = self.state("muscle.velocity", unit="m/s", nominal=0.1, description="of its shortening")
+        end = self.parameter(
+            "fitting_mass", require_positive("fitting_mass", fitting_mass, "kg"), unit="kg",
+            min=1e-6, nominal=0.1, description="mass of the muscle's moving end",
+        )  # fmt: skip
+        k_t = self.parameter(
+            "tendon_stiffness", require_positive("tendon_stiffness", tendon_stiffness, "N/m"),
+            unit="N/m", min=1e-9, nominal=1e5, description="stiffness of the tendon",
+        )  # fmt: skip
+        c_t = self.parameter(
+            "tendon_damping", require_positive("tendon_damping", tendon_damping, "N.s/m", zero=True),
+            unit="N.s/m", min=0.0, nominal=10.0, description="damping of the tendon",
+        )  # fmt: skip
+        attached = self.add_muscle("muscle", muscle, shortening=y, rate=w, feed=feed, losses=losses)
+        pull = clamp(k_t * (y - x) + c_t * (w - v), SLACK_WIDTH)
+        self.output("tendon_force", pull, unit="N", nominal=100.0, description="in the tendon")
+        self.output(
+            "stiffness", attached.stiffness * k_t / (attached.stiffness + k_t), unit="N/m",
+            nominal=1e4, description="stiffness of muscle and tendon in series",
+        )  # fmt: skip
+        c = (damping or ConstantDamping(50.0)).coefficient(self, end, attached.stiffness)
+        outside, added = applied(self, loads, Coordinate(x, v))
+        self.der(x, v)
+        self.der(v, (pull - _weight(self, m) + outside) / (m + added))
+        self.der(y, w)
+        self.der(w, (attached.force - pull - c * w) / end)
+
+
+def _moved(
+    plant: Plant, muscle: Muscle, mass: float, slack: float = 0.0
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Declare position (within the muscle's stroke, wider by ``slack`` m below), velocity, mass."""
+    low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
+    x = plant.state(
+        "x", unit="m", min=low - slack, max=high, nominal=0.01, description="position of the load"
+    )
+    v = plant.state("v", unit="m/s", nominal=0.1, description="velocity of the load")
+    m = plant.parameter(
+        "mass", require_positive("mass", mass, "kg"), unit="kg", min=1e-6, nominal=1.0, tunable=True,
+        description="load",
+    )  # fmt: skip
+    return x, v, m
+
+
+def _weight(plant: Plant, mass: ca.SX, inclination: float | None = None) -> ca.SX:
+    """Weight along the line of motion [N]; vertical when no inclination is given."""
+    g = plant.parameter(
+        "gravity", GRAVITY, unit="m/s2", min=0.0, nominal=10.0, description="gravity"
+    )
+    if inclination is None:
+        return ca.SX(mass * g)
+    angle = plant.parameter(
+        "inclination", require_finite("inclination", inclination, "rad"), unit="rad", min=-1.5708,
+        max=1.5708, description="of the direction of motion above the horizontal",
+    )  # fmt: skip
+    return ca.SX(mass * g * ca.sin(angle))
