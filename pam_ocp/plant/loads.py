@@ -31,6 +31,10 @@ __all__ = [
 ]
 
 
+FACTOR_WIDTH = 0.1
+"""Half width of the smooth end of a wall's damping, in parts of its elastic force."""
+
+
 @dataclass(frozen=True)
 class Coordinate:
     """Where loads act: a position, its velocity, and whether it is an angle."""
@@ -168,8 +172,8 @@ class Wall:
     """A stop at ``position``, met from below (side +1) or above (-1): smooth unilateral contact.
 
     F = k d + c d' for a penetration d > 0, never pulling; contact begins smoothly over ``width``
-    [N or N.m] of k d (the polynomial of :func:`force.clamp`). Damping acts with the share of k d
-    that is in contact, so the force has no jump. Adds the output ``<name>.gap``, whose zero crossing
+    [N or N.m] of k d (the polynomial of :func:`force.clamp`), and damping with it, so the force has
+    no jump. Adds the output ``<name>.gap``, whose zero crossing
     is the event of contact.
     """
 
@@ -215,8 +219,10 @@ class Wall:
             description=f"distance to the {self.name}",
         )  # fmt: skip
         elastic = clamp(k * penetration, width)
-        share = elastic / (elastic + width)  # 0 without contact, 1 deep inside
-        return ca.SX(-self.side * clamp(elastic + share * c * speed, width))
+        # k d (1 + c d'/(k d)), rounded where k d is small; no contact, no force; the factor never
+        # below zero, so a wall that the load leaves quickly does not pull it back
+        factor = clamp(1 + c * speed / (elastic + width), FACTOR_WIDTH)
+        return ca.SX(-self.side * elastic * factor)
 
 
 def applied(plant: Plant, loads: Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
