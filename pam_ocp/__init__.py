@@ -34,6 +34,7 @@ from .plant.plant import Plant
 from .plant.single import HangingLoad
 from .simulate import simulate
 from .trajectory import Comparison, Trajectory
+from .validation import RecordComparison, compare_with_record
 from .variables import Variable
 
 __version__ = "0.1.0"
@@ -65,6 +66,7 @@ __all__ = [
     "Plan",
     "PlanError",
     "Plant",
+    "RecordComparison",
     "Regulator",
     "SeriesLoad",
     "SimulationError",
@@ -77,6 +79,7 @@ __all__ = [
     "Variable",
     "Wall",
     "common_and_difference",
+    "compare_with_record",
     "draws",
     "equilibrium",
     "linearize",

@@ -17,8 +17,16 @@ if TYPE_CHECKING:
 
     from .fit.static import ForceFit
     from .plan.solve import Plan
+    from .validation import RecordComparison
 
-__all__ = ["plot_bode", "plot_comparison", "plot_fit", "plot_plan", "plot_trajectory"]
+__all__ = [
+    "plot_bode",
+    "plot_comparison",
+    "plot_fit",
+    "plot_plan",
+    "plot_record",
+    "plot_trajectory",
+]
 
 COLOURS = ("#1b6ca8", "#c8553d", "#4c956c", "#7b5ea7", "#c98b14", "#5b6770")
 
@@ -216,4 +224,39 @@ def plot_bode(
     magnitude.legend(frameon=False, fontsize="small")
     phase.set_ylabel("phase [deg]")
     phase.set_xlabel("frequency [Hz]")
+    return figure
+
+
+def plot_record(comparison: RecordComparison) -> Figure:
+    """Measured and simulated over each other, and the residual, for each compared variable."""
+    names = [a.name for a in comparison.agreements]
+    figure, axes = _figure(len(names), 2, size=(11, 1.0 + 2.1 * len(names)), sharex=True)
+    for row, agreement in zip(axes, comparison.agreements, strict=True):
+        variable = comparison.measured.variable(agreement.name)
+        _draw(
+            row[0], comparison.measured, agreement.name, "#888888", linewidth=2.6, label="measured"
+        )
+        _draw(
+            row[0],
+            comparison.simulated,
+            agreement.name,
+            COLOURS[0],
+            linewidth=1.2,
+            label="simulated",
+        )
+        row[0].set_ylabel(variable.label)
+        row[0].set_title(f"fit {agreement.fit_percent:.1f} %", loc="left", fontsize="small")
+        row[0].legend(frameon=False, fontsize="small")
+        residual = comparison.measured[agreement.name] - comparison.simulated[agreement.name]
+        row[1].plot(
+            comparison.measured.t, residual / variable.display_factor, color=COLOURS[1], lw=1.2
+        )
+        row[1].axhline(0.0, color="#555555", lw=0.8)
+        row[1].set_title(
+            f"measured - simulated, RMSE {variable.shown(agreement.rmse)}",
+            loc="left",
+            fontsize="small",
+        )
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
     return figure
