@@ -6,6 +6,7 @@ around one symbolic CasADi model. SI units inside; pressures are gauge; contract
 
 from __future__ import annotations
 
+from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from .errors import (
     ExportError,
     FitError,
@@ -15,7 +16,10 @@ from .errors import (
     SimulationError,
     UnknownNameError,
 )
-from .linear import EquilibriumError, OperatingPoint, equilibrium, linearize, modes
+from .fit.static import ForceFit, fit_force
+from .fit.tables import ForceTable, read_table
+from .fmu import check_fmu, export_fmu
+from .linear import linearize, modes
 from .many import ManySimulations, draws, simulate_many, sweep
 from .muscle.catalogue import muscle, muscle_names
 from .muscle.force import LAWS, ForceLaw, SixParameterLaw
@@ -54,7 +58,9 @@ __all__ = [
     "ExportError",
     "ExternalForce",
     "FitError",
+    "ForceFit",
     "ForceLaw",
+    "ForceTable",
     "HangingLoad",
     "IdealPressure",
     "Inertia",
@@ -78,10 +84,13 @@ __all__ = [
     "UnknownNameError",
     "Variable",
     "Wall",
+    "check_fmu",
     "common_and_difference",
     "compare_with_record",
     "draws",
     "equilibrium",
+    "export_fmu",
+    "fit_force",
     "linearize",
     "load_muscle",
     "modes",
@@ -89,6 +98,7 @@ __all__ = [
     "muscle_names",
     "plan",
     "pressures_of",
+    "read_table",
     "save_muscle",
     "simulate",
     "simulate_many",

@@ -1,5 +1,7 @@
 """Equilibria and linearisation."""
 
+import re
+
 import numpy as np
 import pytest
 from conftest import BAR, flat
@@ -84,9 +86,16 @@ def test_too_few_conditions_are_counted(slide):
         slide.equilibrium(x=0.0)
 
 
-def test_a_load_too_heavy_has_no_equilibrium(hanging):
-    with pytest.raises(EquilibriumError, match=r"no equilibrium.*muscle\.command = 1 bar"):
-        hanging.equilibrium({"mass": 200.0, "muscle.command": BAR})
+def test_a_load_too_heavy_says_the_pressure_that_would_carry_it(hanging, long_muscle):
+    needed = float(long_muscle.law.pressure(100.0 * 9.80665, 0.0)) / BAR
+    with pytest.raises(
+        EquilibriumError, match=r"no equilibrium.*muscle\.command = 2 bar"
+    ) as caught:
+        hanging.equilibrium({"mass": 100.0, "muscle.command": 2 * BAR})
+    suggested = re.search(r"muscle\.command = ([\d.]+) bar would do", str(caught.value))
+    assert float(suggested[1]) == pytest.approx(needed, rel=1e-4)
+    with pytest.raises(EquilibriumError, match=r"beyond the plant's range"):
+        hanging.equilibrium({"mass": 250.0, "muscle.command": 2 * BAR})
 
 
 def test_a_condition_outside_its_range_is_refused(hanging):

@@ -24,7 +24,7 @@ from .actuator import AttachedMuscle, Feed, attach
 if TYPE_CHECKING:
     import control
 
-    from ..linear import OperatingPoint
+    from ..equilibrium import OperatingPoint
 
 __all__ = ["Plant", "Values"]
 
@@ -278,8 +278,8 @@ class Plant:
 
     # ---- verbs that read like properties of the plant -------------------------------------------
     def equilibrium(self, conditions: Values | None = None, /, **more: Any) -> OperatingPoint:
-        """The point of rest under conditions; see :func:`pam_ocp.linear.equilibrium`."""
-        from ..linear import equilibrium
+        """The point of rest under conditions; see :func:`pam_ocp.equilibrium.equilibrium`."""
+        from ..equilibrium import equilibrium
 
         return equilibrium(self, conditions, **more)
 
