@@ -82,7 +82,7 @@ def plot_fit(fit: ForceFit, title: str = "") -> Figure:
     figure, axes = _figure(2, size=(8, 7), sharex=True)
     upper, lower = axes[:, 0]
     pressures = np.unique(table.pressure)
-    shade = _colours(len(pressures))
+    shade = _colours(pressures)
     grid = np.linspace(0.0, float(table.contraction.max()) * 1.08, 200)
     for colour, p in zip(shade, pressures, strict=True):
         at = table.pressure == p
@@ -95,7 +95,7 @@ def plot_fit(fit: ForceFit, title: str = "") -> Figure:
         upper.plot(100 * grid, model, "-", color=colour, lw=1.0)
         residual = table.force[taut] - np.asarray(fit.law.tension(p, table.contraction[taut]))
         lower.plot(100 * table.contraction[taut], residual, "o", color=colour, ms=4)
-    _pressure_scale(figure, [upper, lower], pressures, shade)
+    _pressure_scale(figure, [upper, lower], pressures)
     upper.set_ylabel("pulling force [N]")
     upper.set_ylim(bottom=-0.03 * float(table.force.max()))
     heading = title or f"{fit.law.title}: RMSE {fit.rmse:.2f} N over {len(table.taut)} cells"
@@ -110,26 +110,26 @@ def plot_fit(fit: ForceFit, title: str = "") -> Figure:
     return figure
 
 
-def _colours(count: int) -> Any:
+def _colours(values: Any) -> Any:
+    """A colour for each value, from dark (least) to bright (largest)."""
     from matplotlib import colormaps
 
-    return colormaps["viridis"](np.linspace(0.0, 0.9, count))
+    spread = float(np.ptp(values)) or 1.0
+    return colormaps["viridis"](0.9 * (values - np.min(values)) / spread)
 
 
-def _pressure_scale(figure: Figure, axes: list[Any], pressures: Any, shade: Any) -> None:
+def _pressure_scale(figure: Figure, axes: list[Any], pressures: Any) -> None:
+    """The colour bar that goes with :func:`_colours`."""
+    from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
     if len(pressures) < 2:
         return
     scale = Normalize(float(pressures.min()) / 1e5, float(pressures.max()) / 1e5)
-    from matplotlib import colormaps
-
     part = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.9, 256)))
-    # the lines' colours are spread by rank, pressures nearly evenly: the bar is a guide
-    figure.colorbar(
-        ScalarMappable(scale, part), ax=axes, label="pressure [bar gauge]", fraction=0.05
-    )
+    label = "pressure [bar gauge]"
+    figure.colorbar(ScalarMappable(scale, part), ax=axes, label=label, fraction=0.05)
 
 
 def plot_plan(plan: Plan) -> Figure:
