@@ -20,6 +20,7 @@ from .fit.static import ForceFit, fit_force
 from .fit.tables import ForceTable, read_table
 from .fmu import check_fmu, export_fmu
 from .linear import linearize, modes
+from .load_study import LoadStudy, load_study
 from .many import ManySimulations, draws, simulate_many, sweep
 from .muscle.catalogue import muscle, muscle_names
 from .muscle.force import LAWS, ForceLaw, SixParameterLaw
@@ -65,6 +66,7 @@ __all__ = [
     "IdealPressure",
     "Inertia",
     "InputError",
+    "LoadStudy",
     "ManySimulations",
     "Muscle",
     "OperatingPoint",
@@ -93,6 +95,7 @@ __all__ = [
     "fit_force",
     "linearize",
     "load_muscle",
+    "load_study",
     "modes",
     "muscle",
     "muscle_names",

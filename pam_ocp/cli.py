@@ -108,6 +108,12 @@ def _parser() -> argparse.ArgumentParser:
         default="2.0",
         help="version of the standard (default: 2.0, which every tool reads)",
     )
+    export.add_argument(
+        "--platform",
+        action="append",
+        metavar="NAME",
+        help="native, or one of the five by name (may be repeated; default: all five)",
+    )
     export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
     export.set_defaults(run=_export)
 
@@ -123,6 +129,29 @@ def _parser() -> argparse.ArgumentParser:
         help="Trajectory (.npz, .parquet) whose inputs are replayed and whose outputs are compared",
     )
     check.set_defaults(run=_check)
+
+    loads = commands.add_parser(
+        "loads",
+        help="the influence of loads on a muscle",
+        description="Rest, natural frequency, damping, overshoot, settling time, work and air of a "
+        "hanging load, against load and pressure.",
+    )
+    loads.add_argument(
+        "--muscle",
+        default="DMSP-20-400N",
+        metavar="MUSCLE",
+        help="name in the catalogue, or a muscle file (default: DMSP-20-400N)",
+    )
+    loads.add_argument(
+        "--masses", type=float, nargs="+", default=[5, 10, 20, 50, 100], metavar="KG"
+    )
+    loads.add_argument(
+        "--pressures", type=float, nargs="+", default=[1, 2, 3, 4, 5, 6], metavar="BAR"
+    )
+    loads.add_argument(
+        "--out", type=Path, metavar="DIR", help="write loads.csv and loads.png into this folder"
+    )
+    loads.set_defaults(run=_loads)
 
     muscles = commands.add_parser("muscles", help="list the catalogue of muscles")
     muscles.set_defaults(run=_muscles)
@@ -179,7 +208,7 @@ def _export(options: argparse.Namespace) -> int:
             raise InputError(f"--set {text}: give NAME=VALUE with a number in SI, as in mass=3.0")
     plant = plant.with_values(values)
     target = options.out or Path(f"{plant.name}.fmu")
-    print(f"-> {export_fmu(plant, target, fmi=options.fmi)}")
+    print(f"-> {export_fmu(plant, target, fmi=options.fmi, platforms=options.platform)}")
     return 0
 
 
@@ -226,6 +255,23 @@ def _check(options: argparse.Namespace) -> int:
     result = check_fmu(options.fmu, against=reference)
     print(result)
     return 0 if result.ok else 1
+
+
+def _loads(options: argparse.Namespace) -> int:
+    from .files import atomic_path
+    from .load_study import load_study
+
+    study = load_study(
+        _muscle(options.muscle), options.masses, [p * 1e5 for p in options.pressures]
+    )
+    print(study)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        print(f"-> {study.save(options.out / 'loads.csv')}")
+        with atomic_path(options.out / "loads.png") as temporary:
+            study.plot().savefig(temporary, dpi=130)
+        print(f"-> {options.out / 'loads.png'}")
+    return 0
 
 
 def _muscles(options: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from .fit.static import ForceFit
+    from .load_study import LoadStudy
     from .plan.solve import Plan
     from .validation import RecordComparison
 
@@ -23,6 +24,7 @@ __all__ = [
     "plot_bode",
     "plot_comparison",
     "plot_fit",
+    "plot_load_study",
     "plot_plan",
     "plot_record",
     "plot_trajectory",
@@ -259,4 +261,28 @@ def plot_record(comparison: RecordComparison) -> Figure:
         )
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
+    return figure
+
+
+def plot_load_study(study: LoadStudy) -> Figure:
+    """Rest, frequency, damping ratio, overshoot, settling time and air against pressure, by load."""
+    panels = (
+        ("position", "contraction [mm]", 1e3), ("frequency", "natural frequency [Hz]", 1.0),
+        ("damping_ratio", "damping ratio", 1.0), ("overshoot", "overshoot [%]", 100.0),
+        ("settling_time", "settling time [s]", 1.0), ("air", "air for the step [mg]", 1e6),
+    )  # fmt: skip
+    figure, axes = _figure(3, 2, size=(10, 9), sharex=True)
+    masses = sorted({c.mass for c in study.cases})
+    for ax, (name, label, factor) in zip(axes.ravel(), panels, strict=True):
+        for i, mass in enumerate(masses):
+            cases = [c for c in study.cases if c.mass == mass]
+            bars = [c.pressure / 1e5 for c in cases]
+            values = [getattr(c, name) * factor for c in cases]
+            ax.plot(bars, values, "o-", ms=4, color=COLOURS[i % len(COLOURS)], label=f"{mass:g} kg")
+        ax.set_ylabel(label)
+        ax.set_ylim(bottom=0.0)
+    axes[0, 0].legend(frameon=False, fontsize="small")
+    axes[0, 0].set_title(f"{study.muscle}, hanging loads", loc="left", fontsize="medium")
+    for ax in axes[-1]:
+        ax.set_xlabel("pressure [bar gauge]")
     return figure

@@ -1,0 +1,184 @@
+"""The influence of loads: how a muscle rests, swings and settles against load and pressure."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .equilibrium import EquilibriumError, OperatingPoint
+from .errors import InputError, require_positive
+from .files import atomic_path
+from .linear import linearize, modes
+from .muscle.gas import AMBIENT_PRESSURE, GAS_CONSTANT, REFERENCE_TEMPERATURE, muscle_volume
+from .muscle.losses import Damping
+from .muscle.muscle import Muscle
+from .plant.actuator import Feed
+from .plant.plant import Plant
+from .plant.single import HangingLoad
+from .simulate import simulate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["LoadCase", "LoadStudy", "load_study"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+SETTLED = 0.02
+"""The load has settled when it stays within this part of its step."""
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """One load at one pressure; NaN where the muscle cannot carry it within its stroke."""
+
+    mass: float
+    """[kg]"""
+    pressure: float
+    """[Pa gauge]"""
+    position: float = np.nan
+    """Contraction at rest [m]."""
+    stiffness: float = np.nan
+    """At rest, constant pressure [N/m]."""
+    frequency: float = np.nan
+    """Natural frequency about rest [Hz]."""
+    damping_ratio: float = np.nan
+    overshoot: float = np.nan
+    """Of the step of pressure that leads there, as a part of the step of position."""
+    settling_time: float = np.nan
+    """From the step until the load stays within 2 % of it [s]."""
+    work: float = np.nan
+    """Lifting work m g dx of the step [J]."""
+    air: float = np.nan
+    """Air drawn for the step, isothermal, energy-consistent volume of the muscle [kg]."""
+
+
+@dataclass(frozen=True)
+class LoadStudy:
+    """All cases, load by load."""
+
+    muscle: str
+    step: float
+    """Each case is reached by a step of pressure this high [Pa]."""
+    cases: tuple[LoadCase, ...] = field(repr=False)
+
+    def __str__(self) -> str:
+        head = (
+            f"{self.muscle}: step of {self.step / 1e5:g} bar to each pressure\n"
+            f"{'kg':>8}{'bar':>7}{'x [mm]':>9}{'k [N/mm]':>10}{'f [Hz]':>8}{'zeta':>7}"
+            f"{'over [%]':>10}{'settle [s]':>11}{'work [J]':>10}{'air [mg]':>10}"
+        )
+        return "\n".join([head, *(self._line(c) for c in self.cases)])
+
+    @staticmethod
+    def _line(c: LoadCase) -> str:
+        if np.isnan(c.position):
+            return f"{c.mass:8.4g}{c.pressure / 1e5:7.3g}   not carried within the stroke"
+        return (
+            f"{c.mass:8.4g}{c.pressure / 1e5:7.3g}{c.position * 1e3:9.1f}{c.stiffness / 1e3:10.2f}"
+            f"{c.frequency:8.2f}{c.damping_ratio:7.3f}{c.overshoot * 100:10.1f}"
+            f"{c.settling_time:11.3f}{c.work:10.3f}{c.air * 1e6:10.1f}"
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the table as CSV (SI units)."""
+        with (
+            atomic_path(path) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
+            names = [f.name for f in fields(LoadCase)]
+            writer = csv.writer(file)
+            writer.writerow(names)
+            writer.writerows([[repr(float(getattr(c, n))) for n in names] for c in self.cases])
+        return Path(path)
+
+    def plot(self) -> Figure:
+        """Six panels against pressure, one line per load."""
+        from .plot import plot_load_study
+
+        return plot_load_study(self)
+
+
+def load_study(
+    muscle: Muscle,
+    masses: Sequence[float] = (5.0, 10.0, 20.0, 50.0, 100.0),
+    pressures: Sequence[float] = (1e5, 2e5, 3e5, 4e5, 5e5, 6e5),
+    *,
+    step: float = 0.2e5,
+    damping: Damping | None = None,
+    feed: Feed | None = None,
+    duration: float = 4.0,
+) -> LoadStudy:
+    """A hanging load at rest, swinging and settling, for every mass [kg] and pressure [Pa].
+
+    step : the load comes to each rest by a step of commanded pressure this high [Pa], from rest.
+    damping, feed : of the HangingLoad; duration : simulated after each step [s].
+
+    Raises InputError for masses, pressures or a step that are not positive.
+    """
+    for mass in masses:
+        require_positive("masses", mass, "kg")
+    for pressure in pressures:
+        require_positive("pressures", pressure, "Pa")
+    require_positive("step", step, "Pa")
+    require_positive("duration", duration, "s")
+    if not masses or not pressures:
+        raise InputError("masses and pressures must each hold at least one value")
+    plant = HangingLoad(muscle, damping=damping, feed=feed)
+    cases = [
+        _case(plant, muscle, float(m), float(p), step, duration) for m in masses for p in pressures
+    ]
+    return LoadStudy(muscle.name, step, tuple(cases))
+
+
+def _case(
+    plant: Plant, muscle: Muscle, mass: float, pressure: float, step: float, duration: float
+) -> LoadCase:
+    try:
+        rest = plant.equilibrium({"mass": mass, "muscle.command": pressure})
+    except EquilibriumError:
+        return LoadCase(mass, pressure)
+    swinging = modes(linearize(plant, rest))
+    found: dict[str, Any] = {
+        "position": rest["x"], "stiffness": rest["stiffness"],
+        "frequency": swinging[0][0] if swinging else np.nan,
+        "damping_ratio": swinging[0][1] if swinging else np.nan,
+    }  # fmt: skip
+    try:
+        before = plant.equilibrium({"mass": mass, "muscle.command": pressure - step})
+    except (EquilibriumError, InputError):  # nothing to step from
+        return LoadCase(mass, pressure, **found)
+    return LoadCase(mass, pressure, **found, **_step(muscle, before, rest, duration))
+
+
+def _step(
+    muscle: Muscle, before: OperatingPoint, rest: OperatingPoint, duration: float
+) -> dict[str, float]:
+    start = {v.name: before[v.name] for v in before.plant.states}
+    t = np.linspace(0.0, duration, 2001)
+    motion = simulate(
+        rest.plant, {"muscle.command": rest["muscle.command"]}, t=t, start=start, rtol=1e-8
+    )
+    progress = (motion["x"] - before["x"]) / (rest["x"] - before["x"])
+    outside = np.flatnonzero(np.abs(progress - 1) > SETTLED)
+    last = int(outside[-1]) + 1 if outside.size else 0
+    air = [
+        (point["muscle.pressure"] + AMBIENT_PRESSURE)
+        * float(muscle_volume(muscle, point["muscle.contraction"]))
+        / (GAS_CONSTANT * REFERENCE_TEMPERATURE)
+        for point in (before, rest)
+    ]
+    mass, gravity = (rest.plant.variable(n).start or 0.0 for n in ("mass", "gravity"))
+    return {
+        "overshoot": max(float(progress.max()) - 1.0, 0.0),
+        "settling_time": float(t[last]) if last < len(t) else np.nan,
+        "work": mass * gravity * (rest["x"] - before["x"]),
+        "air": air[1] - air[0],
+    }
