@@ -32,7 +32,8 @@ DEFAULTS: dict[str, Any] = {
     "constr_viol_tol": 1e-9,
     "acceptable_iter": 0,
     "max_iter": 500,
-    "mu_init": 1e-2,
+    "mu_init": 1e-1,
+    "nlp_scaling_method": "none",  # the program is scaled by the plant's nominals already
     "mumps_pivtol": 1e-7,
 }
 """IPOPT's options; ``plan(..., options=...)`` overrides them."""
