@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import pickle
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, as_completed
 from dataclasses import dataclass, field
@@ -20,6 +21,8 @@ from .trajectory import Trajectory
 __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
 
 Case = Mapping[str, Any]
+_CASADI = threading.Lock()
+"""CasADi's expressions are not safe among threads: a process works on one task at a time."""
 CASE_KEYS = ("parameters", "start", "inputs")
 
 
@@ -100,8 +103,8 @@ def simulate_many(
     ----------
     cases : mappings with any of "parameters", "start", "inputs", as :func:`simulate` takes them.
     executor : any ``concurrent.futures.Executor`` (processes, threads, Dask's
-        ``client.get_executor()``, MPI's); None runs in this process. Functions of time among the
-        inputs travel only if the executor can pickle them.
+        ``client.get_executor()``, MPI's); None runs in this process. Take processes for speed:
+        threads take turns. Functions of time among the inputs travel only if they can be pickled.
     chunk : cases per task; by default so that there are about 40 tasks.
     progress : called as progress(done, all) after each finished task.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,
@@ -173,8 +176,9 @@ def _unpacked(packed: bytes) -> Plant:
 
 
 def _task(packed: bytes, cases: list[Case], common: dict[str, Any]) -> list[Any]:
-    plant = _unpacked(packed)
-    return [_one(plant, case, common) for case in cases]
+    with _CASADI:
+        plant = _unpacked(packed)
+        return [_one(plant, case, common) for case in cases]
 
 
 def _one(plant: Plant, case: Case, common: dict[str, Any]) -> Trajectory | Exception:
