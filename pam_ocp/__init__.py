@@ -27,8 +27,8 @@ from .muscle.force import LAWS, ForceLaw, SixParameterLaw
 from .muscle.losses import ConstantDamping, StiffnessDamping
 from .muscle.muscle import Muscle
 from .muscle.muscle_file import load_muscle, save_muscle
+from .plan.mesh import Collocation
 from .plan.solve import Plan, plan
-from .plan.transcription import Collocation
 from .plant.actuator import IdealPressure, Regulator
 from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
 from .plant.antagonist import AntagonisticSlide

@@ -106,6 +106,12 @@ def signals(
         return inputs
     given = _by_name(plant, inputs)
     if inputs is not None and not isinstance(inputs, Mapping):
+        if inputs.signals is not None:
+            names = inputs.named("input")
+            order = [names.index(v.name) for v in plant.inputs]
+            return PiecewisePolynomial(
+                inputs.signals.breaks, inputs.signals.coefficients[:, :, order]
+            )
         interpolation = inputs.interpolation
     pieces = [
         _one(variable, given.get(variable.name, variable.start), t, interpolation)

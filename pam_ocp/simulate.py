@@ -85,24 +85,25 @@ def simulate(
         part = run(done or run.longest)
         assert part is not None
         raise _failure(plant, run, part)
-    return evaluated(plant, times, run.at(times, states), u(times), _between(u), found)
+    return evaluated(plant, times, run.at(times, states), u, found)
 
 
 def evaluated(
     plant: Plant,
     t: Array,
     states: Array,
-    inputs: Array,
-    interpolation: Interpolation,
+    inputs: PiecewisePolynomial,
     events: tuple[Event, ...] = (),
 ) -> Trajectory:
-    """The Trajectory of given states (n, nx) and inputs (n, nu), outputs computed."""
-    outputs = plant.function(states.T, inputs.T, plant.vector("parameter"))[1]
-    parts = {"state": states, "input": inputs, "output": np.asarray(outputs).T}
+    """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed."""
+    u = inputs(t)
+    outputs = plant.function(states.T, u.T, plant.vector("parameter"))[1]
+    parts = {"state": states, "input": u, "output": np.asarray(outputs).T}
     variables = (*plant.states, *plant.inputs, *plant.outputs)
     data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
     columns = {v.name: data[:, i] for i, v in enumerate(variables)}
-    return Trajectory(t, columns, variables, interpolation, events)
+    between: Interpolation = "previous" if inputs.degree == 0 else "linear"
+    return Trajectory(t, columns, variables, between, events, inputs)
 
 
 def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
@@ -146,9 +147,5 @@ def _failure(plant: Plant, run: Integration, states: Array) -> SimulationError:
         "error's trajectory holds the part computed so far. Check the inputs and parameters, or "
         "allow a larger rtol or max_steps",
         float(t[-1]),
-        evaluated(plant, t, states, u(t), _between(u)) if done else None,
+        evaluated(plant, t, states, u) if done else None,
     )
-
-
-def _between(u: PiecewisePolynomial) -> Interpolation:
-    return "previous" if u.degree == 0 else "linear"

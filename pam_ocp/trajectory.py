@@ -11,14 +11,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError, UnknownNameError
 from .files import atomic_path
-from .signals import Interpolation
+from .signals import Interpolation, PiecewisePolynomial
 from .variables import Causality, Variable
 
 if TYPE_CHECKING:
@@ -49,6 +49,8 @@ class Trajectory:
     variables : what the columns are (unit, causality, nominal, description), in order of display.
     interpolation : how inputs run between samples: "previous" (held) or "linear".
     events : zero crossings that a simulation located (they are not saved to files).
+    signals : the inputs (in the order of their columns) exactly as they ran, also between samples;
+        None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
 
     ``trajectory["x"]`` gives the samples of one variable; ``_`` may stand for ``.`` in names.
     """
@@ -60,7 +62,9 @@ class Trajectory:
         variables: Sequence[Variable] | None = None,
         interpolation: Interpolation = "linear",
         events: Sequence[Event] = (),
+        signals: PiecewisePolynomial | None = None,
     ) -> None:
+        self.signals = signals
         self.events: tuple[Event, ...] = tuple(events)
         self.t: Array = np.array(t, dtype=float)
         if self.t.ndim != 1 or self.t.size == 0:
@@ -83,6 +87,8 @@ class Trajectory:
                 raise InputError(
                     f"column {variable.name!r} has shape {column.shape}, the times {self.t.shape}"
                 )
+            # samples of an input that is known in between must not drift from it
+            column.setflags(write=signals is None or variable.causality != "input")
             self._columns[variable.name] = column
 
     # ---- reading ----------------------------------------------------------------------------
@@ -126,7 +132,7 @@ class Trajectory:
     def at(self, t: ArrayLike) -> Trajectory:
         """The same variables at other times [s] inside the record.
 
-        Inputs follow ``interpolation``, all else is joined by straight lines.
+        Inputs follow ``signals`` or else ``interpolation``; all else is joined by straight lines.
         """
         times = np.atleast_1d(np.asarray(t, float))
         slack = 1e-9 * (1 + abs(self.t[-1]))
@@ -136,13 +142,20 @@ class Trajectory:
                 f"{self.t[0]:g} .. {self.t[-1]:g} s"
             )
         held = np.clip(np.searchsorted(self.t, times + slack, side="right") - 1, 0, len(self) - 1)
+        exact = (
+            dict(zip(self.named("input"), self.signals(times).T, strict=True))
+            if self.signals
+            else {}
+        )
         columns = {
-            v.name: self._columns[v.name][held]
+            v.name: exact[v.name]
+            if v.name in exact
+            else self._columns[v.name][held]
             if v.causality == "input" and self.interpolation == "previous"
             else np.interp(times, self.t, self._columns[v.name])
             for v in self.variables
         }
-        return Trajectory(times, columns, self.variables, self.interpolation)
+        return Trajectory(times, columns, self.variables, self.interpolation, (), self.signals)
 
     def __repr__(self) -> str:
         return (
@@ -205,9 +218,13 @@ class Trajectory:
                                 meta=np.array(self._meta()))  # fmt: skip
 
     def _meta(self) -> str:
-        return json.dumps(
-            {"interpolation": self.interpolation, "variables": [asdict(v) for v in self.variables]}
-        )
+        content: dict[str, Any] = {
+            "interpolation": self.interpolation,
+            "variables": [asdict(v) for v in self.variables],
+        }
+        if self.signals is not None:
+            content["signals"] = [self.signals.breaks.tolist(), self.signals.coefficients.tolist()]
+        return json.dumps(content)
 
     def _write_parquet(self, path: Path) -> None:
         frame = self.to_pandas()
@@ -276,7 +293,11 @@ class Trajectory:
         content = json.loads(meta)
         variables = [Variable(**v) for v in content["variables"]]
         columns = {v.name: data[:, i] for i, v in enumerate(variables)}
-        return cls(t, columns, variables, content["interpolation"])
+        signals = None
+        if "signals" in content:
+            breaks, coefficients = content["signals"]
+            signals = PiecewisePolynomial(np.array(breaks), np.array(coefficients))
+        return cls(t, columns, variables, content["interpolation"], (), signals)
 
     # ---- looking ----------------------------------------------------------------------------
     def plot(self, names: Sequence[str] | None = None) -> Figure:

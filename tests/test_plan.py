@@ -197,3 +197,49 @@ def test_a_plant_without_inputs_can_be_timed():
     plan = pam.plan(plant, [{"x": 1.0}, {"x": float(np.exp(-1))}], method=Collocation(5, 5))
     assert plan.duration == pytest.approx(1.0, rel=1e-8)
     assert isinstance(plan.plant.expression("x"), ca.SX)
+
+
+def test_few_intervals_of_high_degree_reach_the_benchmarks_limit(slide):
+    plan = pam.plan(slide, STOPS, cyclic="mirrored", method=Collocation(6, 9, "polynomial"))
+    assert plan.duration == pytest.approx(0.06048, rel=1e-3)
+    muscle = replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2)
+    plan = pam.plan(
+        benchmark_slide(RateOfCommand(), muscle), STOPS, cyclic="mirrored", duration=0.15,
+        minimise={"effort": 1e-2}, method=Collocation(6, 9, "polynomial"),
+    )  # fmt: skip
+    assert plan.objective == pytest.approx(0.89577, rel=1e-4)
+
+
+def test_refinement_meets_the_tolerance_asked_for(slide):
+    coarse = pam.plan(slide, STOPS, cyclic="mirrored", method=Collocation(20, 3, "linear"))
+    fine = pam.plan(
+        slide, STOPS, cyclic="mirrored", method=Collocation(20, 3, "linear"), tolerance=1e-7
+    )
+    assert coarse.replay_error > 1e-6 > 1e-7 > fine.replay_error
+    assert len(fine.meshes) > 1
+    assert fine.duration == pytest.approx(0.06048, rel=1e-3)
+
+
+@pytest.mark.parametrize("control", ["constant", "linear", "polynomial"])
+def test_a_plan_replays_through_its_trajectory_also_from_a_file(slide, control, tmp_path):
+    plan = pam.plan(slide, STOPS, cyclic=True, method=Collocation(15, 4, control))
+    stored = pam.Trajectory.load(plan.trajectory.save(tmp_path / "plan.npz"))
+    for motion in (plan.trajectory, stored):
+        replay = pam.simulate(slide, motion)
+        error = motion.compare(replay, motion.named("state")).largest
+        assert error == pytest.approx(plan.replay_error, rel=1e-3)
+
+
+def test_a_running_cost_of_ones_own_is_integrated():
+    """min integral of (u^2 + x^2) of x' = u, x(0) = 1, free end, long horizon: the LQR's x0^2 = 1."""
+    plant = pam.Plant("integrator")
+    x = plant.state("x", start=1.0)
+    u = plant.input("u")
+    plant.der(x, u)
+    plan = pam.plan(
+        plant, [{"x": 1.0}, {"x": (-1.0, 1.0)}], rest=False, duration=12.0, minimise="effort",
+        integrand=plant.expression("x") ** 2, method=Collocation(20, 6, "polynomial"),
+    )  # fmt: skip
+    assert plan.objective == pytest.approx(np.tanh(12.0), rel=1e-8)
+    with pytest.raises(InputError, match="stranger"):
+        pam.plan(plant, [{"x": 1.0}, {"x": 0.0}], duration=1.0, integrand=ca.SX.sym("stranger"))

@@ -44,7 +44,7 @@ class Problem:
     durations : (low, high) of each phase [s].
     path : conditions all along; bounds : {state or input: (low, high)}.
     closing : None, or {state: (sign, image)}: the last node's image is the first node.
-    weights : {objective: weight}.
+    weights : {objective: weight}; integrand : further running cost, or None.
     """
 
     plant: Plant
@@ -55,6 +55,7 @@ class Problem:
     bounds: dict[str, Range]
     closing: dict[str, tuple[float, str]] | None
     weights: dict[str, float]
+    integrand: ca.SX | None = None
 
 
 def pose(
@@ -66,6 +67,7 @@ def pose(
     minimise: str | Mapping[str, float],
     bounds: Mapping[str, Any] | None,
     rest: bool,
+    integrand: ca.SX | None = None,
 ) -> Problem:
     """Check the arguments of :func:`pam_ocp.plan` and state the Problem."""
     if isinstance(stops, Mapping) or not all(isinstance(s, Mapping) for s in stops):
@@ -85,13 +87,16 @@ def pose(
     elif cyclic == "mirrored":
         nodes = (nodes[0], *nodes[1:-1], _not_implied(plant, named, nodes[-1], closing or {}))
     durations = _durations(duration, len(route) - 1)
-    weights = _weights(minimise)
+    weights = _weights(minimise, integrand is not None)
     if "time" not in weights and any(high > low for low, high in durations):
         raise InputError(
             "minimise = 'effort' needs a fixed duration (a slower motion always takes less); "
             "give duration=0.5, say, or minimise={'time': 1.0, 'effort': 1e-3}"
         )
-    return Problem(plant, tuple(route), nodes, durations, path, state_bounds, closing, weights)
+    _check_integrand(plant, integrand)
+    return Problem(
+        plant, tuple(route), nodes, durations, path, state_bounds, closing, weights, integrand
+    )  # fmt: skip
 
 
 def _range(argument: str, value: Any, variable: Variable) -> Range:
@@ -265,12 +270,28 @@ def _duration(value: Any) -> Range:
     return fixed, fixed
 
 
-def _weights(minimise: str | Mapping[str, float]) -> dict[str, float]:
+def _weights(minimise: str | Mapping[str, float], more: bool) -> dict[str, float]:
     weights = {minimise: 1.0} if isinstance(minimise, str) else dict(minimise)
     for name, weight in weights.items():
         if name not in OBJECTIVES:
             raise UnknownNameError("objective", name, OBJECTIVES)
         require_positive(f"minimise[{name!r}]", weight, zero=True)
-    if not any(weights.values()):
+    if not any(weights.values()) and not more:
         raise InputError(f"minimise = {weights}: at least one weight must be > 0")
     return {n: w for n, w in weights.items() if w > 0}
+
+
+def _check_integrand(plant: Plant, integrand: ca.SX | None) -> None:
+    if integrand is None:
+        return
+    known = {s.name() for s in ca.symvar(ca.vertcat(plant.x, plant.u, plant.p))}
+    if not isinstance(integrand, ca.SX) or integrand.shape != (1, 1):
+        raise InputError(
+            f"integrand = {integrand!r}: give a scalar CasADi SX expression of the plant"
+        )
+    foreign = {s.name() for s in ca.symvar(integrand)} - known
+    if foreign:
+        raise InputError(
+            f"integrand holds symbols that are not the plant's: {', '.join(sorted(foreign))}; "
+            "build it from plant.expression(NAME)"
+        )

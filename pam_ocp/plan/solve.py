@@ -5,23 +5,28 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, PlanError, SimulationError
+from ..errors import InputError, PlanError, SimulationError, require_positive
+from ..integrate import Integration
 from ..plant.plant import Plant
 from ..simulate import evaluated, simulate
 from ..trajectory import Trajectory
-from .problem import Cyclic, Problem, pose
-from .transcription import Collocation, Program, transcribe
+from .guess import Unpacked
+from .mesh import Collocation, Mesh, refined
+from .problem import Condition, Cyclic, Problem, pose
+from .transcription import Program, Row, transcribe
 
 __all__ = ["Plan", "Replay", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
 
+MAX_REFINEMENTS = 8
 REPLAY_TOLERANCE = 1e-11
 """Relative tolerance of the integrator that replays a plan."""
 OVERSAMPLING = 8
@@ -72,6 +77,8 @@ class Plan:
     statistics: dict[str, Any]
     """iterations, seconds to build and to solve, size of the program."""
     replay: Replay | None
+    meshes: tuple[Mesh, ...]
+    """The mesh of each round of refinement; the last is the plan's."""
     _samples: Trajectory = field(repr=False)
 
     @property
@@ -108,6 +115,8 @@ class Plan:
             f"solver     IPOPT, {s['iterations']} iterations, {s['solve_seconds']:.3f} s "
             f"(built in {s['build_seconds']:.3f} s; {s['variables']} variables, "
             f"{s['constraints']} constraints)",
+            f"mesh       {s['intervals']} intervals"
+            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
         ]
         if self.replay:
             worst = f" ({self.replay.constraint})" if self.replay.constraint else ""
@@ -127,7 +136,9 @@ def plan(
     minimise: str | Mapping[str, float] = "time",
     bounds: Mapping[str, Any] | None = None,
     rest: bool = True,
+    integrand: ca.SX | None = None,
     method: Collocation | None = None,
+    tolerance: float | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Plan:
     """The optimal motion of a plant that visits ``stops`` in order.
@@ -144,7 +155,11 @@ def plan(
     bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end; narrows the plant's own
         bounds. Path constraints of the plant (never slack, pressure rates) always hold.
     rest : positions have zero velocity and acceleration at each stop.
+    integrand : further running cost, a CasADi expression of the plant's symbols
+        (``plant.expression("v") ** 2``, say); its integral is added to the objective.
     method : ``Collocation(intervals=50, degree=3, control="constant")`` per phase.
+    tolerance : refine the mesh (degrees first, then intervals) until every interval, integrated
+        tightly, meets its planned end to this part of nominal in all; None for one mesh only.
     options : of IPOPT, over DEFAULTS.
 
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
@@ -152,29 +167,86 @@ def plan(
     """
     begin = time.perf_counter()
     problem = pose(
-        plant, stops, cyclic=cyclic, duration=duration, minimise=minimise, bounds=bounds, rest=rest
-    )
-    program = transcribe(problem, method or Collocation())
+        plant, stops, cyclic=cyclic, duration=duration, minimise=minimise, bounds=bounds, rest=rest,
+        integrand=integrand,
+    )  # fmt: skip
+    if tolerance is not None:
+        require_positive("tolerance", tolerance)
+    meshes = [(method or Collocation()).mesh(len(problem.durations))]
+    attempt = _attempt(problem, meshes[-1], None, options)
+    iterations = attempt.iterations
+    while tolerance is not None and attempt.success and len(meshes) <= MAX_REFINEMENTS:
+        errors = _interval_errors(problem, attempt.solution)
+        # local errors add up over the intervals
+        finer = refined(meshes[-1], errors, tolerance / len(errors))
+        if finer == meshes[-1]:
+            break
+        following = _attempt(problem, finer, attempt.solution, options)
+        iterations += following.iterations
+        if not following.success:  # the coarser plan stands, with its replay error
+            break
+        attempt = following
+        meshes.append(finer)
+    return _plan(problem, attempt, meshes, iterations, time.perf_counter() - begin, options)
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """One program and what IPOPT made of it."""
+
+    program: Program
+    solution: Unpacked
+    objective: float
+    status: str
+    success: bool
+    iterations: int
+    build_seconds: float
+    solve_seconds: float
+
+
+def _attempt(
+    problem: Problem, mesh: Mesh, previous: Unpacked | None, options: Mapping[str, Any] | None
+) -> _Attempt:
+    begin = time.perf_counter()
+    program = transcribe(problem, mesh, previous)
     solver = _solver(program, options)
     built = time.perf_counter()
-    solution = _solve(solver, program)
+    result = _solve(solver, program)
     solved = time.perf_counter()
     stats = solver.stats()
-    success = bool(stats["success"])
-    samples, durations = _samples(program, solution["x"])
+    return _Attempt(
+        program, program.unpack(np.asarray(result["x"], dtype=float).ravel()), float(result["f"]),
+        str(stats["return_status"]), bool(stats["success"]), int(stats["iter_count"]),
+        built - begin, solved - built,
+    )  # fmt: skip
+
+
+def _plan(
+    problem: Problem,
+    attempt: _Attempt,
+    meshes: Sequence[Mesh],
+    iterations: int,
+    seconds: float,
+    options: Mapping[str, Any] | None,
+) -> Plan:
+    """The Plan of the last attempt; raises PlanError when it failed."""
+    samples = _samples(problem, attempt)
     statistics = {
-        "iterations": int(stats["iter_count"]),
-        "build_seconds": built - begin,
-        "solve_seconds": solved - built,
-        "variables": int(solution["x"].numel()),
-        "constraints": int(solution["g"].numel()),
+        "iterations": iterations,
+        "build_seconds": attempt.build_seconds,
+        "solve_seconds": attempt.solve_seconds,
+        "seconds": seconds,
+        "variables": len(attempt.program.guess),
+        "constraints": sum(row.size for row in attempt.program.rows),
+        "intervals": len(attempt.program.mesh.intervals),
     }
     result = Plan(
-        plant, success, str(stats["return_status"]), float(solution["f"]), durations, statistics,
-        _replay(problem, samples, success), samples,
+        problem.plant, attempt.success, attempt.status, attempt.objective,
+        tuple(float(d) for d in attempt.solution[3]), statistics,
+        _replay(problem, samples) if attempt.success else None, tuple(meshes), samples,
     )  # fmt: skip
-    if not success:
-        raise PlanError(_reason(program, result, solution, options), result)
+    if not attempt.success:
+        raise PlanError(_reason(attempt.program, result, options), result)
     return result
 
 
@@ -199,30 +271,31 @@ def _solve(solver: ca.Function, program: Program) -> dict[str, ca.DM]:
     )  # fmt: skip
 
 
-def _samples(program: Program, w: ca.DM) -> tuple[Trajectory, tuple[float, ...]]:
-    """The solution as a Trajectory at all collocation points."""
-    plant, method = program.problem.plant, program.method
-    states, inputs, durations = (np.asarray(part) for part in program.unpack(w))
-    phase_times = durations.ravel()
-    t = program.times(phase_times)
-    n = method.intervals * len(phase_times)
-    if method.control == "constant":
-        # held from each sample on: an interval's end already shows the next interval's input
-        held = np.repeat(inputs, method.degree, axis=1)
-        u = np.column_stack([held, inputs[:, -1]])
-    else:
-        begins, ends = inputs[:, 0::2], inputs[:, 1::2]
-        fractions = method.points
-        inside = begins[:, :, None] + (ends - begins)[:, :, None] * fractions
-        u = np.column_stack([begins[:, 0], inside.reshape(len(inputs), n * method.degree)])
-    hold = "previous" if method.control == "constant" else "linear"
-    return evaluated(plant, t, states.T, u.T, hold), tuple(float(d) for d in phase_times)  # type: ignore[arg-type]
+def _samples(problem: Problem, attempt: _Attempt) -> Trajectory:
+    """The solution as a Trajectory at all collocation points, with its inputs as they are between."""
+    t, states, signals, _ = attempt.solution
+    return evaluated(problem.plant, t, states, signals)
 
 
-def _replay(problem: Problem, samples: Trajectory, success: bool) -> Replay | None:
+def _interval_errors(problem: Problem, solution: Unpacked) -> list[float]:
+    """For each interval: how far a tight integration from its start leaves its planned points."""
+    plant = problem.plant
+    times, states, signals, _ = solution
+    nominal = plant.vector("state", attribute="nominal")
+    ends = np.searchsorted(times, signals.breaks - 1e-12 * (1 + np.abs(signals.breaks)))
+    errors = []
+    for a, b in pairwise(ends):
+        part = slice(a, b + 1)
+        found = Integration.over(plant, signals, times[part], states[a], rtol=REPLAY_TOLERANCE)()
+        if found is None:
+            errors.append(float("inf"))
+        else:
+            errors.append(float(np.max(np.abs(found - states[part]) / nominal)))
+    return errors
+
+
+def _replay(problem: Problem, samples: Trajectory) -> Replay:
     """Integrate the planned inputs tightly, and look at the bounds between the samples too."""
-    if not success:
-        return None
     plant = problem.plant
     fine = np.linspace(samples.t[:-1], samples.t[1:], OVERSAMPLING, endpoint=False).T.ravel()
     fine = np.append(fine, samples.t[-1])
@@ -258,9 +331,7 @@ def _violation(problem: Problem, motion: Trajectory) -> tuple[float, str]:
     return max(found)
 
 
-def _reason(
-    program: Program, failed: Plan, solution: Mapping[str, ca.DM], options: Mapping[str, Any] | None
-) -> str:
+def _reason(program: Program, failed: Plan, options: Mapping[str, Any] | None) -> str:
     """Why there is no plan: the constraint that an elastic re-solve has to violate most."""
     opening = f"no plan found for {failed.plant.name} ({failed.status}). "
     slack, row, index = _elastic(program, options)
@@ -274,27 +345,23 @@ def _reason(
         return (
             opening + f"The most violated constraint is the {row.label} (by {slack:.3g} of nominal)"
         )
-    per = len(row.conditions)
-    condition = row.conditions[index % per]
+    condition = row.conditions[index]
     amount = condition.shown.shown(slack * condition.nominal)
-    where = ""
-    if row.kind == "path":
-        interval = index // per
-        where = f" in interval {interval + 1} of {row.size // per}"
+    where = f" {row.where[index]}" if row.where else ""
     return opening + (
         f"The most violated constraint is {condition.label} "
         f"({_bound_text(condition)}), by {amount}{where}; relax it, or allow more time or pressure"
     )
 
 
-def _bound_text(condition: Any) -> str:
+def _bound_text(condition: Condition) -> str:
     shown = condition.shown.shown
     if condition.low == condition.high:
         return f"= {shown(condition.low)}"
     return f"{shown(condition.low)} .. {shown(condition.high)}"
 
 
-def _elastic(program: Program, options: Mapping[str, Any] | None) -> tuple[float, Any, int]:
+def _elastic(program: Program, options: Mapping[str, Any] | None) -> tuple[float, Row, int]:
     """Least total violation of stops, path and closing, dynamics kept: (largest, row, index in it)."""
     soft = [np.full(r.size, r.kind != "defect") for r in program.rows]
     chosen = np.flatnonzero(np.concatenate(soft))

@@ -2,53 +2,28 @@
 
 On each interval the state is a polynomial through its start and the collocation points, and meets
 the plant's equation at these points (Biegler, Nonlinear Programming, SIAM 2010, ch. 10). All
-variables and defects are scaled by the plant's nominals.
+variables and defects are scaled by the plant's nominals, and ordered along the motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..plant.plant import Plant
+from ..signals import PiecewisePolynomial
+from .guess import Unpacked, initial_guess
+from .mesh import Control, Interval, Mesh, radau
 from .problem import Condition, Problem
 
-__all__ = ["Collocation", "Control", "Program", "Row", "transcribe"]
+__all__ = ["Program", "Row", "transcribe"]
 
 Array: TypeAlias = NDArray[np.float64]
-Control: TypeAlias = Literal["constant", "linear"]
-
-
-@dataclass(frozen=True)
-class Collocation:
-    """Radau collocation: ``intervals`` per phase, polynomials of ``degree``.
-
-    control : inputs constant on each interval (as a digital controller holds them), or linear and
-        continuous within a phase.
-    """
-
-    intervals: int = 50
-    degree: int = 3
-    control: Control = "constant"
-
-    def __post_init__(self) -> None:
-        if not (isinstance(self.intervals, int) and self.intervals >= 1):
-            raise InputError(f"intervals = {self.intervals!r}: give a whole number >= 1")
-        if not (isinstance(self.degree, int) and 1 <= self.degree <= 9):
-            raise InputError(f"degree = {self.degree!r}: give a whole number from 1 to 9")
-        if self.control not in ("constant", "linear"):
-            raise InputError(f"control = {self.control!r}: choose 'constant' or 'linear'")
-
-    @property
-    def points(self) -> Array:
-        """Radau points in (0, 1]; the last is 1."""
-        return np.array(ca.collocation_points(self.degree, "radau"))
 
 
 @dataclass(frozen=True)
@@ -57,132 +32,192 @@ class Row:
 
     label: str
     kind: Literal["defect", "path", "stop", "closing"]
-    size: int
     low: Array
     high: Array
-    nominal: float
     conditions: tuple[Condition, ...] = ()
+    """One per row, for "path" and "stop"."""
+    where: tuple[str, ...] = ()
+    """Where each row stands along the motion, for "path"."""
+
+    @property
+    def size(self) -> int:
+        return len(self.low)
 
 
 @dataclass(frozen=True)
 class Program:
-    """The NLP of a Problem, in scaled variables w; ``p`` are the plant's parameters.
-
-    ``unpack`` takes w to (states (nx, 1 + n degree), inputs (nu, columns), durations (phases,)) in
-    SI, all along the motion; columns are one per interval (constant) or degree + 1 per interval.
-    """
+    """The NLP of a Problem on a Mesh, in scaled variables w; ``p`` are the plant's parameters."""
 
     problem: Problem
-    method: Collocation
+    mesh: Mesh
     nlp: dict[str, ca.MX]
-    unpack: ca.Function
     rows: tuple[Row, ...]
     w_low: Array
     w_high: Array
     guess: Array
 
-    def times(self, durations: Array) -> Array:
-        """Times of all columns of the states [s]: the start, then every collocation point."""
-        h = np.repeat(durations / self.method.intervals, self.method.intervals)
-        starts = np.concatenate([[0.0], np.cumsum(h)])
-        inside = starts[:-1, None] + h[:, None] * self.method.points
-        inside[:, -1] = starts[1:]
-        return np.concatenate([[0.0], inside.ravel()])
+    def unpack(self, w: Array) -> Unpacked:
+        """(times (n,), states (n, nx), inputs as signals, durations (phases,)) of a solution, in SI.
+
+        The times are the start and every collocation point.
+        """
+        plant = self.problem.plant
+        x_nominal, u_nominal = _nominals(plant)
+        nx, nu = len(x_nominal), len(u_nominal)
+        durations = w[-len(self.problem.durations) :] * _time_nominals(self.problem)
+        t, states, pieces = [0.0], [w[:nx]], []
+        breaks, at, begin = [0.0], nx, 0.0
+        for interval in self.mesh.intervals:
+            h = float(durations[interval.phase] * interval.fraction)
+            points = w[at : at + nx * interval.degree].reshape(interval.degree, nx)
+            at += nx * interval.degree
+            columns = interval.columns(self.mesh.control)
+            values = w[at : at + nu * columns].reshape(columns, nu) * u_nominal
+            at += nu * columns
+            t += list(begin + h * radau(interval.degree))
+            states += list(points)
+            pieces.append(interval.polynomial(self.mesh.control, values, h))
+            begin += h
+            breaks.append(begin)
+        degree = max(len(p) for p in pieces)
+        coefficients = np.zeros((len(pieces), degree, nu))
+        for k, piece in enumerate(pieces):
+            coefficients[k, : len(piece)] = piece
+        signals = PiecewisePolynomial(np.array(breaks), coefficients)
+        return np.array(t), np.array(states) * x_nominal, signals, durations
+
+
+def _nominals(plant: Plant) -> tuple[Array, Array]:
+    return plant.vector("state", attribute="nominal"), plant.vector("input", attribute="nominal")
+
+
+def _time_nominals(problem: Problem) -> Array:
+    return np.array([np.sqrt(low * high) for low, high in problem.durations])
 
 
 @dataclass(frozen=True)
 class _Unknowns:
-    """Scaled symbols of the program and what they are in SI."""
+    """Scaled symbols of the program, interval by interval."""
 
     start: ca.MX
-    states: ca.MX  # nx x (n K)
-    inputs: ca.MX  # nu x n, or nu x 2n for the ends of each interval
+    points: list[ca.MX]
+    """nx x degree each; the last column is the interval's end."""
+    inputs: list[ca.MX]
+    """nu x columns each."""
     durations: ca.MX
 
+    def begin(self, k: int) -> ca.MX:
+        """State at the start of interval k (its end for k = number of intervals)."""
+        return self.start if k == 0 else self.points[k - 1][:, -1]
 
-def transcribe(problem: Problem, method: Collocation) -> Program:
-    """State the NLP: defects, path conditions, stops, closing; bounds and initial guess."""
+    @property
+    def w(self) -> ca.MX:
+        along = (part for pair in zip(self.points, self.inputs, strict=True) for part in pair)
+        return ca.veccat(self.start, *along, self.durations)
+
+
+def transcribe(problem: Problem, mesh: Mesh, previous: Unpacked | None = None) -> Program:
+    """State the NLP: defects, path conditions, stops, closing; bounds and initial guess.
+
+    previous : an unpacked solution on another mesh to start from.
+    """
     plant = problem.plant
-    phases, n = len(problem.durations), len(problem.durations) * method.intervals
-    nx, nu, degree = len(plant.states), len(plant.inputs), method.degree
-    x_nominal = plant.vector("state", attribute="nominal")
-    u_nominal = plant.vector("input", attribute="nominal")
-    t_nominal = np.array([np.sqrt(low * high) for low, high in problem.durations])
-    ends = 2 if method.control == "linear" else 1
-
+    nx, nu = len(plant.states), len(plant.inputs)
     z = _Unknowns(
-        ca.MX.sym("x0", nx), ca.MX.sym("x", nx, n * degree),
-        ca.MX.sym("u", nu, n * ends), ca.MX.sym("T", phases),
-    )  # fmt: skip
+        ca.MX.sym("x0", nx),
+        [ca.MX.sym(f"x{k}", nx, i.degree) for k, i in enumerate(mesh.intervals)],
+        [ca.MX.sym(f"u{k}", nu, i.columns(mesh.control)) for k, i in enumerate(mesh.intervals)],
+        ca.MX.sym("T", len(problem.durations)),
+    )
     p = ca.MX.sym("p", len(plant.parameters))
-    w = ca.veccat(z.start, z.states, z.inputs, z.durations)
-    durations = z.durations * t_nominal
-    h = ca.horzcat(
-        *(ca.repmat(durations[i] / method.intervals, 1, method.intervals) for i in range(phases))
-    )
-    begins = ca.horzcat(z.start, z.states[:, degree - 1 :: degree])[:, :-1]
-
-    stage = _stage(problem, method, x_nominal, u_nominal)
-    mapped = stage.map(n)
-    defects, path, effort = mapped(
-        begins, ca.reshape(z.states, nx * degree, n), ca.reshape(z.inputs, nu * ends, n), h, p
-    )
-    constraints, rows = _rows(problem, method, defects, path, n)
-    for piece, row in _nodes(problem, method, z, x_nominal, u_nominal, p):
+    durations = z.durations * _time_nominals(problem)
+    constraints, rows, running = _stages(problem, mesh, z, durations, p)
+    for piece, row in [*_nodes(problem, mesh, z, p), *_continuity(mesh, z)]:
         constraints.append(piece)
         rows.append(row)
-    if method.control == "linear" and method.intervals > 1:
-        constraints.append(_continuity(z.inputs, method.intervals, phases))
-        size = constraints[-1].numel()
-        rows.append(Row("continuous inputs", "defect", size, np.zeros(size), np.zeros(size), 1.0))
-    objective = problem.weights.get("time", 0.0) * ca.sum1(durations) + problem.weights.get(
-        "effort", 0.0
-    ) * ca.sum2(effort)
+    objective = problem.weights.get("time", 0.0) * ca.sum1(durations) + running
+    low, high = _bounds(problem, mesh)
+    guess = initial_guess(problem, mesh, _time_nominals(problem), previous)
     return Program(
-        problem, method,
-        {"x": w, "p": p, "f": objective, "g": ca.veccat(*constraints)},
-        ca.Function("unpack", [w], [
-            ca.horzcat(z.start, z.states) * ca.repmat(ca.DM(x_nominal), 1, 1 + n * degree),
-            z.inputs * ca.repmat(ca.DM(u_nominal), 1, n * ends),
-            durations,
-        ]),
-        tuple(rows),
-        *_bounds_and_guess(problem, method, x_nominal, u_nominal, t_nominal, ends),
+        problem, mesh, {"x": z.w, "p": p, "f": objective, "g": ca.veccat(*constraints)},
+        tuple(rows), low, high, np.clip(guess, low, high),
     )  # fmt: skip
 
 
-def _stage(
-    problem: Problem, method: Collocation, x_nominal: Array, u_nominal: Array
-) -> ca.Function:
-    """One interval: (start, points, inputs, h, p) -> (scaled defects, path values, effort)."""
-    plant, degree = problem.plant, method.degree
+def _stages(
+    problem: Problem, mesh: Mesh, z: _Unknowns, durations: ca.MX, p: ca.MX
+) -> tuple[list[ca.MX], list[Row], ca.MX]:
+    """Defects and path conditions of all intervals, mapped over those of equal degree."""
+    constraints, rows, running = [], [], ca.MX(0)
+    for degree in sorted({i.degree for i in mesh.intervals}):
+        members = [k for k, i in enumerate(mesh.intervals) if i.degree == degree]
+        stage = _stage(problem, mesh.control, degree).map(len(members))
+        h = ca.horzcat(
+            *(durations[mesh.intervals[k].phase] * mesh.intervals[k].fraction for k in members)
+        )
+        defects, path, cost = stage(
+            ca.horzcat(*(z.begin(k) for k in members)),
+            ca.horzcat(*(ca.vec(z.points[k]) for k in members)),
+            ca.horzcat(*(ca.vec(z.inputs[k]) for k in members)),
+            h, p,
+        )  # fmt: skip
+        zero = np.zeros(defects.numel())
+        constraints.append(defects)
+        rows.append(Row("dynamics", "defect", zero, zero))
+        running += ca.sum2(cost)
+        conditions = (*problem.path * degree, *_with_inputs(problem))
+        if conditions:
+            low, high = _limits(conditions)
+            constraints.append(path)
+            places = [f"in interval {k + 1} of {len(mesh.intervals)}" for k in members]
+            rows.append(
+                Row(
+                    "path", "path", np.tile(low, len(members)), np.tile(high, len(members)),
+                    conditions * len(members), tuple(s for s in places for _ in conditions),
+                )
+            )  # fmt: skip
+    return constraints, rows, running
+
+
+def _stage(problem: Problem, control: Control, degree: int) -> ca.Function:
+    """One interval: (start, points, inputs, h, p) -> (scaled defects, path values, running cost)."""
+    plant = problem.plant
+    x_nominal, u_nominal = _nominals(plant)
     nx, nu = len(x_nominal), len(u_nominal)
-    ends = 2 if method.control == "linear" else 1
+    interval = Interval(0, 1.0, degree)
     start, points = ca.SX.sym("start", nx), ca.SX.sym("points", nx, degree)
-    inputs, h = ca.SX.sym("inputs", nu, ends), ca.SX.sym("h")
-    p = ca.SX.sym("p", len(plant.parameters))
-    tau = method.points
-    derivative, _, quadrature = ca.collocation_coeff(tau.tolist())
+    inputs = ca.SX.sym("inputs", nu, interval.columns(control))
+    h, p = ca.SX.sym("h"), ca.SX.sym("p", len(plant.parameters))
+    derivative, _, quadrature = ca.collocation_coeff(radau(degree).tolist())
     polynomial = ca.horzcat(start, points) @ ca.DM(derivative)  # scaled dx/dtau at the points
-    path = _functions(plant, problem.path)
-    defects, effort = [], ca.SX(0)
-    values = [ca.SX(0, 1)]
-    for j in range(degree):
-        fraction = tau[j] if method.control == "linear" else 0.0
-        u_scaled = inputs[:, 0] + fraction * (inputs[:, ends - 1] - inputs[:, 0])
-        x, u = points[:, j] * x_nominal, u_scaled * u_nominal
+    path, running = _values(plant, problem.path), _running(problem)
+    defects, values, cost = [], [ca.SX(0, 1)], ca.SX(0)
+    for j, tau in enumerate(radau(degree)):
+        x = points[:, j] * x_nominal
+        u = inputs @ interval.weights(control, tau) * u_nominal
         defects.append(h * plant.function(x, u, p)[0] / x_nominal - polynomial[:, j])
         values.append(path(x, u, p))
-        effort += h * quadrature[j] * ca.sumsqr(u_scaled)
+        cost += h * quadrature[j] * running(x, u, p)
     # an input may jump at the start of the interval: what depends on it is checked there too
-    values.append(
-        _functions(plant, _with_inputs(problem))(start * x_nominal, inputs[:, 0] * u_nominal, p)
-    )
+    u = inputs @ interval.weights(control, 0.0) * u_nominal
+    values.append(_values(plant, _with_inputs(problem))(start * x_nominal, u, p))
     return ca.Function(
         "stage",
         [start, ca.vec(points), ca.vec(inputs), h, p],
-        [ca.veccat(*defects), ca.vertcat(*values), effort],
+        [ca.veccat(*defects), ca.vertcat(*values), cost],
     )
+
+
+def _running(problem: Problem) -> ca.Function:
+    """The integrand of the objective: weighed effort, and the user's own."""
+    plant = problem.plant
+    total = ca.SX(0)
+    weight = problem.weights.get("effort", 0.0)
+    if weight:
+        total += weight * ca.sumsqr(plant.u / plant.vector("input", attribute="nominal"))
+    if problem.integrand is not None:
+        total += problem.integrand
+    return ca.Function("running", [plant.x, plant.u, plant.p], [total])
 
 
 def _with_inputs(problem: Problem) -> tuple[Condition, ...]:
@@ -190,13 +225,12 @@ def _with_inputs(problem: Problem) -> tuple[Condition, ...]:
     return tuple(c for c in problem.path if u.numel() and ca.depends_on(c.expression, u))
 
 
-def _functions(plant: object, conditions: Sequence[Condition]) -> ca.Function:
+def _values(plant: Plant, conditions: Sequence[Condition]) -> ca.Function:
     """(x, u, p) -> the conditions' values in units of their nominals."""
     values = [c.expression / c.nominal for c in conditions]
     return ca.Function(
-        "conditions", [plant.x, plant.u, plant.p],  # type: ignore[attr-defined]
-        [ca.vertcat(*values) if values else ca.SX(0, 1)],
-    )  # fmt: skip
+        "conditions", [plant.x, plant.u, plant.p], [ca.vertcat(*values) if values else ca.SX(0, 1)]
+    )
 
 
 def _limits(conditions: Sequence[Condition]) -> tuple[Array, Array]:
@@ -205,45 +239,21 @@ def _limits(conditions: Sequence[Condition]) -> tuple[Array, Array]:
     return low, high
 
 
-def _rows(
-    problem: Problem, method: Collocation, defects: ca.MX, path: ca.MX, n: int
-) -> tuple[list[ca.MX], list[Row]]:
-    size = defects.numel()
-    rows = [Row("dynamics", "defect", size, np.zeros(size), np.zeros(size), 1.0)]
-    per_interval = (*problem.path * method.degree, *_with_inputs(problem))
-    if not per_interval:
-        return [defects], rows
-    low, high = _limits(per_interval)
-    rows.append(
-        Row("path", "path", path.numel(), np.tile(low, n), np.tile(high, n), 1.0, per_interval)
-    )
-    return [defects, path], rows
-
-
-def _nodes(
-    problem: Problem,
-    method: Collocation,
-    z: _Unknowns,
-    x_nominal: Array,
-    u_nominal: Array,
-    p: ca.MX,
-) -> list[tuple[ca.MX, Row]]:
+def _nodes(problem: Problem, mesh: Mesh, z: _Unknowns, p: ca.MX) -> list[tuple[ca.MX, Row]]:
     """Conditions at the stops, and the closing of a cycle."""
-    ends = 2 if method.control == "linear" else 1
-    per_phase, last = method.intervals, len(problem.nodes) - 1
+    x_nominal, u_nominal = _nominals(problem.plant)
+    count = len(mesh.intervals)
     pieces = []
     for i, conditions in enumerate(problem.nodes):
         if not conditions:
             continue
-        x = z.start if i == 0 else z.states[:, i * per_phase * method.degree - 1]
-        column = i * per_phase * ends if i < last else z.inputs.shape[1] - 1
-        values = _functions(problem.plant, conditions)(
-            x * x_nominal, z.inputs[:, column] * u_nominal, p
-        )
+        k = mesh.first(i)  # the interval behind the node, or the number of intervals at the end
+        inside = min(k, count - 1)
+        weights = mesh.intervals[inside].weights(mesh.control, 1.0 if k == count else 0.0)
+        u = z.inputs[inside] @ weights * u_nominal
+        values = _values(problem.plant, conditions)(z.begin(k) * x_nominal, u, p)
         low, high = _limits(conditions)
-        pieces.append(
-            (values, Row(f"stop {i + 1}", "stop", len(conditions), low, high, 1.0, conditions))
-        )
+        pieces.append((values, Row(f"stop {i + 1}", "stop", low, high, conditions)))
     if problem.closing is not None:
         names = [v.name for v in problem.plant.states]
         image = ca.vertcat(
@@ -251,71 +261,31 @@ def _nodes(
               for i, (sign, other) in enumerate(problem.closing[name] for name in names))
         )  # fmt: skip
         zero = np.zeros(len(names))
-        row = Row("closing of the cycle", "closing", len(names), zero, zero, 1.0)
-        pieces.append((z.states[:, -1] - image, row))
+        pieces.append((z.begin(count) - image, Row("closing of the cycle", "closing", zero, zero)))
     return pieces
 
 
-def _continuity(inputs: ca.MX, intervals: int, phases: int) -> ca.MX:
-    """Linear inputs do not jump between the intervals of one phase."""
-    ends, begins = inputs[:, 1::2], inputs[:, 0::2]
-    inside = [k for k in range(1, intervals * phases) if k % intervals]
-    return ca.horzcat(*(ends[:, k - 1] - begins[:, k] for k in inside))
+def _continuity(mesh: Mesh, z: _Unknowns) -> list[tuple[ca.MX, Row]]:
+    """Linear inputs do not jump."""
+    if mesh.control != "linear" or len(mesh.intervals) < 2:
+        return []
+    jumps = ca.veccat(
+        *(a[:, 1] - b[:, 0] for a, b in zip(z.inputs[:-1], z.inputs[1:], strict=True))
+    )
+    zero = np.zeros(jumps.numel())
+    return [(jumps, Row("continuity of the inputs", "defect", zero, zero))]
 
 
-def _bounds_and_guess(
-    problem: Problem,
-    method: Collocation,
-    x_nominal: Array,
-    u_nominal: Array,
-    t_nominal: Array,
-    ends: int,
-) -> tuple[Array, Array, Array]:
-    plant, n = problem.plant, len(problem.durations) * method.intervals
-    columns = 1 + n * method.degree
-
-    def limits(variables: Sequence[object], nominal: Array) -> tuple[Array, Array]:
-        pairs = np.array([problem.bounds[v.name] for v in variables]).reshape(-1, 2)  # type: ignore[attr-defined]
-        return pairs[:, 0] / nominal, pairs[:, 1] / nominal
-
-    x_low, x_high = limits(plant.states, x_nominal)
-    u_low, u_high = limits(plant.inputs, u_nominal)
-    t_low, t_high = np.array(problem.durations).T / t_nominal
-    low = np.concatenate([np.tile(x_low, columns), np.tile(u_low, n * ends), t_low])
-    high = np.concatenate([np.tile(x_high, columns), np.tile(u_high, n * ends), t_high])
-    states = _guess(problem, method, t_nominal) / x_nominal[:, None]
-    inputs = plant.vector("input") / u_nominal
-    guess = np.concatenate([states.T.ravel(), np.tile(inputs, n * ends), t_nominal / t_nominal])
-    return low, high, np.clip(guess, low, high)
-
-
-def _guess(problem: Problem, method: Collocation, durations: Array) -> Array:
-    """States along minimum-jerk paths between the stops; all else at its start value."""
+def _bounds(problem: Problem, mesh: Mesh) -> tuple[Array, Array]:
     plant = problem.plant
-    names = [v.name for v in plant.states]
-    h = (np.arange(method.intervals)[:, None] + method.points).ravel() / method.intervals
-    blend = h**3 * (10 - 15 * h + 6 * h**2)
-    slope = 30 * h**2 * (1 - h) ** 2
-    states = np.repeat(plant.vector("state")[:, None], 1 + len(durations) * len(h), axis=1)
-    for name in names:
-        targets = [
-            _middle(stop.get(name), plant.variable(name).start or 0.0) for stop in problem.stops
-        ]
-        row = states[names.index(name)]
-        row[0] = targets[0]
-        for i, (a, b) in enumerate(pairwise(targets)):
-            row[1 + i * len(h) : 1 + (i + 1) * len(h)] = a + (b - a) * blend
-            velocity = plant.positions.get(name)
-            if velocity is not None:
-                part = states[names.index(velocity)]
-                part[1 + i * len(h) : 1 + (i + 1) * len(h)] = (b - a) * slope / durations[i]
-    return states
-
-
-def _middle(value: object, default: float) -> float:
-    if value is None:
-        return default
-    if isinstance(value, list | tuple):
-        ends = [v for v in value if v is not None and np.isfinite(v)]
-        return float(np.mean(ends)) if ends else default
-    return float(value)  # type: ignore[arg-type]
+    x_nominal, u_nominal = _nominals(plant)
+    x, u = (
+        np.array([problem.bounds[v.name] for v in variables]).reshape(-1, 2) / nominal[:, None]
+        for variables, nominal in ((plant.states, x_nominal), (plant.inputs, u_nominal))
+    )
+    parts = [x]
+    for interval in mesh.intervals:
+        parts += [x] * interval.degree + [u] * interval.columns(mesh.control)
+    parts.append(np.array(problem.durations) / _time_nominals(problem)[:, None])
+    both = np.vstack(parts)
+    return both[:, 0], both[:, 1]
