@@ -1,1 +1,3 @@
-"""Muscles: force laws, losses, and the catalogue of known ones."""
+"""Muscles: force laws, gas, losses, and the catalogue of known ones."""
+
+from . import braid, empirical, wall  # noqa: F401  (each registers its laws in force.LAWS)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from ..errors import InputError, require_positive
 from .force import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
+from .validity import Validity
 
 __all__ = ["Muscle"]
 
@@ -24,10 +25,15 @@ class Muscle:
     ----------
     law : force law with its coefficients.
     rest_length : length of the active membrane at zero pressure and load, l0 [m].
+        A law that holds a rest length of its own must hold the same one.
     diameter : inner diameter at rest [m], or None when it is not known.
     slack_width : half width of the smooth clamp at zero force [N]; see :func:`force.clamp`.
     pressure_range, contraction_range : where the law was measured ([Pa gauge], [1]).
+        Numbers outside give a ValidityWarning, once for each muscle.
     name, source, note : what it is, where its numbers come from, what to know before use.
+    mass : mass of the muscle [kg], or None; for energy and power per mass.
+    construction : "braided", "netted" or "embedded", the classes of the source paper, or "".
+    obtained : "published", "transcribed" or "fitted here", or "".
 
     ``rest_length`` and ``slack_width`` may be CasADi symbols inside a plant.
     """
@@ -41,6 +47,9 @@ class Muscle:
     name: str = "muscle"
     source: str = ""
     note: str = field(default="", repr=False)
+    mass: float | None = None
+    construction: str = ""
+    obtained: str = ""
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, ForceLaw):
@@ -48,12 +57,22 @@ class Muscle:
         for argument, unit in (("rest_length", "m"), ("slack_width", "N")):
             if not isinstance(getattr(self, argument), ca.SX):
                 require_positive(argument, getattr(self, argument), unit)
-        if self.diameter is not None:
-            require_positive("diameter", self.diameter, "m")
+        for argument, unit in (("diameter", "m"), ("mass", "kg")):
+            if getattr(self, argument) is not None:
+                require_positive(argument, getattr(self, argument), unit)
+        own = self.law.values.get("rest_length", self.rest_length)
+        symbolic = isinstance(own, ca.SX) or isinstance(self.rest_length, ca.SX)
+        if not symbolic and not math.isclose(own, self.rest_length, rel_tol=1e-12):
+            raise InputError(
+                f"rest_length = {self.rest_length:g} m, but the {self.law.name} law holds "
+                f"{own:g} m; give both the same, or use Muscle.with_rest_length"
+            )
         for argument in ("pressure_range", "contraction_range"):
             low, high = getattr(self, argument)
             if not low < high:
-                raise InputError(f"{argument} = ({low:g}, {high:g}): the lower end must be the smaller")
+                raise InputError(
+                    f"{argument} = ({low:g}, {high:g}): the lower end must be the smaller"
+                )
 
     # ---- force and stiffness ---------------------------------------------------------------
     def tension(self, p: Any, kappa: Any) -> Any:
@@ -79,38 +98,42 @@ class Muscle:
         """Force at rest length [N]."""
         return self.force(p, 0.0)
 
-    def max_contraction(self, p: float) -> float:
+    def max_contraction(self, p: Any) -> Any:
         """Contraction at which the unloaded muscle goes slack at pressure p [Pa].
 
-        NaN when it is slack everywhere between kappa = 0 and 0.45.
+        NaN when it is slack already at rest length, or taut up to 0.45.
         """
-        grid = np.linspace(0.0, 0.45, 451)
-        tension = np.asarray(self.law.tension(p, grid))
-        if tension[0] <= 0:
-            return float("nan")
-        slack = np.nonzero(tension <= 0)[0]
-        if not slack.size:
-            return float("nan")
-        low, high = grid[slack[0] - 1], grid[slack[0]]
-        while high - low > 1e-14:  # bisection: the bracket holds exactly one sign change
-            middle = (low + high) / 2
-            if self.law.tension(p, middle) > 0:
-                low = middle
-            else:
-                high = middle
-        return float((low + high) / 2)
+        return self.law.max_contraction(p)
+
+    def with_rest_length(self, rest_length: float) -> Muscle:
+        """The same muscle with another rest length [m], also in a law that holds it."""
+        require_positive("rest_length", rest_length, "m")
+        law = self.law
+        if "rest_length" in law.values:
+            law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
+        return replace(self, law=law, rest_length=rest_length)
 
     def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
         rest = [*self.law.values.values(), self.rest_length, self.slack_width]
+        if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
+            self.law.validity.check(f"{self.law.name} law", p, kappa)
+            self._measured.check(f"muscle {self.name!r}", p, kappa)
         return evaluate(_clamped(type(self.law)), index, p, kappa, rest)
+
+    @property
+    def _measured(self) -> Validity:
+        return Validity(self.pressure_range, self.contraction_range, "outside what was measured")
 
     # ---- in a plant --------------------------------------------------------------------------
     def substituted(self, symbol: Callable[[str, Any], Any]) -> Muscle:
         """The same muscle with every physical constant replaced by ``symbol(name, value)``."""
+        rest_length = symbol("rest_length", self.rest_length)
         return replace(
             self,
-            law=self.law.substituted(symbol),
-            rest_length=symbol("rest_length", self.rest_length),
+            law=self.law.substituted(
+                lambda n, v: rest_length if n == "rest_length" else symbol(n, v)
+            ),
+            rest_length=rest_length,
             slack_width=symbol("slack_width", self.slack_width),
         )
 

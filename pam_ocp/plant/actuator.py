@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 
 from ..errors import InputError, require_positive
+from ..muscle.force import clamp
+from ..muscle.losses import Loss, Motion
 from ..muscle.muscle import Muscle
+from ..muscle.valves import GasFeed
 
 if TYPE_CHECKING:
     from .plant import Plant
@@ -28,9 +32,9 @@ class AttachedMuscle:
     """Gauge pressure [Pa]."""
     contraction: ca.SX
     force: ca.SX
-    """Pulling force [N], >= 0."""
+    """Pulling force with losses [N], >= 0."""
     stiffness: ca.SX
-    """Stiffness at constant pressure [N/m]."""
+    """Stiffness of the force law at constant pressure [N/m]."""
 
 
 class Feed(Protocol):
@@ -122,17 +126,61 @@ def attach(
     rate: Any,
     pre_contraction: Any,
     feed: Feed | None,
+    losses: Sequence[Loss] = (),
 ) -> AttachedMuscle:
-    """See :meth:`Plant.add_muscle`."""
+    """See :meth:`Plant.add_muscle`.
+
+    losses : components such as ``CoulombFriction()``, ``BoucWen()`` or ``Creep()``, whose forces
+        are taken off the law's tension before the clamp: a slack muscle has no friction either.
+    """
     if not isinstance(muscle, Muscle):
-        raise InputError(f"muscle = {muscle!r} must be a Muscle, such as pam_ocp.muscle('DMSP-20-300')")
+        raise InputError(
+            f"muscle = {muscle!r} must be a Muscle, such as pam_ocp.muscle('DMSP-20-300')"
+        )
+    symbolic = _with_parameters(plant, name, muscle)
+    if not isinstance(pre_contraction, ca.SX):
+        pre_contraction = plant.parameter(
+            f"{name}.pre_contraction", pre_contraction, min=-0.1, max=0.45, nominal=0.1,
+            display_unit="%", description=f"contraction of {name} at zero displacement",
+        )  # fmt: skip
+    contraction = pre_contraction + shortening / symbolic.rest_length
+    relative_rate = rate / symbolic.rest_length
+    feed = feed or Regulator()
+    if isinstance(feed, GasFeed):
+        air = feed.fill(plant, name, symbolic, contraction, relative_rate)
+        pressure = air.pressure
+    else:
+        pressure = feed.connect(plant, name, symbolic, contraction, relative_rate)
+    tension = symbolic.tension(pressure, contraction)
+    force = symbolic.force(pressure, contraction)
+    if losses:
+        motion = Motion(symbolic, pressure, contraction, relative_rate)
+        lost = sum((loss.force(plant, name, motion) for loss in losses), ca.SX(0))
+        plant.output(
+            f"{name}.loss", lost, unit="N", nominal=100.0,
+            description=f"friction, hysteresis and creep of {name} against its contraction",
+        )  # fmt: skip
+        tension = tension - lost
+        force = clamp(tension, symbolic.slack_width)
+    attached = AttachedMuscle(
+        name, symbolic, pressure, contraction, force, symbolic.stiffness(pressure, contraction)
+    )
+    _declare_outputs(plant, attached, tension)
+    if isinstance(feed, GasFeed):
+        feed.meter(plant, name, air, force * rate, muscle.mass)
+    return attached
+
+
+def _with_parameters(plant: Plant, name: str, muscle: Muscle) -> Muscle:
+    """The muscle with a parameter of the plant for each of its constants."""
     described = {v.name: v for v in muscle.law.coefficient_variables()}
 
     def symbol(constant: str, value: Any) -> ca.SX:
-        if constant in described:
+        if constant in described and constant not in _UNITS:
             variable = described[constant]
             return plant.parameter(
                 f"{name}.{constant}", value, unit=variable.unit, nominal=variable.nominal,
+                min=variable.min, max=variable.max,
                 description=f"{variable.description} ({muscle.law.name} law of {name})",
             )  # fmt: skip
         unit, nominal = _UNITS[constant]
@@ -142,31 +190,24 @@ def attach(
             description=f"{words} of {name}",
         )  # fmt: skip
 
-    symbolic = muscle.substituted(symbol)
-    if not isinstance(pre_contraction, ca.SX):
-        pre_contraction = plant.parameter(
-            f"{name}.pre_contraction", pre_contraction, min=-0.1, max=0.45, nominal=0.1,
-            display_unit="%", description=f"contraction of {name} at zero displacement",
-        )  # fmt: skip
-    contraction = pre_contraction + shortening / symbolic.rest_length
-    pressure = (feed or Regulator()).connect(
-        plant, name, symbolic, contraction, rate / symbolic.rest_length
-    )
-    force = symbolic.force(pressure, contraction)
-    stiffness = symbolic.stiffness(pressure, contraction)
+    return muscle.substituted(symbol)
+
+
+def _declare_outputs(plant: Plant, attached: AttachedMuscle, tension: ca.SX) -> None:
+    name = attached.name
     plant.output(
-        f"{name}.force", force, unit="N", nominal=100.0, description=f"pulling force of {name}"
-    )
+        f"{name}.force", attached.force, unit="N", nominal=100.0,
+        description=f"pulling force of {name}",
+    )  # fmt: skip
     plant.output(
-        f"{name}.contraction", contraction, nominal=0.1, display_unit="%",
+        f"{name}.contraction", attached.contraction, nominal=0.1, display_unit="%",
         description=f"contraction ratio of {name}",
     )  # fmt: skip
     plant.output(
-        f"{name}.stiffness", stiffness, unit="N/m", nominal=1e4,
+        f"{name}.stiffness", attached.stiffness, unit="N/m", nominal=1e4,
         description=f"stiffness of {name} at constant pressure",
     )  # fmt: skip
     plant.constraint(
-        f"{name}.tension", symbolic.tension(pressure, contraction), unit="N", nominal=100.0, min=0.0,
+        f"{name}.tension", tension, unit="N", nominal=100.0, min=0.0,
         description=f"tension of {name} before the clamp at zero: never slack",
     )  # fmt: skip
-    return AttachedMuscle(name, symbolic, pressure, contraction, force, stiffness)

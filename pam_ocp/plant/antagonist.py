@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ..errors import InputError, require_positive
-from ..muscle.losses import ConstantDamping, Damping
+from ..muscle.losses import ConstantDamping, Damping, Loss
 from ..muscle.muscle import Muscle
 from .actuator import Feed
 from .plant import Plant
@@ -24,8 +26,9 @@ class AntagonisticSlide(Plant):
     stroke : largest |x| [m]; by default as far as both muscles stay in their measured range.
     damping : ``ConstantDamping(value)`` (default 20 N s/m) or ``StiffnessDamping(ratio)``.
     feed : how each pressure comes about; default ``Regulator()``.
+    losses : friction, hysteresis, creep of each muscle, as ``(CoulombFriction(), Creep())``.
 
-    States x [m], v [m/s] and those of the feeds; outputs of both muscles, and ``stiffness``.
+    States x [m], v [m/s], those of feeds and losses; outputs of both muscles, and ``stiffness``.
     With equal muscles the plant is its own mirror image (x -> -x, muscle 1 <-> muscle 2).
     """
 
@@ -39,6 +42,7 @@ class AntagonisticSlide(Plant):
         stroke: float | None = None,
         damping: Damping | None = None,
         feed: Feed | None = None,
+        losses: Sequence[Loss] = (),
         name: str = "antagonistic_slide",
     ) -> None:
         super().__init__(name, "an antagonistic pair of pneumatic muscles on a slide")
@@ -66,7 +70,13 @@ class AntagonisticSlide(Plant):
         )  # fmt: skip
         pair = [
             self.add_muscle(
-                f"muscle{i}", part, shortening=sign * x, rate=sign * v, pre_contraction=k0, feed=feed
+                f"muscle{i}",
+                part,
+                shortening=sign * x,
+                rate=sign * v,
+                pre_contraction=k0,
+                feed=feed,
+                losses=losses,
             )
             for i, part, sign in ((1, muscles[0], 1), (2, muscles[1], -1))
         ]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ..errors import require_positive
-from ..muscle.losses import Damping, StiffnessDamping
+from ..muscle.losses import Damping, Loss, StiffnessDamping
 from ..muscle.muscle import Muscle
 from .actuator import Feed
 from .plant import Plant
@@ -26,8 +28,9 @@ class HangingLoad(Plant):
     mass : load [kg].
     damping : ``StiffnessDamping(ratio)`` (default 0.1) or ``ConstantDamping(value)``.
     feed : how the pressure comes about; default ``Regulator()``.
+    losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
 
-    States x [m] (upwards), v [m/s], and those of the feed; outputs of the muscle, and ``stiffness``.
+    States x [m] (upwards), v [m/s], those of feed and losses; outputs of the muscle, and ``stiffness``.
     """
 
     def __init__(
@@ -37,6 +40,7 @@ class HangingLoad(Plant):
         *,
         damping: Damping | None = None,
         feed: Feed | None = None,
+        losses: Sequence[Loss] = (),
         name: str = "hanging_load",
     ) -> None:
         super().__init__(name, "a load hanging on one pneumatic muscle")
@@ -53,7 +57,7 @@ class HangingLoad(Plant):
         g = self.parameter(
             "gravity", GRAVITY, unit="m/s2", min=0.0, nominal=10.0, description="gravity"
         )
-        attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed)
+        attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed, losses=losses)
         c = (damping or StiffnessDamping()).coefficient(self, m, attached.stiffness)
         self.der(x, v)
         self.der(v, (attached.force - m * g - c * v) / m)

@@ -1,0 +1,214 @@
+/* The life of an instance: creation, modes, log. */
+#include "instance.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const struct {
+    const char *name;
+    unsigned mask;
+} LOG_CATEGORIES[] = {
+    {"logStatusError", LOG_ERROR},
+    {"logStatusDiscard", LOG_DISCARD},
+    {"logSteps", LOG_STEPS},
+    {"logAll", LOG_EVERYTHING},
+};
+#define N_LOG_CATEGORIES (sizeof LOG_CATEGORIES / sizeof LOG_CATEGORIES[0])
+
+/* ---- log ---- */
+
+#if defined(__GNUC__)
+__attribute__((format(printf, 4, 5)))
+#endif
+/* Log a message for the importer and answer with the status, so that a refusal is one line. */
+static Status report(const Instance *s, Status status, const char *function, const char *format,
+                     ...) {
+    unsigned mask = status == ERROR ? LOG_ERROR : status == DISCARD ? LOG_DISCARD : LOG_STEPS;
+    if ((s->log_mask & mask) == 0 || s->log_callback == NULL) return status;
+    char message[512];
+    int length = snprintf(message, sizeof message, "%s: ", function);
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(message + length, sizeof message - (size_t)length, format, arguments);
+    va_end(arguments);
+    /* importers may take the message for a format of printf */
+    for (char *c = message; *c != '\0'; c++)
+        if (*c == '%') *c = '/';
+    for (size_t i = 0; i < N_LOG_CATEGORIES; i++)
+        if (LOG_CATEGORIES[i].mask == mask) s->log(s, status, LOG_CATEGORIES[i].name, message);
+    return status;
+}
+
+static Status set_debug_logging(Instance *s, const char *function, int on, size_t n,
+                                const char *const categories[]) {
+    if (s == NULL) return ERROR;
+    unsigned mask = n == 0 ? (on ? LOG_EVERYTHING : LOG_STEPS) : 0;
+    for (size_t i = 0; i < n; i++) {
+        size_t c = 0;
+        const char *name = categories == NULL || categories[i] == NULL ? "" : categories[i];
+        while (c < N_LOG_CATEGORIES && strcmp(LOG_CATEGORIES[c].name, name) != 0) c++;
+        if (c == N_LOG_CATEGORIES)
+            return report(s, ERROR, function, "log category %zu is not known", i + 1);
+        mask |= LOG_CATEGORIES[c].mask;
+    }
+    if (!on)
+        s->log_mask &= ~mask;
+    else
+        s->log_mask = mask;
+    return OK;
+}
+
+/* ---- checks ---- */
+
+static const char *mode_name(int mode) {
+    switch (mode) {
+    case INSTANTIATED: return "before initialization";
+    case INITIALIZATION: return "initialization mode";
+    case EVENT: return "event mode";
+    case CONTINUOUS: return "continuous-time mode";
+    case STEP: return "step mode";
+    case INTERMEDIATE: return "an intermediate update";
+    default: return "a terminated instance";
+    }
+}
+
+static Status check_mode(const Instance *s, const char *function, int modes) {
+    if (s == NULL) return ERROR;
+    if ((s->memory.mode & modes) != 0) return OK;
+    return report(s, ERROR, function, "not allowed in %s", mode_name(s->memory.mode));
+}
+
+/* Most functions are allowed in one kind of instance only. */
+static Status check_kind(const Instance *s, const char *function, Kind kind, int modes) {
+    if (s == NULL) return ERROR;
+    if (s->memory.kind != (int32_t)kind)
+        return report(s, ERROR, function, "not allowed in %s",
+                      kind == CO_SIMULATION ? "Model Exchange" : "Co-Simulation");
+    return check_mode(s, function, modes);
+}
+
+static Status check_array(const Instance *s, const char *function, const void *array, size_t n,
+                          size_t expected) {
+    if (n != expected)
+        return report(s, ERROR, function, "%zu values are given, %zu are expected", n, expected);
+    if (array == NULL && n > 0) return report(s, ERROR, function, "an array is missing");
+    return OK;
+}
+
+static Status refuse(Instance *s, const char *function, size_t n, const char *reason) {
+    if (s == NULL) return ERROR;
+    return n == 0 ? OK : report(s, ERROR, function, "%s", reason);
+}
+
+static Status discard(Instance *s, const char *function, const char *reason) {
+    if (s == NULL) return ERROR;
+    return report(s, DISCARD, function, "%s", reason);
+}
+
+static void invalidate(Instance *s) { s->xdot_valid = s->y_valid = 0; }
+
+/* ---- life ---- */
+
+static void set_start_values(Instance *s) {
+    Memory *m = &s->memory;
+    int32_t kind = m->kind;
+    memset(m, 0, sizeof *m);
+    m->kind = kind;
+    m->mode = INSTANTIATED;
+    m->stop_time = INFINITY;
+    m->tolerance = MODEL_TOLERANCE;
+    for (int i = 0; i < NX; i++) m->x[i] = X_START[i];
+    for (int i = 0; i < NU; i++) m->u[i] = U_START[i];
+    for (int i = 0; i < NP; i++) m->p[i] = P_START[i];
+    invalidate(s);
+}
+
+static Instance *instance_new(Kind kind, const char *name, const char *token, int logging,
+                              LogFunction *log, void (*log_callback)(void), void *environment) {
+    /* never the importer's own allocator: some of them cut the pointer to 32 bits */
+    Instance *s = calloc(1, sizeof *s);
+    if (s == NULL) return NULL;
+    snprintf(s->name, sizeof s->name, "%s", name == NULL || *name == '\0' ? MODEL_NAME : name);
+    s->log_mask = LOG_ERROR | LOG_DISCARD | (logging ? LOG_STEPS : 0u);
+    s->log = log;
+    s->log_callback = log_callback;
+    s->environment = environment;
+    s->memory.kind = (int32_t)kind;
+    set_start_values(s);
+    if (token == NULL || strcmp(token, MODEL_TOKEN) != 0) {
+        report(s, ERROR, "instantiate", "the token (GUID) is not that of this binary, " MODEL_TOKEN
+               ": modelDescription.xml and binary do not belong together");
+        free(s);
+        return NULL;
+    }
+    return s;
+}
+
+static void instance_free(Instance *s) { free(s); }
+
+static Status setup_experiment(Instance *s, const char *function, int has_tolerance,
+                               double tolerance, double start, int has_stop, double stop) {
+    if (check_mode(s, function, INSTANTIATED) != OK) return ERROR;
+    if (!isfinite(start)) return report(s, ERROR, function, "the start time is not finite");
+    if (has_stop && !(isfinite(stop) && stop >= start))
+        return report(s, ERROR, function, "stop time %g must be finite and not before %g", stop,
+                      start);
+    if (has_tolerance && !(isfinite(tolerance) && tolerance > 0.0))
+        return report(s, ERROR, function, "tolerance %g must be finite and > 0", tolerance);
+    s->memory.time = start;
+    s->memory.stop_time = has_stop ? stop : INFINITY;
+    /* a looser tolerance is not taken over, a tighter one as far as rounding allows */
+    s->memory.tolerance = MODEL_TOLERANCE;
+    if (has_tolerance && tolerance < MODEL_TOLERANCE)
+        s->memory.tolerance = tolerance > 1e-11 ? tolerance : 1e-11;
+    invalidate(s);
+    return OK;
+}
+
+static Status enter_initialization(Instance *s, const char *function) {
+    if (check_mode(s, function, INSTANTIATED) != OK) return ERROR;
+    s->memory.mode = INITIALIZATION;
+    return OK;
+}
+
+static Status exit_initialization(Instance *s, const char *function) {
+    if (check_mode(s, function, INITIALIZATION) != OK) return ERROR;
+    s->memory.mode = s->memory.kind == CO_SIMULATION ? STEP : EVENT;
+    return OK;
+}
+
+static Status enter_event_mode(Instance *s, const char *function) {
+    if (check_kind(s, function, MODEL_EXCHANGE, EVENT | CONTINUOUS) != OK) return ERROR;
+    s->memory.mode = EVENT;
+    return OK;
+}
+
+/* A smooth plant has no discrete states: nothing changes at an event but inputs and parameters. */
+static Status update_discrete_states(Instance *s, const char *function) {
+    return check_kind(s, function, MODEL_EXCHANGE, EVENT);
+}
+
+static Status enter_continuous_time(Instance *s, const char *function) {
+    if (check_kind(s, function, MODEL_EXCHANGE, EVENT) != OK) return ERROR;
+    s->memory.mode = CONTINUOUS;
+    return OK;
+}
+
+static Status completed_integrator_step(Instance *s, const char *function) {
+    return check_kind(s, function, MODEL_EXCHANGE, CONTINUOUS);
+}
+
+static Status terminate(Instance *s, const char *function) {
+    if (check_mode(s, function, EVENT | CONTINUOUS | STEP) != OK) return ERROR;
+    s->memory.mode = TERMINATED;
+    return OK;
+}
+
+static Status reset(Instance *s, const char *function) {
+    if (check_mode(s, function, ANY_MODE) != OK) return ERROR;
+    set_start_values(s);
+    return OK;
+}

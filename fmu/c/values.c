@@ -1,0 +1,167 @@
+/* Reading and setting variables, states and time. */
+#include "instance.h"
+
+/* ---- evaluation when asked for ---- */
+
+static int all_finite(const double *values, size_t n) {
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(values[i])) return 0;
+    return 1;
+}
+
+static Status evaluate_xdot(Instance *s, const char *function) {
+    const Memory *m = &s->memory;
+    if (s->xdot_valid) return OK;
+    model_rhs(m->x, m->u, m->p, s->xdot);
+    for (int i = 0; i < NX; i++)
+        if (!isfinite(s->xdot[i]))
+            return report(s, DISCARD, function, "%s is not finite here", NAMES[VR_XDOT + i]);
+    s->xdot_valid = 1;
+    return OK;
+}
+
+static Status evaluate_y(Instance *s, const char *function) {
+    const Memory *m = &s->memory;
+    if (s->y_valid) return OK;
+    model_outputs(m->x, m->u, m->p, s->y);
+    for (int i = 0; i < NY; i++)
+        if (!isfinite(s->y[i]))
+            return report(s, DISCARD, function, "%s is not finite here", NAMES[VR_Y + i]);
+    s->y_valid = 1;
+    return OK;
+}
+
+/* ---- variables ---- */
+
+#define READABLE (INITIALIZATION | INITIALIZED | INTERMEDIATE)
+
+static Status get_values(Instance *s, const char *function, const unsigned *vr, size_t n,
+                         double *values, size_t n_values) {
+    if (check_mode(s, function, READABLE) != OK) return ERROR;
+    if (check_array(s, function, values, n_values, n) != OK) return ERROR;
+    if (vr == NULL && n > 0) return report(s, ERROR, function, "the value references are missing");
+    const Memory *m = &s->memory;
+    for (size_t i = 0; i < n; i++) {
+        Status status = OK;
+        unsigned r = vr[i];
+        if (r >= VR_END)
+            return report(s, ERROR, function, "value reference %u is not known", r);
+        if (r >= VR_Y) {
+            status = evaluate_y(s, function);
+            values[i] = s->y[r - VR_Y];
+        } else if (r >= VR_P) {
+            values[i] = m->p[r - VR_P];
+        } else if (r >= VR_U) {
+            values[i] = m->u[r - VR_U];
+        } else if (r >= VR_XDOT) {
+            status = evaluate_xdot(s, function);
+            values[i] = s->xdot[r - VR_XDOT];
+        } else {
+            values[i] = r == VR_TIME ? m->time : m->x[r - VR_X];
+        }
+        if (status != OK) return status;
+    }
+    return OK;
+}
+
+static Status check_parameter(const Instance *s, const char *function, unsigned r, double value) {
+    const int i = (int)(r - VR_P), mode = s->memory.mode;
+    if (mode != INSTANTIATED && mode != INITIALIZATION) {
+        if (!P_TUNABLE[i])
+            return report(s, ERROR, function, "parameter %s is fixed after initialization",
+                          NAMES[r]);
+        if (mode == CONTINUOUS)
+            return report(s, ERROR, function, "parameter %s can change in event mode only",
+                          NAMES[r]);
+    }
+    if (value < P_MIN[i] || value > P_MAX[i])
+        return report(s, ERROR, function, "%s = %g is outside %g .. %g", NAMES[r], value, P_MIN[i],
+                      P_MAX[i]);
+    return OK;
+}
+
+static Status check_settable(const Instance *s, const char *function, unsigned r, double value) {
+    if (r >= VR_END) return report(s, ERROR, function, "value reference %u is not known", r);
+    if (!isfinite(value)) return report(s, ERROR, function, "%s = %g is not finite", NAMES[r], value);
+    if (r >= VR_P && r < VR_Y) return check_parameter(s, function, r, value);
+    if (r >= VR_U && r < VR_P) return OK;
+    if (r < VR_X || r >= VR_XDOT)
+        return report(s, ERROR, function, "%s is computed and cannot be set", NAMES[r]);
+    /* in Model Exchange some importers set states this way instead of all at once */
+    if ((s->memory.mode & (INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS)) == 0)
+        return report(s, ERROR, function, "the start value of %s can be set before the simulation only",
+                      NAMES[r]);
+    return OK;
+}
+
+static Status set_values(Instance *s, const char *function, const unsigned *vr, size_t n,
+                         const double *values, size_t n_values) {
+    if (check_mode(s, function, INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP) != OK)
+        return ERROR;
+    if (check_array(s, function, values, n_values, n) != OK) return ERROR;
+    if (vr == NULL && n > 0) return report(s, ERROR, function, "the value references are missing");
+    for (size_t i = 0; i < n; i++)
+        if (check_settable(s, function, vr[i], values[i]) != OK) return ERROR;
+    Memory *m = &s->memory;
+    for (size_t i = 0; i < n; i++) {
+        unsigned r = vr[i];
+        double *target = r >= VR_P ? m->p + (r - VR_P) : r >= VR_U ? m->u + (r - VR_U)
+                                                                   : m->x + (r - VR_X);
+        *target = values[i];
+    }
+    invalidate(s);
+    return OK;
+}
+
+/* ---- Model Exchange ---- */
+
+static Status set_time(Instance *s, const char *function, double time) {
+    if (check_kind(s, function, MODEL_EXCHANGE, EVENT | CONTINUOUS) != OK) return ERROR;
+    if (!isfinite(time)) return report(s, ERROR, function, "the time is not finite");
+    s->memory.time = time;
+    invalidate(s);
+    return OK;
+}
+
+static Status set_states(Instance *s, const char *function, const double *x, size_t n) {
+    if (check_kind(s, function, MODEL_EXCHANGE, CONTINUOUS) != OK) return ERROR;
+    if (check_array(s, function, x, n, NX) != OK) return ERROR;
+    /* an integrator that went astray may try again with a shorter step */
+    for (int i = 0; i < NX; i++)
+        if (!isfinite(x[i]))
+            return report(s, DISCARD, function, "%s = %g is not finite", NAMES[VR_X + i], x[i]);
+    memcpy(s->memory.x, x, sizeof s->memory.x);
+    invalidate(s);
+    return OK;
+}
+
+#define READABLE_ME (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
+
+static Status get_states(Instance *s, const char *function, double *x, size_t n) {
+    if (check_kind(s, function, MODEL_EXCHANGE, READABLE_ME) != OK) return ERROR;
+    if (check_array(s, function, x, n, NX) != OK) return ERROR;
+    memcpy(x, s->memory.x, sizeof s->memory.x);
+    return OK;
+}
+
+static Status get_state_derivatives(Instance *s, const char *function, double *xdot, size_t n) {
+    if (check_kind(s, function, MODEL_EXCHANGE, READABLE_ME) != OK) return ERROR;
+    if (check_array(s, function, xdot, n, NX) != OK) return ERROR;
+    Status status = evaluate_xdot(s, function);
+    if (status == OK) memcpy(xdot, s->xdot, sizeof s->xdot);
+    return status;
+}
+
+static Status get_nominals(Instance *s, const char *function, double *nominals, size_t n) {
+    if (check_kind(s, function, MODEL_EXCHANGE, READABLE_ME) != OK) return ERROR;
+    if (check_array(s, function, nominals, n, NX) != OK) return ERROR;
+    memcpy(nominals, X_NOMINAL, sizeof X_NOMINAL);
+    return OK;
+}
+
+static Status get_count(Instance *s, const char *function, size_t value, size_t *count) {
+    if (s == NULL) return ERROR;
+    if (count == NULL) return report(s, ERROR, function, "the place for the answer is missing");
+    *count = value;
+    return OK;
+}

@@ -1,0 +1,362 @@
+"""check_fmu: is an FMU well formed, and does it move as it should?"""
+
+from __future__ import annotations
+
+import os
+import struct
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeAlias
+
+import fmpy.validation
+import numpy as np
+from numpy.typing import NDArray
+
+from pam_ocp.errors import InputError, PamError, require_positive
+from pam_ocp.trajectory import Trajectory
+
+from .compile import PLATFORMS, native
+from .runner import Kind, Runner, UnpackedFmu, pointer
+from .symbols import exported_symbols
+
+__all__ = ["FmuCheck", "check_fmu"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_EXCHANGE_TOLERANCE = 1e-11
+"""Relative tolerance of CVode in Model Exchange: far below the deviations that are looked for."""
+_LINKER_MARKS = ("__dso_handle", "_mh_dylib_header")
+"""zig's linker exports these two addresses from every library for macOS."""
+_PAIRS, _LONGEST_PAIR = 100, 1e-3
+"""FMI 3 gives Co-Simulation no slopes of inputs: a ramp between two samples is played as at least so
+many pairs of held values, no pair longer than this [s]. The two values of a pair, at 1/6 and 5/6 of
+it, have the ramp's mean and first moment: the error is of fourth order in the pair's length."""
+
+
+@dataclass(frozen=True)
+class FmuCheck:
+    """What :func:`check_fmu` found. ``print`` it for a report; ``ok`` for a verdict."""
+
+    path: Path
+    fmi: str
+    tolerance: float
+    platforms: tuple[str, ...]
+    """Platforms the FMU has a binary for, by their names in FMI 3."""
+    findings: tuple[str, ...] = ()
+    """What is wrong, one sentence each."""
+    deviations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """For each mode: the largest deviation of each variable, in units of its nominal."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    @property
+    def largest(self) -> float:
+        """The largest deviation of all, in units of nominal; 0 when nothing was compared."""
+        return max((d for mode in self.deviations.values() for d in mode.values()), default=0.0)
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.path.name}: FMI {self.fmi}, {'all well' if self.ok else 'NOT well'}",
+            f"platforms: {', '.join(self.platforms) or 'none'}",
+        ]
+        names = list(dict.fromkeys(n for mode in self.deviations.values() for n in mode))
+        if names:
+            lines.append(
+                f"{'largest deviation / nominal':<28}"
+                + "".join(f"{m:>16}" for m in self.deviations)
+            )
+            lines += [
+                f"{name:<28}"
+                + "".join(f"{mode.get(name, np.nan):>16.1e}" for mode in self.deviations.values())
+                for name in names
+            ]
+        lines += [f"- {finding}" for finding in self.findings]
+        return "\n".join(lines)
+
+
+def check_fmu(
+    path: str | os.PathLike[str],
+    against: Trajectory | None = None,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    tolerance: float = 1e-6,
+    duration: float = 0.2,
+) -> FmuCheck:
+    """Validate an FMU and let it run in every mode it has.
+
+    1. FMPy's validation of the description and the file.
+    2. Binaries: which platforms are there, do they export FMI functions only.
+    3. Simulation in Co-Simulation and Model Exchange, compared with ``against`` at its times; the
+       inputs run between the samples as the trajectory says (held or linear). Without a trajectory
+       the two modes are compared with each other over ``duration`` [s], at constant inputs.
+    4. A state saved, serialised and restored in another instance continues to the last bit.
+    5. Directional derivatives agree with differences to 1e-6.
+
+    Parameters
+    ----------
+    path : the FMU.
+    against : a Trajectory whose columns have the FMU's names: inputs are played, the first row of
+        the states (and of parameters, where it has some) is the start, states and outputs are
+        compared.
+    parameters : values [SI] other than the FMU's start values, by name.
+    tolerance : largest deviation allowed, in units of each variable's nominal.
+
+    Raises InputError when the file cannot be read as an FMU or nothing can be compared. What is
+    wrong with a readable FMU stands in the result.
+    """
+    file = Path(path)
+    require_positive("tolerance", tolerance)
+    require_positive("duration", duration, "s")
+    if not file.is_file():
+        raise InputError(f"{file}: no such file")
+    with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
+        fmu = UnpackedFmu(file, Path(folder))
+        platforms, findings = _binaries(file, fmu)
+        findings = [*fmpy.validation.validate_fmu(str(file)), *findings]
+        deviations: dict[str, dict[str, float]] = {}
+        if native().name in platforms:
+            try:
+                deviations = _simulated(fmu, against, parameters or {}, duration)
+                findings += _too_large(deviations, tolerance)
+                findings += _state_findings(fmu) + _derivative_findings(fmu)
+            except InputError:
+                raise
+            except Exception as error:  # FMPy raises plain Exceptions
+                findings.append(str(error))
+        else:
+            findings.append(f"no binary for this machine ({native().name}): nothing was simulated")
+    return FmuCheck(file, fmu.fmi, tolerance, platforms, tuple(findings), deviations)
+
+
+def _too_large(deviations: Mapping[str, Mapping[str, float]], tolerance: float) -> list[str]:
+    return [
+        f"{mode}: {name} deviates by {value:.1e} of its nominal, {tolerance:g} is allowed"
+        for mode, columns in deviations.items()
+        for name, value in columns.items()
+        if not value <= tolerance
+    ]
+
+
+# ---- binaries -----------------------------------------------------------------------------------
+
+
+def _binaries(path: Path, fmu: UnpackedFmu) -> tuple[tuple[str, ...], list[str]]:
+    """Platforms with a binary, and what is wrong with the binaries."""
+    interfaces = (fmu.description.modelExchange, fmu.description.coSimulation)
+    identifier = next(i.modelIdentifier for i in interfaces if i is not None)
+    platforms, findings = [], []
+    with zipfile.ZipFile(path) as archive:
+        names = set(archive.namelist())
+        for platform in PLATFORMS.values():
+            folder = platform.folder2 if fmu.fmi == "2.0" else platform.name
+            name = f"binaries/{folder}/{identifier}{platform.suffix}"
+            if name not in names:
+                continue
+            platforms.append(platform.name)
+            try:
+                symbols = exported_symbols(archive.read(name))
+            except (ValueError, IndexError, struct.error) as error:
+                findings.append(f"{name} is no shared library ({error})")
+                continue
+            known = (f"fmi{fmu.fmi[0]}", *_LINKER_MARKS)
+            foreign = [s for s in symbols if not s.startswith(known)]
+            if foreign:
+                findings.append(f"{name} exports foreign symbols: {', '.join(foreign[:5])}")
+            if not symbols:
+                findings.append(f"{name} exports nothing")
+    return tuple(platforms), findings
+
+
+# ---- simulation ---------------------------------------------------------------------------------
+
+
+def _kinds(fmu: UnpackedFmu) -> list[Kind]:
+    offered: list[tuple[Kind, object]] = [
+        ("CoSimulation", fmu.description.coSimulation),
+        ("ModelExchange", fmu.description.modelExchange),
+    ]
+    return [kind for kind, interface in offered if interface is not None]
+
+
+def _simulated(
+    fmu: UnpackedFmu,
+    against: Trajectory | None,
+    parameters: Mapping[str, float],
+    duration: float,
+) -> dict[str, dict[str, float]]:
+    if against is not None:
+        compared = [n for n in against.names if n in fmu.names("output")]
+        if not compared:
+            raise InputError("the trajectory has no column that is an output of the FMU")
+        truth = against.array(compared)
+        return {
+            kind: _deviations(
+                fmu, compared, truth, _replay(fmu, kind, against, parameters, compared)
+            )
+            for kind in _kinds(fmu)
+        }
+    outputs = fmu.names("output")
+    still = Trajectory(np.linspace(0.0, duration, 51), {})
+    runs = {kind: _replay(fmu, kind, still, parameters, outputs) for kind in _kinds(fmu)}
+    if len(runs) < 2:
+        return {}
+    first, second = runs
+    return {f"{first} - {second}": _deviations(fmu, outputs, runs[first], runs[second])}
+
+
+def _deviations(fmu: UnpackedFmu, names: list[str], truth: Array, found: Array) -> dict[str, float]:
+    scaled = np.max(np.abs(found - truth), axis=0) / fmu.nominals(names)
+    return dict(zip(names, map(float, scaled), strict=True))
+
+
+def _replay(
+    fmu: UnpackedFmu,
+    kind: Kind,
+    record: Trajectory,
+    parameters: Mapping[str, float],
+    outputs: list[str],
+) -> Array:
+    """Values of ``outputs`` at the record's times, its inputs played to an instance."""
+    inputs = [n for n in fmu.names("input") if n in record]
+    values = record.array(inputs)
+    given = [*fmu.states, *fmu.names("parameter")]
+    start = {n: float(record[n][0]) for n in given if n in record}
+    start |= dict(zip(inputs, values[0], strict=True)) if inputs else {}
+    linear = record.interpolation == "linear" and bool(inputs)
+    play = _play_exchange if kind == "ModelExchange" else _play_simulation
+    with Runner(fmu, kind) as runner:
+        try:
+            runner.initialize({**start, **parameters}, float(record.t[0]), None)
+            return play(runner, record.t, inputs, values, linear, outputs)
+        except PamError:
+            raise
+        except Exception as error:  # FMPy raises plain Exceptions
+            raise runner.failure(error) from None
+
+
+def _play_simulation(
+    runner: Runner, t: Array, inputs: list[str], values: Array, linear: bool, outputs: list[str]
+) -> Array:
+    rows = []
+    for k, (begin, end) in enumerate([*pairwise(t), (t[-1], t[-1])]):
+        runner.change_inputs(dict(zip(inputs, values[k], strict=True)))
+        rows.append(runner.get(outputs))
+        if begin == end:
+            break
+        if not linear:
+            runner.step(begin, end - begin)
+        elif runner.fmu.fmi == "2.0":
+            slopes = (values[k + 1] - values[k]) / (end - begin)
+            references = runner.references(inputs)
+            runner.inner.setRealInputDerivatives(references, [1] * len(inputs), slopes)
+            runner.step(begin, end - begin)
+        else:
+            _play_ramp(runner, begin, end, inputs, values[k], values[k + 1])
+    return np.array(rows)
+
+
+def _play_ramp(
+    runner: Runner, begin: float, end: float, inputs: list[str], first: Array, last: Array
+) -> None:
+    """Inputs from ``first`` to ``last`` in a straight line, by held values."""
+    pairs = max(_PAIRS, int(np.ceil((end - begin) / _LONGEST_PAIR)))
+    size = (end - begin) / (2 * pairs)
+    for i in range(2 * pairs):
+        place = (i // 2 + (1 / 6 if i % 2 == 0 else 5 / 6)) / pairs
+        runner.set(dict(zip(inputs, first + place * (last - first), strict=True)))
+        runner.step(begin + i * size, size)
+
+
+def _play_exchange(
+    runner: Runner, t: Array, inputs: list[str], values: Array, linear: bool, outputs: list[str]
+) -> Array:
+    def ramps(time: float) -> dict[str, float]:
+        return {n: float(np.interp(time, t, values[:, i])) for i, n in enumerate(inputs)}
+
+    solver = runner.integrator(float(t[0]), _EXCHANGE_TOLERANCE, ramps if linear else None)
+    rows = []
+    for k, (begin, end) in enumerate([*pairwise(t), (t[-1], t[-1])]):
+        jump = k > 0 and not linear and bool(np.any(values[k] != values[k - 1]))
+        kink = k > 0 and linear
+        if jump:
+            runner.change_inputs(dict(zip(inputs, values[k], strict=True)))
+        if jump or kink:
+            solver.reset(begin)
+        if linear:
+            runner.set(ramps(begin))
+        rows.append(runner.get(outputs))
+        if begin < end:
+            solver.step(begin, end)
+            runner.inner.setTime(end)
+    return np.array(rows)
+
+
+# ---- saved states and derivatives ---------------------------------------------------------------
+
+
+def _state_findings(fmu: UnpackedFmu) -> list[str]:
+    """A state restored in another instance must continue to the last bit."""
+    simulation = fmu.description.coSimulation
+    if simulation is None or not simulation.canSerializeFMUstate:
+        return []
+    outputs, size = fmu.names("output"), 1e-3
+    with Runner(fmu, "CoSimulation") as one, Runner(fmu, "CoSimulation") as other:
+        for runner in (one, other):
+            runner.initialize({}, 0.0, None)
+        for i in range(10):
+            one.step(i * size, size)
+        saved = one.save()
+        other.restore(saved)
+        for i in range(10, 20):
+            one.step(i * size, size)
+            other.step(i * size, size)
+        same = np.array_equal(one.get(outputs), other.get(outputs))
+        one.restore(saved)
+        for i in range(10, 20):
+            one.step(i * size, size)
+        rolled_back = np.array_equal(one.get(outputs), other.get(outputs))
+    findings = []
+    if not same:
+        findings.append("a state restored in another instance does not continue to the last bit")
+    if not rolled_back:
+        findings.append("a state rolled back does not continue to the last bit")
+    return findings
+
+
+def _derivative_findings(fmu: UnpackedFmu) -> list[str]:
+    """Directional derivatives against central differences, in units of nominal."""
+    exchange = fmu.description.modelExchange
+    if exchange is None or not exchange.providesDirectionalDerivative:
+        return []
+    unknowns = [f"der({n})" for n in fmu.states]
+    unknowns += [n for n in fmu.names("output") if n not in fmu.states]
+    knowns = [*fmu.states, *fmu.names("input")]
+    scale, reach = fmu.nominals(unknowns), 1e-4 * fmu.nominals(knowns)
+    findings = []
+    with Runner(fmu, "ModelExchange") as runner:
+        runner.initialize({}, 0.0, None)
+        point = runner.get(knowns)
+
+        def at(values: Array) -> Array:
+            n = len(fmu.states)
+            states = np.ascontiguousarray(values[:n])
+            runner.inner.setContinuousStates(pointer(states), n)
+            runner.set(dict(zip(knowns[n:], values[n:], strict=True)))
+            return runner.get(unknowns)
+
+        for i, known in enumerate(knowns):
+            step = np.where(np.arange(len(knowns)) == i, reach, 0.0)
+            difference = (at(point + step) - at(point - step)) / (2 * reach[i])
+            at(point)
+            exact = runner.directional(unknowns, [known], [1.0])
+            size = np.maximum(np.abs(exact), scale / reach[i] * 1e-4)
+            if np.max(np.abs(exact - difference) / size) > 1e-5:
+                findings.append(f"directional derivatives along {known} differ from differences")
+    return findings

@@ -1,0 +1,217 @@
+"""Under sanitizers, in threads, in strange folders, from other importers: an FMU stays sound."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide, flat
+from scipy.linalg import expm
+
+import pam_ocp as pam
+from pam_ocp import ExportError
+from pam_ocp.fmu import check_fmu, export_fmu
+from pam_ocp.fmu import compile as compiler
+from pam_ocp.fmu.runner import Runner, UnpackedFmu
+
+VERSIONS = ("2.0", "3.0")
+HERE = Path(__file__).parent / "c"
+
+
+def exported(folder: Path, fmi: Any, plant: pam.Plant | None = None, **options: Any) -> Path:
+    plant = plant or benchmark_slide()
+    return export_fmu(plant, folder / f"{fmi[0]}.fmu", fmi=fmi, platforms="native", **options)
+
+
+def lonely() -> pam.Plant:
+    """No input, no parameter, no output of its own."""
+    plant = pam.Plant("lonely")
+    x, v = plant.state("x", start=1.0), plant.state("v")
+    plant.der(x, v)
+    plant.der(v, -x)
+    return plant
+
+
+def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -> Path:
+    """A C program of tests/c, compiled by gcc together with the sources of an FMU."""
+    with zipfile.ZipFile(exported(folder, fmi, plant)) as archive:
+        archive.extractall(folder / "fmu")
+    target = folder / program
+    subprocess.run(
+        ["gcc", "-std=c11", "-g", "-O1", *flags, "-I", str(folder / "fmu" / "sources"),
+         str(HERE / f"{program}.c"), "-o", str(target), "-lm"],
+        check=True,
+    )  # fmt: skip
+    return target
+
+
+@pytest.mark.slow
+def test_a_quiet_millisecond_costs_at_most_three_times_the_model_calls_of_one_rodas_step(
+    tmp_path: Path,
+) -> None:
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"))
+    with zipfile.ZipFile(exported(tmp_path, "2.0", plant)) as archive:
+        archive.extractall(tmp_path / "fmu")
+    subprocess.run(
+        [sys.executable, "-m", "ziglang", "cc", "-target", compiler.native().target, "-std=c11",
+         "-O2", "-ffp-contract=off", "-I", str(tmp_path / "fmu" / "sources"),
+         str(HERE / "step_cost.c"), "-o", str(tmp_path / "step_cost"), "-lm"],
+        check=True,
+    )  # fmt: skip
+    done = subprocess.run([str(tmp_path / "step_cost")], capture_output=True, text=True, check=True)
+    print(done.stdout)
+    costs = [float(c) for c in re.findall(r"= +([\d.]+) units", done.stdout)]
+    assert len(costs) == 4
+    assert costs[0] < 3.0, done.stdout
+
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc with sanitizers")
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [benchmark_slide, lonely])
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_million_random_calls_do_no_harm(fmi: str, make: Any, tmp_path: Path) -> None:
+    fuzz = built(
+        tmp_path, fmi, make(), "fuzz", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    )
+    for seed in range(4):
+        done = subprocess.run(
+            [str(fuzz), "250000", str(seed)], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout[-500:] + done.stderr[-2000:]
+        assert "0 silent" in done.stdout
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="needs valgrind")
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_valgrind_finds_no_error_and_no_leak(fmi: str, tmp_path: Path) -> None:
+    fuzz = built(tmp_path, fmi, benchmark_slide(), "fuzz")
+    command = ["valgrind", "-q", "--error-exitcode=9", "--leak-check=full", str(fuzz), "10000", "3"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_a_stiff_linear_plant_of_badly_scaled_states_follows_the_matrix_exponential(
+    tmp_path: Path,
+) -> None:
+    rng, n = np.random.default_rng(5), 9
+    scale = 10.0 ** rng.integers(-4, 6, n)
+    basis = rng.normal(size=(n, n))
+    rates = -np.logspace(0, 5, n)
+    a = np.diag(scale) @ basis @ np.diag(rates) @ np.linalg.inv(basis) @ np.diag(1 / scale)
+    start = scale * rng.normal(size=n)
+    plant = pam.Plant("chain")
+    states = [plant.state(f"x{i}", start=start[i], nominal=scale[i]) for i in range(n)]
+    for row, state in zip(a, states, strict=True):
+        plant.der(state, sum(float(c) * x for c, x in zip(row, states, strict=True)))
+    expected = expm(a * 0.5) @ start
+    for fmi in VERSIONS:
+        fmu = UnpackedFmu(exported(tmp_path, fmi, plant), tmp_path / fmi)
+        with Runner(fmu, "CoSimulation") as runner:
+            runner.initialize({}, 0.0, None)
+            runner.step(0.0, 0.5)
+            found = runner.get(fmu.states)
+        assert np.max(np.abs(found - expected) / scale) < 1e-6
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler of the system")
+def test_without_zig_the_compiler_of_the_system_builds_for_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler.util, "find_spec", lambda name: None)
+    compiler._compiler.cache_clear()
+    try:
+        found = check_fmu(exported(tmp_path, "2.0"))
+        assert found.ok, str(found)
+        with pytest.raises(ExportError, match="for this machine only"):
+            export_fmu(benchmark_slide(), tmp_path / "all.fmu")
+    finally:
+        compiler._compiler.cache_clear()
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_eight_threads_give_the_same_bits_as_one(fmi: str, tmp_path: Path) -> None:
+    fmu = UnpackedFmu(exported(tmp_path, fmi), tmp_path / "unpacked")
+
+    def play(runner: Runner) -> Any:
+        for k in range(200):
+            runner.set({"muscle1.command": (2 + k % 3) * BAR})
+            runner.step(k * 1e-3, 1e-3)
+        return runner.get(fmu.names("output"))
+
+    runners = [Runner(fmu, "CoSimulation") for _ in range(9)]
+    for runner in runners:
+        runner.initialize({"x": 0.004}, 0.0, None)
+    alone = play(runners.pop())
+    with ThreadPoolExecutor(8) as pool:
+        for together in pool.map(play, runners):
+            assert np.array_equal(together, alone)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_read_only_folder_with_spaces_and_umlauts_is_no_hindrance(
+    fmi: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "Prüfstand mit Müskeln"
+    folder.mkdir()
+    moved = Path(shutil.move(exported(tmp_path, fmi), folder / "schlitten größe 1.fmu"))
+    subprocess.run(["unzip", "-q", str(moved), "-d", str(folder / "ausgepackt")], check=True)
+    for file in sorted(folder.rglob("*"), reverse=True):
+        file.chmod(0o555)
+    try:
+        result = fmpy.simulate_fmu(str(folder / "ausgepackt"), stop_time=0.01)
+        assert result["x"][-1] == pytest.approx(0.0, abs=1e-12)
+    finally:
+        for file in sorted(folder.rglob("*")):
+            file.chmod(0o755)
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_fmpy_simulates_it_in_one_call(fmi: str, kind: str, tmp_path: Path) -> None:
+    plant, t = benchmark_slide(), np.linspace(0, 0.2, 21)
+    truth = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t, parameters={"mass": 1.5})
+    result = fmpy.simulate_fmu(
+        str(exported(tmp_path, fmi)), fmi_type=kind, stop_time=0.2, output_interval=0.01,
+        start_values={"muscle1.command": 4 * BAR, "mass": 1.5}, relative_tolerance=1e-10,
+    )  # fmt: skip
+    assert result["time"] == pytest.approx(t, abs=1e-12)
+    for variable in (*plant.states, *plant.outputs):
+        name = variable.name
+        assert np.max(np.abs(result[name] - truth[name])) < 1e-6 * variable.nominal, name
+
+
+def test_casadi_imports_it_for_model_exchange(tmp_path: Path) -> None:
+    plant = benchmark_slide()
+    with zipfile.ZipFile(exported(tmp_path, "2.0")) as archive:
+        archive.extractall(tmp_path / "unpacked")
+    builder = ca.DaeBuilder("slide", str(tmp_path / "unpacked"))
+    f = builder.create("f", ["x", "u"], ["ode"])
+    names = builder.x()
+    order = [names.index(v.name) for v in plant.states]
+    x = plant.vector("state", {"x": 0.004, "v": 0.1})
+    u = plant.vector("input")
+    given = np.empty(len(names))
+    given[order] = x
+    ode = flat(f(given, u))[order]
+    expected = flat(plant.function(x, u, plant.vector("parameter"))[0])
+    assert ode == pytest.approx(expected, rel=1e-12, abs=1e-9)
+    jacobian = np.asarray(f.factory("j", ["x", "u"], ["jac:ode:x"])(given, u))
+    exact = ca.Function("J", [plant.x, plant.u, plant.p],
+                        [ca.jacobian(plant.function(plant.x, plant.u, plant.p)[0], plant.x)])  # fmt: skip
+    expected_jacobian = np.asarray(ca.densify(exact(x, u, plant.vector("parameter"))))
+    assert jacobian[np.ix_(order, order)] == pytest.approx(expected_jacobian, rel=1e-9, abs=1e-9)
