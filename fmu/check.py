@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import fmpy.validation
 import numpy as np
@@ -31,6 +31,8 @@ _EXCHANGE_TOLERANCE = 1e-11
 """Relative tolerance of CVode in Model Exchange: far below the deviations that are looked for."""
 _LINKER_MARKS = ("__dso_handle", "_mh_dylib_header")
 """zig's linker exports these two addresses from every library for macOS."""
+_CURVE_PARTS = 50
+"""An input that is curved between its breaks is played as so many straight lines."""
 _PAIRS, _LONGEST_PAIR = 100, 1e-3
 """FMI 3 gives Co-Simulation no slopes of inputs: a ramp between two samples is played as at least so
 many pairs of held values, no pair longer than this [s]. The two values of a pair, at 1/6 and 5/6 of
@@ -50,6 +52,8 @@ class FmuCheck:
     """What is wrong, one sentence each."""
     deviations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """For each mode: the largest deviation of each variable, in units of its nominal."""
+    trajectories: Mapping[str, Trajectory] = field(default_factory=dict, repr=False)
+    """For each mode: what the FMU did, at the times and with the inputs of ``against``."""
 
     @property
     def ok(self) -> bool:
@@ -60,6 +64,18 @@ class FmuCheck:
     def largest(self) -> float:
         """The largest deviation of all, in units of nominal; 0 when nothing was compared."""
         return max((d for mode in self.deviations.values() for d in mode.values()), default=0.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict and its figures as plain data, for JSON."""
+        return {
+            "file": self.path.name,
+            "fmi": self.fmi,
+            "ok": self.ok,
+            "platforms": list(self.platforms),
+            "findings": list(self.findings),
+            "largest": {mode: max(found.values()) for mode, found in self.deviations.items()},
+            "deviations": {mode: dict(found) for mode, found in self.deviations.items()},
+        }
 
     def __str__(self) -> str:
         lines = [
@@ -121,9 +137,10 @@ def check_fmu(
         platforms, findings = _binaries(file, fmu)
         findings = [*fmpy.validation.validate_fmu(str(file)), *findings]
         deviations: dict[str, dict[str, float]] = {}
+        runs: dict[str, Trajectory] = {}
         if native().name in platforms:
             try:
-                deviations = _simulated(fmu, against, parameters or {}, duration)
+                deviations, runs = _simulated(fmu, against, parameters or {}, duration)
                 findings += _too_large(deviations, tolerance)
                 findings += _state_findings(fmu) + _derivative_findings(fmu)
             except InputError:
@@ -132,7 +149,7 @@ def check_fmu(
                 findings.append(str(error))
         else:
             findings.append(f"no binary for this machine ({native().name}): nothing was simulated")
-    return FmuCheck(file, fmu.fmi, tolerance, platforms, tuple(findings), deviations)
+    return FmuCheck(file, fmu.fmi, tolerance, platforms, tuple(findings), deviations, runs)
 
 
 def _too_large(deviations: Mapping[str, Mapping[str, float]], tolerance: float) -> list[str]:
@@ -190,25 +207,53 @@ def _simulated(
     against: Trajectory | None,
     parameters: Mapping[str, float],
     duration: float,
-) -> dict[str, dict[str, float]]:
+) -> tuple[dict[str, dict[str, float]], dict[str, Trajectory]]:
+    """Deviations, and what the FMU did, for each mode."""
     if against is not None:
         compared = [n for n in against.names if n in fmu.names("output")]
         if not compared:
             raise InputError("the trajectory has no column that is an output of the FMU")
         truth = against.array(compared)
-        return {
-            kind: _deviations(
-                fmu, compared, truth, _replay(fmu, kind, against, parameters, compared)
-            )
-            for kind in _kinds(fmu)
+        played, rows = _played(against)
+        found = {
+            kind: _replay(fmu, kind, played, parameters, compared)[rows] for kind in _kinds(fmu)
         }
+        runs: dict[str, Trajectory] = {
+            kind: _run(against, compared, values) for kind, values in found.items()
+        }
+        return {k: _deviations(fmu, compared, truth, v) for k, v in found.items()}, runs
     outputs = fmu.names("output")
     still = Trajectory(np.linspace(0.0, duration, 51), {})
-    runs = {kind: _replay(fmu, kind, still, parameters, outputs) for kind in _kinds(fmu)}
-    if len(runs) < 2:
-        return {}
-    first, second = runs
-    return {f"{first} - {second}": _deviations(fmu, outputs, runs[first], runs[second])}
+    found = {kind: _replay(fmu, kind, still, parameters, outputs) for kind in _kinds(fmu)}
+    if len(found) < 2:
+        return {}, {}
+    first, second = found
+    return {f"{first} - {second}": _deviations(fmu, outputs, found[first], found[second])}, {}
+
+
+def _played(record: Trajectory) -> tuple[Trajectory, NDArray[np.intp]]:
+    """The record with all breaks of its inputs among its times, and where its own times are."""
+    if record.signals is None:
+        return record, np.arange(len(record))
+    breaks = record.signals.breaks
+    if record.signals.degree > 1:  # curved inputs are played as short straight lines
+        parts = np.linspace(0.0, 1.0, _CURVE_PARTS, endpoint=False)
+        breaks = np.append(
+            (breaks[:-1, None] + np.diff(breaks)[:, None] * parts).ravel(), breaks[-1]
+        )
+    inside = breaks[(breaks > record.t[0]) & (breaks < record.t[-1])]
+    nearest = record.t[np.clip(np.searchsorted(record.t, inside), 1, len(record) - 1)]
+    before = record.t[np.clip(np.searchsorted(record.t, inside), 1, len(record) - 1) - 1]
+    apart = np.minimum(np.abs(nearest - inside), np.abs(before - inside))
+    times = np.union1d(record.t, inside[apart > 1e-12 * (1 + np.abs(inside))])
+    return record.at(times), np.searchsorted(times, record.t)
+
+
+def _run(record: Trajectory, names: list[str], values: Array) -> Trajectory:
+    inputs = record.named("input")
+    columns = {n: record[n] for n in inputs} | dict(zip(names, values.T, strict=True))
+    variables = [record.variable(n) for n in (*names, *inputs)]
+    return Trajectory(record.t, columns, variables, record.interpolation)
 
 
 def _deviations(fmu: UnpackedFmu, names: list[str], truth: Array, found: Array) -> dict[str, float]:
@@ -338,7 +383,7 @@ def _derivative_findings(fmu: UnpackedFmu) -> list[str]:
     unknowns = [f"der({n})" for n in fmu.states]
     unknowns += [n for n in fmu.names("output") if n not in fmu.states]
     knowns = [*fmu.states, *fmu.names("input")]
-    scale, reach = fmu.nominals(unknowns), 1e-4 * fmu.nominals(knowns)
+    scale, reach = fmu.nominals(unknowns), 1e-5 * fmu.nominals(knowns)
     findings = []
     with Runner(fmu, "ModelExchange") as runner:
         runner.initialize({}, 0.0, None)
@@ -356,7 +401,7 @@ def _derivative_findings(fmu: UnpackedFmu) -> list[str]:
             difference = (at(point + step) - at(point - step)) / (2 * reach[i])
             at(point)
             exact = runner.directional(unknowns, [known], [1.0])
-            size = np.maximum(np.abs(exact), scale / reach[i] * 1e-4)
+            size = np.maximum(np.abs(exact), scale / reach[i] * 1e-5)
             if np.max(np.abs(exact - difference) / size) > 1e-5:
                 findings.append(f"directional derivatives along {known} differ from differences")
     return findings
