@@ -153,7 +153,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     loads.set_defaults(run=_loads)
 
-    muscles = commands.add_parser("muscles", help="list the catalogue of muscles")
+    muscles = commands.add_parser(
+        "muscles",
+        help="list the catalogue of muscles, or show one",
+        description="Without arguments: the catalogue. 'show NAME': one muscle with its source, forces "
+        "and stiffness.",
+    )
+    muscles.add_argument("show", nargs="?", choices=("show",), help="show one muscle")
+    muscles.add_argument(
+        "name", nargs="?", metavar="NAME", help="name in the catalogue, or a muscle file"
+    )
+    muscles.add_argument(
+        "--rest-length", type=float, metavar="M", help="in metres, where the catalogue holds none"
+    )
+    muscles.add_argument(
+        "--plot", type=Path, metavar="FILE.png", help="draw force over contraction and pressure"
+    )
     muscles.set_defaults(run=_muscles)
     return parser
 
@@ -240,11 +255,11 @@ def _plant(name: str, muscle_name: str) -> Any:
     return plant
 
 
-def _muscle(name: str) -> Any:
+def _muscle(name: str, rest_length: float | None = None) -> Any:
     from .muscle.catalogue import muscle
     from .muscle.muscle_file import load_muscle
 
-    return load_muscle(name) if name.endswith(".json") else muscle(name)
+    return load_muscle(name) if name.endswith(".json") else muscle(name, rest_length=rest_length)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -277,7 +292,54 @@ def _loads(options: argparse.Namespace) -> int:
 def _muscles(options: argparse.Namespace) -> int:
     from .muscle.catalogue import muscle_names, summary, transfer_note
 
+    if options.show:
+        return _show(options)
     for name in muscle_names():
         print(summary(name))
     print(f"\n{transfer_note()}")
     return 0
+
+
+def _show(options: argparse.Namespace) -> int:
+    if options.name is None:
+        raise InputError("muscles show: give the NAME of a muscle; 'pam-ocp muscles' lists them")
+    muscle = _muscle(options.name, options.rest_length)
+    print(muscle_text(muscle))
+    if options.plot:
+        from .files import atomic_path
+        from .plot import plot_muscle
+
+        with atomic_path(options.plot) as temporary:
+            plot_muscle(muscle).savefig(temporary, dpi=130)
+        print(f"-> {options.plot}")
+    return 0
+
+
+def muscle_text(muscle: Any) -> str:
+    """A muscle's source and a table of its force [N] over pressure and contraction."""
+    import warnings
+
+    from .muscle.validity import ValidityWarning
+
+    low, high = muscle.contraction_range
+    pressures = [muscle.pressure_range[1] * i / 6 for i in range(1, 7)]
+    contractions = [max(low, 0.0) + (high - max(low, 0.0)) * i / 5 for i in range(6)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ValidityWarning)
+        rows = [[float(muscle.force(p, k)) for k in contractions] for p in pressures]
+        ends = [float(muscle.max_contraction(p)) for p in pressures]
+    lines = [
+        f"{muscle.name}: {muscle.law.title}",
+        f"rest length {1e3 * muscle.rest_length:g} mm"
+        + (f", inner diameter {1e3 * muscle.diameter:g} mm" if muscle.diameter else ""),
+        f"source: {muscle.source}",
+        *([muscle.note] if muscle.note else []),
+        "",
+        "force [N]; rows: pressure [bar gauge], columns: contraction [%]; last: slack from there on",
+        f"{'':>7}" + "".join(f"{100 * k:>9.1f}" for k in contractions) + f"{'slack at':>10}",
+    ]
+    for p, row, end in zip(pressures, rows, ends, strict=True):
+        lines.append(
+            f"{p / 1e5:>7.2f}" + "".join(f"{f:>9.1f}" for f in row) + f"{100 * end:>8.1f} %"
+        )
+    return "\n".join(lines)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from .fit.static import ForceFit
     from .load_study import LoadStudy
+    from .muscle.muscle import Muscle
     from .plan.solve import Plan
     from .validation import RecordComparison
 
@@ -25,6 +26,7 @@ __all__ = [
     "plot_comparison",
     "plot_fit",
     "plot_load_study",
+    "plot_muscle",
     "plot_plan",
     "plot_record",
     "plot_trajectory",
@@ -285,4 +287,32 @@ def plot_load_study(study: LoadStudy) -> Figure:
     axes[0, 0].set_title(f"{study.muscle}, hanging loads", loc="left", fontsize="medium")
     for ax in axes[-1]:
         ax.set_xlabel("pressure [bar gauge]")
+    return figure
+
+
+def plot_muscle(muscle: Muscle) -> Figure:
+    """Force and stiffness over contraction, one line per pressure, within the measured range."""
+    import warnings
+
+    from .muscle.validity import ValidityWarning
+
+    figure, axes = _figure(1, 2, size=(11, 4.6))
+    low, high = muscle.contraction_range
+    kappa = np.linspace(min(low, 0.0), high, 300)
+    pressures = np.linspace(muscle.pressure_range[0], muscle.pressure_range[1], 7)[1:]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ValidityWarning)
+        for colour, p in zip(_colours(pressures), pressures, strict=True):
+            for ax, values in (
+                (axes[0, 0], muscle.force(p, kappa)),
+                (axes[0, 1], muscle.stiffness(p, kappa) / 1e3),
+            ):
+                ax.plot(100 * kappa, values, color=colour, lw=1.6)
+    axes[0, 0].set_ylabel("pulling force [N]")
+    axes[0, 1].set_ylabel("stiffness at constant pressure [N/mm]")
+    axes[0, 0].set_title(f"{muscle.name}: {muscle.law.title}", loc="left", fontsize="medium")
+    for ax in axes[0]:
+        ax.set_xlabel("contraction [%]")
+        ax.set_ylim(bottom=0.0)
+    _pressure_scale(figure, list(axes[0]), pressures)
     return figure

@@ -142,6 +142,17 @@ def test_muscles_lists_the_catalogue(capsys):
     assert "14-27 %" in out
 
 
+def test_one_muscle_is_shown_with_its_forces(capsys, tmp_path):
+    plot = tmp_path / "muscle.png"
+    code, out, _ = run(capsys, "muscles", "show", "DMSP-20-400N", "--plot", plot)
+    assert code == 0
+    assert "1804.6" in out  # F(0) at 6 bar of the published set
+    assert "27.9 %" in out
+    assert plot.stat().st_size > 20_000
+    code, _, err = run(capsys, "muscles", "show")
+    assert (code, "give the NAME" in err) == (2, True)
+
+
 @pytest.mark.slow
 def test_the_tour_leaves_its_figures_fmus_and_summary(capsys, tmp_path):
     code, out, _ = run(capsys, "tour", "--out", tmp_path / "tour")

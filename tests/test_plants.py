@@ -207,3 +207,16 @@ def test_the_weight_on_an_incline_is_its_component():
 def test_what_cannot_be_built_is_refused(build, message):
     with pytest.raises(InputError, match=message):
         build()
+
+
+def test_a_muscle_measured_away_from_rest_length_starts_where_it_was_measured():
+    from dataclasses import replace
+
+    measured = replace(MUSCLE, contraction_range=(0.02, 0.2))
+    for plant in (
+        pam.HangingLoad(measured),
+        pam.SpringOverMuscle(measured),
+        pam.SeriesLoad(measured),
+    ):
+        name = "muscle.shortening" if plant.name == "series_load" else "x"
+        assert plant.variable(name).start == pytest.approx(0.008)

@@ -7,7 +7,7 @@ Each function here makes a subclass of ForceLaw, so that everything that takes a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import make_dataclass
+from dataclasses import Field, make_dataclass
 from functools import cache
 from typing import Any, cast
 
@@ -166,6 +166,11 @@ def own_law(
     for key in coefficients:
         if not key.isidentifier() or key in ("p", "kappa", "slack_width", "pre_contraction"):
             raise InputError(f"coefficient {key!r}: choose another name; it is no name or is taken")
+        if not isinstance(coefficients[key], Field):
+            raise InputError(
+                f"coefficient {key!r} = {coefficients[key]!r}: describe it by "
+                'coefficient(unit, nominal, description), as coefficient("N", 100.0, "offset")'
+            )
     if isinstance(formula, ca.SX):
         formula = _from_expression(formula, tuple(coefficients))
     elif not callable(formula):

@@ -8,13 +8,15 @@ from ..errors import InputError, require_positive
 from ..muscle.losses import ConstantDamping, Damping, Loss
 from ..muscle.muscle import Muscle
 from .actuator import Feed
+from .loads import Coordinate, Load, applied
+from .pair import mirrored_pair, reach
 from .plant import Plant
 
 __all__ = ["AntagonisticSlide"]
 
 
 class AntagonisticSlide(Plant):
-    """Two muscles pulling a slide in opposite directions: m x'' + c x' = F1 - F2.
+    """Two muscles pulling a slide in opposite directions: m x'' + c x' = F1 - F2 + loads.
 
     kappa1 = k0 + x/l0 and kappa2 = k0 - x/l0: muscle 1 pulls towards +x, muscle 2 towards -x.
 
@@ -27,6 +29,7 @@ class AntagonisticSlide(Plant):
     damping : ``ConstantDamping(value)`` (default 20 N s/m) or ``StiffnessDamping(ratio)``.
     feed : how each pressure comes about; default ``Regulator()``.
     losses : friction, hysteresis, creep of each muscle, as ``(CoulombFriction(), Creep())``.
+    loads : what else acts on the slide, as ``(ExternalForce(), DryFriction(5.0))``.
 
     States x [m], v [m/s], those of feeds and losses; outputs of both muscles, and ``stiffness``.
     With equal muscles the plant is its own mirror image (x -> -x, muscle 1 <-> muscle 2).
@@ -43,18 +46,19 @@ class AntagonisticSlide(Plant):
         damping: Damping | None = None,
         feed: Feed | None = None,
         losses: Sequence[Loss] = (),
+        loads: Sequence[Load] = (),
         name: str = "antagonistic_slide",
     ) -> None:
         super().__init__(name, "an antagonistic pair of pneumatic muscles on a slide")
         require_positive("mass", mass, "kg")
         muscles = (muscle, muscle if muscle2 is None else muscle2)
-        reach = min(_reach(m, pre_contraction) for m in muscles)
+        farthest = min(reach(m, pre_contraction) for m in muscles)
         if stroke is None:
-            stroke = reach
-        elif require_positive("stroke", stroke, "m") > reach:
+            stroke = farthest
+        elif require_positive("stroke", stroke, "m") > farthest:
             raise InputError(
                 f"stroke = {stroke:g} m: with pre_contraction = {pre_contraction:g} the muscles allow "
-                f"at most {reach:.4g} m before one leaves its range of contraction"
+                f"at most {farthest:.4g} m before one leaves its range of contraction"
             )
         x = self.state(
             "x", unit="m", min=-stroke, max=stroke, nominal=0.01,
@@ -83,29 +87,11 @@ class AntagonisticSlide(Plant):
         stiffness = pair[0].stiffness + pair[1].stiffness
         c = (damping or ConstantDamping()).coefficient(self, m, stiffness)
         self.der(x, v)
-        self.der(v, (pair[0].force - pair[1].force - c * v) / m)
+        outside, added = applied(self, loads, Coordinate(x, v))
+        self.der(v, (pair[0].force - pair[1].force - c * v + outside) / (m + added))
         self.output(
             "stiffness", stiffness, unit="N/m", nominal=1e4,
             description="stiffness of the slide at constant pressures",
         )  # fmt: skip
-        if muscles[0] == muscles[1]:
-            self.mirror({"x": (-1.0, "x"), "v": (-1.0, "v"), **self._swapped_muscles()})
-
-    def _swapped_muscles(self) -> dict[str, tuple[float, str]]:
-        swapped = {}
-        for variable in (*self.states, *self.inputs):
-            for one, two in (("muscle1.", "muscle2."), ("muscle2.", "muscle1.")):
-                if variable.name.startswith(one):
-                    swapped[variable.name] = (1.0, two + variable.name.removeprefix(one))
-        return swapped
-
-
-def _reach(muscle: Muscle, pre_contraction: float) -> float:
-    """How far [m] the slide may move before a muscle leaves its range of contraction."""
-    low, high = muscle.contraction_range
-    if not low < pre_contraction < high:
-        raise InputError(
-            f"pre_contraction = {pre_contraction:g} is outside the muscle's range of contraction "
-            f"{low:g} .. {high:g}: a muscle would be slack or overstretched at x = 0"
-        )
-    return min(pre_contraction - low, high - pre_contraction) * float(muscle.rest_length)
+        if muscles[0] == muscles[1] and not loads:  # a load may act to one side
+            self.mirror({"x": (-1.0, "x"), "v": (-1.0, "v"), **mirrored_pair(self)})

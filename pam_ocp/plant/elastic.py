@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import casadi as ca
-
 from ..errors import require_finite, require_positive
 from ..muscle.force import SLACK_WIDTH, clamp
 from ..muscle.losses import ConstantDamping, Damping, Loss, StiffnessDamping
@@ -13,7 +11,7 @@ from ..muscle.muscle import Muscle
 from .actuator import Feed
 from .loads import Coordinate, Load, applied
 from .plant import Plant
-from .single import GRAVITY
+from .single import moved_mass, weight
 
 __all__ = ["SeriesLoad", "SpringOverMuscle"]
 
@@ -51,7 +49,7 @@ class SpringOverMuscle(Plant):
         name: str = "spring_over_muscle",
     ) -> None:
         super().__init__(name, "a pneumatic muscle inside a bias spring")
-        x, v, m = _moved(self, muscle, mass)
+        x, v, m = moved_mass(self, muscle, mass)
         k_som = self.parameter(
             "spring_stiffness", require_positive("spring_stiffness", spring_stiffness, "N/m"),
             unit="N/m", min=1e-9, nominal=1e3, description="stiffness of the spring over the muscle",
@@ -73,7 +71,7 @@ class SpringOverMuscle(Plant):
         self.der(x, v)
         self.der(
             v,
-            (attached.force - spring - _weight(self, m, inclination) - c * v + outside)
+            (attached.force - spring - weight(self, m, inclination) - c * v + outside)
             / (m + added),
         )
 
@@ -111,10 +109,10 @@ class SeriesLoad(Plant):
         name: str = "series_load",
     ) -> None:
         super().__init__(name, "a pneumatic muscle pulling a hanging mass by an elastic tendon")
-        x, v, m = _moved(self, muscle, mass, slack=0.1)
+        x, v, m = moved_mass(self, muscle, mass, slack=0.1)
         low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
         y = self.state(
-            "muscle.shortening", unit="m", min=low, max=high, nominal=0.01,
+            "muscle.shortening", unit="m", min=low, max=high, start=max(low, 0.0), nominal=0.01,
             description="shortening of the muscle",
         )  # fmt: skip
         w = self.state("muscle.velocity", unit="m/s", nominal=0.1, description="of its shortening")
@@ -140,36 +138,6 @@ class SeriesLoad(Plant):
         c = (damping or ConstantDamping(50.0)).coefficient(self, end, attached.stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
-        self.der(v, (pull - _weight(self, m) + outside) / (m + added))
+        self.der(v, (pull - weight(self, m) + outside) / (m + added))
         self.der(y, w)
         self.der(w, (attached.force - pull - c * w) / end)
-
-
-def _moved(
-    plant: Plant, muscle: Muscle, mass: float, slack: float = 0.0
-) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Declare position (within the muscle's stroke, wider by ``slack`` m below), velocity, mass."""
-    low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
-    x = plant.state(
-        "x", unit="m", min=low - slack, max=high, nominal=0.01, description="position of the load"
-    )
-    v = plant.state("v", unit="m/s", nominal=0.1, description="velocity of the load")
-    m = plant.parameter(
-        "mass", require_positive("mass", mass, "kg"), unit="kg", min=1e-6, nominal=1.0, tunable=True,
-        description="load",
-    )  # fmt: skip
-    return x, v, m
-
-
-def _weight(plant: Plant, mass: ca.SX, inclination: float | None = None) -> ca.SX:
-    """Weight along the line of motion [N]; vertical when no inclination is given."""
-    g = plant.parameter(
-        "gravity", GRAVITY, unit="m/s2", min=0.0, nominal=10.0, description="gravity"
-    )
-    if inclination is None:
-        return ca.SX(mass * g)
-    angle = plant.parameter(
-        "inclination", require_finite("inclination", inclination, "rad"), unit="rad", min=-1.5708,
-        max=1.5708, description="of the direction of motion above the horizontal",
-    )  # fmt: skip
-    return ca.SX(mass * g * ca.sin(angle))

@@ -95,7 +95,9 @@ class AntagonisticJoint(Plant):
             torque += sign * radius * attached.force
             pair.append(attached)
         self._move(theta, omega, moment, torque, (link_mass, link_length), damping, loads, limits)
-        if muscles[0] == muscles[1] and moment_arm2 is None and not callable(moment_arm):
+        even = limits is None or limits[0] == -limits[1]
+        one_arm = moment_arm2 is None and not callable(moment_arm)
+        if muscles[0] == muscles[1] and one_arm and even and not loads:
             self.mirror({"theta": (-1.0, "theta"), "omega": (-1.0, "omega"), **mirrored_pair(self)})
 
     def _arm(self, name: str, arm: MomentArm, theta: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -1,0 +1,170 @@
+"""Dynamic fit: parameters of a plant from measured records.
+
+Parameters, initial states and the motion between the samples are sought together (H. G. Bock,
+Recent advances in parameter identification techniques for ODE, 1983), so a start far from the truth
+does not make the integration diverge. Intervals come from the Gauss-Newton covariance projected on
+the parameters.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require_finite, require_positive
+from ..plant.plant import Plant
+from ..trajectory import Trajectory
+from .estimate import ORDERS, Task, estimate, require_influence
+from .experiment import groups, measured_names, prepare
+from .outcome import outcome
+from .plant_fit import ACCURATE, PlantFit
+from .statistics import Array
+from .transcribe import METHODS, FitMethod, Unknowns
+
+__all__ = ["PlantFit", "fit_plant"]
+
+
+def fit_plant(
+    plant: Plant,
+    records: Trajectory | Sequence[Trajectory],
+    free: Sequence[str | Sequence[str]],
+    *,
+    outputs: Sequence[str] | None = None,
+    method: FitMethod = "collocation",
+    degree: int | None = None,
+    step: float | None = None,
+    delay: float | tuple[float, float] = 0.0,
+    offsets: Sequence[str] = (),
+    gains: Sequence[str] = (),
+    noise: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    inputs: Mapping[str, float] | None = None,
+) -> PlantFit:
+    """Fit parameters of a plant to measured records by least squares.
+
+    Parameters
+    ----------
+    plant : any Plant; its parameter values are where the fit starts (such as those of a static fit).
+    records : Trajectories with the measured inputs (held or joined by lines, as each says) and some
+        states or outputs; see :func:`read_record`. Their initial states are unknown and estimated.
+    free : names of the parameters to fit. A tuple of names, or a pattern such as ``"muscle*.a1"``,
+        is one unknown: these parameters are to be equal.
+    outputs : the measured states and outputs to compare; by default all that the records hold.
+    method : "collocation" (Radau points; for all plants), "multiple-shooting" or "single-shooting"
+        (RK4 between the samples; for plants that are not stiff).
+    degree : of the collocation (1 to 9), or steps of RK4 in each interval; by default raised until
+        the integration is off by less than a tenth of the noise.
+    step : longest interval [s]; by default from sample to sample.
+    delay : of the inputs [s]; (low, high) to estimate it.
+    offsets, gains : measured variables whose sensor has an unknown offset, or gain.
+    noise : {measured variable: standard deviation}; by default estimated from the residuals.
+    bounds : {free parameter: (low, high)}.
+    inputs : values of inputs that were constant and are no column.
+
+    Returns
+    -------
+    PlantFit; ``.plant`` has the fitted values, ``.report()`` tells what the records say.
+
+    Raises
+    ------
+    InputError, UnknownNameError : arguments that cannot be, NaN in a record.
+    FitError : a parameter without influence, constant inputs that cannot tell the parameters, or no
+        solution.
+    """
+    began = time.perf_counter()
+    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    names = measured_names(plant, chosen, outputs)
+    low, high = _delays(delay)
+    unknowns = Unknowns(
+        groups(plant, free, dict(bounds or {})), names,
+        _places("offsets", offsets, plant, names), _places("gains", gains, plant, names), low,
+    )  # fmt: skip
+    if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
+        raise InputError("free is empty: name at least one parameter of the plant")
+    task = _task(plant, chosen, unknowns, method, degree, step, high, inputs)
+    sigma = _noise(plant, task, noise)
+    require_influence(task, task.program(low, None), sigma)
+    found = estimate(task, sigma, (low, high), noise is not None)
+    fit = outcome(task, found, high > low)
+    for order in ORDERS[task.method][1:] if degree is None else ():
+        if fit.integration_error < ACCURATE:
+            break
+        task = task.refined(found, order)
+        found = estimate(task, found.sigma, (low, high), noise is not None, found.delay)
+        fit = outcome(task, found, high > low)
+    return replace(fit, seconds=time.perf_counter() - began)
+
+
+# ---- arguments ----------------------------------------------------------------------------------
+def _delays(delay: Any) -> tuple[float, float]:
+    if isinstance(delay, (tuple, list)):
+        if len(delay) != 2:
+            raise InputError(f"delay = {delay!r}: give seconds, or (low, high) to estimate it")
+        low, high = (require_positive("delay", d, "s", zero=True) for d in delay)
+        if not low < high:
+            raise InputError(f"delay = ({low:g}, {high:g}) s: the lower must be the smaller")
+        return low, high
+    value = require_positive("delay", delay, "s", zero=True)
+    return value, value
+
+
+def _places(
+    argument: str, given: Sequence[str], plant: Plant, names: Sequence[str]
+) -> tuple[int, ...]:
+    if isinstance(given, str):
+        given = [given]
+    found = []
+    for name in given:
+        known = plant.variable(name).name
+        if known not in names:
+            raise InputError(
+                f"{argument}: {known} is not measured; measured are {', '.join(names)}"
+            )
+        found.append(names.index(known))
+    return tuple(found)
+
+
+def _task(
+    plant: Plant,
+    records: Sequence[Trajectory],
+    unknowns: Unknowns,
+    method: Any,
+    degree: int | None,
+    step: float | None,
+    longest_delay: float,
+    inputs: Mapping[str, float] | None,
+) -> Task:
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
+    if step is not None:
+        require_positive("step", step, "s")
+    order = ORDERS[method][0] if degree is None else degree
+    if not isinstance(order, int) or not 1 <= order <= 9:
+        raise InputError(f"degree = {degree!r}: give a whole number from 1 to 9")
+    constant = {}
+    for name, value in (inputs or {}).items():
+        if plant.variable(name).causality != "input":
+            raise InputError(f"inputs: {name} is a {plant.variable(name).causality}, not an input")
+        constant[plant.variable(name).name] = require_finite(name, value)
+    experiments = [
+        prepare(plant, r, unknowns.names, longest_delay, step, constant) for r in records
+    ]
+    return Task(plant, experiments, unknowns, method, order, step, constant)
+
+
+def _noise(plant: Plant, task: Task, noise: Mapping[str, float] | None) -> Array:
+    """Standard deviations in nominals; at first a part of what each variable spreads over."""
+    names = task.unknowns.names
+    nominal = np.array([plant.variable(n).nominal for n in names])
+    if noise is None:
+        spread = np.concatenate([e.measured for e in task.experiments]).std(axis=0) / nominal
+        return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
+    given = {plant.variable(n).name: require_positive("noise", v) for n, v in noise.items()}
+    missing = [n for n in names if n not in given]
+    if missing:
+        raise InputError(f"noise: {missing[0]} is measured too; give its standard deviation")
+    return np.array([given[n] for n in names]) / nominal

@@ -1,0 +1,365 @@
+"""What a static fit tells: coefficients with errors, intervals, predictions, and its doubts."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError, UnknownNameError
+from ..muscle.force import ForceLaw
+from ..muscle.muscle import Muscle
+from .polish import SLACK_TOLERANCE
+from .problem import PLAIN, Problem, Terms
+from .robust import robust_scale, spread
+from .statistics import (
+    Array,
+    Coefficient,
+    Linearisation,
+    Prediction,
+    SolverStatistics,
+    sensitivity,
+    student_t,
+)
+from .tables import ForceTable
+
+if TYPE_CHECKING:
+    from .bootstrap import Bootstrap, Resampling
+
+__all__ = ["ForceFit"]
+
+
+@dataclass(frozen=True, eq=False)
+class ForceFit:
+    """A force law fitted to a table, with all that the data say about its coefficients.
+
+    law : the fitted law. table : the data, slack cells included. held : coefficients that were
+    not fitted. weights : of the taut cells, or None. solver : how the optimum was found.
+    terms : loss, censoring, bounds and priors of the fit.
+    """
+
+    law: ForceLaw
+    table: ForceTable
+    held: tuple[str, ...]
+    weights: Array | None
+    solver: SolverStatistics
+    terms: Terms = PLAIN
+
+    def __repr__(self) -> str:
+        return f"ForceFit({self.law.name}: RMSE {self.rmse:.4g} N over {self.n} taut cells)"
+
+    # ---- the fit itself ---------------------------------------------------------------------
+    @cached_property
+    def cells(self) -> ForceTable:
+        """The taut cells, in the order of ``residuals``."""
+        return self.table.taut
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the fitted coefficients."""
+        return tuple(n for n in self.law.values if n not in self.held)
+
+    @property
+    def root_weights(self) -> Array:
+        """Factor of each residual; ones without weights."""
+        return np.ones(len(self.cells)) if self.weights is None else self.weights
+
+    def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
+        """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
+        names = list(self.law.values)
+        values = ca.DM(list(self.law.values.values()))
+        tension, jacobian = sensitivity(type(self.law))(p[None], kappa[None], values)
+        columns = [names.index(n) for n in self.free]
+        return np.asarray(tension).ravel(), np.asarray(jacobian).reshape(p.size, -1)[:, columns]
+
+    @cached_property
+    def _at_cells(self) -> tuple[Array, Array]:
+        return self._sensitivity(self.cells.pressure, self.cells.contraction)
+
+    @property
+    def residuals(self) -> Array:
+        """Measured minus fitted force of the taut cells [N]."""
+        return self.cells.force - self._at_cells[0]
+
+    @property
+    def jacobian(self) -> Array:
+        """Exact derivatives of the force, (taut cells, free coefficients) [N/unit]."""
+        return self._at_cells[1]
+
+    @property
+    def n(self) -> int:
+        """Number of taut cells."""
+        return len(self.cells)
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The problem that was solved."""
+        held = {n: float(self.law.values[n]) for n in self.held}
+        return Problem.of(type(self.law), self.table, held, self.root_weights, self.terms)
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: taut cells and priors less fitted coefficients."""
+        return self.n + len(self.problem.priors[0]) - len(self.free)
+
+    @property
+    def cost(self) -> float:
+        """What the fit made smallest [N2]: ``squares``, or the robust loss, and the priors."""
+        return self.problem.cost(np.array([float(v) for v in self.law.values.values()]))
+
+    @property
+    def squares(self) -> float:
+        """Weighted sum of squared residuals."""
+        return float(np.sum((self.root_weights * self.residuals) ** 2))
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean squared residual over the taut cells, without weights [N]."""
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+    @property
+    def r2(self) -> float:
+        """1 - (squared residuals)/(squared deviations from the mean), without weights."""
+        spread = float(np.sum((self.cells.force - self.cells.force.mean()) ** 2))
+        return 1 - float(np.sum(self.residuals**2)) / spread if spread else float("nan")
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation s of a measurement of weight 1 [N]; NaN without freedom.
+
+        After a robust fit from the median of the absolute residuals.
+        """
+        if not self.dof:
+            return float("nan")
+        if self.terms.loss != "squares":
+            return spread(self.root_weights * self.residuals, len(self.free))
+        return float(np.sqrt(self.cost / self.dof))
+
+    # ---- what the data say about the coefficients ---------------------------------------------
+    @cached_property
+    def linearisation(self) -> Linearisation:
+        """The weighted least-squares problem near its optimum."""
+        variables = {v.name: v for v in self.law.coefficient_variables()}
+        return Linearisation(
+            self.free,
+            np.array([float(self.law.values[n]) for n in self.free]),
+            [variables[n].unit for n in self.free],
+            self.problem.with_priors(self._vector)[1][0][:, list(self.problem.free)],
+            self._scale,
+            self.dof,
+            self._active,
+        )
+
+    @property
+    def _vector(self) -> Array:
+        return np.array([[float(v) for v in self.law.values.values()]])
+
+    @property
+    def _scale(self) -> float:
+        """The factor s of the covariance s^2 (J^T J)^-1."""
+        if self.terms.loss == "squares" or not self.dof:
+            return self.sigma
+        return robust_scale(self.terms, self.root_weights * self.residuals, len(self.free))
+
+    @property
+    def _active(self) -> Array | None:
+        """Gradients of the slack cells at which the law would pull more if it could."""
+        if not self.problem.censored:
+            return None
+        tension, gradients = self.problem.tension_where_slack(self._vector[0])
+        return gradients[tension > 0.999 * SLACK_TOLERANCE][:, list(self.problem.free)]
+
+    @property
+    def rank(self) -> int:
+        """How many independent combinations of the coefficients the data determine."""
+        return self.linearisation.rank
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the Jacobian with columns of unit length."""
+        return self.linearisation.condition
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the free coefficients; of what the data determine where rank is lacking."""
+        return self.linearisation.covariance
+
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Every coefficient by name, held ones included."""
+        errors = dict(zip(self.free, self.linearisation.stderr(), strict=True))
+        return {
+            v.name: Coefficient(
+                v.name,
+                float(self.law.values[v.name]),
+                float(errors.get(v.name, 0.0)),
+                v.unit,
+                v.name in self.held,
+                v.description,
+            )
+            for v in self.law.coefficient_variables()
+        }
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix of the free coefficients."""
+        return self.linearisation.correlation
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Linearised confidence interval of a coefficient [its unit]."""
+        entry = self._entry(name)
+        half = 0.0 if entry.held else student_t(level, self.dof) * entry.stderr
+        return entry.value - half, entry.value + half
+
+    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Linearised confidence intervals of the free coefficients."""
+        return {n: self.interval(n, level) for n in self.free}
+
+    def _entry(self, name: str) -> Coefficient:
+        if name not in self.coefficients:
+            raise UnknownNameError(
+                f"coefficient of the {self.law.name} law", name, self.coefficients
+            )
+        return self.coefficients[name]
+
+    def profile_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval by profile likelihood: where F(1, dof) of the squares is exceeded.
+
+        All other coefficients are fitted anew at each value, so the interval may be lopsided; an
+        end that the data leave open is infinite. (Bates, Watts, Nonlinear Regression, 1988, 6.1.)
+        """
+        from .profile import profile_end
+
+        entry = self._entry(name)
+        if entry.held:
+            return entry.value, entry.value
+        if not np.isfinite(entry.stderr):
+            return -np.inf, np.inf
+        if self.terms.loss != "squares":
+            raise InputError(
+                "profile_interval needs loss='squares'; after a robust fit use bootstrap()"
+            )
+        limit = self.cost + student_t(level, self.dof) ** 2 * self.sigma**2
+        step = entry.stderr
+        return profile_end(self, name, -step, limit), profile_end(self, name, step, limit)
+
+    def predict(self, p: ArrayLike, kappa: ArrayLike, level: float = 0.95) -> Prediction:
+        """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
+
+        ``prediction`` is for a measurement of weight 1.
+        """
+        pressure, contraction = np.broadcast_arrays(np.asarray(p, float), np.asarray(kappa, float))
+        force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
+        force, error = (
+            force.reshape(pressure.shape),
+            self.linearisation.stderr(gradient).reshape(pressure.shape),
+        )
+        t = student_t(level, self.dof)
+        new = np.hypot(error, self.sigma) if self.dof else np.full_like(error, np.inf)
+        with np.errstate(invalid="ignore"):
+            half, wide = (np.where(e > 0, t * e, 0.0) for e in (error, new))
+        return Prediction(
+            force, error, (force - half, force + half), (force - wide, force + wide), level
+        )
+
+    def bootstrap(
+        self, n: int = 500, seed: int = 0, *, method: Resampling = "residuals"
+    ) -> Bootstrap:
+        """Refit ``n`` resampled tables: intervals without the assumptions of a linearisation.
+
+        method : "residuals" puts residuals, drawn with replacement, on the fitted law; "cases"
+        draws the cells themselves, also right where the scatter is not the same everywhere.
+        """
+        from .bootstrap import bootstrap
+
+        return bootstrap(self, n, seed, method)
+
+    # ---- doubts, in words ---------------------------------------------------------------------
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the coefficients are trusted; empty when there is nothing."""
+        found = [*self._unseen(), *self._saturated()]
+        if self.dof == 0:
+            found.append("as many coefficients as taut cells: no error can be estimated")
+        found += [
+            f"{name} = {self.law.values[name]:g} ended at the edge of its range: its interval means "
+            "nothing; hold it with fixed=... or take another law"
+            for name in self.solver.at_bound
+        ]
+        return tuple(found)
+
+    def _unseen(self) -> list[str]:
+        return [
+            f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
+            "together moves the force of no taut cell by more than "
+            f"{np.max(np.abs(self.jacobian @ move)):.2g} N"
+            f"{'' if lost or not self.dof else ' (one standard error)'}"
+            for lost, move, words in self.linearisation.hardly_seen()
+        ]
+
+    def _saturated(self) -> list[str]:
+        if not type(self.law).is_affine():
+            return []
+        # at each contraction the law is a straight line in p: two numbers at most
+        level = self.cells.levels()
+        lines = [np.unique(self.cells.pressure[level == i]).size for i in range(level.max() + 1)]
+        told = sum(min(2, count) for count in lines)
+        if told - len(self.free) > 2:
+            return []
+        return [
+            f"{len(lines)} contraction levels: at each the law is a straight line in p, so they tell "
+            f"{told} numbers for {len(self.free)} coefficients, nearly saturated; a small RMSE proves "
+            "little, measure at more lengths"
+        ]
+
+    # ---- out of it ------------------------------------------------------------------------------
+    def muscle(
+        self,
+        *,
+        rest_length: float | None = None,
+        diameter: float | None = None,
+        name: str = "fitted muscle",
+        source: str = "",
+    ) -> Muscle:
+        """The muscle with this law; pressure and contraction ranges are those of the table.
+
+        rest_length : [m], by default the table's. diameter : inner diameter at rest [m].
+        """
+        length = self.table.rest_length if rest_length is None else rest_length
+        if length is None:
+            raise InputError("rest_length is missing: the table holds none; give it in metres")
+        data = self.table
+        return Muscle(
+            self.law,
+            rest_length=length,
+            diameter=diameter,
+            pressure_range=(float(max(data.pressure.min(), 0.0)), float(data.pressure.max())),
+            contraction_range=(float(data.contraction.min()), float(data.contraction.max())),
+            name=name,
+            source=source or f"{self.law.title} fitted to {data.source or 'a table'}",
+        )
+
+    def report(self, level: float = 0.95) -> str:
+        """The fit as text: statistics, coefficients ± standard error, correlations, warnings."""
+        from .report import force_report
+
+        return force_report(self, level)
+
+    def to_json(self, path: str | os.PathLike[str]) -> Path:
+        """Write law, coefficients, data and statistics; :meth:`from_json` reads them back exactly."""
+        from .saved import write_fit
+
+        return write_fit(self, path)
+
+    @classmethod
+    def from_json(cls, path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:
+        """Read what :meth:`to_json` wrote. ``law`` : the class, for a law that is not in ``LAWS``."""
+        from .saved import read_fit
+
+        return read_fit(path, law)

@@ -1,0 +1,131 @@
+"""From a solution to a PlantFit: statistics of the unknowns, and simulations of the records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..plant.plant import Plant
+from ..signals import PiecewisePolynomial
+from ..simulate import simulate
+from ..trajectory import Trajectory
+from .estimate import Estimate, Task, head_names
+from .experiment import Experiment, measured_names, prepare
+from .gauss_newton import reduced_jacobian, solve
+from .plant_fit import PlantFit
+from .statistics import Array, Linearisation
+from .transcribe import Unknowns
+
+__all__ = ["outcome", "replay"]
+
+
+def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
+    """Statistics, fitted plant and simulations of a solution."""
+    solution, program, sigma = estimate.solution, estimate.program, estimate.sigma
+    delay = estimate.delay
+    plant, u = task.plant, task.unknowns
+    jacobian = reduced_jacobian(program, 1 / sigma, solution.w)
+    values = solution.w[: program.head] * program.head_scale
+    first = len(u.groups)
+    values[first : first + len(u.gains)] += 1.0
+    names = head_names(task, delay_free)
+    units = [g.unit for g in u.groups] + ["1"] * len(u.gains)
+    units += [plant.variable(u.names[i]).unit for i in u.offsets] + (["s"] if delay_free else [])
+    units += [v.unit for v in plant.states] * len(task.experiments)
+    count = len(names) - len(task.experiments) * len(plant.states)
+    w, low, high = (a[: program.head] for a in (solution.w, program.low, program.high))
+    tight = (w - low < 1e-6) | (high - w < 1e-6)
+    tight[first:count] = False
+    dof = max(solution.residuals.size - len(names) + int(tight.sum()), 0)
+    squares = float(np.sum((solution.residuals / sigma) ** 2))
+    linearisation = Linearisation(
+        names, values, units, jacobian / program.head_scale, np.sqrt(squares / max(dof, 1)), dof,
+        np.eye(len(names))[tight] if tight.any() else None,
+    )  # fmt: skip
+    fitted = plant.with_values(
+        {
+            plant.parameters[m].name: float(np.clip(v, g.low, g.high))
+            for g, v in zip(u.groups, values, strict=False)
+            for m in g.members
+        }
+    )
+    gains = {u.names[i]: float(v) for i, v in zip(u.gains, values[first:], strict=False)}
+    offsets = {
+        u.names[i]: float(v)
+        for i, v in zip(u.offsets, values[first + len(u.gains) :], strict=False)
+    }
+    starts = _starts(plant, values[count:], len(task.experiments))
+    nominal = np.array([plant.variable(n).nominal for n in u.names])
+    sizes = np.cumsum([len(e.t) for e in task.experiments])[:-1]
+    return PlantFit(
+        plant=fitted,
+        records=tuple(e.record for e in task.experiments),
+        simulated=tuple(
+            _simulated(fitted, e, s, delay, u.names, offsets, gains)
+            for e, s in zip(task.experiments, starts, strict=True)
+        ),
+        measured=tuple(u.names),
+        parameters=tuple(names[:count]),
+        linearisation=linearisation,
+        delay=delay,
+        offsets=offsets,
+        gains=gains,
+        starts=tuple(starts),
+        noise=dict(zip(u.names, (np.sqrt(np.mean(solution.residuals**2, axis=0)) * nominal).tolist(), strict=True)),
+        residuals=tuple(np.split(solution.residuals * nominal, sizes)),
+        descriptions={g.name: g.description for g in u.groups},
+        at_bound=tuple(n for n, edge in zip(names, tight, strict=True) if edge),
+        method=task.method,
+        degree=task.degree,
+        step=task.step,
+        inputs=task.inputs,
+        status=solution.status,
+        iterations=solution.iterations,
+        seconds=0.0,
+    )  # fmt: skip
+
+
+def _starts(plant: Plant, values: Array, records: int) -> list[dict[str, float]]:
+    rows = values.reshape(records, len(plant.states))
+    return [
+        {v.name: float(np.clip(x, v.min, v.max)) for v, x in zip(plant.states, row, strict=True)}
+        for row in rows
+    ]
+
+
+def _simulated(
+    plant: Plant,
+    experiment: Experiment,
+    start: Mapping[str, float],
+    delay: float,
+    names: Sequence[str],
+    offsets: Mapping[str, float],
+    gains: Mapping[str, float],
+) -> Trajectory:
+    """The plant under the measured inputs, as its sensors would have shown it."""
+    inputs = PiecewisePolynomial(experiment.mesh, experiment.coefficients)
+    times = experiment.t - delay
+    times[0] = max(times[0], experiment.mesh[0])
+    grid = times if times[0] <= experiment.mesh[0] else np.concatenate([experiment.mesh[:1], times])
+    run = simulate(plant, inputs, t=grid, start=start, rtol=1e-8)
+    skip = len(grid) - len(times)
+    columns = {n: run[n][skip:] * gains.get(n, 1.0) + offsets.get(n, 0.0) for n in names}
+    return Trajectory(experiment.t, columns, [plant.variable(n) for n in names])
+
+
+def replay(fit: PlantFit, record: Trajectory) -> Trajectory:
+    """The fitted plant along another record, only its initial states estimated from it."""
+    names = measured_names(fit.plant, [record], fit.measured)
+    corrected = {
+        n: (record[n] - fit.offsets.get(n, 0.0)) / fit.gains.get(n, 1.0) for n in record.names
+    }
+    clean = Trajectory(record.t, corrected, record.variables, record.interpolation)
+    experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs)
+    task = Task(fit.plant, [experiment], Unknowns([], names), fit.method, fit.degree)
+    nominal = np.array([fit.plant.variable(n).nominal for n in names])
+    sigma = np.maximum(np.array([fit.noise[n] for n in names]) / nominal, 1e-9)
+    program = task.program(fit.delay, None)
+    solution = solve(program, 1 / sigma, program.guess)
+    start = _starts(fit.plant, solution.w[: program.head] * program.head_scale, 1)[0]
+    return _simulated(fit.plant, experiment, start, fit.delay, names, fit.offsets, fit.gains)

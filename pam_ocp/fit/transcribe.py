@@ -1,0 +1,316 @@
+"""A dynamic fit as a nonlinear program: unknowns, residuals, and the plant's equations.
+
+Time runs as the inputs' clock does. What was measured at t left the plant at t - delay, since a
+delay of the inputs is, for a plant that knows no time of its own, a delay of all that is measured.
+So the mesh stays with the inputs, and the delay only moves the places where it is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from ..plant.plant import Plant
+from .experiment import Experiment, Group
+from .statistics import Array
+
+__all__ = ["METHODS", "FitMethod", "Program", "Unknowns", "transcribe"]
+
+FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting"]
+METHODS = ("collocation", "multiple-shooting", "single-shooting")
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """What is sought beside the states along the records.
+
+    offsets, gains : positions among the measured names. delay : bounds [s] and value.
+    """
+
+    groups: Sequence[Group]
+    names: Sequence[str]
+    offsets: Sequence[int] = ()
+    gains: Sequence[int] = ()
+    delay: float = 0.0
+    delay_bounds: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """min |W residuals|^2 subject to ``defects`` = 0, in scaled unknowns w = (head, states).
+
+    head : (parameters, gains - 1, offsets, delay, initial states of every record).
+    residuals : in units of the measured variables' nominals; one weight each is the parameter.
+    """
+
+    w: ca.MX
+    weights: ca.MX
+    residuals: ca.MX
+    defects: ca.MX
+    head: int
+    head_scale: Array
+    guess: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Mesh:
+    """All intervals of all records side by side."""
+
+    h: Array
+    u: Array  # (nu (degree + 1), n)
+    begin: Array  # column in (initial states, ends of intervals) where each interval begins
+    measured: Array  # (ny, K)
+    interval: Array  # of each sample
+    offset: Array  # (K,) time since the interval's begin at zero delay
+
+
+def transcribe(
+    plant: Plant,
+    experiments: Sequence[Experiment],
+    unknowns: Unknowns,
+    method: FitMethod,
+    degree: int,
+) -> Program:
+    """State the program for a method; ``degree`` is that of the collocation, or steps of RK4."""
+    mesh = _mesh(experiments, unknowns.delay)
+    x_nominal = plant.vector("state", attribute="nominal")
+    nx, n, records = len(x_nominal), mesh.h.size, len(experiments)
+    names, k = unknowns.names, len(unknowns.groups)
+    y_nominal = np.array([plant.variable(name).nominal for name in names])
+
+    theta, x0 = ca.MX.sym("theta", k), ca.MX.sym("x0", nx, records)
+    gain, offset = (
+        ca.MX.sym("gain", len(unknowns.gains)),
+        ca.MX.sym("offset", len(unknowns.offsets)),
+    )
+    delay = ca.MX.sym("delay", 1 if unknowns.delay_bounds else 0)
+    scales, p = _parameters(plant, unknowns.groups, theta)
+    usual = float(np.median(mesh.h))
+
+    if method == "collocation":
+        points = ca.MX.sym("x", nx * degree, n)
+        ends = points[nx * (degree - 1) :, :]
+        step, read = _collocation(plant, x_nominal, mesh, names, degree)
+    else:
+        points = ca.MX.sym("x", nx, n if method == "multiple-shooting" else 0)
+        step, read = _shooting(plant, x_nominal, mesh, names, degree)
+        ends = points
+        if method == "single-shooting":
+            ends = _rolled(step, experiments, x0, mesh, p)
+    begins = ca.horzcat(x0, ends)[:, mesh.begin.tolist()]
+    if method == "collocation":
+        defects = step.map(n)(begins, points, mesh.h[None], mesh.u, p)
+    elif method == "multiple-shooting":
+        defects = step.map(n)(begins, mesh.h[None], mesh.u, p) - ends
+    else:
+        defects = ca.MX(0, 1)
+
+    rows = mesh.interval.tolist()
+    since = mesh.offset[None] - (delay * usual if unknowns.delay_bounds else unknowns.delay)
+    inside = points[:, rows] if method == "collocation" else ca.MX(0, len(rows))
+    modelled = read.map(len(rows))(
+        begins[:, rows], inside, since, mesh.h[rows][None], mesh.u[:, rows], p
+    )
+    sensor = _sensor(unknowns, gain, offset, len(names))
+    residuals = (mesh.measured / y_nominal[:, None]) - modelled * sensor[0] - sensor[1]
+    weights = ca.MX.sym("weights", len(names))
+    residuals = ca.vec(residuals * ca.repmat(weights, 1, len(rows)))
+
+    head = ca.veccat(theta, gain, offset, delay, x0)
+    guess, low, high = _guess(plant, experiments, unknowns, method, degree, x_nominal, usual)
+    head_scale = np.concatenate(
+        [scales, np.ones(len(unknowns.gains)), y_nominal[list(unknowns.offsets)],
+         np.full(delay.numel(), usual), np.tile(x_nominal, records)]
+    )  # fmt: skip
+    return Program(
+        ca.veccat(head, points), weights, residuals, ca.vec(defects), head.numel(), head_scale,
+        guess, low, high,
+    )  # fmt: skip
+
+
+def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:
+    records = len(experiments)
+    begin, interval, offset, first = [], [], [], 0
+    for r, e in enumerate(experiments):
+        n = len(e.mesh) - 1
+        begin.append(np.concatenate([[r], records + first + np.arange(n - 1)]))
+        place = np.clip(np.searchsorted(e.mesh, e.t - delay + 1e-12, side="right") - 1, 0, n - 1)
+        # a sample at the end of an interval belongs to it: the state there is a node
+        at_node = (np.abs(e.mesh[place] - (e.t - delay)) < 1e-9) & (place > 0)
+        place = place - at_node
+        interval.append(first + place)
+        offset.append(e.t - e.mesh[place])
+        first += n
+    u = np.concatenate([e.coefficients.reshape(len(e.mesh) - 1, -1) for e in experiments])
+    return _Mesh(
+        np.concatenate([np.diff(e.mesh) for e in experiments]),
+        u.T,
+        np.concatenate(begin),
+        np.concatenate([e.measured for e in experiments]).T,
+        np.concatenate(interval),
+        np.concatenate(offset),
+    )
+
+
+def _parameters(plant: Plant, groups: Sequence[Group], theta: ca.MX) -> tuple[Array, ca.MX]:
+    """Scales of the unknown parameters, and all parameters of the plant."""
+    base = plant.vector("parameter")
+    place = np.zeros((len(base), len(groups)))
+    for j, group in enumerate(groups):
+        place[list(group.members), j] = group.scale
+        base[list(group.members)] = 0.0
+    return np.array([g.scale for g in groups]), ca.DM(base) + ca.sparsify(ca.DM(place)) @ theta
+
+
+def _sensor(unknowns: Unknowns, gain: ca.MX, offset: ca.MX, ny: int) -> tuple[ca.MX, ca.MX]:
+    """(gains, offsets) of all measured variables; a gain's unknown is its excess over 1."""
+    gains, offsets = ca.MX.ones(ny), ca.MX.zeros(ny)
+    for i, place in enumerate(unknowns.gains):
+        gains[place] = 1 + gain[i]
+    for i, place in enumerate(unknowns.offsets):
+        offsets[place] = offset[i]
+    return gains, offsets
+
+
+def _symbols(plant: Plant, x_nominal: Array, mesh: _Mesh) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    nu = len(plant.inputs)
+    return (
+        ca.SX.sym("begin", len(x_nominal)), ca.SX.sym("h"),
+        ca.SX.sym("u", nu, mesh.u.shape[0] // max(nu, 1)), ca.SX.sym("p", len(plant.parameters)),
+    )  # fmt: skip
+
+
+def _input(u: ca.SX, since: ca.SX) -> ca.SX:
+    """The inputs ``since`` an interval began."""
+    return u @ ca.vertcat(*(since**j for j in range(u.shape[1])))
+
+
+def _outputs(plant: Plant, names: Sequence[str]) -> ca.Function:
+    """(x, u, p) -> what is measured, in units of nominals."""
+    values = [plant.expression(n) / plant.variable(n).nominal for n in names]
+    return ca.Function("measured", [plant.x, plant.u, plant.p], [ca.vertcat(*values)])
+
+
+def _collocation(
+    plant: Plant, x_nominal: Array, mesh: _Mesh, names: Sequence[str], degree: int
+) -> tuple[ca.Function, ca.Function]:
+    """Defects of one interval, and what is measured inside of it (Lagrange polynomial)."""
+    begin, h, u, p = _symbols(plant, x_nominal, mesh)
+    points, since = ca.SX.sym("points", len(x_nominal), degree), ca.SX.sym("since")
+    tau = np.array(ca.collocation_points(degree, "radau"))
+    derivative, _, _ = ca.collocation_coeff(tau.tolist())
+    slope = ca.horzcat(begin, points) @ ca.DM(derivative)
+    defects = [
+        h * plant.function(points[:, j] * x_nominal, _input(u, h * tau[j]), p)[0] / x_nominal
+        - slope[:, j]
+        for j in range(degree)
+    ]
+    nodes, place = np.concatenate([[0.0], tau]), since / h
+    basis = [_product([(place - b) / (a - b) for b in nodes if b != a]) for a in nodes]
+    x = ca.horzcat(begin, points) @ ca.vertcat(*basis) * x_nominal
+    arguments = [begin, ca.vec(points)]
+    return (
+        ca.Function("defects", [*arguments, h, ca.vec(u), p], [ca.vertcat(*defects)]),
+        ca.Function(
+            "read", [*arguments, since, h, ca.vec(u), p],
+            [_outputs(plant, names)(x, _input(u, since), p)],
+        ),
+    )  # fmt: skip
+
+
+def _product(factors: Sequence[ca.SX]) -> ca.SX:
+    result = ca.SX(1)
+    for factor in factors:
+        result *= factor
+    return result
+
+
+def _shooting(
+    plant: Plant, x_nominal: Array, mesh: _Mesh, names: Sequence[str], steps: int
+) -> tuple[ca.Function, ca.Function]:
+    """The state at an interval's end by ``steps`` steps of RK4, and what is measured inside."""
+    begin, h, u, p = _symbols(plant, x_nominal, mesh)
+    since, span = ca.SX.sym("since"), ca.SX.sym("span")
+
+    def slope(x: ca.SX, time: ca.SX) -> ca.SX:
+        return plant.function(x * x_nominal, _input(u, time), p)[0] / x_nominal
+
+    x, d = begin, span / steps
+    for i in range(steps):
+        t = i * d
+        k1 = slope(x, t)
+        k2 = slope(x + d / 2 * k1, t + d / 2)
+        k3 = slope(x + d / 2 * k2, t + d / 2)
+        k4 = slope(x + d * k3, t + d)
+        x = x + d / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    after = ca.Function("after", [begin, span, ca.vec(u), p], [x])
+    inside = after(begin, since, ca.vec(u), p) * x_nominal
+    read = _outputs(plant, names)(inside, _input(u, since), p)
+    none = ca.SX(0, 1)
+    return after, ca.Function("read", [begin, none, since, h, ca.vec(u), p], [read])
+
+
+def _rolled(
+    step: ca.Function, experiments: Sequence[Experiment], x0: ca.MX, mesh: _Mesh, p: ca.MX
+) -> ca.MX:
+    """The states at all ends of intervals, each record integrated from its initial state."""
+    first, parts = 0, []
+    for r, e in enumerate(experiments):
+        n = len(e.mesh) - 1
+        span = slice(first, first + n)
+        parts.append(
+            step.mapaccum(n)(x0[:, r], mesh.h[span][None], mesh.u[:, span], ca.repmat(p, 1, n))
+        )
+        first += n
+    return ca.horzcat(*parts)
+
+
+def _guess(
+    plant: Plant,
+    experiments: Sequence[Experiment],
+    unknowns: Unknowns,
+    method: FitMethod,
+    degree: int,
+    x_nominal: Array,
+    usual: float,
+) -> tuple[Array, Array, Array]:
+    """Start, lower and upper bounds of w."""
+    g = unknowns.groups
+    bounds = unknowns.delay_bounds
+    x0 = np.concatenate([e.states[0] / x_nominal for e in experiments])
+    fixed = len(unknowns.gains) + len(unknowns.offsets)
+    lows = [np.array([v.low / v.scale for v in g]), np.full(fixed, -np.inf)]
+    highs = [np.array([v.high / v.scale for v in g]), np.full(fixed, np.inf)]
+    start = [np.array([v.value / v.scale for v in g]), np.zeros(fixed)]
+    if bounds is not None:
+        start.append(np.array([unknowns.delay / usual]))
+        lows.append(np.array([bounds[0] / usual]))
+        highs.append(np.array([bounds[1] / usual]))
+    x_low, x_high = (plant.vector("state", attribute=a) / x_nominal for a in ("min", "max"))
+    lows.append(np.tile(x_low, len(experiments)))
+    highs.append(np.tile(x_high, len(experiments)))
+    x0 = np.clip(x0, lows[-1], highs[-1])
+    states = []
+    if method != "single-shooting":
+        tau = (
+            np.array(ca.collocation_points(degree, "radau"))
+            if method == "collocation"
+            else np.ones(1)
+        )
+        for e in experiments:
+            times = (e.mesh[:-1, None] + np.diff(e.mesh)[:, None] * tau).ravel()
+            columns = [np.interp(times, e.mesh, e.states[:, i]) for i in range(len(x_nominal))]
+            states.append((np.stack(columns, 1) / x_nominal).ravel())
+    inner = np.concatenate(states) if states else np.empty(0)
+    free = np.full(inner.size, np.inf)
+    return (
+        np.concatenate([*start, x0, inner]),
+        np.concatenate([*lows, -free]),
+        np.concatenate([*highs, free]),
+    )
