@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -14,12 +14,23 @@ from numpy.typing import NDArray
 from .errors import InputError, PamError
 from .plant.plant import Plant, Values
 
-__all__ = ["EquilibriumError", "OperatingPoint", "equilibrium"]
+__all__ = [
+    "EquilibriumError",
+    "EquilibriumPath",
+    "OperatingPoint",
+    "equilibria",
+    "equilibrium",
+    "equilibrium_path",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Largest residual of an equilibrium, in units of nominal (per second)."""
+SAME = 1e-6
+"""Equilibria nearer to each other than this (in units of nominal) are one."""
+MARGIN = 1e-8
+"""Real parts of poles within this part of the fastest pole count as zero."""
 
 
 class EquilibriumError(PamError):
@@ -45,7 +56,28 @@ class OperatingPoint:
         return {v.name: float(n) for v, n in zip(variables, numbers, strict=True)}
 
     def __getitem__(self, name: str) -> float:
-        return self.values[self.plant.variable(name).name]
+        variable = self.plant.variable(name)
+        if variable.causality == "parameter":
+            return float(variable.start or 0.0)
+        return self.values[variable.name]
+
+    @cached_property
+    def poles(self) -> NDArray[np.complex128]:
+        """Eigenvalues of A [1/s], sorted by falling real part."""
+        a = np.asarray(self.plant.jacobians(self.x, self.u, self.plant.vector("parameter"))[0])
+        nominal = self.plant.vector("state", attribute="nominal")
+        found = np.linalg.eigvals(a * nominal / nominal[:, None])
+        return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
+
+    @property
+    def stability(self) -> Literal["stable", "unstable", "marginal"]:
+        """By the first approximation; "marginal" when a pole lies on the imaginary axis (then the
+        first approximation cannot tell, or a state is a pure integral)."""
+        margin = MARGIN * float(np.abs(self.poles).max(initial=0.0))
+        largest = float(self.poles.real.max(initial=-np.inf))
+        if largest > margin:
+            return "unstable"
+        return "stable" if largest < -margin else "marginal"
 
     def __str__(self) -> str:
         return "\n".join(
@@ -53,18 +85,144 @@ class OperatingPoint:
         )
 
 
-def equilibrium(plant: Plant, conditions: Values | None = None, /, **more: Any) -> OperatingPoint:
+def equilibrium(
+    plant: Plant,
+    conditions: Values | None = None,
+    /,
+    *,
+    free: Sequence[str] = (),
+    guess: OperatingPoint | None = None,
+    **more: Any,
+) -> OperatingPoint:
     """The point of rest that meets conditions on states, inputs, outputs (or parameters).
 
     ``equilibrium(plant, x=0.0, stiffness=2e4)``; values of parameters replace the plant's. As many
     conditions are needed as the plant has inputs (each condition fixes one freedom of rest);
     disturbances (external forces) that are not named are held at their start value.
 
+    free : parameters and disturbances to be found as well, each for one more condition: the load
+        that rests at x under 3 bar is ``equilibrium(plant, {"x": 0.05, "muscle.command": 3e5},
+        free=["mass"])["mass"]``. The point's own ``plant`` then has these parameters.
+    guess : a point to start from (a neighbour), tried first.
+
     Solved within the variables' bounds by IPOPT from several starts, then by Newton to rounding.
     Raises InputError when the conditions are too few or too many, EquilibriumError when no point
     within the bounds meets them (it names the one that fails, and by how much).
     """
-    given = {plant.variable(n).name: v for n, v in {**(conditions or {}), **more}.items()}
+    search, targets = _posed(plant, {**(conditions or {}), **more}, free)
+    point, nearest = search.solve(guess)
+    if point is None:
+        raise EquilibriumError(_why(search, targets, nearest))
+    return point
+
+
+def equilibria(
+    plant: Plant,
+    conditions: Values | None = None,
+    /,
+    *,
+    free: Sequence[str] = (),
+    starts: int = 30,
+    seed: int = 0,
+    **more: Any,
+) -> list[OperatingPoint]:
+    """All points of rest under conditions that a search from many starts finds, each once.
+
+    Arguments as in :func:`equilibrium`; ``starts`` points are spread over the bounds (a state or
+    input without bounds: five nominals to either side of its start). Sorted by their states; see
+    ``point.stability`` and ``point.poles``. A search by samples: it can miss one with a small basin.
+    Raises InputError for bad conditions, EquilibriumError when there is none.
+    """
+    search, targets = _posed(plant, {**(conditions or {}), **more}, free)
+    if starts < 1:
+        raise InputError(f"starts = {starts} must be >= 1")
+    found: list[Array] = []
+    for guess in search.starts(starts, seed, reach=5.0):
+        for rough in (search.newton(guess, steps=30), search.nearest(guess)):
+            point = search.polished(rough)
+            if point is None:
+                continue
+            if all(np.abs((point - other) / search.nominal).max() > SAME for other in found):
+                found.append(point)
+            break
+    if not found:
+        raise EquilibriumError(_why(search, targets, search.nearest(search.start)))
+    return [search.point(z) for z in sorted(found, key=lambda z: tuple(z / search.nominal))]
+
+
+@dataclass(frozen=True)
+class EquilibriumPath:
+    """Points of rest along one variable; ``path["x"]`` gives a value at each of them [SI]."""
+
+    name: str
+    values: Array
+    """Of the variable, as far as the path came."""
+    points: tuple[OperatingPoint, ...]
+    end: str = ""
+    """Why the path stops before the last value asked for; "" when it does not."""
+
+    def __getitem__(self, name: str) -> Array:
+        return np.array([point[name] for point in self.points])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def equilibrium_path(
+    plant: Plant,
+    name: str,
+    values: Iterable[float],
+    conditions: Values | None = None,
+    /,
+    *,
+    free: Sequence[str] = (),
+    **more: Any,
+) -> EquilibriumPath:
+    """Points of rest while one variable (condition or parameter) runs through values, in order.
+
+    ``equilibrium_path(plant, "mass", np.linspace(5, 60, 40), {"muscle.command": 3e5})``. Each point
+    starts from its neighbour, so the path stays on one branch; it ends where that branch leaves the
+    bounds or turns back (a fold), and says so in ``end``.
+    Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
+    """
+    points: list[OperatingPoint] = []
+    done: list[float] = []
+    end = ""
+    for value in values:
+        given = {**(conditions or {}), **more, name: float(value)}
+        if not points:
+            points.append(equilibrium(plant, given, free=free))
+        else:
+            try:
+                search, _ = _posed(plant, given, free)
+            except InputError as error:  # the value itself leaves its range
+                end = str(error)
+                break
+            point = search.polished(search.newton(search.vector(points[-1]), steps=30))
+            if point is None:
+                shown = plant.variable(name).shown
+                end = f"no neighbour within the bounds from {shown(done[-1])} to {shown(value)}"
+                break
+            points.append(search.point(point))
+        done.append(float(value))
+    return EquilibriumPath(plant.variable(name).name, np.array(done), tuple(points), end)
+
+
+def _posed(
+    plant: Plant, conditions: Values, free: Sequence[str]
+) -> tuple[_Search, dict[str, float]]:
+    """The search that conditions and free variables stand for, and its targets."""
+    given = {plant.variable(n).name: v for n, v in conditions.items()}
+    free = [plant.variable(n).name for n in ([free] if isinstance(free, str) else free)]
+    for name in free:
+        variable = plant.variable(name)
+        if variable.causality != "parameter" and not variable.disturbance:
+            raise InputError(
+                f"free: {name} is a {variable.causality}; name parameters or disturbances "
+                "(states and other inputs are unknown anyway)"
+            )
+        if name in given:
+            raise InputError(f"{name} cannot be free and given (= {given[name]}) at once")
     constants = {n: v for n, v in given.items() if plant.variable(n).causality == "parameter"}
     plant = plant.with_values(constants)
     targets = {n: float(v) for n, v in given.items() if n not in constants}
@@ -72,41 +230,70 @@ def equilibrium(plant: Plant, conditions: Values | None = None, /, **more: Any) 
         if not np.isfinite(value):
             raise InputError(f"equilibrium: {name} = {value} must be finite")
         plant.variable(name).check(value, "the condition")
+    loose = [n for n in free if plant.variable(n).causality == "parameter"]
     disturbances = {
-        v.name: v.start or 0.0 for v in plant.inputs if v.disturbance and v.name not in targets
+        v.name: v.start or 0.0
+        for v in plant.inputs
+        if v.disturbance and v.name not in targets and v.name not in free
     }
-    if len(targets) + len(disturbances) == len(plant.inputs):
+    if len(targets) + len(disturbances) == len(plant.inputs) + len(loose):
         targets.update(disturbances)
-    if len(targets) != len(plant.inputs):
-        controls = [v.name for v in plant.inputs if v.name not in disturbances]
+    if len(targets) != len(plant.inputs) + len(loose):
+        controls = [v.name for v in plant.inputs if v.name not in disturbances] + loose
         raise InputError(
             f"equilibrium of {plant.name!r} needs {len(controls)} condition(s), one for each of its "
-            f"inputs ({', '.join(controls)}); {len(targets)} given: {', '.join(targets) or 'none'}"
+            f"inputs{' and free variables' if free else ''} ({', '.join(controls)}); "
+            f"{len(targets)} given: {', '.join(targets) or 'none'}"
         )
-    search = _Search(plant, targets)
-    point, nearest = search.solve()
-    if point is None:
-        raise EquilibriumError(_why(search, targets, nearest))
-    return point
+    return _Search(plant, targets, loose), targets
 
 
 class _Search:
-    """The residual of rest and conditions, scaled by nominals, and its solution by IPOPT."""
+    """The residual of rest and conditions, scaled by nominals, and its solution by IPOPT.
 
-    def __init__(self, plant: Plant, targets: Mapping[str, float]) -> None:
-        self.plant, self.targets = plant, list(targets)
+    Unknown are z = (states, inputs, free parameters).
+    """
+
+    def __init__(self, plant: Plant, targets: Mapping[str, float], free: Sequence[str]) -> None:
+        self.plant, self.targets, self.free = plant, list(targets), list(free)
         self.names = [f"der({v.name})" for v in plant.states] + self.targets
         variables = (*plant.states, *(plant.variable(n) for n in targets))
         scale = np.array([v.nominal for v in variables])
         values = np.array([0.0] * len(plant.states) + list(targets.values()))
-        z = ca.vertcat(plant.x, plant.u)
+        symbols = [plant.expression(n) for n in free]
+        loose = ca.SX.sym("free", len(free))
+        z = ca.vertcat(plant.x, plant.u, loose)
         residual = (ca.vertcat(*(plant.expression(n) for n in self.names)) - values) / scale
+        if free:
+            residual = ca.substitute(residual, ca.vertcat(*symbols), loose)
         self.function = ca.Function("rest", [z, plant.p], [residual, ca.jacobian(residual, z)])
         self.p = plant.vector("parameter")
+        unknown = (*plant.states, *plant.inputs, *(plant.variable(n) for n in free))
         self.nominal, self.low, self.high, self.start = (
-            np.concatenate([plant.vector(c, attribute=a) for c in ("state", "input")])
+            np.array([getattr(v, a) for v in unknown], dtype=float)
             for a in ("nominal", "min", "max", "start")
         )
+
+    def vector(self, point: OperatingPoint) -> Array:
+        """The unknowns at a point."""
+        return np.concatenate([point.x, point.u, [point[n] for n in self.free]])
+
+    def point(self, z: Array) -> OperatingPoint:
+        """The point of given unknowns; its plant has the free parameters' values."""
+        n, m = len(self.plant.states), len(self.plant.inputs)
+        plant = self.plant
+        if self.free:
+            plant = plant.with_values(dict(zip(self.free, z[n + m :], strict=True)))
+        error = float(np.abs(self.residual(z)).max())
+        return OperatingPoint(plant, z[:n], z[n : n + m], error)
+
+    def polished(self, z: Array) -> Array | None:
+        """The equilibrium that Newton's method reaches from z, None when outside or none."""
+        point = self.newton(z)
+        error = np.abs(self.residual(point)).max()
+        margin = 1e-9 * self.nominal
+        inside = np.all((point >= self.low - margin) & (point <= self.high + margin))
+        return np.clip(point, self.low, self.high) if error < TOLERANCE and inside else None
 
     def residual(self, point: Array) -> Array:
         value: Array = np.asarray(self.function(point, self.p)[0], dtype=float)
@@ -125,30 +312,30 @@ class _Search:
         }  # fmt: skip
         return ca.nlpsol("equilibrium", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
 
-    def _nearest(self, guess: Array, high: Array, slack: Array) -> Array:
+    def nearest(self, guess: Array, high: Array | None = None, slack: Array | None = None) -> Array:
         """The point within the bounds whose residual is smallest, |r_i| <= slack_i."""
+        high = self.high if high is None else high
+        slack = np.full(len(self.names), np.inf) if slack is None else slack
         result = self._solver(
             x0=np.concatenate([guess / self.nominal, np.zeros(len(slack))]),
             lbx=np.concatenate([self.low / self.nominal, -slack]),
             ubx=np.concatenate([high / self.nominal, slack]), lbg=0, ubg=0,
         )  # fmt: skip
-        return np.asarray(result["x"], dtype=float).ravel()[: len(self.nominal)] * self.nominal
+        w: Array = np.asarray(result["x"], dtype=float).ravel()[: len(self.nominal)]
+        return np.asarray(w * self.nominal)
 
-    def solve(self) -> tuple[OperatingPoint | None, Array]:
+    def solve(self, guess: OperatingPoint | None = None) -> tuple[OperatingPoint | None, Array]:
         """The equilibrium, or None and the point that comes nearest."""
-        free = np.full(len(self.names), np.inf)
+        if guess is not None:
+            near = self.polished(self.vector(guess))
+            if near is not None:
+                return self.point(near), near
         best, least = self.start, np.inf
-        for guess in self._starts():
-            nearest = self._nearest(guess, self.high, free)
-            point = self._newton(nearest)
-            error = float(np.abs(self.residual(point)).max())
-            margin = 1e-9 * self.nominal
-            if error < TOLERANCE and np.all(
-                (point >= self.low - margin) & (point <= self.high + margin)
-            ):
-                point = np.clip(point, self.low, self.high)
-                n = len(self.plant.states)
-                return OperatingPoint(self.plant, point[:n], point[n:], error), point
+        for start in self.starts():
+            nearest = self.nearest(start)
+            point = self.polished(nearest)
+            if point is not None:
+                return self.point(point), point
             miss = float(np.abs(self.residual(nearest)).max())
             if miss < least:
                 best, least = nearest, miss
@@ -163,29 +350,39 @@ class _Search:
         slack = np.zeros(len(self.names))
         slack[i] = np.inf
         variables = (*self.plant.states, *self.plant.inputs)
-        high = np.array([np.inf if more_pressure and v.unit == "Pa" else v.max for v in variables])
-        for guess in self._starts():
-            point = self._nearest(guess, high, slack)
+        high = self.high.copy()
+        high[: len(variables)] = [
+            np.inf if more_pressure and v.unit == "Pa" else v.max for v in variables
+        ]
+        for guess in self.starts():
+            point = self.nearest(guess, high, slack)
             others = np.delete(self.residual(point), i)
             if np.abs(others).max() < 1e-6:
-                x, u = np.split(point, [len(self.plant.states)])
-                return OperatingPoint(self.plant, x, u)
+                return self.point(np.clip(point, self.low, high))
         return None
 
-    def _starts(self) -> list[Array]:
-        """Start values first, then points spread over the bounds (fixed seed: the same each time)."""
-        low = np.where(np.isfinite(self.low), self.low, self.start - self.nominal)
-        high = np.where(np.isfinite(self.high), self.high, self.start + self.nominal)
-        spread = np.random.default_rng(0).uniform(0.1, 0.9, size=(5, len(low)))
+    def starts(self, count: int = 5, seed: int = 0, reach: float = 1.0) -> list[Array]:
+        """Start values first, then points spread over the bounds (fixed seed: the same each time).
+
+        reach : how many nominals to go from the start where there is no bound.
+        """
+        span = reach * self.nominal
+        low = np.where(np.isfinite(self.low), self.low, self.start - span)
+        high = np.where(np.isfinite(self.high), self.high, self.start + span)
+        spread = np.random.default_rng(seed).uniform(0.1, 0.9, size=(count, len(low)))
         return [self.start, *(low + s * (high - low) for s in spread)]
 
-    def _newton(self, point: Array, steps: int = 4) -> Array:
+    def newton(self, point: Array, steps: int = 4) -> Array:
         """A few Newton steps to rounding; least squares where the Jacobian is singular."""
         for _ in range(steps):
             residual, jacobian = (np.asarray(m, dtype=float) for m in self.function(point, self.p))
             if not np.all(np.isfinite(jacobian)):
                 break
-            point = point - np.linalg.lstsq(jacobian, residual.ravel(), rcond=None)[0]
+            # in units of nominal: else pressures alone would decide what is singular
+            step = np.linalg.lstsq(jacobian * self.nominal, residual.ravel(), rcond=None)[0]
+            point = point - step * self.nominal
+            if np.abs(step).max() < 1e-15:
+                break
         return point
 
 
@@ -211,8 +408,7 @@ def _why(search: _Search, targets: Mapping[str, float], nearest: Array) -> str:
     if remedies:
         hint = f"With all else as it is, {' or '.join(remedies)}"
     else:
-        x, u = np.split(nearest, [len(plant.states)])
-        near = OperatingPoint(plant, x, u)
+        near = search.point(np.clip(nearest, search.low, search.high))
         at = ", ".join(
             f"{v.name} = {v.shown(near[v.name])}" for v in (*plant.states, *plant.inputs)
         )
