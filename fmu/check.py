@@ -12,7 +12,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import fmpy.validation
 import numpy as np
 from numpy.typing import NDArray
 
@@ -127,6 +126,8 @@ def check_fmu(
     Raises InputError when the file cannot be read as an FMU or nothing can be compared. What is
     wrong with a readable FMU stands in the result.
     """
+    from fmpy.validation import validate_fmu
+
     file = Path(path)
     require_positive("tolerance", tolerance)
     require_positive("duration", duration, "s")
@@ -135,7 +136,7 @@ def check_fmu(
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
         fmu = UnpackedFmu(file, Path(folder))
         platforms, findings = _binaries(file, fmu)
-        findings = [*fmpy.validation.validate_fmu(str(file)), *findings]
+        findings = [*validate_fmu(str(file)), *findings]
         deviations: dict[str, dict[str, float]] = {}
         runs: dict[str, Trajectory] = {}
         if native().name in platforms:

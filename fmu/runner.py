@@ -7,16 +7,15 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-import fmpy
-import fmpy.fmi2
-import fmpy.fmi3
 import numpy as np
-from fmpy.sundials import CVodeSolver
 from numpy.typing import NDArray
 
 from pam_ocp.errors import InputError, SimulationError, UnknownNameError
+
+if TYPE_CHECKING:
+    from fmpy.sundials import CVodeSolver
 
 __all__ = ["Kind", "Runner", "UnpackedFmu"]
 
@@ -31,6 +30,8 @@ class UnpackedFmu:
     """
 
     def __init__(self, path: Path, folder: Path) -> None:
+        import fmpy  # loaded when an FMU is opened: `import pam_ocp` stays quick
+
         try:
             self.description: Any = fmpy.read_model_description(str(path), validate=False)
             fmpy.extract(str(path), str(folder))
@@ -58,6 +59,9 @@ class Runner:
     """
 
     def __init__(self, fmu: UnpackedFmu, kind: Kind, token: str | None = None) -> None:
+        import fmpy.fmi2
+        import fmpy.fmi3
+
         self.fmu = fmu
         self.kind: Kind = kind
         self.log: list[tuple[int, str]] = []
@@ -87,6 +91,8 @@ class Runner:
                 logMessage=lambda _, status, __, text: self.log.append((status, text.decode()))
             )
             return
+        import fmpy.fmi2
+
         callbacks = fmpy.fmi2.fmi2CallbackFunctions()
         callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(
             lambda _, __, status, ___, text: self.log.append((status, text.decode()))
@@ -169,6 +175,7 @@ class Runner:
 
         ``inputs`` gives the values of inputs that change between events.
         """
+        from fmpy.sundials import CVodeSolver
 
         def set_time(t: float) -> None:
             self.inner.setTime(t)

@@ -1,0 +1,54 @@
+"""What is installed: every room, the FMU's C sources, the data; and no top-level ``fmu``."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+
+def test_every_folder_with_code_is_a_package_that_gets_installed():
+    listed = set(
+        tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"][
+            "packages"
+        ]
+    )
+    rooms = {f"pam_ocp.{p.parent.name}" for p in (ROOT / "pam_ocp").glob("*/__init__.py")}
+    assert {"pam_ocp", "pam_ocp.fmu", "pam_ocp.fmu.c", *rooms} == listed
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_all_and_no_module_named_fmu(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--no-deps", "--quiet", "-w", str(tmp_path), str(ROOT)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {n.partition("/")[0] for n in names if not n.partition("/")[0].endswith(".dist-info")}
+    assert tops == {"pam_ocp"}
+    for needed in (
+        "pam_ocp/py.typed", "pam_ocp/data/DMSP-20-300_static.csv", "pam_ocp/muscle/catalogue.toml",
+        "pam_ocp/fmu/package.py", "pam_ocp/fmu/c/instance.c", "pam_ocp/fmu/c/fmi3Functions.h",
+        "pam_ocp/fmu/c/LICENSE.fmi-headers",
+    ):  # fmt: skip
+        assert needed in names
+
+
+def test_import_is_light():
+    """No plotting, no table library, no FMI library is loaded before it is used."""
+    code = (
+        "import sys, pam_ocp; heavy = {'matplotlib', 'pandas', 'control', 'scipy', 'fmpy'} & set(sys.modules);"
+        "print(sorted(heavy)); sys.exit(bool(heavy))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
