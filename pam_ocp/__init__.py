@@ -22,11 +22,34 @@ from .fmu import check_fmu, export_fmu
 from .linear import linearize, modes
 from .load_study import LoadStudy, load_study
 from .many import ManySimulations, draws, simulate_many, sweep
+from .muscle.braid import CorrectedLaw, GeometricLaw
 from .muscle.catalogue import muscle, muscle_names
-from .muscle.force import LAWS, ForceLaw, SixParameterLaw
-from .muscle.losses import ConstantDamping, StiffnessDamping
+from .muscle.empirical import (
+    FiveParameterLaw,
+    HildebrandtLaw,
+    LengthScaledLaw,
+    ThreeElementLaw,
+    TwoSlopeThreeElementLaw,
+)
+from .muscle.force import LAWS, ForceLaw, SixParameterLaw, coefficient
+from .muscle.free import own_law, polynomial_law, spline_law
+from .muscle.gas import (
+    BraidVolume,
+    ConsistentVolume,
+    Gas,
+    PolynomialVolume,
+    closed_stiffness,
+    conductance_from_flow,
+    iso6358,
+    muscle_volume,
+)
+from .muscle.hysteresis import BoucWen, Creep, MaxwellSlip
+from .muscle.losses import ConstantDamping, CoulombFriction, DirectionalDamping, StiffnessDamping
 from .muscle.muscle import Muscle
 from .muscle.muscle_file import load_muscle, save_muscle
+from .muscle.validity import ValidityWarning
+from .muscle.valves import OnOffValves, SpoolValve, Tube
+from .muscle.wall import ThickWallLaw
 from .plan.mesh import Collocation
 from .plan.solve import Plan, plan
 from .plant.actuator import IdealPressure, Regulator
@@ -36,11 +59,23 @@ from .plant.elastic import SeriesLoad, SpringOverMuscle
 from .plant.joint import AntagonisticJoint
 from .plant.loads import Damper, DryFriction, ExternalForce, Inertia, Spring, Wall
 from .plant.plant import Plant
+from .plant.regulated import PositionFeedback, RegulatedLoad
 from .plant.single import HangingLoad
 from .simulate import simulate
 from .trajectory import Comparison, Trajectory
 from .validation import RecordComparison, compare_with_record
 from .variables import Variable
+from .vibration import (
+    VibrationError,
+    backbone,
+    continue_cycle,
+    energy,
+    free_vibration,
+    hopf,
+    hopf_border,
+    limit_cycle,
+    stability_path,
+)
 
 __version__ = "0.1.0"
 
@@ -50,60 +85,100 @@ __all__ = [
     "AllocationError",
     "AntagonisticJoint",
     "AntagonisticSlide",
+    "BoucWen",
+    "BraidVolume",
     "Collocation",
     "Comparison",
+    "ConsistentVolume",
     "ConstantDamping",
+    "CorrectedLaw",
+    "CoulombFriction",
+    "Creep",
     "Damper",
+    "DirectionalDamping",
     "DryFriction",
     "EquilibriumError",
     "ExportError",
     "ExternalForce",
     "FitError",
+    "FiveParameterLaw",
     "ForceFit",
     "ForceLaw",
     "ForceTable",
+    "Gas",
+    "GeometricLaw",
     "HangingLoad",
+    "HildebrandtLaw",
     "IdealPressure",
     "Inertia",
     "InputError",
+    "LengthScaledLaw",
     "LoadStudy",
     "ManySimulations",
+    "MaxwellSlip",
     "Muscle",
+    "OnOffValves",
     "OperatingPoint",
     "PamError",
     "Plan",
     "PlanError",
     "Plant",
+    "PolynomialVolume",
+    "PositionFeedback",
     "RecordComparison",
+    "RegulatedLoad",
     "Regulator",
     "SeriesLoad",
     "SimulationError",
     "SixParameterLaw",
+    "SpoolValve",
     "Spring",
     "SpringOverMuscle",
     "StiffnessDamping",
+    "ThickWallLaw",
+    "ThreeElementLaw",
     "Trajectory",
+    "Tube",
+    "TwoSlopeThreeElementLaw",
     "UnknownNameError",
+    "ValidityWarning",
     "Variable",
+    "VibrationError",
     "Wall",
+    "backbone",
     "check_fmu",
+    "closed_stiffness",
+    "coefficient",
     "common_and_difference",
     "compare_with_record",
+    "conductance_from_flow",
+    "continue_cycle",
     "draws",
+    "energy",
     "equilibrium",
     "export_fmu",
     "fit_force",
+    "free_vibration",
+    "hopf",
+    "hopf_border",
+    "iso6358",
+    "limit_cycle",
     "linearize",
     "load_muscle",
     "load_study",
     "modes",
     "muscle",
     "muscle_names",
+    "muscle_volume",
+    "own_law",
     "plan",
+    "polynomial_law",
     "pressures_of",
     "read_table",
     "save_muscle",
     "simulate",
     "simulate_many",
+    "spline_law",
+    "stability_path",
     "sweep",
 ]

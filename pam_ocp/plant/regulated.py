@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -68,20 +69,22 @@ class PositionFeedback:
         )  # fmt: skip
         gain, derivative_gain, lag, largest, rounding = (
             plant.parameter(
-                f"{name}.{key}", value, unit=unit, min=low, nominal=nominal, tunable=True,
-                description=f"{words} ({name})",
+                f"{name}.{key}", value, unit=unit, min=low, nominal=nominal, display_unit=shown,
+                tunable=True, description=f"{words} ({name})",
             )
-            for key, value, unit, low, nominal, words in (
-                ("gain", self.gain, "Pa/m", -float("inf"), 1e6, "feedback of position"),
-                ("derivative_gain", self.derivative_gain, "Pa.s/m", -float("inf"), 1e5,
+            for key, value, unit, shown, low, nominal, words in (
+                ("gain", self.gain, "Pa/m", "bar/m", -math.inf, 1e6, "feedback of position"),
+                ("derivative_gain", self.derivative_gain, "Pa.s/m", "bar.s/m", -math.inf, 1e5,
                  "feedback of velocity"),
-                ("lag", self.lag, "s", 1e-6, 0.1, "time constant of the pressure regulator"),
-                ("max_pressure", top, "Pa", 1.0, 1e5, "largest pressure of the regulator"),
-                ("rounding", self.rounding, "Pa", 1.0, 1e4, "rounding of the command's ends"),
+                ("lag", self.lag, "s", "s", 1e-6, 0.1, "time constant of the regulator"),
+                ("max_pressure", top, "Pa", "bar", 1.0, 1e5, "largest pressure of the regulator"),
+                ("rounding", self.rounding, "Pa", "bar", 1.0, 1e4, "rounding of the command's ends"),
             )
         )  # fmt: skip
         length = muscle.rest_length
-        wanted = middle + gain * (reference - contraction * length) - derivative_gain * rate * length
+        wanted = (
+            middle + gain * (reference - contraction * length) - derivative_gain * rate * length
+        )
         command = clamp(wanted, rounding) - clamp(wanted - largest, rounding)
         plant.der(pressure, (command - pressure) / lag)
         plant.output(

@@ -1,0 +1,172 @@
+"""The energy of a load on muscles at constant pressure: why it cannot vibrate by itself.
+
+Theorem. Let m x'' = R(x) - D(x, x'), where R = F(p, kappa) - m g - ... is the resultant force at
+rest with all pressures constant, and D the resistance, D(x, v) v >= 0. Then
+
+    E = m x'^2/2 - integral of R dx        (for the hanging load m x'^2/2 + m g x - integral F dx)
+
+falls along every motion, dE/dt = -D x' (= -c x'^2 for viscous damping). A limit cycle would return
+to the same E after a period, so none exists with c > 0, and with c = 0 every motion keeps the
+energy that it was given. Conditions: pressures constant (no gas being compressed, no feedback), one
+position, c >= 0, dry friction not falling below zero. It holds for any force law, with or without
+the clamp F >= 0, because F then depends on x alone. Sustained vibration needs an active element:
+see :class:`pam_ocp.plant.regulated.RegulatedLoad`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from ..errors import InputError
+from ..plant.plant import Plant
+from ..trajectory import Trajectory
+from .numerics import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Energy", "energy"]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Energy along a motion [J] and its exact rate [W], all (n,); t [s]."""
+
+    t: Array
+    kinetic: Array
+    potential: Array
+    """- integral of the resultant force at rest, 0 at the first sample."""
+    rate: Array
+    """dE/dt by the plant's equations: the power of what resists the motion, <= 0."""
+
+    @property
+    def total(self) -> Array:
+        """Kinetic plus potential energy [J]."""
+        return self.kinetic + self.potential
+
+    def plot(self) -> Figure:
+        """Energies over time, and the power lost."""
+        from .pictures import plot_energy
+
+        return plot_energy(self)
+
+
+def energy(
+    plant: Plant,
+    trajectory: Trajectory,
+    *,
+    position: str = "x",
+    mass: str | float = "mass",
+) -> Energy:
+    """E = m v^2/2 - integral R dx along a motion at constant pressures; see the module's theorem.
+
+    Parameters
+    ----------
+    plant : with one position whose velocity is a state, as ``HangingLoad(..., feed=IdealPressure())``.
+    trajectory : a motion of it, as :func:`pam_ocp.simulate` returns.
+    position : the position's name. mass : name of the parameter, or the inertia itself [kg, kg m2].
+
+    R is mass times the plant's acceleration at zero velocity. Its integral is exact to rounding:
+    Gauss-Legendre with 16 points on pieces between the ends of the clamp's rounding.
+
+    Raises InputError when another state or an input moves: then this is no energy of the plant.
+    """
+    name = plant.variable(position).name
+    velocity = plant.positions.get(name)
+    if velocity is None:
+        raise InputError(f"position: {name} has no velocity among the states of {plant.name!r}")
+    _require_constant(plant, trajectory, {name, velocity})
+    m = mass if isinstance(mass, (int, float)) else plant.vector("parameter")[_row(plant, mass)]
+    acceleration, tension = _expressions(plant, name, velocity)
+    first = trajectory.row(0)
+    x0 = np.array([first[v.name] for v in plant.states])
+    constants = (x0, trajectory.array([v.name for v in plant.inputs])[0], plant.vector("parameter"))
+    x, v = trajectory[name], trajectory[velocity]
+    still = np.zeros_like(v)
+
+    def resultant(at: Array) -> Array:
+        flat = np.asarray(acceleration(at.reshape(1, -1), 0.0, *constants))
+        return float(m) * flat.reshape(at.shape)
+
+    pieces = _pieces(lambda at: np.asarray(tension(at.reshape(1, -1), 0.0, *constants)), x)
+    moving, resting = (
+        np.asarray(acceleration(x[None, :], w[None, :], *constants)).ravel() for w in (v, still)
+    )
+    potential = -_integral(resultant, pieces, x)
+    return Energy(
+        trajectory.t, float(m) * v**2 / 2, potential - potential[0], float(m) * v * (moving - resting)
+    )  # fmt: skip
+
+
+def _row(plant: Plant, mass: str) -> int:
+    variable = plant.variable(mass)
+    if variable.causality != "parameter":
+        raise InputError(f"mass: {variable.name} is a {variable.causality}; name a parameter")
+    return plant.parameters.index(variable)
+
+
+def _require_constant(plant: Plant, trajectory: Trajectory, moving: set[str]) -> None:
+    for variable in (*plant.states, *plant.inputs):
+        column = trajectory[variable.name]
+        if variable.name not in moving and np.ptp(column) > 1e-9 * variable.nominal:
+            raise InputError(
+                f"{variable.name} moves between {variable.shown(column.min())} and "
+                f"{variable.shown(column.max())}: the energy function holds only while it is "
+                "constant; use IdealPressure() and constant inputs"
+            )
+
+
+def _expressions(plant: Plant, position: str, velocity: str) -> tuple[ca.Function, ca.Function]:
+    """(position, velocity, x, u, p) -> acceleration, and [tensions -+ width] of all muscles."""
+    names = [v.name for v in plant.states]
+    x, v = ca.SX.sym("x"), ca.SX.sym("v")
+    others = ca.SX.sym("states", len(names))
+    z = [x if n == position else v if n == velocity else others[i] for i, n in enumerate(names)]
+    kinks = []
+    for constraint in plant.constraints:
+        owner, _, kind = constraint.name.rpartition(".")
+        if kind == "tension":
+            tension = plant.expression(constraint.name)
+            width = plant.expression(f"{owner}.slack_width")
+            kinks += [tension - width, tension + width]
+    arguments = [x, v, others, plant.u, plant.p]
+    found = ca.substitute(
+        [plant.expression(f"der({velocity})"), ca.vertcat(*kinks) if kinks else ca.SX(1)],
+        [plant.x], [ca.vertcat(*z)],
+    )  # fmt: skip
+    return ca.Function("a", arguments, [found[0]]), ca.Function("kinks", arguments, [found[1]])
+
+
+def _pieces(kinks: Callable[[Array], Array], x: Array) -> Array:
+    """Ends of intervals that cover x and hold no kink of the clamp inside."""
+    grid = np.linspace(x.min(), x.max(), 401)
+    values = kinks(grid)
+    ends = [x.min(), x.max()]
+    for row in range(values.shape[0]):
+        for i in np.flatnonzero(np.sign(values[row, :-1]) * np.sign(values[row, 1:]) < 0):
+            low, high = grid[i], grid[i + 1]
+            for _ in range(60):
+                middle = (low + high) / 2
+                same = np.sign(kinks(np.array([middle]))[row, 0]) == np.sign(values[row, i])
+                low, high = (middle, high) if same else (low, middle)
+            ends.append(middle)
+    coarse = np.linspace(x.min(), x.max(), 9)
+    return np.unique(np.concatenate([ends, coarse]))
+
+
+def _integral(function: Callable[[Array], Array], pieces: Array, x: Array) -> Array:
+    """Integral of a vectorised function from pieces[0] to each x."""
+    total = np.zeros_like(x)
+    for low, high in pairwise(pieces):
+        half = (np.clip(x, low, high) - low) / 2
+        at = low + half[:, None] * (1 + _NODES)
+        total += half * (function(at) @ _WEIGHTS)
+    return total
