@@ -6,6 +6,15 @@ around one symbolic CasADi model. SI units inside; pressures are gauge; contract
 
 from __future__ import annotations
 
+from .design.analysis import along_stroke, bode_cloud, margins, margins_over, mode_map
+from .design.closed_loop import closed_loop
+from .design.inverse import InverseDynamics
+from .design.kalman import WithEstimate, kalman
+from .design.lqr import lqr
+from .design.pid import PID, PositionController, PressureLoop
+from .design.rest import equilibria, equilibrium_path
+from .design.schedule import scheduled_lqr
+from .design.tvlqr import OpenLoop, tvlqr
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from .errors import (
     ExportError,
@@ -19,7 +28,7 @@ from .errors import (
 from .fit.static import ForceFit, fit_force
 from .fit.tables import ForceTable, read_table
 from .fmu import check_fmu, export_fmu
-from .linear import linearize, modes
+from .linear import linearize, linearize_along, linearize_grid, modes
 from .load_study import LoadStudy, load_study
 from .many import ManySimulations, draws, simulate_many, sweep
 from .muscle.braid import CorrectedLaw, GeometricLaw
@@ -50,6 +59,7 @@ from .muscle.muscle_file import load_muscle, save_muscle
 from .muscle.validity import ValidityWarning
 from .muscle.valves import OnOffValves, SpoolValve, Tube
 from .muscle.wall import ThickWallLaw
+from .nlsys import as_nlsys
 from .plan.mesh import Collocation
 from .plan.solve import Plan, plan
 from .plant.actuator import IdealPressure, Regulator
@@ -81,6 +91,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "LAWS",
+    "PID",
     "Allocation",
     "AllocationError",
     "AntagonisticJoint",
@@ -112,19 +123,23 @@ __all__ = [
     "IdealPressure",
     "Inertia",
     "InputError",
+    "InverseDynamics",
     "LengthScaledLaw",
     "LoadStudy",
     "ManySimulations",
     "MaxwellSlip",
     "Muscle",
     "OnOffValves",
+    "OpenLoop",
     "OperatingPoint",
     "PamError",
     "Plan",
     "PlanError",
     "Plant",
     "PolynomialVolume",
+    "PositionController",
     "PositionFeedback",
+    "PressureLoop",
     "RecordComparison",
     "RegulatedLoad",
     "Regulator",
@@ -145,8 +160,13 @@ __all__ = [
     "Variable",
     "VibrationError",
     "Wall",
+    "WithEstimate",
+    "along_stroke",
+    "as_nlsys",
     "backbone",
+    "bode_cloud",
     "check_fmu",
+    "closed_loop",
     "closed_stiffness",
     "coefficient",
     "common_and_difference",
@@ -155,17 +175,26 @@ __all__ = [
     "continue_cycle",
     "draws",
     "energy",
+    "equilibria",
     "equilibrium",
+    "equilibrium_path",
     "export_fmu",
     "fit_force",
     "free_vibration",
     "hopf",
     "hopf_border",
     "iso6358",
+    "kalman",
     "limit_cycle",
     "linearize",
+    "linearize_along",
+    "linearize_grid",
     "load_muscle",
     "load_study",
+    "lqr",
+    "margins",
+    "margins_over",
+    "mode_map",
     "modes",
     "muscle",
     "muscle_names",
@@ -176,9 +205,11 @@ __all__ = [
     "pressures_of",
     "read_table",
     "save_muscle",
+    "scheduled_lqr",
     "simulate",
     "simulate_many",
     "spline_law",
     "stability_path",
     "sweep",
+    "tvlqr",
 ]

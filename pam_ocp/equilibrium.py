@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, TypeAlias
@@ -11,24 +11,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, PamError
+from .errors import InputError, PamError, require_finite
 from .plant.plant import Plant, Values
 
 __all__ = [
     "EquilibriumError",
-    "EquilibriumPath",
     "OperatingPoint",
-    "equilibria",
     "equilibrium",
-    "equilibrium_path",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
+Expressions: TypeAlias = Mapping[str, tuple[ca.SX, float]]
 
 TOLERANCE = 1e-9
 """Largest residual of an equilibrium, in units of nominal (per second)."""
-SAME = 1e-6
-"""Equilibria nearer to each other than this (in units of nominal) are one."""
 MARGIN = 1e-8
 """Real parts of poles within this part of the fastest pole count as zero."""
 
@@ -91,6 +87,7 @@ def equilibrium(
     /,
     *,
     free: Sequence[str] = (),
+    expressions: Expressions | None = None,
     guess: OperatingPoint | None = None,
     **more: Any,
 ) -> OperatingPoint:
@@ -103,113 +100,24 @@ def equilibrium(
     free : parameters and disturbances to be found as well, each for one more condition: the load
         that rests at x under 3 bar is ``equilibrium(plant, {"x": 0.05, "muscle.command": 3e5},
         free=["mass"])["mass"]``. The point's own ``plant`` then has these parameters.
+    expressions : {label: (CasADi expression of the plant's symbols, value)}, each one more condition
+        for what is no variable, such as the co-contraction of a pair:
+        ``{"mean": ((plant.expression("muscle1.pressure") + plant.expression("muscle2.pressure")) / 2, 3e5)}``.
     guess : a point to start from (a neighbour), tried first.
 
     Solved within the variables' bounds by IPOPT from several starts, then by Newton to rounding.
     Raises InputError when the conditions are too few or too many, EquilibriumError when no point
     within the bounds meets them (it names the one that fails, and by how much).
     """
-    search, targets = _posed(plant, {**(conditions or {}), **more}, free)
+    search, targets = posed(plant, {**(conditions or {}), **more}, free, expressions)
     point, nearest = search.solve(guess)
     if point is None:
-        raise EquilibriumError(_why(search, targets, nearest))
+        raise EquilibriumError(why_not(search, targets, nearest))
     return point
 
 
-def equilibria(
-    plant: Plant,
-    conditions: Values | None = None,
-    /,
-    *,
-    free: Sequence[str] = (),
-    starts: int = 30,
-    seed: int = 0,
-    **more: Any,
-) -> list[OperatingPoint]:
-    """All points of rest under conditions that a search from many starts finds, each once.
-
-    Arguments as in :func:`equilibrium`; ``starts`` points are spread over the bounds (a state or
-    input without bounds: five nominals to either side of its start). Sorted by their states; see
-    ``point.stability`` and ``point.poles``. A search by samples: it can miss one with a small basin.
-    Raises InputError for bad conditions, EquilibriumError when there is none.
-    """
-    search, targets = _posed(plant, {**(conditions or {}), **more}, free)
-    if starts < 1:
-        raise InputError(f"starts = {starts} must be >= 1")
-    found: list[Array] = []
-    for guess in search.starts(starts, seed, reach=5.0):
-        for rough in (search.newton(guess, steps=30), search.nearest(guess)):
-            point = search.polished(rough)
-            if point is None:
-                continue
-            if all(np.abs((point - other) / search.nominal).max() > SAME for other in found):
-                found.append(point)
-            break
-    if not found:
-        raise EquilibriumError(_why(search, targets, search.nearest(search.start)))
-    return [search.point(z) for z in sorted(found, key=lambda z: tuple(z / search.nominal))]
-
-
-@dataclass(frozen=True)
-class EquilibriumPath:
-    """Points of rest along one variable; ``path["x"]`` gives a value at each of them [SI]."""
-
-    name: str
-    values: Array
-    """Of the variable, as far as the path came."""
-    points: tuple[OperatingPoint, ...]
-    end: str = ""
-    """Why the path stops before the last value asked for; "" when it does not."""
-
-    def __getitem__(self, name: str) -> Array:
-        return np.array([point[name] for point in self.points])
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-
-def equilibrium_path(
-    plant: Plant,
-    name: str,
-    values: Iterable[float],
-    conditions: Values | None = None,
-    /,
-    *,
-    free: Sequence[str] = (),
-    **more: Any,
-) -> EquilibriumPath:
-    """Points of rest while one variable (condition or parameter) runs through values, in order.
-
-    ``equilibrium_path(plant, "mass", np.linspace(5, 60, 40), {"muscle.command": 3e5})``. Each point
-    starts from its neighbour, so the path stays on one branch; it ends where that branch leaves the
-    bounds or turns back (a fold), and says so in ``end``.
-    Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
-    """
-    points: list[OperatingPoint] = []
-    done: list[float] = []
-    end = ""
-    for value in values:
-        given = {**(conditions or {}), **more, name: float(value)}
-        if not points:
-            points.append(equilibrium(plant, given, free=free))
-        else:
-            try:
-                search, _ = _posed(plant, given, free)
-            except InputError as error:  # the value itself leaves its range
-                end = str(error)
-                break
-            point = search.polished(search.newton(search.vector(points[-1]), steps=30))
-            if point is None:
-                shown = plant.variable(name).shown
-                end = f"no neighbour within the bounds from {shown(done[-1])} to {shown(value)}"
-                break
-            points.append(search.point(point))
-        done.append(float(value))
-    return EquilibriumPath(plant.variable(name).name, np.array(done), tuple(points), end)
-
-
-def _posed(
-    plant: Plant, conditions: Values, free: Sequence[str]
+def posed(
+    plant: Plant, conditions: Values, free: Sequence[str], expressions: Expressions | None = None
 ) -> tuple[_Search, dict[str, float]]:
     """The search that conditions and free variables stand for, and its targets."""
     given = {plant.variable(n).name: v for n, v in conditions.items()}
@@ -230,6 +138,8 @@ def _posed(
         if not np.isfinite(value):
             raise InputError(f"equilibrium: {name} = {value} must be finite")
         plant.variable(name).check(value, "the condition")
+    more = {n: (ca.SX(x), require_finite(n, v)) for n, (x, v) in (expressions or {}).items()}
+    targets.update({n: v for n, (_, v) in more.items()})
     loose = [n for n in free if plant.variable(n).causality == "parameter"]
     disturbances = {
         v.name: v.start or 0.0
@@ -245,7 +155,7 @@ def _posed(
             f"inputs{' and free variables' if free else ''} ({', '.join(controls)}); "
             f"{len(targets)} given: {', '.join(targets) or 'none'}"
         )
-    return _Search(plant, targets, loose), targets
+    return _Search(plant, targets, loose, {n: x for n, (x, _) in more.items()}), targets
 
 
 class _Search:
@@ -254,16 +164,29 @@ class _Search:
     Unknown are z = (states, inputs, free parameters).
     """
 
-    def __init__(self, plant: Plant, targets: Mapping[str, float], free: Sequence[str]) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        targets: Mapping[str, float],
+        free: Sequence[str],
+        more: Mapping[str, ca.SX],
+    ) -> None:
         self.plant, self.targets, self.free = plant, list(targets), list(free)
         self.names = [f"der({v.name})" for v in plant.states] + self.targets
-        variables = (*plant.states, *(plant.variable(n) for n in targets))
-        scale = np.array([v.nominal for v in variables])
+        # an expression has no nominal: its value says its size
+        scale = np.array(
+            [v.nominal for v in plant.states]
+            + [
+                abs(v) or 1.0 if n in more else plant.variable(n).nominal
+                for n, v in targets.items()
+            ]
+        )
+        rows = [more[n] if n in more else plant.expression(n) for n in self.names]
         values = np.array([0.0] * len(plant.states) + list(targets.values()))
         symbols = [plant.expression(n) for n in free]
         loose = ca.SX.sym("free", len(free))
         z = ca.vertcat(plant.x, plant.u, loose)
-        residual = (ca.vertcat(*(plant.expression(n) for n in self.names)) - values) / scale
+        residual = (ca.vertcat(*rows) - values) / scale
         if free:
             residual = ca.substitute(residual, ca.vertcat(*symbols), loose)
         self.function = ca.Function("rest", [z, plant.p], [residual, ca.jacobian(residual, z)])
@@ -327,7 +250,7 @@ class _Search:
     def solve(self, guess: OperatingPoint | None = None) -> tuple[OperatingPoint | None, Array]:
         """The equilibrium, or None and the point that comes nearest."""
         if guess is not None:
-            near = self.polished(self.vector(guess))
+            near = self.polished(self.newton(self.vector(guess), steps=20))
             if near is not None:
                 return self.point(near), near
         best, least = self.start, np.inf
@@ -386,12 +309,16 @@ class _Search:
         return point
 
 
-def _why(search: _Search, targets: Mapping[str, float], nearest: Array) -> str:
+def why_not(search: _Search, targets: Mapping[str, float], nearest: Array) -> str:
     """What cannot be met, and for each condition the value that the others would allow."""
     plant = search.plant
-    wanted = ", ".join(f"{n} = {plant.variable(n).shown(v)}" for n, v in targets.items())
+    known = {v.name for v in plant.variables}
+    wanted = ", ".join(
+        f"{n} = {plant.variable(n).shown(v) if n in known else f'{v:.6g}'}"
+        for n, v in targets.items()
+    )
     remedies = []
-    for name, value in targets.items():
+    for name, value in ((n, v) for n, v in targets.items() if n in known):
         variable = plant.variable(name)
         inside = search.relaxed(name, more_pressure=False)
         point = search.relaxed(name, more_pressure=True) if inside is None else inside

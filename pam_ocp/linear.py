@@ -343,6 +343,7 @@ def linearize_grid(
 def chosen_signals(
     argument: str, plant: Plant, names: Sequence[str] | None, allowed: tuple[str, ...]
 ) -> list[str]:
+    """The plant's spelling of names, all of the allowed causalities when None is given."""
     known = [v for a in allowed for v in plant.variables if v.causality == a]
     if names is None:
         return [v.name for v in known]

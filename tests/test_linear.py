@@ -9,9 +9,10 @@ from conftest import BAR, flat
 
 import pam_ocp as pam
 from pam_ocp import EquilibriumError, InputError
-from pam_ocp.equilibrium import equilibria, equilibrium_path
+from pam_ocp.design.rest import equilibria, equilibrium_path
 from pam_ocp.linear import linearize_along, linearize_grid
 from pam_ocp.muscle.valves import OnOffValves, SpoolValve, Tube
+from pam_ocp.plant.regulated import PositionFeedback
 
 
 @pytest.mark.parametrize(
@@ -54,6 +55,7 @@ FEEDS = {
     "spool and tube": SpoolValve(tube=Tube(), leak=1e-10),
     "spool with totals": SpoolValve(totals=True),
     "on-off": OnOffValves(),
+    "position feedback": PositionFeedback(derivative_gain=1e4),
 }
 
 PLANTS = {
@@ -73,7 +75,7 @@ def away_from_the_borders_of_pieces(plant, rng):
             if v.unit == "Pa":
                 vector[i] = rng.uniform(2.5e5, 3.5e5)
             elif v.causality == "input":
-                vector[i] = rng.uniform(0.3, 0.7)
+                vector[i] = rng.uniform(0.3, 0.7) * v.nominal
             elif np.isfinite(v.min) and np.isfinite(v.max):
                 vector[i] = v.min + rng.uniform(0.45, 0.55) * (v.max - v.min)
             else:
@@ -253,8 +255,16 @@ def test_the_load_that_rests_at_a_place_and_pressure_is_found(hanging, long_musc
 
 def test_torque_and_co_contraction_fix_the_angle_of_a_joint(long_muscle):
     joint = pam.AntagonisticJoint(long_muscle, link_mass=2.0, link_length=0.3)
-    point = joint.equilibrium({"torque": 2.0, "muscle1.pressure": 3 * BAR})
+    p = [joint.expression(f"muscle{i}.pressure") for i in (1, 2)]
+    mean = {"co-contraction": ((p[0] + p[1]) / 2, 3 * BAR)}
+    point = joint.equilibrium(torque=2.0, expressions=mean)
     assert np.sin(point["theta"]) == pytest.approx(2.0 / (2.0 * 9.80665 * 0.3), rel=1e-9)
+    both = point["muscle1.pressure"], point["muscle2.pressure"]
+    assert pam.common_and_difference(*both)[0] == pytest.approx(3 * BAR, rel=1e-9)
+    with pytest.raises(EquilibriumError, match=r"torque = 2 N\.m, co-contraction = 900000 within"):
+        joint.equilibrium(
+            torque=2.0, expressions={"co-contraction": (mean["co-contraction"][0], 9e5)}
+        )
 
 
 def test_a_disturbance_can_be_the_unknown(long_muscle):

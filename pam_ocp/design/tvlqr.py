@@ -1,0 +1,186 @@
+"""Time-varying LQR along a planned motion: the Riccati differential equation, backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError, require_positive
+from ..linear import LinearAlong, linearize_along
+from ..plant.plant import Plant
+from ..trajectory import Trajectory
+from .closed_loop import Measured
+from .lqr import Integrals, Weighting, saturated
+
+__all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+class OpenLoop:
+    """A Controller that plays the inputs of a motion, whatever happens (for comparison)."""
+
+    def __init__(self, plant: Plant, motion: Trajectory, dt: float) -> None:
+        self.motion, self.dt = motion, require_positive("dt", dt, "s")
+        self.inputs = [v.name for v in plant.inputs if not v.disturbance]
+        self._all = list(motion.named("input"))
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+
+    def planned(self, t: float) -> Array:
+        """The inputs to hold over the sample from t on: those of its middle."""
+        middle = float(np.clip(t + self.dt / 2, self.motion.t[0], self.motion.t[-1]))
+        if self.motion.signals is not None:
+            row = self.motion.signals(middle)[0]
+            return np.array([row[self._all.index(n)] for n in self.inputs])
+        return np.array([np.interp(middle, self.motion.t, self.motion[n]) for n in self.inputs])
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        return dict(zip(self.inputs, self.planned(t).tolist(), strict=True))
+
+
+@dataclass
+class TrajectoryFeedback:
+    """u = u(t) - K(t) (x - x(t)) - Ki(t) integral(y - y(t)): a Controller along a motion.
+
+    t : (n,) [s]; K : (n, inputs, states), Ki : (n, inputs, integrated), SI units; P : (n, N, N), the
+    solution of the Riccati equation in units of nominal (cost to go = z' P z, z in nominals).
+    """
+
+    plant: Plant
+    motion: Trajectory = field(repr=False)
+    t: Array
+    K: Array = field(repr=False)
+    Ki: Array = field(repr=False)
+    P: Array = field(repr=False)
+    integrated: list[str]
+    dt: float
+
+    def __post_init__(self) -> None:
+        self._open = OpenLoop(self.plant, self.motion, self.dt)
+        self._states = [v.name for v in self.plant.states]
+        self._x = self.motion.array(self._states)
+        self._y = self.motion.array(self.integrated)
+        chosen = [self.plant.variable(n) for n in self._open.inputs]
+        self._low, self._high = (np.array([getattr(v, a) for v in chosen]) for a in ("min", "max"))
+        self._integrals = Integrals(self.integrated)
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self._integrals.reset()
+
+    def _row(self, t: float, values: Array, times: Array) -> Array:
+        i = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2))
+        share = float(np.clip((t - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0))
+        return np.asarray(values[i] + share * (values[i + 1] - values[i]))
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        x = np.array([measured[n] for n in self._states])
+        u = self._open.planned(t) - self._row(t, self.K, self.t) @ (
+            x - self._row(t, self._x, self.motion.t)
+        )
+        u = u - self._row(t, self.Ki, self.t) @ self._integrals.values
+        if self.integrated:
+            y = np.array([measured[n] for n in self.integrated])
+            error = y - self._row(t, self._y, self.motion.t)
+            self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
+        return dict(zip(self._open.inputs, u.tolist(), strict=True))
+
+
+def tvlqr(
+    plant: Plant,
+    motion: Trajectory,
+    *,
+    weights: Mapping[str, float] | None = None,
+    effort: float | Mapping[str, float] = 1.0,
+    integral: Mapping[str, float] | None = None,
+    final: ArrayLike | None = None,
+    t: ArrayLike | None = None,
+    dt: float = 1e-3,
+    rtol: float = 1e-8,
+) -> TrajectoryFeedback:
+    """Time-varying LQR along a motion of the plant (a plan's trajectory or its replay).
+
+    -P' = A'P + P A - P B R^-1 B'P + Q, P(end) = ``final``, solved backwards by SciPy along exact
+    A(t), B(t); K = R^-1 B'P.
+
+    weights, effort, integral : see :class:`Weighting`, in units of nominal.
+    final : P at the end (in units of nominal); by default that of the stationary LQR there, so that
+        the plant can be held where the motion ends.
+    t : times at which A, B and K are taken; by default the motion's samples.
+    dt : sampling time [s] of the controller.
+
+    Raises InputError for a motion without the plant's states and inputs, or when no stationary LQR
+    exists at the end (give ``final``).
+    """
+    from scipy.integrate import solve_ivp
+
+    weighting = Weighting(plant, weights, effort, integral or {})
+    outputs = [v.name for v in (*plant.states, *plant.outputs)]
+    along = linearize_along(plant, motion, t=t, inputs=weighting.inputs)
+    a, b, q, r = _along(weighting, along, outputs)
+    size, inverse = a.shape[-1], np.linalg.inv(r)
+    end = _final(final, a[-1], b[-1], q[-1], r)
+
+    def riccati(time: float, flat: Any) -> Any:
+        i = int(np.clip(np.searchsorted(along.t, time, side="right") - 1, 0, len(along.t) - 2))
+        share = (time - along.t[i]) / (along.t[i + 1] - along.t[i])
+        at, bt, qt = (m[i] + share * (m[i + 1] - m[i]) for m in (a, b, q))
+        p = flat.reshape(size, size)
+        pb = p @ bt
+        return -(at.T @ p + p @ at - pb @ inverse @ pb.T + qt).ravel()
+
+    # entries differ by decades; the largest at the end, or what Q piles up, says what is small
+    span = along.t[-1] - along.t[0]
+    large = max(float(np.abs(end).max()), float(np.abs(q).max() * span), 1e-300)
+    solution = solve_ivp(
+        riccati, (along.t[-1], along.t[0]), end.ravel(), method="LSODA", t_eval=along.t[::-1],
+        rtol=rtol, atol=1e-3 * rtol * large,
+    )  # fmt: skip
+    if not solution.success:
+        raise InputError(
+            f"tvlqr: the Riccati equation could not be integrated ({solution.message})"
+        )
+    p = solution.y.T[::-1].reshape(-1, size, size)
+    p = (p + p.swapaxes(1, 2)) / 2
+    gains = [weighting.unscaled(inverse @ bt.T @ pt) for bt, pt in zip(b, p, strict=True)]
+    return TrajectoryFeedback(
+        plant, motion, along.t, np.array([k for k, _ in gains]), np.array([k for _, k in gains]), p,
+        weighting.integrated, require_positive("dt", dt, "s"),
+    )  # fmt: skip
+
+
+def _along(
+    weighting: Weighting, along: LinearAlong, outputs: list[str]
+) -> tuple[Array, Array, Array, Array]:
+    """A(t), B(t) with integrals and Q(t), in units of nominal (weighted outputs bend Q), and R."""
+    rows = [
+        weighting.scaled(a, b, c, outputs)
+        for a, b, c in zip(along.A, along.B, along.C, strict=True)
+    ]
+    a, b, q, r = (np.array(m) for m in zip(*rows, strict=True))
+    return a, b, q, r[0]
+
+
+def _final(final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array) -> Array:
+    if final is not None:
+        given = np.asarray(final, float)
+        if given.shape != a.shape:
+            raise InputError(f"final has shape {given.shape}; the Riccati matrix has {a.shape}")
+        return given
+    import control
+
+    try:
+        p = np.asarray(control.care(a, b, q, r)[0])
+    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+        raise InputError(
+            f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
+        ) from None
+    return p

@@ -1,0 +1,51 @@
+"""as_nlsys: a plant as one of python-control's own systems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from .equilibrium import OperatingPoint
+from .linear import chosen_signals, point_of
+from .plant.plant import Plant, Values
+
+if TYPE_CHECKING:
+    from .design.plant_system import PlantSystem
+
+__all__ = ["as_nlsys"]
+
+
+def as_nlsys(
+    plant: Plant,
+    at: OperatingPoint | Values | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> PlantSystem:
+    """The plant as python-control's NonlinearIOSystem, on CasADi functions without conversions.
+
+    at : an OperatingPoint, or values by name (also of parameters); by default the start values.
+        Inputs left out of ``inputs`` are held at its values.
+    inputs, outputs : names to keep; by default all inputs, and all states and outputs.
+        ``inputs=[]`` gives an autonomous system, as ``phase_plane_plot`` wants it.
+
+    Signals and parameters keep the plant's names with ``_`` for ``.`` (python-control reads a dot as
+    system.signal); SI units in ``system.units``. Parameters change by python-control's ``params``
+    (``{"mass": 3.0}``); names that are not the plant's are passed over, as python-control's
+    interconnections hand all parameters to every system. ``system.x0`` and ``system.u0`` hold the
+    point ``at``; ``control.linearize`` of the system uses exact Jacobians.
+
+    python-control integrates by default to rtol 1e-3: give
+    ``solve_ivp_kwargs={"rtol": 1e-9, "atol": 1e-9 * nominal}`` where figures matter. It joins samples
+    of inputs by straight lines, as ``simulate(..., interpolation="linear")`` does. One system may be
+    used by several threads at once as long as ``params`` stay the same; copies are independent.
+
+    Raises InputError or UnknownNameError for names that are not the plant's.
+    """
+    from .design.plant_system import PlantSystem
+
+    plant, x, u = point_of(plant, at)
+    return PlantSystem(
+        plant, x, u,
+        chosen_signals("inputs", plant, inputs, ("input",)),
+        chosen_signals("outputs", plant, outputs, ("state", "output")),
+    )  # fmt: skip
