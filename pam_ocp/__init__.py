@@ -60,7 +60,9 @@ from .muscle.validity import ValidityWarning
 from .muscle.valves import OnOffValves, SpoolValve, Tube
 from .muscle.wall import ThickWallLaw
 from .nlsys import as_nlsys
+from .plan.estimate import KalmanFilter
 from .plan.mesh import Collocation
+from .plan.mpc import Mpc
 from .plan.solve import Plan, plan
 from .plant.actuator import IdealPressure, Regulator
 from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
@@ -124,10 +126,12 @@ __all__ = [
     "Inertia",
     "InputError",
     "InverseDynamics",
+    "KalmanFilter",
     "LengthScaledLaw",
     "LoadStudy",
     "ManySimulations",
     "MaxwellSlip",
+    "Mpc",
     "Muscle",
     "OnOffValves",
     "OpenLoop",
