@@ -25,6 +25,10 @@ from .errors import (
     SimulationError,
     UnknownNameError,
 )
+from .fit.compare import LawComparison, compare_laws
+from .fit.dynamic import fit_plant
+from .fit.plant_fit import PlantFit
+from .fit.records import read_record, read_records
 from .fit.static import ForceFit, fit_force
 from .fit.tables import ForceTable, read_table
 from .fmu import check_fmu, export_fmu
@@ -127,6 +131,7 @@ __all__ = [
     "InputError",
     "InverseDynamics",
     "KalmanFilter",
+    "LawComparison",
     "LengthScaledLaw",
     "LoadStudy",
     "ManySimulations",
@@ -140,6 +145,7 @@ __all__ = [
     "Plan",
     "PlanError",
     "Plant",
+    "PlantFit",
     "PolynomialVolume",
     "PositionController",
     "PositionFeedback",
@@ -174,6 +180,7 @@ __all__ = [
     "closed_stiffness",
     "coefficient",
     "common_and_difference",
+    "compare_laws",
     "compare_with_record",
     "conductance_from_flow",
     "continue_cycle",
@@ -184,6 +191,7 @@ __all__ = [
     "equilibrium_path",
     "export_fmu",
     "fit_force",
+    "fit_plant",
     "free_vibration",
     "hopf",
     "hopf_border",
@@ -207,6 +215,8 @@ __all__ = [
     "plan",
     "polynomial_law",
     "pressures_of",
+    "read_record",
+    "read_records",
     "read_table",
     "save_muscle",
     "scheduled_lqr",

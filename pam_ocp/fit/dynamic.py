@@ -57,7 +57,7 @@ def fit_plant(
     method : "collocation" (Radau points; for all plants), "multiple-shooting" or "single-shooting"
         (RK4 between the samples; for plants that are not stiff).
     degree : of the collocation (1 to 9), or steps of RK4 in each interval; by default raised until
-        the integration is off by less than a tenth of the noise.
+        the integration is off by less than 2 % of the noise.
     step : longest interval [s]; by default from sample to sample.
     delay : of the inputs [s]; (low, high) to estimate it.
     offsets, gains : measured variables whose sensor has an unknown offset, or gain.
@@ -167,4 +167,4 @@ def _noise(plant: Plant, task: Task, noise: Mapping[str, float] | None) -> Array
     missing = [n for n in names if n not in given]
     if missing:
         raise InputError(f"noise: {missing[0]} is measured too; give its standard deviation")
-    return np.array([given[n] for n in names]) / nominal
+    return np.asarray(np.array([given[n] for n in names]) / nominal)

@@ -18,6 +18,8 @@ __all__ = ["ORDERS", "Estimate", "Task", "estimate", "head_names", "require_infl
 
 SCANNED_DELAYS = 5
 """Delays from which the best is sought, evenly over the range."""
+SCAN_ITERATIONS = 30
+"""How far a wrong delay is followed."""
 ORDERS = {
     "collocation": (3, 5, 7, 9),
     "multiple-shooting": (1, 2, 4, 8, 16),
@@ -129,31 +131,34 @@ def require_influence(task: Task, program: Program, sigma: Array) -> None:
     """Refuse parameters that nothing measured depends on, and inputs that do not move."""
     jacobian = reduced_jacobian(program, 1 / sigma, program.guess)
     names = head_names(task, False)[: len(task.unknowns.groups)]
-    known = len(names)
     lengths = np.linalg.norm(jacobian, axis=0)
     if not np.all(np.isfinite(lengths)):
         raise FitError("the plant's start values give no finite motion; set them with with_values")
     blind = [n for n, size in zip(names, lengths, strict=False) if size <= BLIND * lengths.max()]
-    if blind:
+    still = all(_constant(e) for e in task.experiments)
+    if blind and not still:
         raise FitError(
             f"{', '.join(blind)}: no influence on {', '.join(task.unknowns.names)} in these records; "
             "leave it out of free, or measure something that depends on it (in a symmetric pair an "
             "equal constant of both muscles cancels)"
         )
-    still = all(np.ptp(e.coefficients[:, 0], axis=0).max(initial=0.0) < 1e-9
-                * max(1.0, float(np.abs(e.coefficients).max(initial=0.0)))
-                for e in task.experiments)  # fmt: skip
-    if not still or not known:
+    if not still or not names:
         return
     _, s, vt = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
     lost = vt[s <= 1e-6 * s[0]]
-    lost_names = [n for j, n in enumerate(names) if lost.size and np.abs(lost[:, j]).max() > 1e-3]
-    moving = max(float(np.ptp(e.measured, axis=0).max()) for e in task.experiments)
-    if lost_names or moving == 0:
+    mixed = [n for j, n in enumerate(names) if lost.size and np.abs(lost[:, j]).max() > 1e-3]
+    unknown = [n for n in names if n in blind or n in mixed]
+    if unknown:
         raise FitError(
-            f"all inputs are constant in these records, which cannot tell {', '.join(lost_names or names)}"
-            ": move the inputs (steps, a sweep), or leave them out of free"
+            f"all inputs are constant in these records, which cannot tell {', '.join(unknown)}: "
+            "move the inputs (steps, a sweep), or leave them out of free"
         )
+
+
+def _constant(experiment: Experiment) -> bool:
+    """Whether no input moves by more than rounding."""
+    values = experiment.coefficients[:, 0]
+    return bool(np.all(np.ptp(values, axis=0) <= 1e-9 * np.abs(values).max(axis=0, initial=1.0)))
 
 
 # ---- the delay -----------------------------------------------------------------------------------
@@ -179,24 +184,16 @@ def _seek_delay(
     if low == high:
         program = task.program(low, None)
         return solve(program, 1 / sigma, program.guess), program, low
-    best: tuple[float, float, Solution] | None = None
-    guess = task.program(low, None).guess
-    for delay in np.linspace(low, high, SCANNED_DELAYS) if start is None else [start]:
-        fixed = task.program(float(delay), None)
-        answer = solve(fixed, 1 / sigma, guess, 60)
-        cost = float(np.sum((answer.residuals / sigma) ** 2))
-        if best is None or cost < best[0]:
-            best = (cost, float(delay), answer)
-            guess = answer.w if answer.found else guess
-    assert best is not None
-    _, delay, solution = best
+    if start is None:
+        delay, w = _scanned(task, sigma, limits)
+    else:
+        delay, w = start, task.program(start, _around(task, start, limits)).guess
     place = len(task.unknowns.groups) + len(task.unknowns.gains) + len(task.unknowns.offsets)
-    w = solution.w
     for _ in range(int(np.ceil((high - low) / task.usual)) + 3):
         bounds = _around(task, delay, limits)
         program = task.program(delay, bounds)
         w = np.insert(w, place, delay / task.usual) if w.size < program.guess.size else w
-        solution = solve(program, 1 / sigma, w)
+        solution = solve(program, 1 / sigma, w, 6 * SCAN_ITERATIONS)
         w, moved = solution.w, _delay_of(task, program, solution, delay)
         settled = abs(moved - delay) < 0.5 * task.usual
         delay = moved
@@ -206,3 +203,17 @@ def _seek_delay(
     program = task.program(delay, _around(task, delay, limits))
     solution = solve(program, 1 / sigma, w)
     return solution, program, _delay_of(task, program, solution, delay)
+
+
+def _scanned(task: Task, sigma: Array, limits: tuple[float, float]) -> tuple[float, Array]:
+    """The best of a few fixed delays, followed for some iterations, and the unknowns there."""
+    best: tuple[float, float, Array] | None = None
+    guess = task.program(limits[0], None).guess
+    for delay in np.linspace(*limits, SCANNED_DELAYS):
+        answer = solve(task.program(float(delay), None), 1 / sigma, guess, SCAN_ITERATIONS)
+        cost = float(np.sum((answer.residuals / sigma) ** 2))
+        if best is None or cost < best[0]:
+            best = (cost, float(delay), answer.w)
+            guess = answer.w if answer.found else guess
+    assert best is not None
+    return best[1], best[2]

@@ -1,4 +1,4 @@
-"""Solving a dynamic fit: IPOPT with the Gauss-Newton Hessian, and what its solution depends on."""
+"""Solving a dynamic fit, and how its residuals depend on the unknowns."""
 
 from __future__ import annotations
 
@@ -14,12 +14,17 @@ from .transcribe import Program
 
 __all__ = ["Solution", "reduced_jacobian", "solve"]
 
+LEVENBERG = 1e-6
+"""Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
+
+It changes steps, not the solution. Unknowns are of size 1, residuals are in units of the noise.
+"""
 DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Scaled unknowns w, residuals without weights (K, ny) in nominals, and IPOPT's account."""
+    """Scaled unknowns w, residuals without weights (K, ny) in nominals, and the solver's account."""
 
     w: Array
     residuals: Array
@@ -31,35 +36,80 @@ class Solution:
         return self.status in DONE
 
 
-def solve(program: Program, weights: Array, guess: Array, max_iterations: int = 200) -> Solution:
-    """Least squares from a guess. The residuals' curvature is left out of the Hessian."""
+def solve(
+    program: Program, weights: Array, guess: Array, iterations: int | None = None
+) -> Solution:
+    """Least squares from a guess; with a limit of ``iterations`` only as far as these lead.
+
+    Without states among the unknowns (single shooting) by SciPy's trust-region method, else by
+    IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
+    where that does not settle, with the exact Hessian.
+    """
+    if not program.defects.numel():
+        return _trust_region(program, weights, guess)
+    first = _interior_point(program, weights, guess, False, iterations or 150)
+    if first.found or iterations is not None:
+        return first
+    return _interior_point(program, weights, guess, True, 100)
+
+
+def _interior_point(
+    program: Program, weights: Array, guess: Array, exact: bool, iterations: int
+) -> Solution:
     w, residuals = program.w, program.residuals
-    jacobian = ca.jacobian(residuals, w)
-    factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", program.defects.numel())
-    hessian = ca.Function(
-        "gauss_newton", [w, program.weights, factor, multipliers],
-        [ca.triu(factor * (jacobian.T @ jacobian))], ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"],
-    )  # fmt: skip
     options: Any = {
-        "print_time": False, "error_on_fail": False, "calc_lam_p": False, "hess_lag": hessian,
-        "show_eval_warnings": False,
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": max_iterations,
+        "print_time": False, "error_on_fail": False, "calc_lam_p": False, "show_eval_warnings": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": iterations,
                   "mu_strategy": "adaptive", "honor_original_bounds": "yes"},
     }  # fmt: skip
+    if not exact:
+        jacobian = ca.jacobian(residuals, w)
+        factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", program.defects.numel())
+        hessian = jacobian.T @ jacobian + LEVENBERG * ca.DM.eye(w.numel())
+        options["hess_lag"] = ca.Function(
+            "gauss_newton", [w, program.weights, factor, multipliers], [ca.triu(factor * hessian)],
+            ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"],
+        )  # fmt: skip
     nlp: Any = {"x": w, "p": program.weights, "f": ca.sumsqr(residuals) / 2, "g": program.defects}
     solver = ca.nlpsol("fit", "ipopt", nlp, options)
     answer = solver(x0=guess, p=weights, lbx=program.low, ubx=program.high, lbg=0.0, ubg=0.0)
-    found = np.asarray(answer["x"]).ravel()
+    statistics = solver.stats()
+    return _solution(
+        program, weights, np.asarray(answer["x"]).ravel(), str(statistics["return_status"]),
+        int(statistics["iter_count"]),
+    )  # fmt: skip
+
+
+def _trust_region(program: Program, weights: Array, guess: Array) -> Solution:
+    from scipy.optimize import least_squares
+
+    w, residuals = program.w, program.residuals
+    value = ca.Function("residuals", [w, program.weights], [residuals])
+    slope = ca.Function("slope", [w, program.weights], [ca.jacobian(residuals, w)])
+
+    def compute(z: Array) -> Array:
+        found = np.asarray(value(z, weights)).ravel()
+        return np.where(np.isfinite(found), found, 1e6)  # a motion that diverged is a bad one
+
+    inside = 1e-9 * (1 + np.abs(guess))
+    answer = least_squares(
+        compute, np.clip(guess, program.low + inside, program.high - inside),
+        jac=lambda z: np.nan_to_num(np.asarray(slope(z, weights))),
+        bounds=(program.low, program.high), x_scale="jac", xtol=1e-10, ftol=1e-12, gtol=1e-10,
+        max_nfev=300,
+    )  # fmt: skip
+    status = DONE[0] if answer.success else "Maximum_Iterations_Exceeded"
+    return _solution(program, weights, answer.x, status, int(answer.nfev))
+
+
+def _solution(
+    program: Program, weights: Array, found: Array, status: str, iterations: int
+) -> Solution:
     if not np.all(np.isfinite(found)):
         raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")
-    value = ca.Function("residuals", [w, program.weights], [residuals])(found, weights)
-    statistics = solver.stats()
-    return Solution(
-        found,
-        np.asarray(value).reshape(-1, weights.size) / weights,
-        str(statistics["return_status"]),
-        int(statistics["iter_count"]),
-    )
+    function = ca.Function("residuals", [program.w, program.weights], [program.residuals])
+    value = np.asarray(function(found, weights)).reshape(-1, weights.size)
+    return Solution(found, value / weights, status, iterations)
 
 
 def reduced_jacobian(program: Program, weights: Array, w: Array) -> Array:

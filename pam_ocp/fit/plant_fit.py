@@ -17,7 +17,7 @@ from .transcribe import FitMethod
 
 __all__ = ["PlantFit"]
 
-ACCURATE = 0.1
+ACCURATE = 0.02
 """Largest error of the integration that a fit is content with, in standard deviations of the noise."""
 COLOURED = 0.3
 """Correlation of neighbouring residuals from which intervals are called too narrow."""
@@ -175,7 +175,7 @@ class PlantFit:
             for name in self.at_bound
             if name in self.values
         ]
-        if self.integration_error > 3 * ACCURATE:
+        if self.integration_error > 10 * ACCURATE:
             found.append(
                 f"between the samples the integration is off by {self.integration_error:.2g} standard "
                 "deviations of the noise; give a smaller step=..."
