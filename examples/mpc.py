@@ -22,28 +22,12 @@ PUSH, MASS = 40.0, 2.6
 
 
 def pushed_slide(muscle: pam.Muscle) -> pam.Plant:
-    """m x'' = F1 - F2 - c x' + the force from outside, which no controller can choose."""
-    plant = pam.Plant("pushed_slide", "an antagonistic pair on a slide that is pushed from outside")
-    x = plant.state("x", unit="m", min=-0.016, max=0.016, nominal=0.01)
-    v = plant.state("v", unit="m/s", nominal=1.0)
-    mass = plant.parameter("mass", 2.0, unit="kg", min=0.1, tunable=True)
-    push = plant.input("push", unit="N", nominal=10.0, disturbance=True)
-    feed = pam.Regulator(0.05, max_pressure=6e5, max_rate=40e5)
-    one, two = (
-        plant.add_muscle(
-            f"muscle{i}",
-            muscle,
-            shortening=sign * x,
-            rate=sign * v,
-            pre_contraction=0.10,
-            feed=feed,
-        )
-        for i, sign in ((1, 1), (2, -1))
-    )
-    plant.der(x, v)
-    plant.der(v, (one.force - two.force - 20.0 * v + push) / mass)
-    plant.output("stiffness", one.stiffness + two.stiffness, unit="N/m", nominal=1e4)
-    return plant
+    """A slide that a force from outside pushes, which no controller can choose."""
+    return pam.AntagonisticSlide(
+        muscle, 2.0, 0.10, stroke=0.016, damping=pam.ConstantDamping(20.0),
+        feed=pam.Regulator(0.05, max_pressure=6e5, max_rate=40e5),
+        loads=(pam.ExternalForce("push"),), name="pushed_slide",
+    )  # fmt: skip
 
 
 def wanted(t: float) -> float:
