@@ -98,13 +98,22 @@ def _table(title: str, variables: Iterable[Variable]) -> str:
     return f"<h2>{title}</h2>\n<table><tr>{head}</tr>\n{rows}</table>\n"
 
 
-def page(plant: Plant, notes: Sequence[str], with_reference: bool = False) -> str:
-    """documentation/index.html: what the plant is, its variables, parameters and equations."""
+def page(
+    plant: Plant,
+    notes: Sequence[str],
+    with_reference: bool = False,
+    lines: Sequence[tuple[str, str]] | None = None,
+) -> str:
+    """documentation/index.html: what the plant is, its variables, parameters and equations.
+
+    lines : the equations (left and right sides), where they are not those of the plant.
+    """
     picture = (
         "<h2>Reference motion</h2>\n<p>Its numbers stand beside this page in two tables, inputs "
         '(..._in.csv) and results (..._ref.csv).</p>\n<img src="reference.png" alt="time series">\n'
     )
-    lines = "\n".join(f"{left} = {right}" for left, right in equations(plant))
+    sides = equations(plant) if lines is None else lines
+    text = "\n".join(f"{left} = {right}" for left, right in sides)
     tables = "".join(
         _table(title, variables)
         for title, variables in (
@@ -122,7 +131,7 @@ def page(plant: Plant, notes: Sequence[str], with_reference: bool = False) -> st
         + tables
         + "<h2>Equations</h2>\n<p>SI units; w0, w1, ... are parts used more than once; "
         "(condition ? a : 0) is a where the condition holds, else 0; sq(a) is a squared.</p>\n"
-        f"<pre>{html.escape(lines)}</pre>\n{picture if with_reference else ''}</body></html>\n"
+        f"<pre>{html.escape(text)}</pre>\n{picture if with_reference else ''}</body></html>\n"
     )
 
 

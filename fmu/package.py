@@ -7,7 +7,7 @@ import os
 import re
 import uuid
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -22,7 +22,15 @@ from . import compile as compiler
 from . import description, documentation, source
 from .layout import Layout
 
-__all__ = ["FmiVersion", "export_fmu", "model_identifier"]
+__all__ = [
+    "FmiVersion",
+    "Settings",
+    "checked",
+    "export_fmu",
+    "model_identifier",
+    "write_archive",
+    "write_fmu",
+]
 
 FmiVersion = Literal["2.0", "3.0"]
 
@@ -31,7 +39,7 @@ _PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
 
 
 @dataclass(frozen=True)
-class _Settings:
+class Settings:
     """What an export was asked for, checked."""
 
     fmi: str
@@ -77,18 +85,36 @@ def export_fmu(
     Raises InputError (a value out of range, a folder that does not exist), UnknownNameError (a
     platform), ExportError (no compiler, a name FMI keeps for itself).
     """
-    settings = _checked(plant, fmi, step_size, tolerance, fixed_step, stop_time)
+    settings = checked(plant, fmi, step_size, tolerance, fixed_step, stop_time)
+    return write_fmu(
+        plant, path, settings, platforms, lambda: source.plant_sources(plant), reference
+    )
+
+
+def write_fmu(
+    plant: Plant,
+    path: str | os.PathLike[str],
+    settings: Settings,
+    platforms: Iterable[str] | None,
+    code: Callable[[], source.ModelCode],
+    reference: Trajectory | None = None,
+    equations: Sequence[tuple[str, str]] | None = None,
+) -> Path:
+    """Write an FMU of the variables of ``plant`` and the functions of ``code``.
+
+    equations : for the documentation; by default those of the plant.
+    """
     chosen = compiler.platforms_named(platforms)
     identifier = model_identifier(plant.name)
     with atomic_path(path) as temporary:  # first of all: is there a place to write to?
-        files = _contents(plant, settings, identifier, reference)
+        files = _contents(plant, settings, identifier, code(), reference, equations)
         content = {name: text.encode() for name, text in files.items()}
         libraries = compiler.compile_all(_c_files(files), source.MAIN_SOURCE, chosen, identifier)
         content |= _binaries(libraries, identifier, settings.fmi)
         content |= _icons(settings.fmi)
         if reference is not None:
             content["documentation/reference.png"] = documentation.picture(reference)
-        _write(temporary, content)
+        write_archive(temporary, content)
     return Path(path)
 
 
@@ -106,14 +132,14 @@ _C_KEYWORDS = frozenset(
 )  # fmt: skip
 
 
-def _checked(
+def checked(
     plant: Plant,
     fmi: str,
     step_size: float,
     tolerance: float,
     fixed_step: float | None,
     stop_time: float,
-) -> _Settings:
+) -> Settings:
     if not isinstance(plant, Plant):
         raise InputError(f"plant = {plant!r} must be a Plant, such as AntagonisticSlide(muscle)")
     if fmi not in ("2.0", "3.0"):
@@ -123,20 +149,24 @@ def _checked(
     if not 1e-11 <= require_positive("tolerance", tolerance) <= 1e-2:
         raise InputError(f"tolerance = {tolerance:g} must lie in 1e-11 .. 1e-2")
     fixed = 0.0 if fixed_step is None else require_positive("fixed_step", fixed_step, "s")
-    return _Settings(fmi, float(tolerance), float(step_size), fixed, float(stop_time))
+    return Settings(fmi, float(tolerance), float(step_size), fixed, float(stop_time))
 
 
 def _contents(
-    plant: Plant, settings: _Settings, identifier: str, reference: Trajectory | None
+    plant: Plant,
+    settings: Settings,
+    identifier: str,
+    code: source.ModelCode,
+    reference: Trajectory | None,
+    equations: Sequence[tuple[str, str]] | None,
 ) -> dict[str, str]:
     """Every text file of the FMU by its path in the archive, with the token filled in."""
     layout = Layout(plant)
-    functions = source.plant_functions(plant)
     files = {f"sources/{name}": text for name, text in source.hand_written(settings.fmi).items()}
-    files["sources/plant.c"] = source.plant_code(functions)
+    files |= {f"sources/{name}": text for name, text in code.files.items()}
     files["sources/model_data.h"] = source.model_data(
         layout,
-        functions,
+        code.work,
         identifier=identifier,
         token=_PLACEHOLDER,
         tolerance=settings.tolerance,
@@ -156,7 +186,7 @@ def _contents(
         )
     )
     token = _token(files)
-    files |= _pages(plant, layout, settings, identifier, reference)
+    files |= _pages(layout, settings, identifier, reference, equations)
     return {name: text.replace(_PLACEHOLDER, token) for name, text in files.items()}
 
 
@@ -175,11 +205,11 @@ def _token(files: Mapping[str, str]) -> str:
 
 
 def _pages(
-    plant: Plant,
     layout: Layout,
-    settings: _Settings,
+    settings: Settings,
     identifier: str,
     reference: Trajectory | None,
+    equations: Sequence[tuple[str, str]] | None,
 ) -> dict[str, str]:
     solver = (
         f"fixed steps of {settings.fixed_step:g} s"
@@ -196,7 +226,9 @@ def _pages(
     folder = "documentation/licenses"
     c = resources.files("pam_ocp.fmu") / "c"
     pages = {
-        "documentation/index.html": documentation.page(plant, notes, reference is not None),
+        "documentation/index.html": documentation.page(
+            layout.plant, notes, reference is not None, equations
+        ),
         f"{folder}/license.txt": (c / "LICENSE.sources").read_text("utf-8"),
         f"{folder}/fmi-headers.txt": (c / "LICENSE.fmi-headers").read_text("utf-8"),
     }
@@ -235,8 +267,8 @@ def _icons(fmi: str) -> dict[str, bytes]:
     return {"model.png": png} if fmi == "2.0" else {"terminalsAndIcons/icon.png": png}
 
 
-def _write(path: Path, content: Mapping[str, bytes]) -> None:
-    """A zip archive, sorted, with one fixed date: the same content gives the same bytes."""
+def write_archive(path: Path, content: Mapping[str, bytes]) -> None:
+    """Write a zip archive, sorted, with one fixed date: the same content gives the same bytes."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(content, key=lambda n: (n != "modelDescription.xml", n)):
             info = zipfile.ZipInfo(name, _DATE)

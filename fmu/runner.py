@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,14 @@ class UnpackedFmu:
         self.references = {v.name: int(v.valueReference) for v in variables}
         self.variables: dict[str, Any] = {v.name: v for v in variables}
         self.states = [d.variable.derivative.name for d in self.description.derivatives]
+
+    @property
+    def has_directional_derivatives(self) -> bool:
+        """Of Model Exchange. FMPy does not read FMI 3's name of this attribute: so it is read here."""
+        root = ElementTree.parse(self.folder / "modelDescription.xml").getroot()
+        exchange = root.find("ModelExchange")
+        name = "providesDirectionalDerivative" + ("s" if self.fmi == "3.0" else "")
+        return exchange is not None and exchange.get(name) in ("true", "1")
 
     def names(self, causality: str) -> list[str]:
         """Names of all variables of a causality of FMI."""

@@ -9,13 +9,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide, flat, scipy_states
 from fmpy.fmi1 import FMICallException
 
 import pam_ocp as pam
-from pam_ocp.fmu import check_fmu, export_fmu
+from pam_ocp.fmu import check_fmu, export_fmu, source
 from pam_ocp.fmu.runner import Runner, UnpackedFmu, pointer
 
 VERSIONS = ("2.0", "3.0")
@@ -134,6 +135,27 @@ def test_damaged_fmus_are_found_out(tmp_path: Path) -> None:
         lambda n, c: c.replace(b"fmi2Terminate", b"foreign__name") if binary(n) else c
     )
     assert any("foreign__name" in finding for finding in foreign.findings)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_wrong_directional_derivatives_are_found_out(
+    fmi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = source.plant_functions
+
+    def wrong(plant: pam.Plant) -> Any:
+        functions = {f.name(): f for f in right(plant)}
+        forward = functions["plant_forward"]
+        given = forward.sx_in()
+        dxdot, dy = forward(*given)
+        functions["plant_forward"] = ca.Function("plant_forward", given, [1.001 * dxdot, dy])
+        return list(functions.values())
+
+    monkeypatch.setattr(source, "plant_functions", wrong)
+    found = check_fmu(
+        export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
+    )
+    assert any("directional derivatives along x" in finding for finding in found.findings)
 
 
 def test_the_communication_step_does_not_matter(fmu: UnpackedFmu) -> None:
@@ -516,7 +538,7 @@ def test_hundreds_of_instances_leave_no_memory_behind(fmu: UnpackedFmu) -> None:
             runner.restore(runner.save())
 
     with started(fmu, "CoSimulation"):  # keeps the library loaded
-        for _ in range(100):
+        for _ in range(400):  # until the heap has found its size
             use()
         before = resident()
         for _ in range(300):

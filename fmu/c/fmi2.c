@@ -120,7 +120,10 @@ fmi2Status fmi2EnterEventMode(fmi2Component c) { return CALL0(enter_event_mode);
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
     fmi2Status status = CALL0(update_discrete_states);
-    if (status == fmi2OK && eventInfo != NULL) *eventInfo = (fmi2EventInfo){0};
+    if (status != fmi2OK || eventInfo == NULL) return status;
+    *eventInfo = (fmi2EventInfo){0};
+    double next = next_event(c);
+    if (isfinite(next)) eventInfo->nextEventTimeDefined = fmi2True, eventInfo->nextEventTime = next;
     return status;
 }
 

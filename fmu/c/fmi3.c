@@ -299,8 +299,12 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
                               nextEventTimeDefined};
     for (size_t i = 0; i < sizeof answers / sizeof answers[0]; i++)
         if (answers[i] != NULL) *answers[i] = fmi3False;
-    (void)nextEventTime;
-    return CALL0(update_discrete_states);
+    fmi3Status status = CALL0(update_discrete_states);
+    if (status != fmi3OK || nextEventTime == NULL) return status;
+    double next = next_event(instance);
+    if (nextEventTimeDefined != NULL) *nextEventTimeDefined = isfinite(next) != 0;
+    *nextEventTime = isfinite(next) ? next : 0.0;
+    return status;
 }
 
 /* ---- Model Exchange ---- */

@@ -186,6 +186,16 @@ static Status enter_event_mode(Instance *s, const char *function) {
     return OK;
 }
 
+/* When the next event comes that is known beforehand; infinite when there is none. */
+static double next_event(const Instance *s) {
+#ifdef MODEL_JUMPS
+    return s->memory.time + model_time_to_jump(s->memory.x);
+#else
+    (void)s;
+    return INFINITY;
+#endif
+}
+
 /* A smooth plant has no discrete states: nothing changes at an event but inputs and parameters. */
 static Status update_discrete_states(Instance *s, const char *function) {
     return check_kind(s, function, MODEL_EXCHANGE, EVENT);
