@@ -31,7 +31,14 @@ from .fit.plant_fit import PlantFit
 from .fit.records import read_record, read_records
 from .fit.static import ForceFit, fit_force
 from .fit.tables import ForceTable, read_table
-from .fmu import check_fmu, export_fmu
+from .fmu import (
+    check_fmu,
+    export_fmu,
+    export_motion,
+    export_ssp,
+    pid_controller,
+    save_input_table,
+)
 from .linear import linearize, linearize_along, linearize_grid, modes
 from .load_study import LoadStudy, load_study
 from .many import ManySimulations, draws, simulate_many, sweep
@@ -190,6 +197,8 @@ __all__ = [
     "equilibrium",
     "equilibrium_path",
     "export_fmu",
+    "export_motion",
+    "export_ssp",
     "fit_force",
     "fit_plant",
     "free_vibration",
@@ -212,12 +221,14 @@ __all__ = [
     "muscle_names",
     "muscle_volume",
     "own_law",
+    "pid_controller",
     "plan",
     "polynomial_law",
     "pressures_of",
     "read_record",
     "read_records",
     "read_table",
+    "save_input_table",
     "save_muscle",
     "scheduled_lqr",
     "simulate",
