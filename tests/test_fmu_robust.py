@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import shutil
 import subprocess
@@ -215,3 +216,64 @@ def test_casadi_imports_it_for_model_exchange(tmp_path: Path) -> None:
                         [ca.jacobian(plant.function(plant.x, plant.u, plant.p)[0], plant.x)])  # fmt: skip
     expected_jacobian = np.asarray(ca.densify(exact(x, u, plant.vector("parameter"))))
     assert jacobian[np.ix_(order, order)] == pytest.approx(expected_jacobian, rel=1e-9, abs=1e-9)
+
+
+_ELSEWHERE = """
+import sys
+from pathlib import Path
+from pam_ocp.fmu.runner import Runner, UnpackedFmu
+fmu = UnpackedFmu(Path(sys.argv[1]), Path(sys.argv[2]))
+with Runner(fmu, "CoSimulation") as runner:
+    runner.initialize({}, 0.0, None)
+    runner.restore(Path(sys.argv[3]).read_bytes())
+    for k in range(50, 100):
+        runner.step(k * 1e-3, 1e-3)
+    print(*(float(v).hex() for v in runner.get(fmu.names("output"))))
+"""
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_state_saved_in_the_middle_continues_to_the_last_bit_in_another_process(
+    fmi: str, tmp_path: Path
+) -> None:
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")  # type: ignore[arg-type]
+    fmu = UnpackedFmu(path, tmp_path / "here")
+    with Runner(fmu, "CoSimulation") as runner:
+        runner.initialize({"mass": 1.7, "x": 0.003}, 0.0, None)
+        runner.set({"muscle1.command": 4.2e5})
+        for k in range(50):
+            runner.step(k * 1e-3, 1e-3)
+        (tmp_path / "state").write_bytes(runner.save())
+        for k in range(50, 100):
+            runner.step(k * 1e-3, 1e-3)
+        end = [float(v).hex() for v in runner.get(fmu.names("output"))]
+    done = subprocess.run(
+        [sys.executable, "-c", _ELSEWHERE, str(path), str(tmp_path / "there"), str(tmp_path / "state")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == end
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
+def test_ten_thousand_instances_leave_no_memory_behind(tmp_path: Path) -> None:
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", platforms="native")
+    fmu = UnpackedFmu(path, tmp_path / "here")
+
+    def resident() -> int:
+        gc.collect()  # the callbacks of FMPy's instances form cycles
+        return int(Path("/proc/self/statm").read_text().split()[1])
+
+    def use() -> None:
+        with Runner(fmu, "CoSimulation") as runner:
+            runner.initialize({}, 0.0, None)
+            runner.step(0.0, 1e-3)
+
+    with Runner(fmu, "CoSimulation") as keeps_the_library_loaded:
+        keeps_the_library_loaded.initialize({}, 0.0, None)
+        for _ in range(1000):  # until the heap has found its size
+            use()
+        before = resident()
+        for _ in range(10_000):
+            use()
+        assert resident() - before < 512  # pages: a twentieth of one for each instance
