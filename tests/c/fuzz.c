@@ -28,7 +28,14 @@ static double random_number(void) {
 }
 
 /* ---- one face for both versions ---- */
-static long lines = 0, calls = 0, refused = 0;
+static long lines = 0, calls = 0, refused = 0, silent = 0;
+
+/* Count a refused call, and whether it was refused without a word. */
+static void judge(int answer, long lines_before, unsigned what) {
+    if (answer == 0) return;
+    refused++;
+    if (lines == lines_before) silent++, printf("silent refusal, kind %u\n", what);
+}
 
 #ifdef fmi2Functions_h
 typedef fmi2Status Answer;
@@ -168,25 +175,24 @@ static Answer value_call(void *c) {
     }
 }
 
-static Answer step_call(void *c, int k) {
+static void step_call(void *c, int k) {
+    const long before = lines;
     double h = choose(8) == 0 ? random_number() : 1e-3 * (1.0 + choose(5));
     double at = choose(12) == 0 ? random_number() : time_of[k];
     if (h > 0.1) h = 0.1; /* a long step may take long */
 #ifdef fmi2Functions_h
-    Answer answer = fmi2DoStep(c, at, h, 1);
-    fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &time_of[k]);
+    judge((int)fmi2DoStep(c, at, h, 1), before, 750);
+    fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &time_of[k]); /* may itself be refused */
 #else
     bool flags[3];
-    Answer answer = fmi3DoStep(c, at, h, 1, flags, flags + 1, flags + 2, &time_of[k]);
+    judge((int)fmi3DoStep(c, at, h, 1, flags, flags + 1, flags + 2, &time_of[k]), before, 750);
 #endif
-    return answer;
 }
 
 int main(int argc, char **argv) {
     const long wanted = argc > 1 ? atol(argv[1]) : 100000;
     random_state = argc > 2 ? strtoull(argv[2], NULL, 10) : 1;
     random_state = random_state * 2862933555777941757ull + 3037000493ull;
-    long silent = 0;
     for (calls = 0; calls < wanted; calls++) {
         int k = (int)choose(SLOTS);
         if (instance[k] == NULL) {
@@ -206,18 +212,13 @@ int main(int argc, char **argv) {
         if (what < 150) answer = state_call(c, k);
         else if (what < 250) answer = mode_call(c, k);
         else if (what < 750) answer = value_call(c);
-        else {
-            answer = step_call(c, k);
-            if (answer != 0) refused++;
-            continue; /* the question for the time may itself be refused */
-        }
-        if (answer != 0) refused++;
-        if (answer != 0 && lines == before) silent++, printf("silent refusal, kind %u\n", what);
+        else step_call(c, k);
+        judge((int)answer, before, what);
     }
     for (int k = 0; k < SLOTS; k++) {
-        void *helper = create(1, MODEL_TOKEN);
-        F(fmi2FreeFMUstate, fmi3FreeFMUState)(helper, &state[k]);
-        F(fmi2FreeInstance, fmi3FreeInstance)(helper);
+        void *last = create(1, MODEL_TOKEN);
+        F(fmi2FreeFMUstate, fmi3FreeFMUState)(last, &state[k]);
+        F(fmi2FreeInstance, fmi3FreeInstance)(last);
         F(fmi2FreeInstance, fmi3FreeInstance)(instance[k]);
     }
     printf("%ld calls, %ld refused, %ld lines, %ld silent\n", calls, refused, lines, silent);
