@@ -97,6 +97,20 @@ def test_a_million_random_calls_do_no_harm(fmi: str, make: Any, tmp_path: Path) 
 
 @needs_gcc
 @pytest.mark.slow
+@pytest.mark.parametrize("sanitizer", ["address,undefined", "thread"])
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_eight_threads_do_as_one_under_sanitizers(fmi: str, sanitizer: str, tmp_path: Path) -> None:
+    program = built(
+        tmp_path, fmi, benchmark_slide(), "threads", f"-fsanitize={sanitizer}",
+        "-fno-sanitize-recover=all", "-pthread",
+    )  # fmt: skip
+    done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr[-2000:]
+    assert "0 of 8 threads differ, failed: 0" in done.stdout
+
+
+@needs_gcc
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="needs valgrind")
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_valgrind_finds_no_error_and_no_leak(fmi: str, tmp_path: Path) -> None:
