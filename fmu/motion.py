@@ -94,6 +94,10 @@ def save_input_table(
 
 
 def _columns(motion: Trajectory, names: Sequence[str] | None) -> list[str]:
+    if not isinstance(motion, Trajectory):
+        raise InputError(
+            f"motion is a {type(motion).__name__}, not a Trajectory, such as plan.trajectory"
+        )
     if names is None:
         names = motion.named("input") or motion.names
     if isinstance(names, str) or not names:

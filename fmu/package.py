@@ -15,7 +15,7 @@ from typing import Literal
 
 from pam_ocp.errors import InputError, UnknownNameError, require_positive
 from pam_ocp.files import atomic_path
-from pam_ocp.plant.plant import Plant
+from pam_ocp.plant.plant import Plant, require_plant
 from pam_ocp.trajectory import Trajectory
 
 from . import compile as compiler
@@ -140,8 +140,7 @@ def checked(
     fixed_step: float | None,
     stop_time: float,
 ) -> Settings:
-    if not isinstance(plant, Plant):
-        raise InputError(f"plant = {plant!r} must be a Plant, such as AntagonisticSlide(muscle)")
+    require_plant(plant)
     if fmi not in ("2.0", "3.0"):
         raise UnknownNameError("FMI version", fmi, ("2.0", "3.0"))
     require_positive("step_size", step_size, "s")

@@ -64,6 +64,8 @@ def export_ssp(
     """
     require_positive("step_size", step_size, "s")
     require_positive("stop_time", stop_time, "s")
+    if not components:
+        raise InputError("components is empty: name at least one Plant or Trajectory")
     plants = {Variable(n, "parameter").name: _variables(n, c) for n, c in components.items()}
     wires = _wires(plants, connections)
     with (

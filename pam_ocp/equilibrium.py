@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError, PamError, require_finite
-from .plant.plant import Plant, Values
+from .plant.plant import Plant, Values, require_plant
 
 __all__ = [
     "EquilibriumError",
@@ -120,6 +120,7 @@ def posed(
     plant: Plant, conditions: Values, free: Sequence[str], expressions: Expressions | None = None
 ) -> tuple[_Search, dict[str, float]]:
     """The search that conditions and free variables stand for, and its targets."""
+    require_plant(plant)
     given = {plant.variable(n).name: v for n, v in conditions.items()}
     free = [plant.variable(n).name for n in ([free] if isinstance(free, str) else free)]
     for name in free:

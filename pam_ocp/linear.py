@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from .errors import InputError, require_positive
-from .plant.plant import Plant, Values
+from .plant.plant import Plant, Values, require_plant
 from .trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ Matrices: TypeAlias = tuple[Array, Array, Array, Array]
 
 def point_of(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Plant, Array, Array]:
     """The plant with the point's parameters, and the point's states and inputs."""
+    require_plant(plant)
     if isinstance(at, OperatingPoint):
         if {v.name for v in at.plant.states} != {v.name for v in plant.states}:
             raise InputError(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import InputError, SimulationError, require_positive
 from .events import integrate_with_events
 from .integrate import Integration, Method
-from .plant.plant import Plant, Values
+from .plant.plant import Plant, Values, require_plant
 from .signals import Inputs, Interpolation, PiecewisePolynomial, signals
 from .trajectory import Event, Trajectory
 
@@ -64,6 +64,7 @@ def simulate(
     Raises InputError for bad arguments, SimulationError (with the time reached and the part
     computed so far) when the integrator cannot go on.
     """
+    require_plant(plant)
     if parameters:
         wrong = [n for n in parameters if plant.variable(n).causality != "parameter"]
         if wrong:

@@ -148,3 +148,9 @@ def test_what_does_not_fit_is_refused_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="give inputs of the plant"):
         pid_controller(plant, "x", {"v": 1.0}, proportional=1.0)
     assert not path.exists()
+
+
+def test_an_empty_system_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="components is empty"):
+        export_ssp({}, {}, tmp_path / "empty.ssp")
+    assert list(tmp_path.iterdir()) == []

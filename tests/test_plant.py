@@ -161,3 +161,16 @@ def test_unequal_muscles_have_no_mirror_image():
     assert plant.mirror_map == {}
     with pytest.raises(InputError, match="no mirror symmetry"):
         pam.plan(plant, [{"x": -0.01}, {"x": 0.01}], cyclic="mirrored")
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        lambda m: pam.simulate(m, duration=1.0), lambda m: pam.plan(m, [{"x": 0.0}, {"x": 0.1}]),
+        lambda m: pam.equilibrium(m, x=0.0), pam.linearize, lambda m: pam.export_fmu(m, "m.fmu"),
+    ],
+    ids=["simulate", "plan", "equilibrium", "linearize", "export"],
+)  # fmt: skip
+def test_a_muscle_in_place_of_a_plant_is_told_where_it_belongs(verb, long_muscle):
+    with pytest.raises(InputError, match=r"plant is a Muscle, not a Plant.*HangingLoad\(muscle\)"):
+        verb(long_muscle)

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 import casadi as ca
 
 from ..errors import InputError, UnknownNameError, require_finite, require_positive
-from ..plant.plant import Plant
+from ..plant.plant import Plant, require_plant
 from ..variables import Variable
 
 __all__ = ["OBJECTIVES", "Condition", "Cyclic", "Problem", "pose"]
@@ -70,6 +70,7 @@ def pose(
     integrand: ca.SX | None = None,
 ) -> Problem:
     """Check the arguments of :func:`pam_ocp.plan` and state the Problem."""
+    require_plant(plant)
     if isinstance(stops, Mapping) or not all(isinstance(s, Mapping) for s in stops):
         raise InputError('stops must be a list of mappings, such as [{"x": 0.0}, {"x": 0.02}]')
     if len(stops) < 2:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from ..equilibrium import OperatingPoint
 
-__all__ = ["Plant", "Values"]
+__all__ = ["Plant", "Values", "require_plant"]
 
 Values = Mapping[str, Any]
 
@@ -68,6 +68,17 @@ class _System:
             ["x", "u", "p"],
             ["A", "B", "C", "D"],
         )
+
+
+def require_plant(value: Any) -> Plant:
+    """``value``, or an InputError when it is no Plant: what every verb asks of its first argument."""
+    if isinstance(value, Plant):
+        return value
+    hint = (
+        "; put the muscle into one, as HangingLoad(muscle)" if isinstance(value, Muscle)
+        else ", such as HangingLoad(muscle) or one of your own"
+    )  # fmt: skip
+    raise InputError(f"plant is a {type(value).__name__}, not a Plant{hint}")
 
 
 class Plant:
