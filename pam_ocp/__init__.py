@@ -72,9 +72,14 @@ from .muscle.valves import OnOffValves, SpoolValve, Tube
 from .muscle.wall import ThickWallLaw
 from .nlsys import as_nlsys
 from .plan.estimate import KalmanFilter
-from .plan.mesh import Collocation
+from .plan.mesh import Collocation, Shooting
 from .plan.mpc import Mpc
-from .plan.solve import Plan, plan
+from .plan.problem import TIME
+from .plan.profile import Profile
+from .plan.result import Plan
+from .plan.saved import load_plan
+from .plan.solve import Planner, plan
+from .plan.wording import Avoid, Constraint, Phase, Stop
 from .plant.actuator import IdealPressure, Regulator
 from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
 from .plant.antagonist import AntagonisticSlide
@@ -105,16 +110,19 @@ __version__ = "0.1.0"
 __all__ = [
     "LAWS",
     "PID",
+    "TIME",
     "Allocation",
     "AllocationError",
     "AntagonisticJoint",
     "AntagonisticSlide",
+    "Avoid",
     "BoucWen",
     "BraidVolume",
     "Collocation",
     "Comparison",
     "ConsistentVolume",
     "ConstantDamping",
+    "Constraint",
     "CorrectedLaw",
     "CoulombFriction",
     "Creep",
@@ -149,24 +157,29 @@ __all__ = [
     "OpenLoop",
     "OperatingPoint",
     "PamError",
+    "Phase",
     "Plan",
     "PlanError",
+    "Planner",
     "Plant",
     "PlantFit",
     "PolynomialVolume",
     "PositionController",
     "PositionFeedback",
     "PressureLoop",
+    "Profile",
     "RecordComparison",
     "RegulatedLoad",
     "Regulator",
     "SeriesLoad",
+    "Shooting",
     "SimulationError",
     "SixParameterLaw",
     "SpoolValve",
     "Spring",
     "SpringOverMuscle",
     "StiffnessDamping",
+    "Stop",
     "ThickWallLaw",
     "ThreeElementLaw",
     "Trajectory",
@@ -211,6 +224,7 @@ __all__ = [
     "linearize_along",
     "linearize_grid",
     "load_muscle",
+    "load_plan",
     "load_study",
     "lqr",
     "margins",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .fit.static import ForceFit
     from .load_study import LoadStudy
     from .muscle.muscle import Muscle
-    from .plan.solve import Plan
+    from .plan.result import Plan
     from .validation import RecordComparison
 
 __all__ = [

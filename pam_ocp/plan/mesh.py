@@ -1,4 +1,4 @@
-"""The mesh of a plan: intervals with their degrees, and how inputs run inside them."""
+"""The mesh of a plan: intervals with their degrees, and how states and inputs run inside them."""
 
 from __future__ import annotations
 
@@ -13,124 +13,186 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-__all__ = ["Collocation", "Control", "Interval", "Mesh", "radau", "refined"]
+__all__ = ["Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "refined"]
 
 Array: TypeAlias = NDArray[np.float64]
 Control: TypeAlias = Literal["constant", "linear", "polynomial"]
+Scheme: TypeAlias = Literal["radau", "gauss", "shooting"]
 
 HIGHEST_DEGREE = 9
 """CasADi's collocation points end here."""
 SPLIT_DEGREE = 5
 """Degree of the two halves of an interval that was split."""
+MOST_STEPS = 64
+"""RK4 steps in an interval of multiple shooting, before it is split."""
+CONTROLS = ("constant", "linear", "polynomial")
 
 
 @cache
-def _points(degree: int) -> tuple[float, ...]:
-    return tuple(ca.collocation_points(degree, "radau"))
+def _collocation_points(scheme: str, degree: int) -> tuple[float, ...]:
+    kind = "radau" if scheme == "radau" else "legendre"
+    points = list(ca.collocation_points(degree, kind))
+    if scheme == "radau":
+        points[-1] = 1.0  # CasADi's is off by rounding
+    return tuple(points)
 
 
-def radau(degree: int) -> Array:
-    """Radau points in (0, 1]; the last is 1."""
-    points = np.array(_points(degree))
-    points[-1] = 1.0
-    return points
+@dataclass(frozen=True)
+class Form:
+    """How states and inputs run inside an interval, over tau in 0 .. 1."""
+
+    scheme: Scheme
+    control: Control
+
+    def collocated(self, degree: int) -> Array:
+        """Where the equation of motion is met; none for shooting."""
+        if self.scheme == "shooting":
+            return np.zeros(0)
+        return np.array(_collocation_points(self.scheme, degree))
+
+    def state_taus(self, degree: int) -> Array:
+        """Where states are unknowns; the last is the interval's end, tau = 1."""
+        if self.scheme == "radau":
+            return self.collocated(degree)
+        return np.append(self.collocated(degree), 1.0)
+
+    def profile_taus(self, degree: int) -> Array:
+        """Where functions of time are evaluated; the first is tau = 0."""
+        if self.scheme == "shooting":
+            return np.linspace(0.0, 1.0, 2 * degree + 1)
+        return np.insert(self.state_taus(degree), 0, 0.0)
+
+    def input_taus(self, degree: int) -> Array:
+        """Where the values of an input stand."""
+        if self.control == "polynomial":
+            return self.collocated(degree)
+        return np.array([0.0]) if self.control == "constant" else np.array([0.0, 1.0])
+
+    def weights(self, degree: int, tau: float) -> Array:
+        """Weights of these values that give the input at ``tau`` (Lagrange)."""
+        nodes = self.input_taus(degree)
+        return np.array(
+            [np.prod([(tau - b) / (a - b) for b in nodes if b != a]) for a in nodes], dtype=float
+        )
+
+    def input_powers(self, degree: int) -> Array:
+        """(columns, columns) matrix from the values to coefficients of powers of tau."""
+        return np.asarray(np.linalg.inv(np.vander(self.input_taus(degree), increasing=True)))
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A part of a phase, ``fraction`` of its duration long, with polynomials of ``degree``."""
+    """A part of a leg, ``fraction`` of its duration long; ``degree`` of its polynomials.
 
-    phase: int
+    For shooting, ``degree`` is the number of RK4 steps.
+    """
+
+    leg: int
     fraction: float
     degree: int
-
-    def columns(self, control: Control) -> int:
-        """How many values of each input it holds."""
-        return {"constant": 1, "linear": 2, "polynomial": self.degree}[control]
-
-    def nodes(self, control: Control) -> Array:
-        """Where in (0, 1) these values stand."""
-        if control == "polynomial":
-            return radau(self.degree)
-        return np.array([0.0]) if control == "constant" else np.array([0.0, 1.0])
-
-    def weights(self, control: Control, tau: float) -> Array:
-        """Weights of the values that give the input at ``tau`` in 0 .. 1 (Lagrange)."""
-        nodes = self.nodes(control)
-        return np.array(
-            [np.prod([(tau - b) / (a - b) for b in nodes if b != a]) for a in nodes],
-            dtype=float,
-        )
-
-    def polynomial(self, control: Control, values: Array, length: float) -> Array:
-        """Coefficients (columns, nu) of powers of the time since the interval's start."""
-        nodes = self.nodes(control)
-        coefficients = np.linalg.solve(np.vander(nodes, increasing=True), values)
-        return np.asarray(coefficients / length ** np.arange(len(nodes))[:, None])
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """All intervals of a motion in order, and the form of the inputs."""
+    """All intervals of a motion in order, and the form of states and inputs in them."""
 
     intervals: tuple[Interval, ...]
-    control: Control
+    form: Form
 
     def first(self, node: int) -> int:
         """The first interval behind a node; the number of intervals at the last one."""
-        return sum(i.phase < node for i in self.intervals)
+        return sum(i.leg < node for i in self.intervals)
+
+
+def _whole(argument: str, value: object, high: int | None = None) -> None:
+    if not isinstance(value, int) or value < 1 or (high is not None and value > high):
+        allowed = f"from 1 to {high}" if high else ">= 1"
+        raise InputError(f"{argument} = {value!r}: give a whole number {allowed}")
+
+
+def _equal(intervals: int, degree: int, legs: int, form: Form) -> Mesh:
+    one = tuple(
+        Interval(leg, 1.0 / intervals, degree) for leg in range(legs) for _ in range(intervals)
+    )
+    return Mesh(one, form)
 
 
 @dataclass(frozen=True)
 class Collocation:
-    """Radau collocation: ``intervals`` per phase, polynomials of ``degree`` (1 to 9).
+    """Direct collocation: ``intervals`` per leg, polynomials of ``degree`` (1 to 9).
 
     control : inputs "constant" on each interval (as a digital controller holds them), "linear" and
         continuous, or "polynomial" with a value at each collocation point (few intervals of high
         degree then go a long way: 6 of degree 9, say).
+    points : "radau" (stiffly accurate; the end of an interval is a point) or "gauss" (Legendre;
+        order 2 degree instead of 2 degree - 1; Biegler, Nonlinear Programming, 2010, sect. 10.2).
     """
 
     intervals: int = 50
     degree: int = 3
     control: Control = "constant"
+    points: Literal["radau", "gauss"] = "radau"
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.intervals, int) and self.intervals >= 1):
-            raise InputError(f"intervals = {self.intervals!r}: give a whole number >= 1")
-        if not (isinstance(self.degree, int) and 1 <= self.degree <= HIGHEST_DEGREE):
-            raise InputError(
-                f"degree = {self.degree!r}: give a whole number from 1 to {HIGHEST_DEGREE}"
-            )
-        if self.control not in ("constant", "linear", "polynomial"):
-            raise InputError(
-                f"control = {self.control!r}: choose 'constant', 'linear' or 'polynomial'"
-            )
+        _whole("intervals", self.intervals)
+        _whole("degree", self.degree, HIGHEST_DEGREE)
+        if self.control not in CONTROLS:
+            raise InputError(f"control = {self.control!r}: choose one of {', '.join(CONTROLS)}")
+        if self.points not in ("radau", "gauss"):
+            raise InputError(f"points = {self.points!r}: choose 'radau' or 'gauss'")
 
-    def mesh(self, phases: int) -> Mesh:
-        """Equal intervals on each phase."""
-        one = tuple(
-            Interval(phase, 1.0 / self.intervals, self.degree)
-            for phase in range(phases)
-            for _ in range(self.intervals)
-        )
-        return Mesh(one, self.control)
+    def mesh(self, legs: int) -> Mesh:
+        """Equal intervals on each leg."""
+        return _equal(self.intervals, self.degree, legs, Form(self.points, self.control))
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """Direct multiple shooting: ``intervals`` per leg, ``steps`` of RK4 in each.
+
+    Fewer unknowns than collocation; for plants that are not stiff (RK4 is explicit), and where
+    bounds need hold at the intervals' ends only.
+    control : "constant" or "linear" inputs on each interval.
+    """
+
+    intervals: int = 50
+    steps: int = 4
+    control: Literal["constant", "linear"] = "constant"
+
+    def __post_init__(self) -> None:
+        _whole("intervals", self.intervals)
+        _whole("steps", self.steps, MOST_STEPS)
+        if self.control not in ("constant", "linear"):
+            raise InputError(f"control = {self.control!r}: choose 'constant' or 'linear'")
+
+    def mesh(self, legs: int) -> Mesh:
+        """Equal intervals on each leg."""
+        return _equal(self.intervals, self.steps, legs, Form("shooting", self.control))
+
+
+Method: TypeAlias = Collocation | Shooting
 
 
 def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
     """The mesh with more points where the error of an interval exceeds the tolerance.
 
-    The degree is raised first (by 1 for each two decades, at least 1), then the interval is split.
+    The degree is raised first (by 1 for each two decades, at least 1; the steps of RK4 by its fourth
+    order), then the interval is split.
     """
+    shooting = mesh.form.scheme == "shooting"
     intervals: list[Interval] = []
     for interval, error in zip(mesh.intervals, errors, strict=True):
         if not error > tolerance:
             intervals.append(interval)
             continue
         decades = np.log10(error / tolerance) if np.isfinite(error) else 4.0
-        degree = interval.degree + max(1, int(np.ceil(decades / 2)))
-        if degree <= HIGHEST_DEGREE:
-            intervals.append(Interval(interval.phase, interval.fraction, degree))
+        if shooting:
+            degree = int(np.ceil(interval.degree * 1.1 * 10 ** (decades / 4)))
         else:
-            half = Interval(interval.phase, interval.fraction / 2, SPLIT_DEGREE)
-            intervals += [half, half]
-    return Mesh(tuple(intervals), mesh.control)
+            degree = interval.degree + max(1, int(np.ceil(decades / 2)))
+        if degree <= (MOST_STEPS if shooting else HIGHEST_DEGREE):
+            intervals.append(Interval(interval.leg, interval.fraction, degree))
+        else:
+            each = interval.degree if shooting else SPLIT_DEGREE
+            intervals += [Interval(interval.leg, interval.fraction / 2, each)] * 2
+    return Mesh(tuple(intervals), mesh.form)

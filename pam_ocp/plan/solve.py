@@ -1,402 +1,321 @@
-"""plan: state the problem, transcribe it, solve it by IPOPT, and check the motion by replay."""
+"""plan: state the problem, transcribe it, solve it, refine the mesh, check the motion by replay."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, PlanError, SimulationError, require_positive
-from ..integrate import Integration
-from ..plant.plant import Plant
-from ..simulate import evaluated, simulate
-from ..trajectory import Trajectory
-from .guess import Unpacked
-from .mesh import Collocation, Mesh, refined
-from .problem import Condition, Cyclic, Problem, pose
+from ..errors import InputError, PlanError, require_positive
+from ..plant.plant import Plant, Values
+from ..simulate import evaluated
+from .diagnosis import Conflict, elastic, explanation
+from .guess import by_stops, from_solution
+from .mesh import Collocation, Mesh, Method, Shooting, refined
+from .pose import Cyclic, Wish, pose
+from .problem import Budget, Condition, Problem
+from .replay import interval_errors, replayed
+from .result import Plan, Solved
+from .solution import unpack
+from .solver import Ipopt, Outcome, Progress
 from .transcription import Program, Row, transcribe
+from .wording import Avoid, Constraint, Phase, Stop
 
-__all__ = ["Plan", "Replay", "plan"]
+__all__ = ["Planner", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 MAX_REFINEMENTS = 8
-REPLAY_TOLERANCE = 1e-11
-"""Relative tolerance of the integrator that replays a plan."""
-OVERSAMPLING = 8
-"""Checked times between two samples of a plan."""
-
-DEFAULTS: dict[str, Any] = {
-    "tol": 1e-9,
-    "constr_viol_tol": 1e-9,
-    "acceptable_iter": 0,
-    "max_iter": 500,
-    "mu_init": 1e-1,
-    "nlp_scaling_method": "none",  # the program is scaled by the plant's nominals already
-    "mumps_pivtol": 1e-7,
-}
-"""IPOPT's options; ``plan(..., options=...)`` overrides them."""
-
-
-@dataclass(frozen=True)
-class Replay:
-    """What an independent tight integration of the planned inputs says."""
-
-    error: float
-    """Largest deviation of a state from the plan at its samples, in units of nominal."""
-    state: str
-    """The state that deviates most."""
-    violation: float
-    """Largest violation of a bound or path constraint, between samples too, in units of nominal."""
-    constraint: str
-    """The bound that is violated most ("" when none is)."""
-    trajectory: Trajectory = field(repr=False)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A planned motion, or a failed attempt at one.
-
-    A failed plan is sealed: ``trajectory`` raises PlanError; what the solver left is reached only
-    by :meth:`unverified`.
-    """
-
-    plant: Plant
-    success: bool
-    status: str
-    """IPOPT's return status."""
-    objective: float
-    durations: tuple[float, ...]
-    """Of each phase [s]."""
-    statistics: dict[str, Any]
-    """iterations, seconds to build and to solve, size of the program."""
-    replay: Replay | None
-    meshes: tuple[Mesh, ...]
-    """The mesh of each round of refinement; the last is the plan's."""
-    _samples: Trajectory = field(repr=False)
-
-    @property
-    def duration(self) -> float:
-        """Of the whole motion [s]."""
-        return sum(self.durations)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The planned motion. Raises PlanError when the plan failed."""
-        if not self.success:
-            raise PlanError(
-                f"this plan failed ({self.status}) and holds no solution; "
-                "unverified() gives what the solver left",
-                self,
-            )
-        return self._samples
-
-    @property
-    def replay_error(self) -> float:
-        """Largest deviation of the replay from the plan, in units of nominal (NaN when failed)."""
-        return self.replay.error if self.replay else float("nan")
-
-    def unverified(self) -> Trajectory:
-        """What the solver left, whether it is a solution or not."""
-        return self._samples
-
-    def __str__(self) -> str:
-        s = self.statistics
-        lines = [
-            f"plan of {self.plant.name}: {self.status}",
-            f"duration   {self.duration:.6g} s ({' + '.join(f'{d:.6g}' for d in self.durations)})",
-            f"objective  {self.objective:.6g}",
-            f"solver     IPOPT, {s['iterations']} iterations, {s['solve_seconds']:.3f} s "
-            f"(built in {s['build_seconds']:.3f} s; {s['variables']} variables, "
-            f"{s['constraints']} constraints)",
-            f"mesh       {s['intervals']} intervals"
-            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
-        ]
-        if self.replay:
-            worst = f" ({self.replay.constraint})" if self.replay.constraint else ""
-            lines += [
-                f"replay     error {self.replay.error:.2e} of nominal ({self.replay.state})",
-                f"bounds     largest violation {self.replay.violation:.2e} of nominal{worst}",
-            ]
-        return "\n".join(lines)
 
 
 def plan(
     plant: Plant,
-    stops: Sequence[Mapping[str, Any]],
+    stops: Sequence[Mapping[str, Any] | Stop],
     *,
     cyclic: Cyclic = False,
     duration: Any = None,
     minimise: str | Mapping[str, float] = "time",
     bounds: Mapping[str, Any] | None = None,
     rest: bool = True,
+    phases: Sequence[Phase | None] | None = None,
+    constraints: Sequence[Constraint | Avoid] = (),
+    track: Mapping[str, Any] | None = None,
+    budgets: Mapping[str, Any] | None = None,
+    design: Mapping[str, tuple[float, float]] | None = None,
     integrand: ca.SX | None = None,
-    method: Collocation | None = None,
+    final: ca.SX | None = None,
+    method: Method | None = None,
     tolerance: float | None = None,
+    guess: Plan | None = None,
+    progress: Progress = False,
     options: Mapping[str, Any] | None = None,
 ) -> Plan:
     """The optimal motion of a plant that visits ``stops`` in order.
 
     Parameters
     ----------
-    stops : at least two mappings {variable: value or (low, high)} of states, inputs or outputs.
+    stops : at least two mappings {variable: value or (low, high)} of states, inputs or outputs, or
+        :class:`Stop` with more to say: a via point (``rest=False``), a dwell.
     cyclic : True returns to the first stop and closes the cycle in all states; "mirrored" plans half
         a cycle between two stops whose second half is its mirror image (equal muscles).
-    duration : None (free), seconds for every phase, (shortest, longest), or a list with one of these
-        per phase.
-    minimise : "time", "effort" (integral of the squared inputs in units of nominal), or a mapping of
-        weights, {"time": 1.0, "effort": 1e-3}.
-    bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end; narrows the plant's own
-        bounds. Path constraints of the plant (never slack, pressure rates) always hold.
+    duration : of each leg between two stops: None (free), seconds, (shortest, longest), or a list
+        with one of these per leg.
+    minimise : one term, or {term: weight}. Terms: "time", "effort" (integral of the squared inputs in
+        units of nominal), "rate" (the same of their rates), "work" (mechanical, out of the muscles
+        [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles), and of any variable:
+        "integral(NAME)", "square(NAME)" (integral of the square), "final(NAME)" (at the end; a
+        negative weight asks for the most), "peak(NAME)" (largest value), in units of its nominal.
+    bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end, a :class:`Profile`
+        for a bound that changes with time; narrows the plant's own bounds. Path constraints of the
+        plant (never slack, pressure rates) always hold.
     rest : positions have zero velocity and acceleration at each stop.
-    integrand : further running cost, a CasADi expression of the plant's symbols
-        (``plant.expression("v") ** 2``, say); its integral is added to the objective.
-    method : ``Collocation(intervals=50, degree=3, control="constant")`` per phase.
+    phases : one :class:`Phase` or None per leg, for what holds there only.
+    constraints : :class:`Constraint` (any expression) and :class:`Avoid` (forbidden regions).
+    track : {NAME: aim or (aim, weight)}, an aim being a number or a Profile: adds the integral of
+        weight ((value - aim)/nominal)^2 to the objective.
+    budgets : {running term: most, or (least, most)} in SI, such as {"air": 1e-3} or
+        {"integral(force)": 50.0}.
+    design : {parameter of the plant: (low, high)}: chosen with the motion.
+    integrand, final : further running cost, and cost of the end: CasADi expressions of the plant's
+        symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
+    method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
+        ``Shooting(intervals=50, steps=4)``.
     tolerance : refine the mesh (degrees first, then intervals) until every interval, integrated
         tightly, meets its planned end to this part of nominal in all; None for one mesh only.
-    options : of IPOPT, over DEFAULTS.
+    guess : another plan to start from.
+    progress : True prints each iteration; a function (iteration, objective, violation) is called.
+    options : of IPOPT, over its defaults here.
 
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
-    message names the most violated constraint, ``error.plan`` is the sealed plan.
+    message names the constraints in conflict, ``error.plan`` is the sealed plan.
     """
-    begin = time.perf_counter()
-    problem = pose(
+    planner = Planner(
         plant, stops, cyclic=cyclic, duration=duration, minimise=minimise, bounds=bounds, rest=rest,
-        integrand=integrand,
+        phases=phases, constraints=constraints, track=track, budgets=budgets, design=design,
+        integrand=integrand, final=final, method=method, progress=progress, options=options,
     )  # fmt: skip
-    if tolerance is not None:
-        require_positive("tolerance", tolerance)
-    meshes = [(method or Collocation()).mesh(len(problem.durations))]
-    attempt = _attempt(problem, meshes[-1], None, options)
-    iterations = attempt.iterations
-    while tolerance is not None and attempt.success and len(meshes) <= MAX_REFINEMENTS:
-        errors = _interval_errors(problem, attempt.solution)
+    return planner(guess=guess, tolerance=tolerance)
+
+
+class Planner:
+    """A planning problem that is built once and solved many times.
+
+    Takes the arguments of :func:`plan` (but tolerance and guess). ``planner()`` solves it;
+    ``planner(stops=..., values=..., guess=plan)`` solves it for other numbers, in milliseconds from
+    the solution of a neighbour: stops, durations, bounds, budgets and constant aims may have other
+    values (not other names), and so may all parameters of the plant.
+
+        planner = pam.Planner(plant, [{"x": 0.0}, {"x": 0.01}])
+        first = planner()
+        heavier = planner(values={"mass": 2.5}, guess=first)
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        stops: Sequence[Mapping[str, Any] | Stop],
+        *,
+        method: Method | None = None,
+        progress: Progress = False,
+        options: Mapping[str, Any] | None = None,
+        **wish: Any,
+    ) -> None:
+        begin = time.perf_counter()
+        if method is not None and not isinstance(method, Collocation | Shooting):
+            raise InputError(f"method = {method!r}: give Collocation(...) or Shooting(...)")
+        self.plant = plant
+        self._wish = Wish(stops, **wish)
+        self._options, self._progress = options, progress
+        problem = pose(plant, self._wish)
+        mesh = (method or Collocation()).mesh(len(problem.legs))
+        self._program = transcribe(problem, mesh)
+        self._ipopt = Ipopt(self._program, options, progress)
+        self._build_seconds = time.perf_counter() - begin
+
+    def __call__(
+        self,
+        values: Values | None = None,
+        *,
+        guess: Plan | None = None,
+        tolerance: float | None = None,
+        **changed: Any,
+    ) -> Plan:
+        """The optimal motion for other numbers.
+
+        values : parameters (and start values) of the plant by name.
+        guess : a plan to start from; one of this planner starts warm, with its multipliers.
+        tolerance : refine the mesh; see :func:`plan`.
+        changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track`` of the same form.
+
+        Raises InputError when a change would ask for another program, PlanError as plan does.
+        """
+        begin = time.perf_counter()
+        if tolerance is not None:
+            require_positive("tolerance", tolerance)
+        program = self._with(values, changed)
+        run = _Run(program, self._ipopt, self._options, self._progress)
+        found = run.solve(guess._solved if guess is not None else None)
+        meshes = [program.mesh]
+        iterations = found.outcome.iterations
+        while tolerance is not None and found.outcome.success and len(meshes) <= MAX_REFINEMENTS:
+            finer = self._finer(found, tolerance)
+            if finer == meshes[-1]:
+                break
+            following = _Run(
+                transcribe(program.problem, finer), None, self._options, self._progress
+            ).solve(found)
+            iterations += following.outcome.iterations
+            if not following.outcome.success:  # the coarser plan stands, with its replay error
+                break
+            found = following
+            meshes.append(finer)
+        seconds = {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
+        return _plan(found, run.conflicts, meshes, {"iterations": iterations, **seconds})
+
+    def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
+        """The program with other numbers."""
+        if not values and not changed:
+            return self._program
+        allowed = ("stops", "duration", "bounds", "budgets", "track")
+        for name in changed:
+            if name not in allowed:
+                raise InputError(
+                    f"{name} cannot change in a built planner (only values, {', '.join(allowed)}); "
+                    "make a new Planner"
+                )
+        plant = self.plant.with_values(values) if values else self.plant
+        problem = pose(plant, replace(self._wish, **changed))
+        _require_same_form(self._program.problem, problem)
+        rows = _renewed(self._program, problem)
+        return replace(self._program, problem=problem, rows=rows)
+
+    @staticmethod
+    def _finer(found: Solved, tolerance: float) -> Mesh:
+        problem = found.program.problem
+        errors = interval_errors(_designed(problem, found), found.solution)
         # local errors add up over the intervals
-        finer = refined(meshes[-1], errors, tolerance / len(errors))
-        if finer == meshes[-1]:
-            break
-        following = _attempt(problem, finer, attempt.solution, options)
-        iterations += following.iterations
-        if not following.success:  # the coarser plan stands, with its replay error
-            break
-        attempt = following
-        meshes.append(finer)
-    return _plan(problem, attempt, meshes, iterations, time.perf_counter() - begin, options)
+        return refined(found.program.mesh, errors, tolerance / len(errors))
 
 
-@dataclass(frozen=True)
-class _Attempt:
-    """One program and what IPOPT made of it."""
-
-    program: Program
-    solution: Unpacked
-    objective: float
-    status: str
-    success: bool
-    iterations: int
-    build_seconds: float
-    solve_seconds: float
-
-
-def _attempt(
-    problem: Problem, mesh: Mesh, previous: Unpacked | None, options: Mapping[str, Any] | None
-) -> _Attempt:
-    begin = time.perf_counter()
-    program = transcribe(problem, mesh, previous)
-    solver = _solver(program, options)
-    built = time.perf_counter()
-    result = _solve(solver, program)
-    solved = time.perf_counter()
-    stats = solver.stats()
-    return _Attempt(
-        program, program.unpack(np.asarray(result["x"], dtype=float).ravel()), float(result["f"]),
-        str(stats["return_status"]), bool(stats["success"]), int(stats["iter_count"]),
-        built - begin, solved - built,
+def _shape(problem: Problem) -> tuple[object, ...]:
+    """What the expressions of a program depend on."""
+    return (
+        [[c.label for c in node] for node in problem.nodes],
+        [[c.label for c in leg.path] for leg in problem.legs],
+        [b.label for b in problem.budgets], list(problem.design),
+        len(problem.profiles), len(problem.aims), problem.closing,
+        [leg.duration[0] == leg.duration[1] for leg in problem.legs],
     )  # fmt: skip
+
+
+def _require_same_form(old: Problem, new: Problem) -> None:
+    if _shape(old) != _shape(new):
+        raise InputError(
+            "the changed stops, bounds or budgets name other variables than those the planner was "
+            "built with; only numbers may change. Make a new Planner"
+        )
+    if any(a is not b for a, b in zip(old.profiles, new.profiles, strict=True)):
+        raise InputError("a Profile cannot change in a built planner; make a new Planner")
+
+
+def _renewed(program: Program, problem: Problem) -> tuple[Row, ...]:
+    """The rows of a program with the limits of another problem of the same form."""
+    old = program.problem
+    pairs: list[tuple[Sequence[Condition | Budget], Sequence[Condition | Budget]]] = [
+        *zip(old.nodes, problem.nodes, strict=True),
+        *((a.path, b.path) for a, b in zip(old.legs, problem.legs, strict=True)),
+        (old.budgets, problem.budgets),
+    ]
+    image: dict[int, Condition | Budget] = {
+        id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)
+    }
+    return tuple(
+        replace(row, conditions=tuple(image[id(c)] for c in row.conditions)) for row in program.rows
+    )
+
+
+class _Run:
+    """One program: from a guess, or from all guesses there are, to a solution or a diagnosis."""
+
+    def __init__(
+        self,
+        program: Program,
+        ipopt: Ipopt | None,
+        options: Mapping[str, Any] | None,
+        progress: Progress,
+    ) -> None:
+        begin = time.perf_counter()
+        self.program, self.options = program, options
+        self.ipopt = ipopt or Ipopt(program, options, progress)
+        self.build_seconds = time.perf_counter() - begin
+        self.conflicts: tuple[Conflict, ...] = ()
+
+    def solve(self, previous: Solved | None) -> Solved:
+        """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
+        program, problem, mesh = self.program, self.program.problem, self.program.mesh
+        if previous is None:
+            found = self._from(by_stops(problem, mesh))
+        else:
+            same = previous.program.nlp is program.nlp
+            start = previous.outcome.w if same else from_solution(problem, mesh, previous.solution)
+            found = self._from(start, previous.outcome if same else None)
+            if not found.outcome.success:
+                found = self._from(by_stops(problem, mesh))
+        if not found.outcome.success:
+            balanced = by_stops(problem, mesh, balanced=True)
+            again = self._from(balanced, adaptive=True)
+            if again.outcome.success:
+                return again
+            self.conflicts, feasible = elastic(program, balanced, self.options)
+            if not self.conflicts:
+                again = self._from(feasible, adaptive=True)
+            return again if again.outcome.success else found
+        return found
+
+    def _from(self, guess: Array, warm: Outcome | None = None, adaptive: bool = False) -> Solved:
+        outcome = self.ipopt(self.program, guess, warm, adaptive)
+        solution = unpack(self.program.problem, self.program.mesh, outcome.w)
+        return Solved(self.program, outcome, solution)
+
+
+def _designed(problem: Problem, found: Solved) -> Plant:
+    """The plant with the values that were chosen for its design."""
+    chosen = dict(zip(problem.design, map(float, found.solution.design), strict=True))
+    return problem.plant.with_values(
+        {n: float(np.clip(v, *problem.design[n])) for n, v in chosen.items()}
+    )
 
 
 def _plan(
-    problem: Problem,
-    attempt: _Attempt,
+    found: Solved,
+    conflicts: tuple[Conflict, ...],
     meshes: Sequence[Mesh],
-    iterations: int,
-    seconds: float,
-    options: Mapping[str, Any] | None,
+    figures: Mapping[str, Any],
 ) -> Plan:
-    """The Plan of the last attempt; raises PlanError when it failed."""
-    samples = _samples(problem, attempt)
+    """The Plan of a solution; raises PlanError when it failed."""
+    program, outcome, solution = found.program, found.outcome, found.solution
+    problem = program.problem
+    plant = _designed(problem, found)
+    samples = evaluated(plant, solution.t, solution.states, solution.inputs)
     statistics = {
-        "iterations": iterations,
-        "build_seconds": attempt.build_seconds,
-        "solve_seconds": attempt.solve_seconds,
-        "seconds": seconds,
-        "variables": len(attempt.program.guess),
-        "constraints": sum(row.size for row in attempt.program.rows),
-        "intervals": len(attempt.program.mesh.intervals),
+        **figures,
+        "solve_seconds": outcome.seconds,
+        "variables": len(outcome.w),
+        "constraints": len(outcome.lam_g),
+        "intervals": len(program.mesh.intervals),
     }
+    design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
     result = Plan(
-        problem.plant, attempt.success, attempt.status, attempt.objective,
-        tuple(float(d) for d in attempt.solution[3]), statistics,
-        _replay(problem, samples) if attempt.success else None, tuple(meshes), samples,
+        plant, outcome.success, outcome.status, outcome.objective,
+        tuple(float(d) for d in solution.durations), design, statistics,
+        replayed(problem, plant, samples, solution) if outcome.success else None,
+        tuple(meshes), outcome.log, conflicts, samples, problem, found,
     )  # fmt: skip
-    if not attempt.success:
-        raise PlanError(_reason(attempt.program, result, options), result)
+    if not outcome.success:
+        raise PlanError(explanation(plant.name, outcome.status, conflicts), result)
     return result
-
-
-def _solver(program: Program, options: Mapping[str, Any] | None) -> ca.Function:
-    ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, **(options or {})}
-    try:
-        return ca.nlpsol("plan", "ipopt", program.nlp, {"print_time": False, "ipopt": ipopt})
-    except RuntimeError as error:
-        raise InputError(
-            f"options = {dict(options or {})}: {str(error).splitlines()[-1]}"
-        ) from None
-
-
-def _solve(solver: ca.Function, program: Program) -> dict[str, ca.DM]:
-    return dict(
-        solver(
-            x0=program.guess, p=program.problem.plant.vector("parameter"),
-            lbx=program.w_low, ubx=program.w_high,
-            lbg=np.concatenate([r.low for r in program.rows]),
-            ubg=np.concatenate([r.high for r in program.rows]),
-        )
-    )  # fmt: skip
-
-
-def _samples(problem: Problem, attempt: _Attempt) -> Trajectory:
-    """The solution as a Trajectory at all collocation points, with its inputs as they are between."""
-    t, states, signals, _ = attempt.solution
-    return evaluated(problem.plant, t, states, signals)
-
-
-def _interval_errors(problem: Problem, solution: Unpacked) -> list[float]:
-    """For each interval: how far a tight integration from its start leaves its planned points."""
-    plant = problem.plant
-    times, states, signals, _ = solution
-    nominal = plant.vector("state", attribute="nominal")
-    ends = np.searchsorted(times, signals.breaks - 1e-12 * (1 + np.abs(signals.breaks)))
-    errors = []
-    for a, b in pairwise(ends):
-        part = slice(a, b + 1)
-        found = Integration.over(plant, signals, times[part], states[a], rtol=REPLAY_TOLERANCE)()
-        if found is None:
-            errors.append(float("inf"))
-        else:
-            errors.append(float(np.max(np.abs(found - states[part]) / nominal)))
-    return errors
-
-
-def _replay(problem: Problem, samples: Trajectory) -> Replay:
-    """Integrate the planned inputs tightly, and look at the bounds between the samples too."""
-    plant = problem.plant
-    fine = np.linspace(samples.t[:-1], samples.t[1:], OVERSAMPLING, endpoint=False).T.ravel()
-    fine = np.append(fine, samples.t[-1])
-    try:
-        motion = simulate(plant, samples, t=fine, rtol=REPLAY_TOLERANCE)
-    except SimulationError as error:
-        part = error.trajectory or samples
-        return Replay(
-            float("inf"), f"the replay stops at t = {error.time:g} s", float("inf"), "", part
-        )
-    names = samples.named("state")
-    nominal = plant.vector("state", attribute="nominal")
-    deviation = np.abs(motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal
-    violation, constraint = _violation(problem, motion)
-    worst = names[int(np.argmax(deviation.max(axis=0)))]
-    return Replay(float(deviation.max()), worst, violation, constraint, motion)
-
-
-def _violation(problem: Problem, motion: Trajectory) -> tuple[float, str]:
-    """Largest violation of bounds and path conditions along a motion, in units of nominal."""
-    plant = problem.plant
-    x, u = (motion.array(motion.named(c)).T for c in ("state", "input"))
-    found = [(0.0, "")]
-    for name, (low, high) in problem.bounds.items():
-        variable = plant.variable(name)
-        excess = max(float(np.max(low - motion[name])), float(np.max(motion[name] - high)))
-        found.append((excess / variable.nominal, name))
-    for condition in problem.path:
-        function = ca.Function("path", [plant.x, plant.u, plant.p], [condition.expression])
-        values = np.asarray(function(x, u, plant.vector("parameter"))).ravel()
-        excess = max(float(np.max(condition.low - values)), float(np.max(values - condition.high)))
-        found.append((excess / condition.nominal, condition.label))
-    return max(found)
-
-
-def _reason(program: Program, failed: Plan, options: Mapping[str, Any] | None) -> str:
-    """Why there is no plan: the constraint that an elastic re-solve has to violate most."""
-    opening = f"no plan found for {failed.plant.name} ({failed.status}). "
-    slack, row, index = _elastic(program, options)
-    if slack < 1e-6:
-        return opening + (
-            "A motion that meets all constraints seems to exist, but the solver did not converge; "
-            "try another method=Collocation(...), other bounds of duration, or more "
-            "options={'max_iter': ...}"
-        )
-    if not row.conditions:
-        return (
-            opening + f"The most violated constraint is the {row.label} (by {slack:.3g} of nominal)"
-        )
-    condition = row.conditions[index]
-    amount = condition.shown.shown(slack * condition.nominal)
-    where = f" {row.where[index]}" if row.where else ""
-    return opening + (
-        f"The most violated constraint is {condition.label} "
-        f"({_bound_text(condition)}), by {amount}{where}; relax it, or allow more time or pressure"
-    )
-
-
-def _bound_text(condition: Condition) -> str:
-    shown = condition.shown.shown
-    if condition.low == condition.high:
-        return f"= {shown(condition.low)}"
-    return f"{shown(condition.low)} .. {shown(condition.high)}"
-
-
-def _elastic(program: Program, options: Mapping[str, Any] | None) -> tuple[float, Row, int]:
-    """Least total violation of stops, path and closing, dynamics kept: (largest, row, index in it)."""
-    soft = [np.full(r.size, r.kind != "defect") for r in program.rows]
-    chosen = np.flatnonzero(np.concatenate(soft))
-    g = program.nlp["g"]
-    above, below = ca.MX.sym("above", len(chosen)), ca.MX.sym("below", len(chosen))
-    pick = ca.DM(
-        ca.Sparsity.triplet(g.numel(), len(chosen), chosen.tolist(), list(range(len(chosen)))), 1.0
-    )
-    relaxed = g + ca.mtimes(pick, below - above)
-    nlp = {
-        "x": ca.vertcat(program.nlp["x"], above, below), "p": program.nlp["p"],
-        "f": ca.sum1(above) + ca.sum1(below), "g": relaxed,
-    }  # fmt: skip
-    ipopt = {
-        "print_level": 0,
-        "sb": "yes",
-        **DEFAULTS,
-        "tol": 1e-7,
-        "max_iter": 1000,
-        **(options or {}),
-    }
-    solver = ca.nlpsol("elastic", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
-    zero = np.zeros(2 * len(chosen))
-    result = solver(
-        x0=np.concatenate([program.guess, zero + 0.1]), p=program.problem.plant.vector("parameter"),
-        lbx=np.concatenate([program.w_low, zero]),
-        ubx=np.concatenate([program.w_high, zero + np.inf]),
-        lbg=np.concatenate([r.low for r in program.rows]),
-        ubg=np.concatenate([r.high for r in program.rows]),
-    )  # fmt: skip
-    slack = np.asarray(result["x"]).ravel()[len(program.guess) :].reshape(2, -1).max(axis=0)
-    worst = int(np.argmax(slack))
-    position, begin = int(chosen[worst]), 0
-    for row in program.rows:
-        if position < begin + row.size:
-            return float(slack[worst]), row, position - begin
-        begin += row.size
-    raise AssertionError("a chosen row lies outside the program")

@@ -1,8 +1,6 @@
-"""From a Problem to a nonlinear program: direct collocation on Radau points.
+"""From a Problem to a nonlinear program: stages mapped along the mesh, nodes, closing, bounds.
 
-On each interval the state is a polynomial through its start and the collocation points, and meets
-the plant's equation at these points (Biegler, Nonlinear Programming, SIAM 2010, ch. 10). All
-variables and defects are scaled by the plant's nominals, and ordered along the motion.
+All unknowns are in units of the plant's nominals and ordered along the motion.
 """
 
 from __future__ import annotations
@@ -15,277 +13,355 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plant.plant import Plant
-from ..signals import PiecewisePolynomial
-from .guess import Unpacked, initial_guess
-from .mesh import Control, Interval, Mesh, radau
-from .problem import Condition, Problem
+from .mesh import Interval, Mesh
+from .problem import Budget, Condition, Problem, limits
+from .stage import Stage, nominals
 
-__all__ = ["Program", "Row", "transcribe"]
+__all__ = ["Group", "Program", "Row", "transcribe"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Row:
-    """What some rows of the NLP's constraints are: for messages and for the elastic re-solve."""
+    """What some rows of the NLP's constraints are: for messages, duals and the elastic re-solve."""
 
     label: str
-    kind: Literal["defect", "path", "stop", "closing"]
-    low: Array
-    high: Array
-    conditions: tuple[Condition, ...] = ()
-    """One per row, for "path" and "stop"."""
-    where: tuple[str, ...] = ()
-    """Where each row stands along the motion, for "path"."""
+    kind: Literal["defect", "path", "stop", "closing", "budget"]
+    size: int
+    conditions: tuple[Condition | Budget, ...] = ()
+    """What these rows hold in turn, over and over; empty for rows that are zero."""
+    members: tuple[int, ...] = ()
+    """The intervals in turn, for "path"."""
 
-    @property
-    def size(self) -> int:
-        return len(self.low)
+    def condition(self, index: int) -> Condition | Budget | None:
+        """Of one row."""
+        return self.conditions[index % len(self.conditions)] if self.conditions else None
+
+    def where(self, index: int) -> str:
+        """Of one row, in words."""
+        if not self.members:
+            return ""
+        return f"in interval {self.members[index // len(self.conditions)] + 1}"
+
+    def limits(self) -> tuple[Array, Array]:
+        """(low, high) of all rows."""
+        if not self.conditions:
+            return np.zeros(self.size), np.zeros(self.size)
+        low, high = limits(self.conditions)
+        repeats = self.size // len(low)
+        return np.tile(low, repeats), np.tile(high, repeats)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Intervals that share a stage function: where their defects begin, and how many each has."""
+
+    members: tuple[int, ...]
+    first_row: int
+    rows: int
+    stage: Stage
 
 
 @dataclass(frozen=True)
 class Program:
-    """The NLP of a Problem on a Mesh, in scaled variables w; ``p`` are the plant's parameters."""
+    """The NLP of a Problem on a Mesh, in scaled unknowns w; its parameters are (p, aims)."""
 
     problem: Problem
     mesh: Mesh
     nlp: dict[str, ca.MX]
     rows: tuple[Row, ...]
-    w_low: Array
-    w_high: Array
-    guess: Array
+    groups: tuple[Group, ...]
 
-    def unpack(self, w: Array) -> Unpacked:
-        """(times (n,), states (n, nx), inputs as signals, durations (phases,)) of a solution, in SI.
+    def limits(self) -> tuple[Array, Array]:
+        """(low, high) of all constraints."""
+        both = [row.limits() for row in self.rows]
+        return np.concatenate([b[0] for b in both]), np.concatenate([b[1] for b in both])
 
-        The times are the start and every collocation point.
-        """
-        plant = self.problem.plant
-        x_nominal, u_nominal = _nominals(plant)
-        nx, nu = len(x_nominal), len(u_nominal)
-        durations = w[-len(self.problem.durations) :] * _time_nominals(self.problem)
-        t, states, pieces = [0.0], [w[:nx]], []
-        breaks, at, begin = [0.0], nx, 0.0
-        for interval in self.mesh.intervals:
-            h = float(durations[interval.phase] * interval.fraction)
-            points = w[at : at + nx * interval.degree].reshape(interval.degree, nx)
-            at += nx * interval.degree
-            columns = interval.columns(self.mesh.control)
-            values = w[at : at + nu * columns].reshape(columns, nu) * u_nominal
-            at += nu * columns
-            t += list(begin + h * radau(interval.degree))
-            states += list(points)
-            pieces.append(interval.polynomial(self.mesh.control, values, h))
-            begin += h
-            breaks.append(begin)
-        degree = max(len(p) for p in pieces)
-        coefficients = np.zeros((len(pieces), degree, nu))
-        for k, piece in enumerate(pieces):
-            coefficients[k, : len(piece)] = piece
-        signals = PiecewisePolynomial(np.array(breaks), coefficients)
-        return np.array(t), np.array(states) * x_nominal, signals, durations
+    def bounds(self) -> tuple[Array, Array]:
+        """(low, high) of all unknowns."""
+        return _bounds(self.problem, self.mesh)
 
-
-def _nominals(plant: Plant) -> tuple[Array, Array]:
-    return plant.vector("state", attribute="nominal"), plant.vector("input", attribute="nominal")
-
-
-def _time_nominals(problem: Problem) -> Array:
-    return np.array([np.sqrt(low * high) for low, high in problem.durations])
+    def parameters(self) -> Array:
+        """Values of the NLP's parameters."""
+        return np.concatenate([self.problem.plant.vector("parameter"), self.problem.aims])
 
 
 @dataclass(frozen=True)
 class _Unknowns:
-    """Scaled symbols of the program, interval by interval."""
+    """Scaled symbols of the program, interval by interval; then durations, design, peaks."""
 
     start: ca.MX
-    points: list[ca.MX]
-    """nx x degree each; the last column is the interval's end."""
+    states: list[ca.MX]
+    """nx x points each; the last column is the interval's end."""
     inputs: list[ca.MX]
     """nu x columns each."""
     durations: ca.MX
+    design: ca.MX
+    peaks: ca.MX
 
     def begin(self, k: int) -> ca.MX:
         """State at the start of interval k (its end for k = number of intervals)."""
-        return self.start if k == 0 else self.points[k - 1][:, -1]
+        return self.start if k == 0 else self.states[k - 1][:, -1]
 
     @property
     def w(self) -> ca.MX:
-        along = (part for pair in zip(self.points, self.inputs, strict=True) for part in pair)
-        return ca.veccat(self.start, *along, self.durations)
+        along = (part for pair in zip(self.states, self.inputs, strict=True) for part in pair)
+        return ca.veccat(self.start, *along, self.durations, self.design, self.peaks)
 
 
-def transcribe(problem: Problem, mesh: Mesh, previous: Unpacked | None = None) -> Program:
-    """State the NLP: defects, path conditions, stops, closing; bounds and initial guess.
-
-    previous : an unpacked solution on another mesh to start from.
-    """
-    plant = problem.plant
-    nx, nu = len(plant.states), len(plant.inputs)
-    z = _Unknowns(
+def _unknowns(problem: Problem, mesh: Mesh) -> _Unknowns:
+    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
+    form = mesh.form
+    return _Unknowns(
         ca.MX.sym("x0", nx),
-        [ca.MX.sym(f"x{k}", nx, i.degree) for k, i in enumerate(mesh.intervals)],
-        [ca.MX.sym(f"u{k}", nu, i.columns(mesh.control)) for k, i in enumerate(mesh.intervals)],
-        ca.MX.sym("T", len(problem.durations)),
-    )
-    p = ca.MX.sym("p", len(plant.parameters))
-    durations = z.durations * _time_nominals(problem)
-    constraints, rows, running = _stages(problem, mesh, z, durations, p)
-    for piece, row in [*_nodes(problem, mesh, z, p), *_continuity(mesh, z)]:
-        constraints.append(piece)
-        rows.append(row)
-    objective = problem.weights.get("time", 0.0) * ca.sum1(durations) + running
-    low, high = _bounds(problem, mesh)
-    guess = initial_guess(problem, mesh, _time_nominals(problem), previous)
-    return Program(
-        problem, mesh, {"x": z.w, "p": p, "f": objective, "g": ca.veccat(*constraints)},
-        tuple(rows), low, high, np.clip(guess, low, high),
+        [ca.MX.sym(f"x{k}", nx, len(form.state_taus(i.degree))) for k, i in enumerate(mesh.intervals)],
+        [ca.MX.sym(f"u{k}", nu, len(form.input_taus(i.degree))) for k, i in enumerate(mesh.intervals)],
+        ca.MX.sym("T", len(problem.legs)),
+        ca.MX.sym("design", len(problem.design)),
+        ca.MX.sym("peaks", problem.m.numel()),
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class _Clock:
+    """Times of the mesh as expressions: lengths and starts of intervals, and the end [s]."""
+
+    lengths: list[ca.MX]
+    starts: list[ca.MX]
+    end: ca.MX
+
+    @classmethod
+    def of(cls, mesh: Mesh, durations: ca.MX) -> _Clock:
+        """From the durations of the legs [s]."""
+        begins = [ca.MX(0)]
+        for i in range(durations.numel()):
+            begins.append(begins[-1] + durations[i])
+        lengths, starts, passed, leg = [], [], 0.0, 0
+        for interval in mesh.intervals:
+            if interval.leg != leg:
+                passed, leg = 0.0, interval.leg
+            lengths.append(durations[leg] * interval.fraction)
+            starts.append(begins[leg] + durations[leg] * passed if passed else begins[leg])
+            passed += interval.fraction
+        return cls(lengths, starts, begins[-1])
+
+
+def transcribe(problem: Problem, mesh: Mesh) -> Program:
+    """State the NLP: defects, path conditions, stops, closing, budgets, objective."""
+    plant = problem.plant
+    z = _unknowns(problem, mesh)
+    p, q = ca.MX.sym("p", len(plant.parameters)), ca.MX.sym("q", problem.q.numel())
+    chosen = _with_design(problem, p, z.design)
+    durations = z.durations * problem.time_nominals
+    clock = _Clock.of(mesh, durations)
+    made = _stages(problem, mesh, z, clock, (chosen, q))
+    rest = [
+        *_nodes(problem, mesh, z, clock, (chosen, q)),
+        *_continuity(problem, mesh, z),
+        *_budgets(problem, made.budgets),
+    ]
+    nlp = {
+        "x": z.w,
+        "p": ca.vertcat(p, q),
+        "f": made.cost + _other_costs(problem, mesh, z, clock, (chosen, q)),
+        "g": ca.veccat(*made.constraints, *(piece for piece, _ in rest)),
+    }
+    return Program(problem, mesh, nlp, (*made.rows, *(row for _, row in rest)), tuple(made.groups))
+
+
+def _with_design(problem: Problem, p: ca.MX, design: ca.MX) -> ca.MX:
+    """All parameters of the plant, those to be designed taken from the unknowns [SI]."""
+    if not problem.design:
+        return p
+    names = [v.name for v in problem.plant.parameters]
+    entries = ca.vertsplit(p)
+    for i, name in enumerate(problem.design):
+        entries[names.index(name)] = design[i] * problem.design_nominals[i]
+    return ca.vertcat(*entries)
+
+
+@dataclass
+class _Made:
+    """What the stages give."""
+
+    constraints: list[ca.MX]
+    rows: list[Row]
+    groups: list[Group]
+    cost: ca.MX
+    budgets: ca.MX
+
+
 def _stages(
-    problem: Problem, mesh: Mesh, z: _Unknowns, durations: ca.MX, p: ca.MX
-) -> tuple[list[ca.MX], list[Row], ca.MX]:
-    """Defects and path conditions of all intervals, mapped over those of equal degree."""
-    constraints, rows, running = [], [], ca.MX(0)
-    for degree in sorted({i.degree for i in mesh.intervals}):
-        members = [k for k, i in enumerate(mesh.intervals) if i.degree == degree]
-        stage = _stage(problem, mesh.control, degree).map(len(members))
-        h = ca.horzcat(
-            *(durations[mesh.intervals[k].phase] * mesh.intervals[k].fraction for k in members)
-        )
-        defects, path, cost = stage(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+) -> _Made:
+    """Defects and path conditions of all intervals, mapped over those that are alike."""
+    made = _Made([], [], [], ca.MX(0), ca.MX(len(problem.budgets), 1))
+    profiles = [profile.function() for profile in problem.profiles]
+    at = 0
+    for stage, members in _alike(problem, mesh):
+        mapped = stage.function().map(len(members))
+        taus = mesh.form.profile_taus(stage.degree)
+        h, t = (ca.horzcat(*(each[k] for k in members)) for each in (clock.lengths, clock.starts))
+        defects, path, cost, budgets = mapped(
             ca.horzcat(*(z.begin(k) for k in members)),
-            ca.horzcat(*(ca.vec(z.points[k]) for k in members)),
+            ca.horzcat(*(ca.vec(z.states[k]) for k in members)),
             ca.horzcat(*(ca.vec(z.inputs[k]) for k in members)),
-            h, p,
+            h, t, given[0], _sampled(profiles, h, t, taus), given[1], z.peaks,
         )  # fmt: skip
-        zero = np.zeros(defects.numel())
-        constraints.append(defects)
-        rows.append(Row("dynamics", "defect", zero, zero))
-        running += ca.sum2(cost)
-        conditions = (*problem.path * degree, *_with_inputs(problem))
-        if conditions:
-            low, high = _limits(conditions)
-            constraints.append(path)
-            places = [f"in interval {k + 1} of {len(mesh.intervals)}" for k in members]
-            rows.append(
-                Row(
-                    "path", "path", np.tile(low, len(members)), np.tile(high, len(members)),
-                    conditions * len(members), tuple(s for s in places for _ in conditions),
-                )
-            )  # fmt: skip
-    return constraints, rows, running
+        made.constraints.append(defects)
+        made.rows.append(Row("dynamics", "defect", defects.numel()))
+        made.groups.append(Group(tuple(members), at, defects.shape[0], stage))
+        if path.numel():
+            made.constraints.append(path)
+            made.rows.append(Row("path", "path", path.numel(), stage.conditions, tuple(members)))
+        at += defects.numel() + path.numel()
+        made.cost += ca.sum2(cost)
+        if problem.budgets:
+            made.budgets += ca.sum2(budgets)
+    return made
 
 
-def _stage(problem: Problem, control: Control, degree: int) -> ca.Function:
-    """One interval: (start, points, inputs, h, p) -> (scaled defects, path values, running cost)."""
-    plant = problem.plant
-    x_nominal, u_nominal = _nominals(plant)
-    nx, nu = len(x_nominal), len(u_nominal)
-    interval = Interval(0, 1.0, degree)
-    start, points = ca.SX.sym("start", nx), ca.SX.sym("points", nx, degree)
-    inputs = ca.SX.sym("inputs", nu, interval.columns(control))
-    h, p = ca.SX.sym("h"), ca.SX.sym("p", len(plant.parameters))
-    derivative, _, quadrature = ca.collocation_coeff(radau(degree).tolist())
-    polynomial = ca.horzcat(start, points) @ ca.DM(derivative)  # scaled dx/dtau at the points
-    path, running = _values(plant, problem.path), _running(problem)
-    defects, values, cost = [], [ca.SX(0, 1)], ca.SX(0)
-    for j, tau in enumerate(radau(degree)):
-        x = points[:, j] * x_nominal
-        u = inputs @ interval.weights(control, tau) * u_nominal
-        defects.append(h * plant.function(x, u, p)[0] / x_nominal - polynomial[:, j])
-        values.append(path(x, u, p))
-        cost += h * quadrature[j] * running(x, u, p)
-    # an input may jump at the start of the interval: what depends on it is checked there too
-    u = inputs @ interval.weights(control, 0.0) * u_nominal
-    values.append(_values(plant, _with_inputs(problem))(start * x_nominal, u, p))
-    return ca.Function(
-        "stage",
-        [start, ca.vec(points), ca.vec(inputs), h, p],
-        [ca.veccat(*defects), ca.vertcat(*values), cost],
-    )
+def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
+    """Intervals of equal degree on legs with equal path conditions."""
+    found: list[tuple[Stage, list[int]]] = []
+    for k, interval in enumerate(mesh.intervals):
+        leg = problem.legs[interval.leg]
+        for stage, members in found:
+            if stage.degree == interval.degree and stage.leg.path == leg.path:
+                members.append(k)
+                break
+        else:
+            found.append((Stage(problem, leg, mesh.form, interval.degree), [k]))
+    return found
 
 
-def _running(problem: Problem) -> ca.Function:
-    """The integrand of the objective: weighed effort, and the user's own."""
-    plant = problem.plant
-    total = ca.SX(0)
-    weight = problem.weights.get("effort", 0.0)
-    if weight:
-        total += weight * ca.sumsqr(plant.u / plant.vector("input", attribute="nominal"))
-    if problem.integrand is not None:
-        total += problem.integrand
-    return ca.Function("running", [plant.x, plant.u, plant.p], [total])
+def _sampled(profiles: Sequence[ca.Function], h: ca.MX, t: ca.MX, taus: Array) -> ca.MX:
+    """Values of the profiles at all points: one column per interval, profiles fastest."""
+    if not profiles:
+        return ca.MX(0, h.shape[1])
+    rows = []
+    for tau in taus:
+        times = t + h * float(tau)
+        rows += [function.map(h.shape[1])(times) for function in profiles]
+    return ca.vertcat(*rows)
 
 
-def _with_inputs(problem: Problem) -> tuple[Condition, ...]:
-    u = problem.plant.u
-    return tuple(c for c in problem.path if u.numel() and ca.depends_on(c.expression, u))
-
-
-def _values(plant: Plant, conditions: Sequence[Condition]) -> ca.Function:
-    """(x, u, p) -> the conditions' values in units of their nominals."""
-    values = [c.expression / c.nominal for c in conditions]
-    return ca.Function(
-        "conditions", [plant.x, plant.u, plant.p], [ca.vertcat(*values) if values else ca.SX(0, 1)]
-    )
-
-
-def _limits(conditions: Sequence[Condition]) -> tuple[Array, Array]:
-    low = np.array([c.low / c.nominal for c in conditions])
-    high = np.array([c.high / c.nominal for c in conditions])
-    return low, high
-
-
-def _nodes(problem: Problem, mesh: Mesh, z: _Unknowns, p: ca.MX) -> list[tuple[ca.MX, Row]]:
+def _nodes(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+) -> list[tuple[ca.MX, Row]]:
     """Conditions at the stops, and the closing of a cycle."""
-    x_nominal, u_nominal = _nominals(problem.plant)
+    x_nominal, _ = nominals(problem)
     count = len(mesh.intervals)
     pieces = []
     for i, conditions in enumerate(problem.nodes):
-        if not conditions:
-            continue
-        k = mesh.first(i)  # the interval behind the node, or the number of intervals at the end
-        inside = min(k, count - 1)
-        weights = mesh.intervals[inside].weights(mesh.control, 1.0 if k == count else 0.0)
-        u = z.inputs[inside] @ weights * u_nominal
-        values = _values(problem.plant, conditions)(z.begin(k) * x_nominal, u, p)
-        low, high = _limits(conditions)
-        pieces.append((values, Row(f"stop {i + 1}", "stop", low, high, conditions)))
+        if conditions:
+            values = problem.conditions("stop", conditions)
+            point = _point(problem, mesh, z, clock, given, mesh.first(i))
+            row = Row(f"stop {i + 1}", "stop", len(conditions), conditions)
+            pieces.append((values(*point), row))
     if problem.closing is not None:
         names = [v.name for v in problem.plant.states]
         image = ca.vertcat(
             *(sign * z.start[names.index(other)] * x_nominal[names.index(other)] / x_nominal[i]
               for i, (sign, other) in enumerate(problem.closing[name] for name in names))
         )  # fmt: skip
-        zero = np.zeros(len(names))
-        pieces.append((z.begin(count) - image, Row("closing of the cycle", "closing", zero, zero)))
+        row = Row("closing of the cycle", "closing", len(names))
+        pieces.append((z.begin(count) - image, row))
     return pieces
 
 
-def _continuity(mesh: Mesh, z: _Unknowns) -> list[tuple[ca.MX, Row]]:
-    """Linear inputs do not jump."""
-    if mesh.control != "linear" or len(mesh.intervals) < 2:
+def _point(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX], k: int
+) -> tuple[ca.MX, ...]:
+    """Arguments of a Problem's function at the start of interval k, or at the end of the motion."""
+    x_nominal, u_nominal = nominals(problem)
+    count = len(mesh.intervals)
+    inside = min(k, count - 1)
+    tau = 1.0 if k == count else 0.0
+    u = _input(mesh, z, inside, tau) * u_nominal
+    time = clock.end if k == count else clock.starts[k]
+    profiles = ca.vertcat(*(f.function()(time) for f in problem.profiles))
+    return z.begin(k) * x_nominal, u, given[0], time, ca.MX(profiles), given[1], z.peaks
+
+
+def _continuity(problem: Problem, mesh: Mesh, z: _Unknowns) -> list[tuple[ca.MX, Row]]:
+    """Linear inputs do not jump; nor do polynomial ones whose rate is penalised."""
+    control = mesh.form.control
+    if not (control == "linear" or (control == "polynomial" and problem.objective.rate)):
+        return []
+    if len(mesh.intervals) < 2 or not problem.plant.inputs:
         return []
     jumps = ca.veccat(
-        *(a[:, 1] - b[:, 0] for a, b in zip(z.inputs[:-1], z.inputs[1:], strict=True))
+        *(
+            _input(mesh, z, k - 1, 1.0) - _input(mesh, z, k, 0.0)
+            for k in range(1, len(mesh.intervals))
+        )
     )
-    zero = np.zeros(jumps.numel())
-    return [(jumps, Row("continuity of the inputs", "defect", zero, zero))]
+    return [(jumps, Row("continuity of the inputs", "defect", jumps.numel()))]
+
+
+def _input(mesh: Mesh, z: _Unknowns, k: int, tau: float) -> ca.MX:
+    """The (scaled) inputs in interval k at tau."""
+    return z.inputs[k] @ mesh.form.weights(mesh.intervals[k].degree, tau)
+
+
+def _budgets(problem: Problem, values: ca.MX) -> list[tuple[ca.MX, Row]]:
+    if not problem.budgets:
+        return []
+    return [(values, Row("budgets", "budget", len(problem.budgets), problem.budgets))]
+
+
+def _other_costs(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+) -> ca.MX:
+    """Time, the last node, peaks, and jumps of the inputs where their rate is penalised."""
+    goal = problem.objective
+    total = goal.time * clock.end
+    if not goal.final.is_zero():
+        last = _point(problem, mesh, z, clock, given, len(mesh.intervals))
+        total += problem.function("final", [goal.final])(*last)
+    if goal.peaks:
+        total += ca.dot(ca.DM(list(goal.peaks)), z.peaks)
+    if goal.rate and mesh.form.control == "constant":
+        total += goal.rate * _jumps(mesh, z, clock)
+    return total
+
+
+def _jumps(mesh: Mesh, z: _Unknowns, clock: _Clock) -> ca.MX:
+    """Squared jumps over the mean length of the intervals beside: the rate of a joined signal."""
+    total = ca.MX(0)
+    for k in range(1, len(mesh.intervals)):
+        h = (clock.lengths[k - 1] + clock.lengths[k]) / 2
+        total += ca.sumsqr(_input(mesh, z, k, 0.0) - _input(mesh, z, k - 1, 0.0)) / h
+    return total
 
 
 def _bounds(problem: Problem, mesh: Mesh) -> tuple[Array, Array]:
     plant = problem.plant
-    x_nominal, u_nominal = _nominals(plant)
-    x, u = (
-        np.array([problem.bounds[v.name] for v in variables]).reshape(-1, 2) / nominal[:, None]
-        for variables, nominal in ((plant.states, x_nominal), (plant.inputs, u_nominal))
-    )
-    parts = [x]
-    for interval in mesh.intervals:
-        parts += [x] * interval.degree + [u] * interval.columns(mesh.control)
-    parts.append(np.array(problem.durations) / _time_nominals(problem)[:, None])
-    both = np.vstack(parts)
-    return both[:, 0], both[:, 1]
+    x_nominal, u_nominal = nominals(problem)
+
+    def box(leg: int, variables: Sequence[object], nominal: Array) -> Array:
+        bounds = problem.legs[leg].bounds
+        pairs = [bounds[v.name] for v in variables]  # type: ignore[attr-defined]
+        return np.array(pairs).reshape(-1, 2) / nominal[:, None]
+
+    def both(a: Array, b: Array) -> Array:
+        return np.column_stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])])
+
+    x = [box(i, plant.states, x_nominal) for i in range(len(problem.legs))]
+    u = [box(i, plant.inputs, u_nominal) for i in range(len(problem.legs))]
+    parts = [x[0]]
+    following: list[Interval | None] = [*mesh.intervals[1:], None]
+    for interval, after in zip(mesh.intervals, following, strict=True):
+        leg = interval.leg
+        end = x[leg] if after is None or after.leg == leg else both(x[leg], x[after.leg])
+        parts += [x[leg]] * (len(mesh.form.state_taus(interval.degree)) - 1) + [end]
+        parts += [u[leg]] * len(mesh.form.input_taus(interval.degree))
+    durations = np.array([leg.duration for leg in problem.legs])
+    parts.append(durations / problem.time_nominals[:, None])
+    design = np.array(list(problem.design.values())).reshape(-1, 2)
+    parts.append(design / problem.design_nominals[:, None])
+    parts.append(np.tile([-np.inf, np.inf], (problem.m.numel(), 1)))
+    stacked = np.vstack(parts)
+    return stacked[:, 0], stacked[:, 1]

@@ -1,0 +1,267 @@
+"""A planning problem in the user's words, checked and brought into one form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import casadi as ca
+
+from ..errors import InputError, require_positive
+from ..plant.plant import Plant, require_plant
+from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
+from .objective import Symbols, budget, objective
+from .problem import Condition, Leg, Problem, Range
+from .wording import Avoid, Constraint, Phase, Stop, subject
+
+__all__ = ["Cyclic", "Wish", "pose"]
+
+Cyclic: TypeAlias = 'bool | Literal["mirrored"]'
+
+DURATIONS: Range = (1e-3, 10.0)
+"""Bounds of a free duration of one leg [s]."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The arguments of :func:`pam_ocp.plan` that say what is wanted; see there."""
+
+    stops: Sequence[Mapping[str, Any] | Stop]
+    cyclic: Cyclic = False
+    duration: Any = None
+    minimise: str | Mapping[str, float] = "time"
+    bounds: Mapping[str, Any] | None = None
+    rest: bool = True
+    phases: Sequence[Phase | None] | None = None
+    constraints: Sequence[Constraint | Avoid] = ()
+    track: Mapping[str, Any] | None = None
+    budgets: Mapping[str, Any] | None = None
+    design: Mapping[str, tuple[float, float]] | None = None
+    integrand: ca.SX | None = None
+    final: ca.SX | None = None
+
+
+def pose(plant: Plant, wish: Wish) -> Problem:
+    """Check a user's wish and state the Problem."""
+    require_plant(plant)
+    symbols = Symbols()
+    common = common_limits(plant, wish.bounds or {}, symbols)
+    common.path += conditions_of(plant, wish.constraints)
+    stops = _stops(plant, wish)
+    labels = [f"stop {i + 1}" for i in range(len(stops))]
+    route = list(zip(labels, stops, strict=True))
+    if wish.cyclic is True:
+        route.append(route[0])
+    goal = objective(plant, symbols, wish.minimise, wish.track, wish.integrand, wish.final)
+    common.path += [condition for _, condition in symbols.peaks]
+    motions = _motions(plant, wish, len(route) - 1, common, symbols)
+    closing = _closing(plant, wish.cyclic)
+    nodes, legs, values = _laid_out(plant, wish, route, motions, common.variables)
+    if wish.cyclic is True:  # the last node is the first: its own conditions would stand twice
+        nodes[-1] = ()
+    elif wish.cyclic == "mirrored":
+        nodes[-1] = _not_implied(plant, stops, nodes[-1], closing or {})
+    _require_an_end(wish, legs)
+    return Problem(
+        plant, tuple(values), tuple(nodes), tuple(legs), closing, goal,
+        tuple(budget(plant, term, value) for term, value in (wish.budgets or {}).items()),
+        design_ranges(plant, wish.design or {}),
+        tuple(symbols.profiles), tuple(symbols.aims),
+        *(ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m)),
+    )  # fmt: skip
+
+
+# ---- stops ----------------------------------------------------------------------------------
+def _stops(plant: Plant, wish: Wish) -> list[Stop]:
+    if isinstance(wish.stops, Mapping | Stop) or not all(
+        isinstance(s, Mapping | Stop) for s in wish.stops
+    ):
+        raise InputError('stops must be a list of mappings, such as [{"x": 0.0}, {"x": 0.02}]')
+    if len(wish.stops) < 2:
+        raise InputError(f"stops = {list(wish.stops)}: a motion needs at least two stops")
+    found = []
+    for stop in wish.stops:
+        stop = stop if isinstance(stop, Stop) else Stop(stop)
+        values = {key_of(plant, n): v for n, v in stop.values.items()}
+        rest = wish.rest if stop.rest is None else stop.rest
+        if stop.dwells and not rest:
+            raise InputError(f"{stop}: a stop with a dwell is at rest; leave out rest=False")
+        found.append(Stop(values, rest, stop.dwell, stop.within))
+    return found
+
+
+def _laid_out(
+    plant: Plant,
+    wish: Wish,
+    route: Sequence[tuple[str, Stop]],
+    motions: Sequence[Leg],
+    bounds: Mapping[str, Range],
+) -> tuple[list[tuple[Condition, ...]], list[Leg], list[dict[str, Any]]]:
+    """Nodes, legs and the nodes' values; a dwell adds a leg behind its stop."""
+    nodes, legs, values = [], [], []
+    for i, (label, stop) in enumerate(route):
+        conditions = tuple(_conditions(plant, label, stop, bounds))
+        nodes.append(conditions)
+        values.append(dict(stop.values))
+        closes = wish.cyclic is True and i == len(route) - 1
+        if stop.dwells and not closes:
+            if wish.cyclic == "mirrored" and i == len(route) - 1:
+                raise InputError("cyclic = 'mirrored': give the dwell to stop 1, its image follows")
+            within = _held(plant, conditions, stop)
+            path = (*(motions[i] if i < len(motions) else motions[-1]).path, *within)
+            legs.append(Leg(_duration(stop.dwell), path, dict(bounds), dwell=True))
+            nodes.append(conditions)
+            values.append(dict(stop.values))
+        if i < len(motions):
+            legs.append(motions[i])
+    return nodes, legs, values
+
+
+def _held(plant: Plant, conditions: Sequence[Condition], stop: Stop) -> list[Condition]:
+    """The values of a stop, with a margin, all along its dwell."""
+    held = []
+    for condition in conditions[: len(stop.values)]:
+        margin = stop.within * condition.nominal
+        held.append(
+            Condition(
+                f"dwell at {condition.label}", condition.expression, condition.low - margin,
+                condition.high + margin, margin, condition.shown,
+            )
+        )  # fmt: skip
+    return held
+
+
+def _conditions(
+    plant: Plant, label: str, stop: Stop, bounds: Mapping[str, Range]
+) -> list[Condition]:
+    if not stop.values:
+        raise InputError(f"{label} is empty; name at least one variable, as in {{'x': 0.01}}")
+    conditions = []
+    for name, value in stop.values.items():
+        variable, expression = subject(plant, name)
+        if variable.causality == "parameter":
+            raise InputError(f"{label}: {name} is a parameter, it cannot change along the motion")
+        low, high = range_of(f"{label}: {name}", value, variable)
+        least, most = bounds.get(name, (variable.min, variable.max))
+        if low > most or high < least:
+            raise InputError(
+                f"{label}: {name} = {variable.shown(low)} is outside the stroke "
+                f"{variable.shown(least)} .. {variable.shown(most)}"
+            )
+        conditions.append(
+            Condition(f"{label}: {name}", expression, low, high, variable.nominal, variable)
+        )
+    return conditions + (_at_rest(plant, label, stop) if stop.rest else [])
+
+
+def _at_rest(plant: Plant, label: str, stop: Stop) -> list[Condition]:
+    """Velocity and acceleration of every position are zero, where the stop says nothing else."""
+    conditions = []
+    for velocity in plant.positions.values():
+        for name in (velocity, f"der({velocity})"):
+            if name in stop.values:
+                continue
+            variable, expression = subject(plant, name)
+            conditions.append(
+                Condition(f"{label}: {name} at rest", expression, 0.0, 0.0, variable.nominal, variable)
+            )  # fmt: skip
+    return conditions
+
+
+def _closing(plant: Plant, cyclic: Cyclic) -> dict[str, tuple[float, str]] | None:
+    if cyclic is False or cyclic is None:
+        return None
+    if cyclic is True:
+        return {v.name: (1.0, v.name) for v in plant.states}
+    if cyclic != "mirrored":
+        raise InputError(f"cyclic = {cyclic!r}: choose True, False or 'mirrored'")
+    mirror = plant.mirror_map
+    if not mirror:
+        raise InputError(
+            f"cyclic = 'mirrored': plant {plant.name!r} declares no mirror symmetry "
+            "(unequal muscles have none); use cyclic=True"
+        )
+    return {v.name: mirror.get(v.name, (1.0, v.name)) for v in plant.states}
+
+
+def _not_implied(
+    plant: Plant,
+    stops: Sequence[Stop],
+    last: tuple[Condition, ...],
+    closing: Mapping[str, tuple[float, str]],
+) -> tuple[Condition, ...]:
+    """Of a mirrored motion's last node: what the first node's image does not say already."""
+    if len(stops) != 2:
+        raise InputError("cyclic = 'mirrored' takes two stops: the start and its mirror image")
+    first = {n: range_of(n, v, plant.variable(n)) for n, v in stops[0].values.items()}
+    kept = []
+    for condition, name in zip(last, stops[1].values, strict=False):  # rest follows by symmetry
+        sign, image = closing.get(name, (1.0, name))
+        if image not in first:
+            kept.append(condition)
+            continue
+        low, high = sorted(sign * v for v in first[image])
+        if max(abs(condition.low - low), abs(condition.high - high)) > 1e-9 * condition.nominal:
+            raise InputError(
+                f"cyclic = 'mirrored': {condition.label} = {condition.shown.shown(condition.low)} is "
+                f"not the mirror image of stop 1, {condition.shown.shown(low)}; use cyclic=True"
+            )
+    return tuple(kept)
+
+
+# ---- legs -------------------------------------------------------------------------------------
+def _motions(plant: Plant, wish: Wish, count: int, common: Limits, symbols: Symbols) -> list[Leg]:
+    """The legs between the stops, without dwells."""
+    durations = _durations(wish.duration, count)
+    phases = list(wish.phases or [None] * count)
+    if len(phases) != count:
+        raise InputError(
+            f"phases holds {len(phases)} entries for {count} phases; give a Phase or None for each"
+        )
+    legs = []
+    for i, (phase, duration) in enumerate(zip(phases, durations, strict=True)):
+        limits = common
+        if phase is not None:
+            limits = narrowed(plant, common, f"phases[{i}].bounds", phase.bounds, symbols)
+            limits.path.extend(conditions_of(plant, phase.constraints))
+            duration = duration if phase.duration is None else _duration(phase.duration)
+        legs.append(Leg(duration, tuple(limits.path), limits.variables))
+    return legs
+
+
+def _durations(duration: Any, legs: int) -> tuple[Range, ...]:
+    if isinstance(duration, Sequence) and not isinstance(duration, tuple | str):
+        if len(duration) != legs:
+            raise InputError(
+                f"duration holds {len(duration)} entries for {legs} phases; give one per phase"
+            )
+        return tuple(_duration(d) for d in duration)
+    return (_duration(duration),) * legs
+
+
+def _duration(value: Any) -> Range:
+    if value is None:
+        return DURATIONS
+    if isinstance(value, tuple):
+        if len(value) != 2:
+            raise InputError(f"duration = {value}: give (shortest, longest) in seconds")
+        low, high = (require_positive("duration", v, "s") for v in value)
+        if low > high:
+            raise InputError(f"duration = ({low:g}, {high:g}) s: the bounds are crossed")
+        return low, high
+    fixed = require_positive("duration", value, "s")
+    return fixed, fixed
+
+
+def _require_an_end(wish: Wish, legs: Sequence[Leg]) -> None:
+    """A free duration wants a reason to end."""
+    weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else dict(wish.minimise)
+    asked = {term for term, weight in weights.items() if weight}
+    more = wish.integrand is not None or wish.final is not None or wish.track
+    free = any(leg.duration[1] > leg.duration[0] for leg in legs)
+    if free and asked and not more and asked <= {"effort", "rate"}:
+        raise InputError(
+            "minimise = 'effort' needs a fixed duration (a slower motion always takes less); "
+            "give duration=0.5, say, or minimise={'time': 1.0, 'effort': 1e-3}"
+        )

@@ -1,0 +1,190 @@
+"""Plan: a planned motion with everything that says how far to trust it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, PlanError
+from ..plant.plant import Plant
+from ..trajectory import Trajectory
+from ..variables import Variable
+from . import duals
+from .diagnosis import Conflict
+from .mesh import Mesh
+from .problem import Problem
+from .replay import Replay
+from .solution import Solution
+from .solver import Outcome
+from .transcription import Program
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Plan", "Solved"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A program and what a solver made of it: for duals, and to start others from."""
+
+    program: Program
+    outcome: Outcome
+    solution: Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A planned motion, or a failed attempt at one.
+
+    A failed plan is sealed: ``trajectory`` raises PlanError; what the solver left is reached only
+    by :meth:`unverified`.
+    """
+
+    plant: Plant
+    """With the values that the plan chose for its ``design`` parameters."""
+    success: bool
+    status: str
+    """The solver's return status."""
+    objective: float
+    durations: tuple[float, ...]
+    """Of each leg, dwells among them [s]."""
+    design: dict[str, float]
+    """Values of the parameters that were chosen with the motion."""
+    statistics: dict[str, Any]
+    """iterations, seconds to build and to solve, size of the program."""
+    replay: Replay | None
+    meshes: tuple[Mesh, ...]
+    """The mesh of each round of refinement; the last is the plan's."""
+    log: tuple[dict[str, float], ...] = field(repr=False)
+    """The solver's last run: objective (obj), violation (inf_pr), dual infeasibility (inf_du), ... per
+    iteration."""
+    conflicts: tuple[Conflict, ...] = ()
+    """Of a failed plan: the constraints that cannot hold together, the worst first."""
+    _samples: Trajectory = field(repr=False, default=None)  # type: ignore[assignment]
+    _problem: Problem | None = field(repr=False, default=None)
+    _solved: Solved | None = field(repr=False, default=None)
+
+    @property
+    def duration(self) -> float:
+        """Of the whole motion [s]."""
+        return sum(self.durations)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The planned motion. Raises PlanError when the plan failed."""
+        if not self.success:
+            raise PlanError(
+                f"this plan failed ({self.status}) and holds no solution; "
+                "unverified() gives what the solver left",
+                self,
+            )
+        return self._samples
+
+    @property
+    def replay_error(self) -> float:
+        """Largest deviation of the replay from the plan, in units of nominal (NaN when failed)."""
+        return self.replay.error if self.replay else float("nan")
+
+    def unverified(self) -> Trajectory:
+        """What the solver left, whether it is a solution or not."""
+        return self._samples
+
+    # ---- duals --------------------------------------------------------------------------------
+    def _duals(self) -> Solved:
+        if not self.success or self._solved is None:
+            raise PlanError(
+                "this plan holds no multipliers: it failed, or was loaded from a file; plan it anew",
+                self,
+            )
+        return self._solved
+
+    @cached_property
+    def costates(self) -> Trajectory:
+        """Derivative of the optimal value by each state, over time [objective / SI unit].
+
+        Columns are named as the states. See :func:`pam_ocp.plan.duals.costates` for the formulas.
+        """
+        solved = self._duals()
+        t, values = duals.costates(solved.program, solved.outcome)
+        keep = np.concatenate([[True], np.diff(t) > 0])  # a Gauss interval of no length has twins
+        variables = [Variable(v.name, "output") for v in self.plant.states]
+        columns = {v.name: values[keep, i] for i, v in enumerate(variables)}
+        return Trajectory(t[keep], columns, variables, "linear")
+
+    @cached_property
+    def sensitivities(self) -> dict[str, float]:
+        """{parameter: derivative of the optimal objective by it [objective / SI unit]}.
+
+        By the envelope theorem, from the multipliers: no re-solve. Valid while the same constraints
+        stay active.
+        """
+        solved = self._duals()
+        return duals.sensitivities(solved.program, solved.outcome)
+
+    @cached_property
+    def stop_sensitivities(self) -> dict[str, float]:
+        """{"stop 2: x": derivative of the optimal objective by this value}."""
+        solved = self._duals()
+        return duals.stop_sensitivities(solved.program, solved.outcome)
+
+    def sensitivity(self, name: str) -> float:
+        """Derivative of the optimal objective by one parameter of the plant."""
+        variable = self.plant.variable(name)
+        if variable.name not in self.sensitivities:
+            raise InputError(
+                f"{name} is a {variable.causality}"
+                + (" that this plan designs" if variable.name in self.design else "")
+                + "; sensitivities are those of the plant's other parameters"
+            )
+        return self.sensitivities[variable.name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Symbols do not travel between processes: a copy there knows no multipliers."""
+        lost = ("_problem", "_solved", "costates", "sensitivities", "stop_sensitivities")
+        return {**{k: v for k, v in self.__dict__.items() if k not in lost},
+                "_problem": None, "_solved": None, "conflicts": ()}  # fmt: skip
+
+    # ---- files and figures ----------------------------------------------------------------------
+    def save(self, path: str | Path) -> Path:
+        """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
+        from .saved import save_plan
+
+        return save_plan(self, path)
+
+    def plot(self) -> Figure:
+        """Motion, velocities, pressures with commands, forces, stiffness; active bounds shaded."""
+        from ..plot import plot_plan
+
+        return plot_plan(self)
+
+    def __str__(self) -> str:
+        s = self.statistics
+        lines = [
+            f"plan of {self.plant.name}: {self.status}",
+            f"duration   {self.duration:.6g} s ({' + '.join(f'{d:.6g}' for d in self.durations)})",
+            f"objective  {self.objective:.6g}",
+            f"solver     {s.get('solver', 'IPOPT')}, {s['iterations']} iterations, "
+            f"{s['solve_seconds']:.3f} s (built in {s['build_seconds']:.3f} s; {s['variables']} "
+            f"variables, {s['constraints']} constraints)",
+            f"mesh       {s['intervals']} intervals"
+            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
+        ]
+        lines[3:3] = [
+            f"design     {name} = {self.plant.variable(name).shown(value)}"
+            for name, value in self.design.items()
+        ]
+        if self.replay:
+            worst = f" ({self.replay.constraint})" if self.replay.constraint else ""
+            lines += [
+                f"replay     error {self.replay.error:.2e} of nominal ({self.replay.state})",
+                f"bounds     largest violation {self.replay.violation:.2e} of nominal{worst}",
+            ]
+        return "\n".join(lines)
