@@ -72,7 +72,7 @@ def test_a_via_point_is_passed_and_a_dwell_is_kept():
     plan = pam.plan(
         double_integrator(10.0),
         [Stop({"x": 0.0}), Stop({"x": 0.4}, rest=False), Stop({"x": 1.0}, dwell=0.2), {"x": 0.0}],
-        method=POLYNOMIAL,
+        method=Collocation(12, 6, "polynomial"),
     )  # fmt: skip
     motion = plan.replay.trajectory
     begin, end = np.cumsum(plan.durations)[[1, 2]]

@@ -46,12 +46,14 @@ class Conflict:
 def elastic(
     program: Program, guess: Array, options: Mapping[str, Any] | None
 ) -> tuple[tuple[Conflict, ...], Array]:
-    """Least total violation of stops, path, closing and budgets with the dynamics kept.
+    """Least total violation of stops, path and budgets; the dynamics and a cycle's closing are kept.
 
     Returns the constraints that are violated, the worst of each name, largest first, and the
     (scaled) unknowns found: a feasible point when there are none.
     """
-    soft = np.concatenate([np.full(r.size, r.kind != "defect") for r in program.rows])
+    soft = np.concatenate(
+        [np.full(r.size, r.kind not in ("defect", "closing")) for r in program.rows]
+    )
     chosen = np.flatnonzero(soft)
     g = program.nlp["g"]
     above, below = ca.MX.sym("above", len(chosen)), ca.MX.sym("below", len(chosen))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -17,10 +18,15 @@ from .solution import Solution
 from .stage import nominals
 from .wording import subject
 
-__all__ = ["by_stops", "from_solution"]
+__all__ = ["by_stops", "from_solution", "idle_inputs"]
 
 Array: TypeAlias = NDArray[np.float64]
 Signal: TypeAlias = Callable[[Array], Array]
+
+IDLE = 1e-6
+"""Least change of a state's rate, in nominals per second and nominal of an input, to be influence."""
+LEVELS = 12
+"""Of an input that are tried, to either side of its middle."""
 
 
 def from_solution(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
@@ -47,39 +53,95 @@ def from_solution(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
 def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False) -> Array:
     """Scaled unknowns along minimum-jerk paths between the stops, all else at its start.
 
-    balanced : other states and inputs run between the equilibria at the stops instead.
+    balanced : other states run between the equilibria at the stops instead, and the inputs are those
+        that move them so.
     """
     durations = problem.time_nominals
-    ends = np.concatenate([[0.0], np.cumsum(durations)])
-    nodes = [_node(problem, stop, balanced) for stop in problem.stops]
-    names = [v.name for v in problem.plant.states]
-    positions = {names.index(x): names.index(v) for x, v in problem.plant.positions.items()}
+    path = _Path(problem, [_node(problem, stop, balanced) for stop in problem.stops], durations)
+    inputs = path.driving_inputs() if balanced else path.inputs
+    return _sampled(
+        problem, mesh, durations, path.states, inputs, _design(problem),
+        np.ones(problem.m.numel()),
+    )  # fmt: skip
 
-    def between(t: Array, column: int) -> tuple[Array, Array]:
-        """(values, slopes) of states and inputs by minimum jerk."""
-        value = np.empty((len(t), len(nodes[0][column])))
+
+def idle_inputs(problem: Problem) -> bool:
+    """Whether an input has no influence where it starts, as a closed valve: no place to begin at."""
+    plant = problem.plant
+    x, u = plant.vector("state"), plant.vector("input")
+    free = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+    if not free:
+        return False
+    moved = np.tile(u[:, None], (1, len(free) + 1))
+    for k, i in enumerate(free):
+        variable = plant.inputs[i]
+        step = 1e-4 * variable.nominal
+        moved[i, k + 1] += step if u[i] + step <= variable.max else -step
+    rates = np.asarray(plant.function(x, moved, plant.vector("parameter"))[0], float)
+    nominal = plant.vector("state", attribute="nominal")[:, None]
+    slopes = np.abs((rates[:, 1:] - rates[:, :1]) / nominal).max(axis=0) / 1e-4
+    return bool(np.any(slopes < IDLE))
+
+
+@dataclass(frozen=True)
+class _Path:
+    """Minimum-jerk motion between nodes (states, inputs)."""
+
+    problem: Problem
+    nodes: list[tuple[Array, Array]]
+    durations: Array
+
+    def _between(self, t: Array, column: int) -> tuple[Array, Array]:
+        """(values, slopes) of states (0) or inputs (1)."""
+        ends = np.concatenate([[0.0], np.cumsum(self.durations)])
+        value = np.empty((len(t), len(self.nodes[0][column])))
         slope = np.zeros_like(value)
-        for i, (a, b) in enumerate(pairwise(node[column] for node in nodes)):
+        for i, (a, b) in enumerate(pairwise(node[column] for node in self.nodes)):
             inside = (t >= ends[i]) & (t <= ends[i + 1] * (1 + 1e-12))
-            s = np.clip((t[inside] - ends[i]) / durations[i], 0.0, 1.0)[:, None]
+            s = np.clip((t[inside] - ends[i]) / self.durations[i], 0.0, 1.0)[:, None]
             value[inside] = a + (b - a) * s**3 * (10 - 15 * s + 6 * s**2)
-            slope[inside] = (b - a) * 30 * s**2 * (1 - s) ** 2 / durations[i]
+            slope[inside] = (b - a) * 30 * s**2 * (1 - s) ** 2 / self.durations[i]
         return value, slope
 
-    def states(t: Array) -> Array:
-        value, slope = between(t, 0)
-        for x, v in positions.items():
-            moving = np.any(slope[:, x] != 0.0)
-            value[:, v] = slope[:, x] if moving else value[:, v]
+    def states(self, t: Array) -> Array:
+        """(n, nx); velocities are those of the positions that move."""
+        plant = self.problem.plant
+        value, slope = self._between(t, 0)
+        names = [v.name for v in plant.states]
+        for position, velocity in plant.positions.items():
+            x, v = names.index(position), names.index(velocity)
+            if np.any(slope[:, x] != 0.0):
+                value[:, v] = slope[:, x]
         return value
 
-    def inputs(t: Array) -> Array:
-        value, _ = between(t, 1)
+    def inputs(self, t: Array) -> Array:
+        """(n, nu) between the nodes' own."""
+        value, _ = self._between(t, 1)
         return value
 
-    return _sampled(
-        problem, mesh, durations, states, inputs, _design(problem), np.ones(problem.m.numel())
-    )
+    def driving_inputs(self) -> Signal:
+        """Inputs that move the states nearly as they should, chosen among levels one by one."""
+        plant = self.problem.plant
+        ends = np.concatenate([[0.0], np.cumsum(self.durations)])
+        t = np.unique(np.concatenate([np.linspace(a, b, 15) for a, b in pairwise(ends)]))
+        x, wanted, u = self.states(t), self._between(t, 0)[1], self.inputs(t)
+        p, nominal = plant.vector("parameter"), plant.vector("state", attribute="nominal")
+        for i, variable in enumerate(plant.inputs):
+            low, high = self.problem.legs[0].bounds[variable.name]
+            if variable.disturbance or not np.isfinite([low, high]).all():
+                continue
+            levels = np.linspace(low, high, 2 * LEVELS)  # an even number: the middle is left out
+            missed = []
+            for level in levels:
+                u[:, i] = level
+                rates = np.asarray(plant.function(x.T, u.T, p)[0], float).T
+                missed.append((((rates - wanted) / nominal) ** 2).sum(axis=1))
+            u[:, i] = levels[np.argmin(missed, axis=0)]
+
+        def at(times: Array) -> Array:
+            return np.column_stack([np.interp(times, t, column) for column in u.T])
+
+        return at
 
 
 def _design(problem: Problem) -> Array:
@@ -147,7 +209,10 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> t
             problem.conditions("path", leg.path)(state, given_input, *rest),
         ),
     }
-    options: dict[str, Any] = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200}}
+    options: dict[str, Any] = {
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200},
+    }
     solver = ca.nlpsol("balance", "ipopt", nlp, options)
     found = solver(
         x0=given, lbx=box[:, 0], ubx=box[:, 1],

@@ -43,6 +43,8 @@ class Form:
 
     scheme: Scheme
     control: Control
+    guarded: bool = False
+    """Whether bounds of polynomial inputs hold between their points too."""
 
     def collocated(self, degree: int) -> Array:
         """Where the equation of motion is met; none for shooting."""
@@ -67,6 +69,14 @@ class Form:
         if self.control == "polynomial":
             return self.collocated(degree)
         return np.array([0.0]) if self.control == "constant" else np.array([0.0, 1.0])
+
+    def guard_taus(self, degree: int) -> Array:
+        """Where inputs are checked between their points: the start, and midway."""
+        if not self.guarded or self.control != "polynomial":
+            return np.zeros(0)
+        nodes = np.append(self.input_taus(degree), 1.0)
+        midway = (nodes[1:] + nodes[:-1]) / 2
+        return np.concatenate([[0.0, nodes[0] / 2], midway[np.diff(nodes) > 1e-9]])
 
     def weights(self, degree: int, tau: float) -> Array:
         """Weights of these values that give the input at ``tau`` (Lagrange)."""
@@ -103,6 +113,15 @@ class Mesh:
         """The first interval behind a node; the number of intervals at the last one."""
         return sum(i.leg < node for i in self.intervals)
 
+    def clock(self, nominals: Array) -> tuple[Array, Array]:
+        """Weights of the legs' durations in units of ``nominals`` [s]: in the length of each interval,
+        (n, legs), and in its start and the end of the motion, (n + 1, legs)."""
+        lengths = np.zeros((len(self.intervals), len(nominals)))
+        for k, interval in enumerate(self.intervals):
+            lengths[k, interval.leg] = interval.fraction * nominals[interval.leg]
+        starts = np.vstack([np.zeros(len(nominals)), np.cumsum(lengths, axis=0)])
+        return lengths, starts
+
 
 def _whole(argument: str, value: object, high: int | None = None) -> None:
     if not isinstance(value, int) or value < 1 or (high is not None and value > high):
@@ -126,12 +145,15 @@ class Collocation:
         degree then go a long way: 6 of degree 9, say).
     points : "radau" (stiffly accurate; the end of an interval is a point) or "gauss" (Legendre;
         order 2 degree instead of 2 degree - 1; Biegler, Nonlinear Programming, 2010, sect. 10.2).
+    guarded : bounds of polynomial inputs are asked for midway between the points too; without, they
+        may be far outside there (a switch makes them swing), which the plan's replay reports.
     """
 
     intervals: int = 50
     degree: int = 3
     control: Control = "constant"
     points: Literal["radau", "gauss"] = "radau"
+    guarded: bool = True
 
     def __post_init__(self) -> None:
         _whole("intervals", self.intervals)
@@ -143,7 +165,9 @@ class Collocation:
 
     def mesh(self, legs: int) -> Mesh:
         """Equal intervals on each leg."""
-        return _equal(self.intervals, self.degree, legs, Form(self.points, self.control))
+        return _equal(
+            self.intervals, self.degree, legs, Form(self.points, self.control, self.guarded)
+        )
 
 
 @dataclass(frozen=True)

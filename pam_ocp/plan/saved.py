@@ -45,7 +45,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "violation": [replay.violation, replay.constraint],
         "log": plan.log,
         "meshes": [
-            {"form": [m.form.scheme, m.form.control],
+            {"form": [m.form.scheme, m.form.control, m.form.guarded],
              "intervals": [[i.leg, i.fraction, i.degree] for i in m.intervals]}
             for m in plan.meshes
         ],

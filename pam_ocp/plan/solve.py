@@ -15,7 +15,7 @@ from ..errors import InputError, PlanError, require_positive
 from ..plant.plant import Plant, Values
 from ..simulate import evaluated
 from .diagnosis import Conflict, elastic, explanation
-from .guess import by_stops, from_solution
+from .guess import by_stops, from_solution, idle_inputs
 from .mesh import Collocation, Mesh, Method, Shooting, refined
 from .pose import Cyclic, Wish, pose
 from .problem import Budget, Condition, Problem
@@ -259,7 +259,7 @@ class _Run:
         """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
         program, problem, mesh = self.program, self.program.problem, self.program.mesh
         if previous is None:
-            found = self._from(by_stops(problem, mesh))
+            found = self._from(by_stops(problem, mesh, balanced=idle_inputs(problem)))
         else:
             same = previous.program.nlp is program.nlp
             start = previous.outcome.w if same else from_solution(problem, mesh, previous.solution)

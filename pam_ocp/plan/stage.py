@@ -39,9 +39,20 @@ class Stage:
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
-        """Of the rows of path values, in order: at each point, then at the start of the interval."""
+        """Of the rows of path values: at each point, at the start, then between the points."""
         points = len(self.form.state_taus(self.degree))
-        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg))
+        guarded = self._guarded() * len(self.form.guard_taus(self.degree))
+        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *guarded)
+
+    def _guarded(self) -> tuple[Condition, ...]:
+        """The inputs that have bounds, as conditions between their points."""
+        plant = self.problem.plant
+        bounds = [(v, *self.leg.bounds[v.name]) for v in plant.inputs]
+        return tuple(
+            Condition(v.name, plant.expression(v.name), low, high, v.nominal, v)
+            for v, low, high in bounds
+            if np.isfinite([low, high]).any() and low < high
+        )
 
     def function(self) -> ca.Function:
         """(start, states, inputs, h, t, p, r, q, m) -> (defects, path, cost, budgets).
@@ -76,6 +87,8 @@ class Stage:
         # an input may jump at the start of the interval: what depends on it is checked there too
         jumping = problem.conditions("jumping", problem.depends_on_inputs(self.leg))
         values.append(jumping(*point(0.0, start, 0)))
+        guarded = problem.conditions("guarded", self._guarded())
+        values += [guarded(*point(tau, start, 0)) for tau in f.guard_taus(d)]
         return ca.Function(
             "stage",
             [start, ca.vec(states), ca.vec(inputs), h, t, p, ca.vec(r), q, m],
