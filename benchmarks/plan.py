@@ -5,6 +5,8 @@ second half is its mirror image; 50 intervals of constant input. Every way runs 
 the best of ``REPEATS``; figures are ratios to plain CasADi (Opti, Radau of degree 3, unscaled). The
 error is that of the inputs found, integrated by SciPy's DOP853 at 1e-11, over (0.03, 1, 6e5, 6e5).
 
+Other optimal-control tools, each in its own process and environment: benchmarks/peers/run.py.
+
 Run:  python benchmarks/plan.py
 """
 

@@ -68,7 +68,7 @@ def draw(blind: ClosedLoop, seeing: ClosedLoop) -> Figure:
     ):
         deviation = loop.trajectory["x"] - loop.reference["x"]
         motion.plot(t, 1e3 * loop.trajectory["x"], color=colour, label=label)
-        error.plot(t, 1e3 * deviation, color=colour, label=label)
+        error.plot(t, 1e3 * deviation, color=colour)
     motion.step(t, 1e3 * seeing.reference["x"], "k:", where="post", lw=1, label="reference")
     motion.set_ylabel("position [mm]")
     error.axhspan(-0.2, 0.2, color="#4c956c", alpha=0.25, lw=0, label="±0.2 mm")
@@ -80,8 +80,8 @@ def draw(blind: ClosedLoop, seeing: ClosedLoop) -> Figure:
     pressure.set_ylabel("pressure [bar]")
     pressure.set_ylim(bottom=0)
     assert seeing.estimate is not None
-    load.plot(t, seeing.trajectory["push"], "k:", lw=1, label="push, true")
-    load.plot(t, seeing.estimate["push"], color="#7b5ea7", label="push, estimated")
+    load.plot(t, seeing.estimate["push"], color="#7b5ea7", lw=0.8, label="push, estimated")
+    load.plot(t, seeing.trajectory["push"], "k:", lw=1.2, label="push, true")
     load.set_ylabel("push [N]")
     mass = load.twinx()
     mass.axhline(MASS, color="#4c956c", ls=":", lw=1, label="mass, true")
@@ -89,6 +89,7 @@ def draw(blind: ClosedLoop, seeing: ClosedLoop) -> Figure:
     mass.set_ylabel("mass [kg]")
     mass.set_ylim(1.0, 3.5)
     load.set_xlabel("time [s]")
+    load.set_xlim(t[0], t[-1])
     for ax in (motion, error, pressure):
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
     handles = [*load.get_lines(), *mass.get_lines()]

@@ -73,6 +73,7 @@ from .muscle.wall import ThickWallLaw
 from .nlsys import as_nlsys
 from .plan.estimate import KalmanFilter
 from .plan.mesh import Collocation, Shooting
+from .plan.moving_horizon import MovingHorizonEstimator
 from .plan.mpc import Mpc
 from .plan.problem import TIME
 from .plan.profile import Profile
@@ -151,6 +152,7 @@ __all__ = [
     "LoadStudy",
     "ManySimulations",
     "MaxwellSlip",
+    "MovingHorizonEstimator",
     "Mpc",
     "Muscle",
     "OnOffValves",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from .cli_mpc import add_mpc
+from .cli_plan import add_plan
 from .errors import InputError, PamError
 
 __all__ = ["main"]
@@ -174,6 +175,8 @@ def _parser() -> argparse.ArgumentParser:
         "--plot", type=Path, metavar="FILE.png", help="draw force over contraction and pressure"
     )
     muscles.set_defaults(run=_muscles)
+    add_plan(commands)
+    add_mpc(commands)
     return parser
 
 
@@ -232,31 +235,10 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _plant(name: str, muscle_name: str) -> Any:
-    """A plant by its name here, or from a user's file (FILE.py:NAME)."""
-    from .errors import UnknownNameError
-    from .plant.antagonist import AntagonisticSlide
-    from .plant.plant import Plant
-    from .plant.single import HangingLoad
+    """A plant by its name, or from a user's file (FILE.py:NAME)."""
+    from .plant_file import named_plant
 
-    muscle = _muscle(muscle_name)
-    built_in = {"hanging_load": HangingLoad, "antagonistic_slide": AntagonisticSlide}
-    if name in built_in:
-        return built_in[name](muscle)
-    file, colon, member = name.rpartition(":")
-    if not colon:
-        raise UnknownNameError("plant", name, [*built_in, "FILE.py:NAME"])
-    spec = importlib.util.spec_from_file_location("users_plant", file)
-    if spec is None or spec.loader is None or not Path(file).is_file():
-        raise InputError(f"{file}: no such Python file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    if not hasattr(module, member):
-        raise UnknownNameError(f"name in {file}", member, [n for n in vars(module) if n[0] != "_"])
-    found = getattr(module, member)
-    plant = found if isinstance(found, Plant) else found(muscle)
-    if not isinstance(plant, Plant):
-        raise InputError(f"{name} gives {type(plant).__name__}, not a Plant")
-    return plant
+    return named_plant(name, _muscle(muscle_name))
 
 
 def _muscle(name: str, rest_length: float | None = None) -> Any:

@@ -114,7 +114,7 @@ def test_export_takes_a_plant_from_a_users_file(capsys, tmp_path):
         (["fit", TABLE], "rest_length"),
         (["fit", TABLE, "--rest-length", "0.2"], "rest"),
         (["fit", TABLE, "--rest-length", "0.25", "--law", "six-paramter"], "six-parameter"),
-        (["export", "hanging_lod"], "hanging_load"),
+        (["export", "hanging_lod"], "HangingLoad"),
         (["export", "hanging_load", "--muscle", "DMSP-20-40N"], "DMSP-20-400N"),
         (["export", "hanging_load", "--set", "mass"], "give NAME=VALUE"),
         (["export", "hanging_load", "--set", "mass=-1"], "outside"),

@@ -1,14 +1,17 @@
 """Model predictive control: the known optimum, bounds, warm start, delay, fallback, closed loops."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import benchmark_slide
 
 import pam_ocp as pam
 from pam_ocp.errors import InputError, UnknownNameError
+from pam_ocp.plan import sqp
 from pam_ocp.plan.closed_loop import closed_loop
 from pam_ocp.plan.estimate import KalmanFilter
 from pam_ocp.plan.mpc import Mpc
+from pam_ocp.plan.stage_qp import StageQp
 
 SOLVERS = ("hpipm", "piqp", "ipopt")
 
@@ -165,6 +168,63 @@ def test_seeded_noise_gives_the_same_run_twice():
     assert not np.array_equal(run(3)["x"], run(4)["x"])
 
 
+def test_hpipm_called_directly_solves_the_quadratic_program_that_piqp_solves():
+    """After a jump of the reference, with hard bounds and soft ones, some of them active."""
+    mpc = slide_mpc(iterations=1, bounds={"x": (None, 0.007)})
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
+    mpc.control(rest.x, {"x": -0.008, "stiffness": 2e4})
+    point, p = mpc._sqp.point, mpc.program
+    mpc._references({"x": 0.012, "stiffness": 2e4})
+    point()
+    direction = np.zeros(p.size)
+    StageQp(point, direction)()
+    conic = ca.conic(
+        "exact", "piqp", {"h": p.h_sparsity, "a": p.a_sparsity},
+        {"piqp": {"eps_abs": 1e-11, "eps_rel": 1e-11}},
+    )  # fmt: skip
+    exact = conic(
+        h=ca.DM(p.h_sparsity, point.h), g=point.gradient, a=ca.DM(p.a_sparsity, point.a),
+        lba=point.a_low, uba=point.a_high, lbx=point.w_low, ubx=point.w_high,
+    )["x"]  # fmt: skip
+    assert np.abs(direction).max() > 0.1
+    assert direction == pytest.approx(np.asarray(exact).ravel(), abs=1e-4)
+
+
+def test_without_the_library_hpipm_is_reached_through_casadi(monkeypatch):
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    found = []
+    for direct in (True, False):
+        monkeypatch.setattr(sqp, "available", lambda direct=direct: direct)
+        mpc = slide_mpc(iterations=30, work=None, tolerance=1e-5)
+        mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
+        found.append(list(mpc.control(rest.x, {"x": 0.008, "stiffness": 2e4}).values()))
+        assert (mpc.statistics.steps[0].work > 0) == direct
+    assert found[0] == pytest.approx(found[1], abs=300.0)  # Pa; CasADi's stops at a larger gap
+
+
+def test_the_work_of_a_call_is_bounded_after_a_jump_and_the_solution_completed_later():
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    bounded, free = slide_mpc(iterations=30), slide_mpc(iterations=30, work=None)
+    for mpc in (bounded, free):
+        mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
+        state = rest.x
+        for k in range(30):
+            mpc.control(state, {"x": 0.0 if k == 0 else 0.012, "stiffness": 2e4})
+            plan = mpc.prediction()  # the plant follows the model
+            state = [plan[v.name][1] for v in rest.plant.states]
+        steps = mpc.statistics.steps[1:]
+        assert mpc.statistics.fallbacks == 0
+        if mpc is bounded:
+            assert max(s.work for s in steps) < 12 + 20  # the last program is finished
+            assert not steps[0].converged
+        else:
+            assert max(s.work for s in steps) > 30
+            assert steps[0].converged
+        assert steps[-1].converged
+        assert state[0] == pytest.approx(0.012, abs=2e-4)
+
+
 @pytest.mark.slow
 def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
     """30 % more mass and a constant force that the model leaves out: found as an offset of v'."""
@@ -196,6 +256,7 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
         ({"horizon": 0}, "horizon = 0"),
         ({"step": -1.0}, "step = -1"),
         ({"delay": 2}, "delay = 2"),
+        ({"work": 0}, "work = 0"),
         ({"track": {"x": -1.0}}, "track"),
         ({"track": {}}, "at least one weight"),
         ({"rate": {"x": 1.0}}, "x is a state"),

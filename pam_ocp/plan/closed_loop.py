@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,11 @@ from ..plant.plant import Plant, Values
 from ..signals import PiecewisePolynomial
 from ..trajectory import Trajectory
 from ..variables import Variable
-from .estimate import Estimate, KalmanFilter
+from .estimate import Estimate, Estimator
 from .mpc import Mpc, MpcStatistics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["ClosedLoop", "closed_loop"]
 
@@ -49,6 +52,12 @@ class ClosedLoop:
         late = t >= t[-1] - window
         return float(np.max(np.abs(self.trajectory[name][late] - self.reference[name][late])))
 
+    def plot(self, title: str = "") -> Figure:
+        """Tracked variables and their error, inputs, unknowns found, and step times."""
+        from .mpc_plot import plot_closed_loop
+
+        return plot_closed_loop(self, title)
+
     def __str__(self) -> str:
         return f"closed loop over {self.trajectory.duration:g} s; controller: {self.statistics}"
 
@@ -59,7 +68,7 @@ def closed_loop(
     reference: Mapping[str, Any],
     duration: float,
     *,
-    estimator: KalmanFilter | None = None,
+    estimator: Estimator | None = None,
     disturbances: Mapping[str, Any] | None = None,
     noise: Mapping[str, float] | None = None,
     parameters: Values | None = None,
@@ -77,13 +86,14 @@ def closed_loop(
         outputs must have the model's names.
     reference : {tracked name: number or function of time [s]}.
     duration : [s]; a whole number of steps is run.
-    estimator : a KalmanFilter with the controller's step; its states and unknowns are what the
+    estimator : a KalmanFilter or MovingHorizonEstimator with the controller's step; its states and unknowns are what the
         controller is given. Without one the controller sees the true states.
     disturbances : {disturbance input of the real side: number or function of time}; the controller
         is not told.
     noise : {measured variable: standard deviation}; by default what the estimator expects. Normal,
         from ``seed``. Without an estimator it is added to the states.
-    parameters, start : values of the real side that differ from its own.
+    parameters, start : parameters, and initial states and inputs, of the real side that differ from
+        its own.
     preview : the controller knows the reference over its horizon; False: only its present value.
 
     Raises InputError for what cannot be meant, SimulationError when the real side stops.
@@ -134,8 +144,8 @@ class _PlantSide:
     """A plant, integrated tightly from sample to sample."""
 
     def __init__(self, plant: Plant, parameters: Values | None, start: Values | None) -> None:
-        self.plant = plant.with_values({**(parameters or {})})
-        self.x = self.plant.vector("state", start)
+        self.plant = plant.with_values({**(parameters or {}), **(start or {})})
+        self.x = self.plant.vector("state")
         self.inputs = {v.name: float(v.start or 0.0) for v in plant.inputs}
         self.variables = (*plant.states, *plant.inputs, *plant.outputs)
 
@@ -221,7 +231,7 @@ class _Run:
     applied: dict[str, float]
 
     def __init__(
-        self, controller: Mpc, estimator: KalmanFilter | None, side: _Side,
+        self, controller: Mpc, estimator: Estimator | None, side: _Side,
         sources: Mapping[str, Any], disturbances: Mapping[str, Any], preview: bool,
     ) -> None:  # fmt: skip
         self.controller, self.estimator, self.side = controller, estimator, side
@@ -304,7 +314,7 @@ def _at(source: Any, time: float) -> float:
 
 
 def _noise(
-    plant: Plant, estimator: KalmanFilter | None, noise: Mapping[str, float] | None
+    plant: Plant, estimator: Estimator | None, noise: Mapping[str, float] | None
 ) -> dict[str, float]:
     if noise is None:
         if estimator is None:

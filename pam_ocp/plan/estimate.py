@@ -6,6 +6,7 @@ Processes and Filtering Theory, 1970, ch. 8), with exact Jacobians of the integr
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -18,7 +19,7 @@ from ..errors import InputError, UnknownNameError, require_finite, require_posit
 from ..plant.plant import Plant, Values
 from .step import Givens, Step, StepMethod
 
-__all__ = ["Estimate", "KalmanFilter"]
+__all__ = ["Estimate", "Estimator", "KalmanFilter"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -28,7 +29,7 @@ PROCESS = 1e-2
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the filter knows at one moment, by name [SI]."""
+    """What an estimator knows at one moment, by name [SI]."""
 
     state: dict[str, float]
     values: dict[str, float]
@@ -37,26 +38,10 @@ class Estimate:
     """Standard deviation of states and unknowns."""
 
 
-class KalmanFilter:
-    """Extended Kalman filter of a plant.
+class Estimator(ABC):
+    """What every estimator of a plant has: the model's step and measurements, noise, and the start.
 
-    Parameters
-    ----------
-    plant : the model.
-    step : time between two calls of :meth:`predict` [s].
-    measured : {state or output: standard deviation of its noise > 0} [SI].
-    process : {state: standard deviation that unmodelled effects add per square root of a second};
-        by default 1 % of nominal for states that are not named, and 0 for positions (x' = v).
-    unknown : {parameter, disturbance input or "der(STATE)": (initial standard deviation, drift per
-        square root of a second)}; they are estimated as random walks, and held inside their bounds.
-    start : initial states by name (start values by default); the unknowns start at the plant's.
-    uncertainty : {state: initial standard deviation}; by default its nominal.
-    method, substeps : of the integration over a step, see Step.
-
-    ``correct(measurement)`` takes the measurement in, ``predict(inputs)`` goes one step on. Without
-    an unknown the filter is the linear Kalman filter when the plant is linear.
-
-    Raises InputError for values, UnknownNameError for names that cannot be meant.
+    Derived are :class:`KalmanFilter`, where the arguments are explained, and MovingHorizonEstimator.
     """
 
     def __init__(
@@ -85,6 +70,7 @@ class KalmanFilter:
         self.noise = np.array(
             [require_positive(f"measured[{n!r}]", s) for n, s in measured.items()]
         )
+        self._noise: Array = self.noise / np.array([v.nominal for v in self.measured])
         self.unknown = [self.given.name(n) for n in unknown or {}]
         self._at = np.array([self.given.names.index(n) for n in self.unknown], dtype=int)
         nx = len(plant.states)
@@ -113,14 +99,15 @@ class KalmanFilter:
         """Prediction with its Jacobian over a step and half a step, and measurement with its own."""
         plant, given, nx = self.plant, self.given, len(self.plant.states)
         z, u = ca.SX.sym("z", len(self.names)), ca.SX.sym("u", len(given.controls))
+        x, unknown = ca.vertsplit(z, [0, nx, len(self.names)])  # not z[nx:]: a row if z is a scalar
         rest = ca.SX.sym("q", len(given.names))
         q = ca.SX(rest)
         for i, j in enumerate(self._at):
-            q[int(j)] = z[nx + i] * self._scale[nx + i]
+            q[int(j)] = unknown[i] * self._scale[nx + i]
 
         def after(length: float) -> ca.SX:
             scaled = u / np.array([v.nominal for v in given.controls])
-            return ca.vertcat(how.expression(given, z[:nx], scaled, q, length), z[nx:])
+            return ca.vertcat(how.expression(given, x, scaled, q, length), unknown)
 
         whole, half = after(self.step), after(self.step / 2)
         jacobians = [ca.densify(ca.jacobian(e, z)) for e in (whole, half)]
@@ -129,7 +116,7 @@ class KalmanFilter:
         nominal = np.array([v.nominal for v in self.measured])
         seen = ca.substitute(
             [plant.expression(v.name) for v in self.measured],
-            [plant.x, plant.u, plant.p], [z[:nx] * self._scale[:nx], inputs, p],
+            [plant.x, plant.u, plant.p], [x * self._scale[:nx], inputs, p],
         )  # fmt: skip
         value = ca.vertcat(*seen) / nominal
         self._measure = ca.Function(
@@ -150,35 +137,28 @@ class KalmanFilter:
             dict(zip(self.names, (float(d) for d in deviation), strict=True)),
         )
 
+    @abstractmethod
     def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
         """Take measured values in, by name [SI]; ``inputs`` matter for outputs that depend on them."""
+
+    @abstractmethod
+    def predict(self, inputs: Values | None = None) -> Estimate:
+        """Go one step on, under inputs (by name [SI]; start values for those not named)."""
+
+    def _seen(self, measurement: Values) -> Array:
+        """Measured values in units of nominal; NaN for those not in the measurement."""
         given = {self.plant.variable(n).name: require_finite(n, v) for n, v in measurement.items()}
         for name in given:
             if name not in {v.name for v in self.measured}:
                 raise UnknownNameError("measured variable", name, [v.name for v in self.measured])
-        present = [i for i, v in enumerate(self.measured) if v.name in given]
-        nominal = np.array([self.measured[i].nominal for i in present])
-        seen = np.array([given[self.measured[i].name] for i in present]) / nominal
-        value, jacobian = (
-            np.asarray(m) for m in self._measure(self._z, self._inputs(inputs), self._q)
-        )
-        c, r = jacobian[present], np.diag((self.noise[present] / nominal) ** 2)
-        spread = c @ self.covariance @ c.T + r
-        gain = np.linalg.solve(spread, c @ self.covariance).T
-        self._z = self._z + gain @ (seen - value.ravel()[present])
-        self._z = np.clip(self._z, self._low, self._high)
-        keep = np.eye(len(self._z)) - gain @ c
-        self.covariance = keep @ self.covariance @ keep.T + gain @ r @ gain.T  # Joseph's form
-        return self.estimate
+        return np.array([given.get(v.name, np.nan) / v.nominal for v in self.measured])
 
-    def predict(self, inputs: Values | None = None) -> Estimate:
-        """Go one step on, under inputs (by name [SI]; start values for those not named)."""
-        z, a, half = (np.asarray(m) for m in self._predict(self._z, self._inputs(inputs), self._q))
-        self._z = z.ravel()
+    def _step_noise(self, a: Array, half: Array) -> Array:
+        """Covariance that the noise adds in a step, from the Jacobians over the step and its half."""
         # Simpson's rule for the integral of exp(A s) Q exp(A s)' over the step
-        noise = a @ self._density @ a.T + 4 * half @ self._density @ half.T + self._density
-        self.covariance = a @ self.covariance @ a.T + self.step / 6 * noise
-        return self.estimate
+        turned = np.swapaxes(a, -1, -2), np.swapaxes(half, -1, -2)
+        noise: Array = a @ self._density @ turned[0] + 4 * half @ self._density @ turned[1]
+        return self.step / 6 * (noise + self._density)
 
     def _inputs(self, inputs: Values | None) -> Array:
         """Controls [SI]; disturbances named among the inputs are taken as known."""
@@ -188,6 +168,50 @@ class KalmanFilter:
             if variable.name not in self.unknown:
                 self._q[self.given.names.index(variable.name)] = values[variable.name]
         return np.array([values[v.name] for v in self.given.controls])
+
+
+class KalmanFilter(Estimator):
+    """Extended Kalman filter of a plant.
+
+    Parameters
+    ----------
+    plant : the model.
+    step : time between two calls of :meth:`predict` [s].
+    measured : {state or output: standard deviation of its noise > 0} [SI].
+    process : {state: standard deviation that unmodelled effects add per square root of a second};
+        by default 1 % of nominal for states that are not named, and 0 for positions (x' = v).
+    unknown : {parameter, disturbance input or "der(STATE)": (initial standard deviation, drift per
+        square root of a second)}; they are estimated as random walks, and held inside their bounds.
+    start : initial states by name (start values by default); the unknowns start at the plant's.
+    uncertainty : {state: initial standard deviation}; by default its nominal.
+    method, substeps : of the integration over a step, see Step.
+
+    ``correct(measurement)`` takes the measurement in, ``predict(inputs)`` goes one step on. Without
+    an unknown the filter is the linear Kalman filter when the plant is linear.
+
+    Raises InputError for values, UnknownNameError for names that cannot be meant.
+    """
+
+    def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
+        seen = self._seen(measurement)
+        present = np.flatnonzero(np.isfinite(seen))
+        value, jacobian = (
+            np.asarray(m) for m in self._measure(self._z, self._inputs(inputs), self._q)
+        )
+        c, r = jacobian[present], np.diag(self._noise[present] ** 2)
+        spread = c @ self.covariance @ c.T + r
+        gain = np.linalg.solve(spread, c @ self.covariance).T
+        self._z = self._z + gain @ (seen - value.ravel())[present]
+        self._z = np.clip(self._z, self._low, self._high)
+        keep = np.eye(len(self._z)) - gain @ c
+        self.covariance = keep @ self.covariance @ keep.T + gain @ r @ gain.T  # Joseph's form
+        return self.estimate
+
+    def predict(self, inputs: Values | None = None) -> Estimate:
+        z, a, half = (np.asarray(m) for m in self._predict(self._z, self._inputs(inputs), self._q))
+        self._z = z.ravel()
+        self.covariance = a @ self.covariance @ a.T + self._step_noise(a, half)
+        return self.estimate
 
 
 def _pair(name: str, value: Any) -> tuple[float, float]:

@@ -38,6 +38,8 @@ class MpcStep:
     qp_seconds: float
     """Of ``seconds``, spent in the QP solver (or in IPOPT)."""
     iterations: int
+    work: int
+    """Iterations of the interior-point method in all quadratic programs (0 where it is not told)."""
     last_step: float
     """Largest change in the last iteration, in units of nominal."""
     converged: bool
@@ -107,6 +109,11 @@ class Mpc:
         nominal. With False they are hard, and a step may fail.
     iterations : at most so many SQP steps per call; 1 is the real-time iteration (Diehl et al.,
         SIAM J. Control Optim. 43, 2005). The first call takes as many as it needs.
+    work : no further SQP step is begun in a call once its quadratic programs took so many iterations of
+        the interior-point method (known with "hpipm"). Usual calls take 5 to 7; after a jump of the
+        reference the solution is completed over the calls that follow, so that no call takes much
+        longer than the others; a larger number tracks jumps a little better. None: no limit. The
+        first call has none either.
     delay : 0 when the inputs are applied at once, 1 when they take effect a step later: the state is
         then predicted to that time with the inputs applied meanwhile.
     method, substeps : of the integration from node to node, see Step ("rosenbrock" for stiff plants).
@@ -132,13 +139,17 @@ class Mpc:
         soft: bool = True,
         penalty: float = 100.0,
         iterations: int = 3,
+        work: int | None = 12,
         delay: int = 0,
         method: StepMethod = "rk4",
         substeps: int = 2,
         solver: Literal["hpipm", "piqp", "ipopt"] = "hpipm",
         tolerance: float = 1e-3,
     ) -> None:
-        for argument, value, least in (("horizon", horizon, 1), ("iterations", iterations, 1)):
+        counts = [("horizon", horizon, 1), ("iterations", iterations, 1)]
+        if work is not None:
+            counts.append(("work", work, 1))
+        for argument, value, least in counts:
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{argument} = {value!r}: give a whole number >= {least}")
         if delay not in (0, 1):
@@ -146,7 +157,7 @@ class Mpc:
         require_positive("penalty", penalty)
         require_positive("tolerance", tolerance)
         self.plant, self.horizon, self.step, self.delay = plant, horizon, float(step), delay
-        self.iterations = iterations
+        self.iterations, self.work = iterations, math.inf if work is None else work
         self.given = Givens(plant)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
@@ -208,7 +219,7 @@ class Mpc:
         if self._only_ipopt:
             outcome = self._by_ipopt()
         else:
-            outcome = self._sqp.solve(limit)
+            outcome = self._sqp.solve(limit, self.work if self._warm else math.inf)
             if not outcome.usable:
                 fallback = True
                 point.w[:] = kept
@@ -220,7 +231,7 @@ class Mpc:
         self._applied = self._first_inputs()
         self._steps.append(
             MpcStep(perf_counter() - begin, outcome.qp_seconds, outcome.iterations,
-                    outcome.step, outcome.converged, fallback, failed)
+                    outcome.work, outcome.step, outcome.converged, fallback, failed)
         )  # fmt: skip
         si = self._applied * self.program.u_nominal
         return {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .shooting import UNBOUNDED, Linearisation, Shooting
+from .stage_qp import StageQp, available
 
 __all__ = ["Ipopt", "Outcome", "QpSolver", "Sqp"]
 
@@ -19,7 +20,8 @@ Array: TypeAlias = NDArray[np.float64]
 QpSolver: TypeAlias = Literal["hpipm", "piqp"]
 
 HPIPM: dict[str, Any] = {"mode": "speed_abs", "iter_max": 60, "res_m_max": 1e-6}
-"""A smaller complementarity gap makes its steps less exact again: its matrices grow ill-conditioned."""
+"""For CasADi's interface, used where StageQp is not available: its barriers at the open ends of bounds
+make the matrices ill-conditioned, and steps less exact again when the complementarity gap is smaller."""
 MISS = 1e-3
 """Largest violation of a QP's rows by its solution, in units of nominal, that still counts as solved."""
 DAMPING = (1e-2, 1e-1)
@@ -35,6 +37,8 @@ class Outcome:
     iterations: int
     step: float
     qp_seconds: float
+    work: int = 0
+    """Iterations of the interior-point method in all quadratic programs, where known."""
 
 
 class Sqp:
@@ -50,6 +54,11 @@ class Sqp:
         self.program, self.tolerance = program, tolerance
         self.point = Linearisation(program)
         self.direction = np.zeros(program.size)
+        self._diagonal = _diagonal(program)
+        self._stages: StageQp | None = None
+        if solver == "hpipm" and available():
+            self._stages = self._call = StageQp(self.point, self.direction)
+            return
         self._buffer, self._call = self._quadratic(solver).buffer()
         point = self.point
         for i, argument in enumerate(
@@ -57,7 +66,6 @@ class Sqp:
         ):
             self._buffer.set_arg(i, memoryview(argument))  # type: ignore
         self._buffer.set_res(0, memoryview(self.direction))  # type: ignore
-        self._diagonal = _diagonal(program)
 
     def _quadratic(self, solver: QpSolver) -> ca.Function:
         """The QP solver. Wrapped: a bare one overwrites the pointers that a buffer keeps."""
@@ -74,9 +82,12 @@ class Sqp:
         results = [out["x"], out["lam_a"], out["lam_x"]]
         return ca.Function("step", [h, g, a, lba, uba, lbx, ubx], results)
 
-    def solve(self, iterations: int) -> Outcome:
-        """At most so many steps from ``point.unknowns``, which is left at the solution."""
-        point, spent, before, damping = self.point, 0.0, np.inf, 0.0
+    def solve(self, iterations: int, work: float = np.inf) -> Outcome:
+        """At most so many steps from ``point.unknowns``, which is left at the solution.
+
+        No further step is begun after ``work`` iterations of the interior-point method in all.
+        """
+        point, spent, before, damping, done = self.point, 0.0, np.inf, 0.0, 0
         for k in range(1, iterations + 1):
             point()
             if damping:
@@ -84,16 +95,19 @@ class Sqp:
             begin = perf_counter()
             self._call()
             spent += perf_counter() - begin
+            done += self._stages.iterations if self._stages else 0
             if not self._solved():
-                return Outcome(False, False, k, np.inf, spent)
+                return Outcome(False, False, k, np.inf, spent, done)
             point.w += self.direction
             size = float(np.max(np.abs(self.direction)))
             if size <= self.tolerance:
-                return Outcome(True, True, k, size, spent)
+                return Outcome(True, True, k, size, spent, done)
+            if done >= work:
+                break
             if size > before:
                 damping = min(max(4 * damping, DAMPING[0]), DAMPING[1])
             before = size
-        return Outcome(True, False, iterations, size, spent)
+        return Outcome(True, False, k, size, spent, done)
 
     def _solved(self) -> bool:
         """Whether the direction meets the QP's rows: solvers disagree on how they report failure."""

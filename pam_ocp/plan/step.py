@@ -63,10 +63,12 @@ class Givens:
     def parts(self, q: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """(all inputs of the plant, parameters, offsets) from q and the control inputs [SI]."""
         n, nd = len(self.plant.parameters), len(self.disturbances)
-        given = {v.name: q[n + i] for i, v in enumerate(self.disturbances)}
+        # not q[:n], which is a row where q is a scalar
+        p, disturbances, offsets = ca.vertsplit(q, [0, n, n + nd, len(self.names)])
+        given = {v.name: disturbances[i] for i, v in enumerate(self.disturbances)}
         given |= {v.name: u[i] for i, v in enumerate(self.controls)}
         inputs = ca.SX(ca.vertcat(*(given[v.name] for v in self.plant.inputs)))
-        return inputs, q[:n], q[n + nd :]
+        return inputs, p, offsets
 
 
 @dataclass(frozen=True)

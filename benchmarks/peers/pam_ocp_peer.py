@@ -1,0 +1,47 @@
+"""The planner of pam_ocp: 50 intervals of constant input, its own guess."""
+
+import equations as e  # first: it starts the clock  # isort: skip
+
+import sys
+from time import perf_counter
+
+import numpy as np
+
+import pam_ocp as pam
+
+METHODS = {
+    "held": (pam.Collocation(e.INTERVALS, 3), "pam_ocp: 50 x 3, constant input"),
+    "fine": (pam.Collocation(e.INTERVALS, 4), "pam_ocp: 50 x 4, constant input"),
+    "high": (pam.Collocation(6, 9, "polynomial"), "pam_ocp: 6 x 9, input at the points"),
+}
+
+
+def main():
+    method, name = METHODS[sys.argv[1] if len(sys.argv) > 1 else "held"]
+    begin = perf_counter()
+    plant = pam.AntagonisticSlide(
+        pam.muscle("DMSP-20-200N"), e.MASS, e.CONTRACTION, stroke=e.STROKE,
+        damping=pam.ConstantDamping(e.DAMPING),
+        feed=pam.Regulator(e.LAG, max_pressure=1e5 * e.LARGEST, max_rate=1e5 * e.RATE),
+    )  # fmt: skip
+    stops, seconds = [{"x": -e.STOP}, {"x": e.STOP}], []
+    for again in range(3):
+        plan = pam.plan(plant, stops, cyclic="mirrored", method=method)
+        if not again:
+            first = perf_counter() - e.BEGIN, perf_counter() - begin
+        seconds.append(plan.statistics["solve_seconds"])
+    t = plan.trajectory
+    degree, scale = method.degree, [1, 1, 1e-5, 1e-5]
+    ends = t.t[::degree]
+    # the input is a polynomial in each interval: of degree 0, or through the collocation points
+    count = 1 if method.control == "constant" else degree
+    points = (1 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
+    times = ends[:-1, None] + np.diff(ends)[:, None] * points
+    within = 1e-5 * t.at(times.ravel()).array(t.named("input"))
+    inputs = within.reshape(len(ends) - 1, count, 2).transpose(0, 2, 1)
+    states = (t.array(t.named("state")) * scale)[::degree].T
+    e.report(name, first, min(seconds), plan.statistics["iterations"], plan.duration, states,
+             inputs, ends / ends[-1], points)  # fmt: skip
+
+
+main()

@@ -1,0 +1,92 @@
+"""Quantities in files: a number in SI, or a number with its unit such as "15 mm"."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError, UnknownNameError
+from .units import unit as unit_of
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
+
+__all__ = ["known_keys", "pair", "quantity", "read_toml", "table"]
+
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The content of a TOML file; InputError when there is none, or it is no TOML."""
+    try:
+        with Path(path).open("rb") as file:
+            content: dict[str, Any] = tomllib.load(file)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is no TOML file: {error}") from None
+    return content
+
+
+def table(where: str, value: Any) -> Mapping[str, Any]:
+    """``value``, or an InputError when it is no table."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where} = {value!r}: give a table, as {{ key = value }}")
+    return value
+
+
+def known_keys(where: str, given: Iterable[str], allowed: Iterable[str]) -> None:
+    """UnknownNameError for the first key that is not allowed."""
+    allowed = list(allowed)
+    for key in given:
+        if key not in allowed:
+            raise UnknownNameError(f"key of {where}", key, allowed)
+
+
+def quantity(where: str, value: Any, *units: str) -> float:
+    """The SI value of a number (SI already) or of a text such as "15 mm" or "40 bar/s".
+
+    where : what it belongs to, for messages. units : the SI units that it may measure; a text with
+        a unit of another kind is refused. ``inf`` and ``-inf`` are numbers.
+    """
+    expected = " or ".join(repr(u) for u in units) or "a plain number"
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise InputError(f"{where} = {value!r}: give a number in SI, or a text as '15 mm'")
+    if not isinstance(value, str):
+        if math.isnan(value):
+            raise InputError(f"{where} is not a number")
+        return float(value)
+    match = _QUANTITY.match(value)
+    if match is None:
+        raise InputError(f"{where} = {value!r}: give a number with its unit, as '15 mm'")
+    number, name = float(match[1]), match[2]
+    if not name:
+        return number
+    try:
+        measured = unit_of(name)
+    except UnknownNameError as error:
+        raise InputError(f"{where} = {value!r}: {error}") from None
+    if not any(measured.compatible(unit_of(u)) for u in units):
+        raise InputError(f"{where} = {value!r}: this measures something else than {expected}")
+    return number * measured.factor
+
+
+def pair(where: str, value: Any, *units: str) -> tuple[float | None, float | None]:
+    """(low, high) of ``[low, high]`` or ``{ min = low, max = high }``; None for an open end."""
+    if isinstance(value, Mapping):
+        known_keys(where, value, ("min", "max"))
+        if not value:
+            raise InputError(f"{where} is empty; give min, max or both")
+        ends = [value.get("min", -math.inf), value.get("max", math.inf)]
+    elif isinstance(value, list) and len(value) == 2:
+        ends = value
+    else:
+        raise InputError(f"{where} = {value!r}: give [low, high], or {{ min = low, max = high }}")
+    low, high = (quantity(where, end, *units) for end in ends)
+    return (None if low == -math.inf else low), (None if high == math.inf else high)
