@@ -27,6 +27,7 @@ from .errors import (
 )
 from .fit.compare import LawComparison, compare_laws
 from .fit.dynamic import fit_plant
+from .fit.free_run import FreeRun, FreeRunFit, fit_free_run, free_run
 from .fit.plant_fit import PlantFit
 from .fit.records import read_record, read_records
 from .fit.static import ForceFit, fit_force
@@ -138,6 +139,8 @@ __all__ = [
     "ForceFit",
     "ForceLaw",
     "ForceTable",
+    "FreeRun",
+    "FreeRunFit",
     "Gas",
     "GeometricLaw",
     "HangingLoad",
@@ -215,7 +218,9 @@ __all__ = [
     "export_motion",
     "export_ssp",
     "fit_force",
+    "fit_free_run",
     "fit_plant",
+    "free_run",
     "free_vibration",
     "hopf",
     "hopf_border",
