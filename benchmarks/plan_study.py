@@ -227,6 +227,8 @@ def main(count=100, seed=1):
         begin = time.perf_counter()
         plan, error = solve(task)
         times.append(time.perf_counter() - begin)
+        if (i + 1) % 10 == 0:
+            print(f"{i + 1} tasks done", flush=True)
         if plan is None:
             print(f"{i:3d} FAILED {task.words}\n    {error}", flush=True)
             continue

@@ -25,6 +25,8 @@ SPLIT_DEGREE = 5
 """Degree of the two halves of an interval that was split."""
 MOST_STEPS = 64
 """RK4 steps in an interval of multiple shooting, before it is split."""
+GUARDS = 3
+"""Checks of a polynomial input's bounds between each two of its points."""
 CONTROLS = ("constant", "linear", "polynomial")
 
 
@@ -71,12 +73,13 @@ class Form:
         return np.array([0.0]) if self.control == "constant" else np.array([0.0, 1.0])
 
     def guard_taus(self, degree: int) -> Array:
-        """Where inputs are checked between their points: the start, and midway."""
+        """Where inputs are checked between their points, the start of the interval among them."""
         if not self.guarded or self.control != "polynomial":
             return np.zeros(0)
-        nodes = np.append(self.input_taus(degree), 1.0)
-        midway = (nodes[1:] + nodes[:-1]) / 2
-        return np.concatenate([[0.0, nodes[0] / 2], midway[np.diff(nodes) > 1e-9]])
+        nodes = np.concatenate([[0.0], self.input_taus(degree), [1.0]])
+        shares = np.arange(1, GUARDS + 1) / (GUARDS + 1)
+        inside = nodes[:-1, None] + np.diff(nodes)[:, None] * shares
+        return np.append(0.0, inside[np.diff(nodes) > 1e-9].ravel())
 
     def weights(self, degree: int, tau: float) -> Array:
         """Weights of these values that give the input at ``tau`` (Lagrange)."""
@@ -145,7 +148,7 @@ class Collocation:
         degree then go a long way: 6 of degree 9, say).
     points : "radau" (stiffly accurate; the end of an interval is a point) or "gauss" (Legendre;
         order 2 degree instead of 2 degree - 1; Biegler, Nonlinear Programming, 2010, sect. 10.2).
-    guarded : bounds of polynomial inputs are asked for midway between the points too; without, they
+    guarded : bounds of polynomial inputs are asked for between the points too; without, they
         may be far outside there (a switch makes them swing), which the plan's replay reports.
     """
 
