@@ -179,7 +179,7 @@ def test_tracking_follows_a_profile_and_a_number():
         double_integrator(50.0), [{"x": 0.2, "v": 0.0}, {"x": (-1.0, 1.0)}], rest=False,
         duration=1.0, minimise={"effort": 1e-9}, track={"x": 0.2}, method=POLYNOMIAL,
     )  # fmt: skip
-    assert still.objective < 1e-12
+    assert still.objective < 1e-9  # the tolerance of the solver
 
 
 def test_the_least_peak_of_the_input_is_the_bang_bang_one():
