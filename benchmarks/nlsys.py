@@ -1,9 +1,19 @@
-"""How quick as_nlsys is against a plain NumPy right-hand side, both in input_output_response.
+"""How quick as_nlsys is against a plain NumPy right-hand side given to python-control.
 
 Run:  python benchmarks/nlsys.py
 
-Both systems get the same inputs, solver, tolerances and output times, and give the same outputs. The
-NumPy side is what an engineer would write by hand: one array operation serves both muscles, constants
+Four arrangements, each measured in one run with the same inputs, start, output times and outputs:
+
+1. one right-hand side;
+2. a whole ``control.input_output_response`` by the same solver at the same tolerances: there most of
+   the time is Python's (SciPy's stepper, python-control's interpolation of the inputs), which both
+   sides pay;
+3. a whole response that agrees with ``pam_ocp.simulate`` to 1e-6 of nominal: ``PlantSystem.response``
+   against ``input_output_response`` of the NumPy system, with the loosest tolerance that suffices;
+4. the same with inputs held over samples: ``input_output_response`` of ``as_nlsys(..., dt=)`` against
+   that of a discrete-time system whose update integrates the NumPy right-hand side by SciPy.
+
+The NumPy side is what an engineer would write by hand: one array operation serves both muscles, constants
 are looked up beforehand, branches only where the model has them (the clamp at zero force, ISO 6358).
 The figures are seconds of one run on one machine: only their ratio means something.
 """
@@ -18,6 +28,7 @@ from typing import Any, TypeAlias
 import control
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
 from pam_ocp.muscle.valves import SpoolValve
@@ -158,47 +169,121 @@ def cases() -> list[Case]:
     ]  # fmt: skip
 
 
-def measure(
-    case: Case, solver: str = "RK45", rtol: float = 1e-8, repeats: int = 5
-) -> dict[str, float]:
-    """Seconds of both (the best of ``repeats``) and their largest difference in units of nominal."""
-    plant, start = case.plant, dict.fromkeys(("muscle1.pressure", "muscle2.pressure"), 3 * BAR)
-    quick = as_nlsys(plant, start, outputs=case.outputs)
-    plain = control.nlsys(
-        case.by_hand.update, case.by_hand.output, states=quick.nstates, inputs=quick.ninputs,
-        outputs=quick.noutputs,
-    )  # fmt: skip
-    atol = rtol * plant.vector("state", attribute="nominal")
-    seconds = {"as_nlsys": np.inf, "NumPy": np.inf}
-    values = {}
-    for _ in range(repeats):  # by turns, so that other work on the machine meets both
-        for label, system in (("as_nlsys", quick), ("NumPy", plain)):
+def quickest(runs: dict[str, Callable[[], Any]], repeats: int = 5) -> tuple[dict[str, float], Any]:
+    """Seconds of each (the best of ``repeats``), and what each returned.
+
+    By turns, so that other work on the machine meets all of them.
+    """
+    seconds, results = dict.fromkeys(runs, np.inf), {}
+    for _ in range(repeats):
+        for label, run in runs.items():
             begin = time.perf_counter()
-            response = control.input_output_response(
-                system, case.t, case.u, quick.x0, solve_ivp_method=solver,
-                solve_ivp_kwargs={"rtol": rtol, "atol": atol},
-            )  # fmt: skip
+            results[label] = run()
             seconds[label] = min(seconds[label], time.perf_counter() - begin)
-            values[label] = np.asarray(response.outputs)
-    nominal = np.array([plant.variable(n).nominal for n in case.outputs])[:, None]
+    return seconds, results
+
+
+START = dict.fromkeys(("muscle1.pressure", "muscle2.pressure"), 3 * BAR)
+
+
+def by_hand(case: Case, system: Any) -> Any:
+    """The NumPy right-hand side as a system of python-control."""
+    return control.nlsys(
+        case.by_hand.update, case.by_hand.output, states=system.nstates, inputs=system.ninputs,
+        outputs=system.noutputs,
+    )  # fmt: skip
+
+
+def solved(case: Case, system: Any, x0: Array, solver: str, rtol: float) -> Any:
+    """``control.input_output_response`` with absolute tolerances of rtol times nominal."""
+    atol = rtol * case.plant.vector("state", attribute="nominal")
+    return control.input_output_response(
+        system, case.t, case.u, x0, solve_ivp_method=solver,
+        solve_ivp_kwargs={"rtol": rtol, "atol": atol},
+    )  # fmt: skip
+
+
+def apart(case: Case, one: Any, other: Any) -> float:
+    """Largest difference of two responses' outputs in units of nominal."""
+    nominal = np.array([case.plant.variable(n).nominal for n in case.outputs])[:, None]
+    return float(np.max(np.abs(np.asarray(one.outputs) - np.asarray(other.outputs)) / nominal))
+
+
+def same_solver(case: Case, solver: str = "RK45", rtol: float = 1e-8) -> dict[str, float]:
+    """Seconds of both at the same solver and tolerances."""
+    quick = as_nlsys(case.plant, START, outputs=case.outputs)
+    plain = by_hand(case, quick)
+    seconds, found = quickest(
+        {
+            "as_nlsys": lambda: solved(case, quick, quick.x0, solver, rtol),
+            "NumPy": lambda: solved(case, plain, quick.x0, solver, rtol),
+        }
+    )
     return {
         **seconds,
         "ratio": seconds["NumPy"] / seconds["as_nlsys"],
-        "difference": float(np.max(np.abs(values["as_nlsys"] - values["NumPy"]) / nominal)),
+        "difference": apart(case, found["as_nlsys"], found["NumPy"]),
     }
 
 
-def own_integrator(case: Case, repeats: int = 5) -> float:
-    """Seconds of the same response by ``PlantSystem.response``, rtol 1e-10 (its first call builds)."""
-    start = dict.fromkeys(("muscle1.pressure", "muscle2.pressure"), 3 * BAR)
-    system = as_nlsys(case.plant, start, outputs=case.outputs)
-    system.response(case.t, case.u)
-    best = np.inf
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        system.response(case.t, case.u)
-        best = min(best, time.perf_counter() - begin)
-    return float(best)
+def same_accuracy(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, float]:
+    """Seconds of both, each within ``limit`` of simulate (which runs at rtol 1e-12 for this)."""
+    quick = as_nlsys(case.plant, START, outputs=case.outputs)
+    plain = by_hand(case, quick)
+    truth = quick.response(case.t, case.u, rtol=1e-12)
+    rtol = 1e-6
+    while apart(case, solved(case, plain, quick.x0, solver, rtol), truth) > limit:
+        rtol /= 2
+    seconds, found = quickest(
+        {
+            "as_nlsys": lambda: quick.response(case.t, case.u),
+            "NumPy": lambda: solved(case, plain, quick.x0, solver, rtol),
+        }
+    )
+    return {
+        **seconds,
+        "rtol": rtol,
+        "ratio": seconds["NumPy"] / seconds["as_nlsys"],
+        "difference": apart(case, found["as_nlsys"], truth),
+    }
+
+
+def sampled(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, float]:
+    """Seconds of both in discrete time, inputs held, each within ``limit`` of simulate."""
+    dt = float(case.t[1] - case.t[0])
+    quick = as_nlsys(case.plant, START, outputs=case.outputs, dt=dt)
+    nominal = case.plant.vector("state", attribute="nominal")
+    truth = quick.response(case.t, case.u, rtol=1e-12)
+
+    def plain(rtol: float) -> Any:
+        def update(t: float, x: Array, u: Array, params: dict[str, Any]) -> Array:
+            motion = solve_ivp(
+                lambda s, z: case.by_hand.update(s, z, u, params), (0.0, dt), x, method=solver,
+                rtol=rtol, atol=rtol * nominal,
+            )  # fmt: skip
+            return np.asarray(motion.y[:, -1])
+
+        return control.nlsys(
+            update, case.by_hand.output, states=quick.nstates, inputs=quick.ninputs,
+            outputs=quick.noutputs, dt=dt,
+        )  # fmt: skip
+
+    def run(system: Any) -> Any:
+        return control.input_output_response(system, case.t, case.u, quick.x0)
+
+    rtol = 1e-6
+    while apart(case, run(plain(rtol)), truth) > limit:
+        rtol /= 2
+    system = plain(rtol)
+    seconds, found = quickest(
+        {"as_nlsys": lambda: run(quick), "NumPy": lambda: run(system)}, repeats=3
+    )
+    return {
+        **seconds,
+        "rtol": rtol,
+        "ratio": seconds["NumPy"] / seconds["as_nlsys"],
+        "difference": apart(case, found["as_nlsys"], truth),
+    }
 
 
 def one_call(case: Case, calls: int = 5000) -> tuple[float, float]:
@@ -215,19 +300,28 @@ def one_call(case: Case, calls: int = 5000) -> tuple[float, float]:
 
 
 def main() -> None:
-    print(f"{'case':<14}{'solver':<8}{'as_nlsys':>10}{'NumPy':>10}{'ratio':>7}{'difference':>12}")
+    print(
+        f"{'plant':<14}{'arrangement':<22}{'solver':<8}{'as_nlsys':>10}{'NumPy':>10}{'ratio':>7}"
+        f"{'difference':>12}{'rtol':>9}"
+    )
     for case in cases():
-        for solver in ("RK45", "LSODA"):
-            r = measure(case, solver)
-            print(
-                f"{case.label:<14}{solver:<8}{r['as_nlsys']:>9.4f}s{r['NumPy']:>9.4f}s{r['ratio']:>7.1f}"
-                f"{r['difference']:>12.1e}"
-            )
-        print(
-            f"{case.label:<14}own     {own_integrator(case):>9.4f}s (PlantSystem.response, rtol 1e-10)"
-        )
         quick, plain = one_call(case)
-        print(f"{case.label:<14}one right-hand side: {quick:.2f} us, NumPy {plain:.2f} us")
+        print(
+            f"{case.label:<14}{'one right-hand side':<30}{quick:>8.2f}us{plain:>8.2f}us"
+            f"{plain / quick:>7.1f}"
+        )
+        for label, arrangement in (
+            ("same solver", same_solver),
+            ("to 1e-6 of simulate", same_accuracy),
+            ("held, to 1e-6", sampled),
+        ):
+            for solver in ("RK45", "LSODA"):
+                r = arrangement(case, solver)
+                print(
+                    f"{case.label:<14}{label:<22}{solver:<8}{r['as_nlsys']:>9.4f}s"
+                    f"{r['NumPy']:>9.4f}s{r['ratio']:>7.1f}{r['difference']:>12.1e}"
+                    f"{r.get('rtol', 1e-8):>9.0e}"
+                )
 
 
 if __name__ == "__main__":

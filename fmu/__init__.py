@@ -2,9 +2,10 @@
 
 from .check import FmuCheck, check_fmu
 from .compile import PLATFORMS
+from .controllers import pid_controller, state_feedback_controller
 from .motion import export_motion, save_input_table
 from .package import export_fmu
-from .ssp import export_ssp, pid_controller
+from .ssp import export_ssp
 
 __all__ = [
     "PLATFORMS",
@@ -15,4 +16,5 @@ __all__ = [
     "export_ssp",
     "pid_controller",
     "save_input_table",
+    "state_feedback_controller",
 ]

@@ -38,6 +38,8 @@ class Platform:
     folder2: str
     target: str
     suffix: str
+    on_request: bool = False
+    """Built only when asked for by name."""
 
     @property
     def is_darwin(self) -> bool:
@@ -52,9 +54,13 @@ PLATFORMS = {
         Platform("x86_64-windows", "win64", "x86_64-windows-gnu", ".dll"),
         Platform("x86_64-darwin", "darwin64", "x86_64-macos.11.0", ".dylib"),
         Platform("aarch64-darwin", "darwin64", "aarch64-macos.11.0", ".dylib"),
+        Platform("x86-linux", "linux32", "x86-linux-gnu.2.17", ".so", on_request=True),
+        Platform("x86-windows", "win32", "x86-windows-gnu", ".dll", on_request=True),
+        Platform("aarch64-windows", "aarch64-windows", "aarch64-windows-gnu", ".dll", True),
     )
 }
-"""Every platform that can be built, by its name."""
+"""Every platform that can be built, by its name. On 32-bit x86 zig computes with SSE2, so that the
+bits are those of x86_64."""
 
 _WINDOWS_SOURCE = "windows.c"
 _WINDOWS_FLAGS = (
@@ -68,12 +74,12 @@ _FLAGS = ("-std=c11", "-O2", "-shared", "-fvisibility=hidden", "-ffp-contract=of
 
 
 def platforms_named(names: Iterable[str] | None) -> tuple[Platform, ...]:
-    """The platforms of these names ("native": this machine's); all for None.
+    """The platforms of these names ("native": this machine's); for None all but those on request.
 
     Raises UnknownNameError.
     """
     if names is None:
-        return tuple(PLATFORMS.values())
+        return tuple(p for p in PLATFORMS.values() if not p.on_request)
     chosen = [names] if isinstance(names, str) else list(names)
     for name in chosen:
         if name != "native" and name not in PLATFORMS:
@@ -84,11 +90,14 @@ def platforms_named(names: Iterable[str] | None) -> tuple[Platform, ...]:
     return tuple(p for p in PLATFORMS.values() if p.name in wanted)
 
 
+_MACHINES = {"amd64": "x86_64", "arm64": "aarch64", "i386": "x86", "i586": "x86", "i686": "x86"}
+
+
 def native() -> Platform:
     """The platform of this machine. Raises ExportError when FMUs are not built for it."""
-    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(
-        host.machine().lower(), host.machine().lower()
-    )
+    machine = _MACHINES.get(host.machine().lower(), host.machine().lower())
+    if machine == "x86_64" and sys.maxsize < 2**32:  # a 32-bit Python on a 64-bit processor
+        machine = "x86"
     name = f"{machine}-{host.system().lower()}"
     if name not in PLATFORMS:
         raise ExportError(f"this machine is {name}; FMUs can be built for {', '.join(PLATFORMS)}")

@@ -159,7 +159,7 @@ def _causality(entry: Entry) -> dict[str, str]:
     if entry.role == "input":
         return {"causality": "input", "variability": "continuous"}
     return {
-        "causality": "local" if entry.role == "derivative" else "output",
+        "causality": "output" if entry.is_output else "local",
         "variability": "continuous",
         "initial": "exact" if entry.role == "state" else "calculated",
     }
@@ -211,9 +211,13 @@ def _variables_3(root: ET.Element, layout: Layout) -> None:
 
 
 def _outputs(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
-    states = [(e.reference, ((e.reference, "constant"),)) for e in layout.of("state")]
-    outputs = [(e.reference, layout.dependencies[e.reference]) for e in layout.of("output")]
-    return [*states, *outputs]
+    itself: tuple[Dependency, ...]
+    found = []
+    for entry in layout.outputs:
+        itself = ((entry.reference, "constant"),)
+        known = itself if entry.role == "state" else layout.dependencies[entry.reference]
+        found.append((entry.reference, known))
+    return found
 
 
 def _derivatives(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
@@ -224,7 +228,7 @@ def _initial(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
     return [
         (e.reference, layout.initial_dependencies[e.reference])
         for e in layout.entries
-        if e.role in ("derivative", "output")
+        if e.role == "derivative" or (e.role == "output" and e.is_output)
     ]
 
 
@@ -292,7 +296,7 @@ def terminals(layout: Layout) -> ET.Element:
     ET.SubElement(drawing, "Icon", square)
     groups: dict[str, list[Entry]] = {}
     for entry in layout.entries:
-        if entry.role in ("state", "input", "output"):
+        if entry.is_output or entry.role == "input":
             groups.setdefault(entry.name.rpartition(".")[0] or layout.plant.name, []).append(entry)
     parent = ET.SubElement(root, "Terminals")
     for name, members in groups.items():

@@ -6,13 +6,15 @@ import html
 import io
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 
 import casadi as ca
 
 from pam_ocp.plant.plant import Plant
 from pam_ocp.trajectory import Trajectory
 from pam_ocp.variables import Variable
+
+from .layout import Layout
 
 __all__ = ["equations", "icon_png", "icon_svg", "page", "picture", "reference_table"]
 
@@ -99,7 +101,7 @@ def _table(title: str, variables: Iterable[Variable]) -> str:
 
 
 def page(
-    plant: Plant,
+    layout: Layout,
     notes: Sequence[str],
     with_reference: bool = False,
     lines: Sequence[tuple[str, str]] | None = None,
@@ -112,14 +114,20 @@ def page(
         "<h2>Reference motion</h2>\n<p>Its numbers stand beside this page in two tables, inputs "
         '(..._in.csv) and results (..._ref.csv).</p>\n<img src="reference.png" alt="time series">\n'
     )
+    plant = layout.plant
+    outputs = {e.name for e in layout.outputs}
+    shown, local = (
+        [v for v in (*plant.states, *plant.outputs) if (v.name in outputs) is wanted]
+        for wanted in (True, False)
+    )
     sides = equations(plant) if lines is None else lines
     text = "\n".join(f"{left} = {right}" for left, right in sides)
     tables = "".join(
         _table(title, variables)
         for title, variables in (
             ("Inputs", plant.inputs),
-            ("States (all are outputs too)", plant.states),
-            ("Further outputs", plant.outputs),
+            ("Outputs (those with a start value are states)", shown),
+            ("Local variables", local),
             ("Parameters", plant.parameters),
         )
     )
@@ -138,9 +146,9 @@ def page(
 # ---- reference motion --------------------------------------------------------------------------
 
 
-def reference_table(motion: Trajectory, causalities: Sequence[str]) -> str:
-    """Columns of a motion [SI] in the CSV format of FMI's reference results."""
-    names = [v.name for v in motion.variables if v.causality in causalities]
+def reference_table(motion: Trajectory, shown: Container[str]) -> str:
+    """Those columns of a motion [SI] that are shown, in the CSV format of FMI's reference results."""
+    names = [v.name for v in motion.variables if v.name in shown]
     header = ",".join(f'"{name}"' for name in ("time", *names))
     rows = (
         ",".join(repr(float(c)) for c in (t, *row))

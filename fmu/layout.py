@@ -30,15 +30,20 @@ class Entry:
     name: str
     role: Role
     variable: Variable
+    is_output: bool = False
+    """In the sense of FMI: a state or an output of the plant that is shown as one."""
 
 
 class Layout:
     """The variables of a plant's FMU, numbered as in c/model.h, and what depends on what.
 
+    shown : states and outputs to be outputs of the FMU, by default all; the others are local
+    variables, which can be read but are not offered for connections.
+
     Raises ExportError when a name of the plant is one that FMI needs.
     """
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: Plant, shown: frozenset[str] | None = None) -> None:
         self.plant = plant
         time = Variable("time", "input", unit="s", description="independent variable")
         groups: list[tuple[Role, tuple[Variable, ...]]] = [
@@ -51,14 +56,22 @@ class Layout:
         ]
         numbered = [(role, v) for role, variables in groups for v in variables]
         self.entries = tuple(
-            Entry(i, f"der({v.name})" if role == "derivative" else v.name, role, v)
+            Entry(
+                i, f"der({v.name})" if role == "derivative" else v.name, role, v,
+                role in ("state", "output") and (shown is None or v.name in shown),
+            )
             for i, (role, v) in enumerate(numbered)
-        )
+        )  # fmt: skip
         if sum(e.name == "time" for e in self.entries) > 1:
             raise ExportError(
                 f"plant {plant.name!r} has a variable named 'time'; FMI keeps this name for the "
                 "independent variable: rename it"
             )
+
+    @property
+    def outputs(self) -> tuple[Entry, ...]:
+        """What the FMU gives as outputs: states first."""
+        return tuple(e for e in self.entries if e.is_output)
 
     def of(self, role: Role) -> tuple[Entry, ...]:
         """All entries of a role, in order."""

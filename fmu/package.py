@@ -19,7 +19,7 @@ from pam_ocp.plant.plant import Plant, require_plant
 from pam_ocp.trajectory import Trajectory
 
 from . import compile as compiler
-from . import description, documentation, source
+from . import description, documentation, interface, source
 from .layout import Layout
 
 __all__ = [
@@ -54,6 +54,8 @@ def export_fmu(
     path: str | os.PathLike[str],
     *,
     fmi: FmiVersion = "2.0",
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     platforms: Iterable[str] | None = None,
     step_size: float = 1e-3,
     tolerance: float = 1e-6,
@@ -69,8 +71,13 @@ def export_fmu(
     path : the file to write, such as "slide.fmu". An existing file is replaced when all is done.
     fmi : "2.0" (default: read by every importer) or "3.0" (adjoint derivatives, terminals,
         intermediate update).
+    inputs : which of the plant's inputs are inputs of the FMU, by default all. The others are held:
+        they become tunable parameters with their start values (``plant.with_values``).
+    outputs : which states and outputs are outputs of the FMU, by default all. The others are local
+        variables: to be read and plotted, but not to be connected.
     platforms : names from :data:`PLATFORMS`, or "native" for this machine; by default all five
-        (Linux and macOS on x86_64 and aarch64, Windows on x86_64).
+        (Linux and macOS on x86_64 and aarch64, Windows on x86_64). On request also "x86-linux",
+        "x86-windows" and "aarch64-windows".
     step_size : proposed communication step [s]; any step is possible.
     tolerance : largest error of Co-Simulation, in units of each state's nominal. An importer can
         ask for less, not for more.
@@ -82,13 +89,18 @@ def export_fmu(
 
     The plant's path constraints are not part of an FMU. The same plant gives the same bytes.
 
-    Raises InputError (a value out of range, a folder that does not exist), UnknownNameError (a
-    platform), ExportError (no compiler, a name FMI keeps for itself).
+    Raises InputError (a value out of range, a folder that does not exist, an input that is none),
+    UnknownNameError (a platform, a variable), ExportError (no compiler, a name FMI keeps for itself).
     """
     settings = checked(plant, fmi, step_size, tolerance, fixed_step, stop_time)
+    shown = interface.shown_outputs(plant, outputs)
+    offered = interface.with_inputs(plant, inputs)
+    if reference is not None:
+        interface.check_reference(reference, offered)
     return write_fmu(
-        plant, path, settings, platforms, lambda: source.plant_sources(plant), reference
-    )
+        offered, path, settings, platforms, lambda: source.plant_sources(offered), reference,
+        shown=shown,
+    )  # fmt: skip
 
 
 def write_fmu(
@@ -99,15 +111,18 @@ def write_fmu(
     code: Callable[[], source.ModelCode],
     reference: Trajectory | None = None,
     equations: Sequence[tuple[str, str]] | None = None,
+    shown: frozenset[str] | None = None,
 ) -> Path:
     """Write an FMU of the variables of ``plant`` and the functions of ``code``.
 
     equations : for the documentation; by default those of the plant.
+    shown : states and outputs that are outputs of the FMU; by default all.
     """
     chosen = compiler.platforms_named(platforms)
     identifier = model_identifier(plant.name)
     with atomic_path(path) as temporary:  # first of all: is there a place to write to?
-        files = _contents(plant, settings, identifier, code(), reference, equations)
+        layout = Layout(plant, shown)
+        files = _contents(layout, settings, identifier, code(), reference, equations)
         content = {name: text.encode() for name, text in files.items()}
         libraries = compiler.compile_all(_c_files(files), source.MAIN_SOURCE, chosen, identifier)
         content |= _binaries(libraries, identifier, settings.fmi)
@@ -152,7 +167,7 @@ def checked(
 
 
 def _contents(
-    plant: Plant,
+    layout: Layout,
     settings: Settings,
     identifier: str,
     code: source.ModelCode,
@@ -160,7 +175,6 @@ def _contents(
     equations: Sequence[tuple[str, str]] | None,
 ) -> dict[str, str]:
     """Every text file of the FMU by its path in the archive, with the token filled in."""
-    layout = Layout(plant)
     files = {f"sources/{name}": text for name, text in source.hand_written(settings.fmi).items()}
     files |= {f"sources/{name}": text for name, text in code.files.items()}
     files["sources/model_data.h"] = source.model_data(
@@ -226,14 +240,14 @@ def _pages(
     c = resources.files("pam_ocp.fmu") / "c"
     pages = {
         "documentation/index.html": documentation.page(
-            layout.plant, notes, reference is not None, equations
+            layout, notes, reference is not None, equations
         ),
         f"{folder}/license.txt": (c / "LICENSE.sources").read_text("utf-8"),
         f"{folder}/fmi-headers.txt": (c / "LICENSE.fmi-headers").read_text("utf-8"),
     }
     if reference is not None:
-        for suffix, causalities in (("in", ("input",)), ("ref", ("state", "output"))):
-            table = documentation.reference_table(reference, causalities)
+        for suffix, entries in (("in", layout.of("input")), ("ref", layout.outputs)):
+            table = documentation.reference_table(reference, {e.name for e in entries})
             pages[f"documentation/{identifier}_{suffix}.csv"] = table
     if settings.fmi == "3.0":
         build = description.build_description(identifier)

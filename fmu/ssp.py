@@ -1,16 +1,12 @@
-"""A system of FMUs in one file (SSP 1.0): plant, controller, motion; and the controller itself."""
+"""A system of FMUs in one file (SSP 1.0): plant, controller, motion."""
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
-
-import casadi as ca
 
 from pam_ocp.errors import InputError, UnknownNameError, require_positive
 from pam_ocp.files import atomic_path
@@ -22,7 +18,7 @@ from . import description, package
 from .motion import export_motion, player
 from .package import export_fmu
 
-__all__ = ["export_ssp", "pid_controller"]
+__all__ = ["export_ssp"]
 
 _SPACE = "http://ssp-standard.org/SSP1/SystemStructure"
 _NAMESPACES = {
@@ -47,7 +43,8 @@ def export_ssp(
 
     Parameters
     ----------
-    components : by name, plants (also a controller: see :func:`pid_controller`), and motions to be
+    components : by name, plants (also a controller: see :func:`pid_controller` and
+        :func:`state_feedback_controller`), and motions to be
         played, with all their columns (see :func:`export_motion`).
     connections : {input: output}, such as ``{"plant.muscle1.command": "pid.muscle1.command"}``: the
         component's name, a dot, the variable's name. States are outputs too. Every input of every
@@ -85,90 +82,6 @@ def export_ssp(
         content["SystemStructure.ssd"] = text.encode()
         package.write_archive(target, content)
     return Path(path)
-
-
-def pid_controller(
-    plant: Plant,
-    position: str,
-    weights: Mapping[str, float],
-    *,
-    proportional: float,
-    integral: float = 0.0,
-    derivative: float = 0.0,
-    filter_time: float = 5e-3,
-    windup_time: float = 0.1,
-    name: str = "pid",
-) -> Plant:
-    """A PID controller with feed-forward for a plant, as a Plant of its own, to be exported.
-
-    Each command is its feed-forward plus weight (P e + I + D), held inside the command's range, with
-    e = reference - position. While a command is held, the integral runs back (anti-windup).
-
-    Parameters
-    ----------
-    plant, position : what is controlled: the plant, and the name of the state or output to follow.
-    weights : for each input of the plant that is commanded, how it takes part: such as
-        ``{"muscle1.command": -1.0, "muscle2.command": 1.0}``.
-    proportional, integral, derivative : gains, in command per unit of position, per second, times
-        second.
-    filter_time : time constant of the derivative's low-pass filter [s].
-    windup_time : time constant with which the integral runs back while a command is held [s].
-
-    Inputs ``reference``, ``position`` and ``feedforward.<command>``; outputs ``<command>``.
-    """
-    require_positive("filter_time", filter_time, "s")
-    require_positive("windup_time", windup_time, "s")
-    measured = plant.variable(position)
-    commands = [plant.variable(n) for n in weights]
-    wrong = [v.name for v in commands if v.causality != "input"]
-    if wrong or not commands:
-        raise InputError(f"weights: give inputs of the plant, not {', '.join(wrong) or 'nothing'}")
-    if 0.0 in weights.values():
-        raise InputError("weights: a command of weight 0 takes no part; leave it out")
-    pid = Plant(name, f"PID with feed-forward for {measured.name} of {plant.name}")
-    shown: dict[str, Any] = {"unit": measured.unit, "nominal": measured.nominal}
-    reference = pid.input("reference", **shown, description=f"wanted {measured.name}")
-    found = pid.input("position", **shown, description=f"measured {measured.name}")
-    gains = (
-        pid.parameter(n, value, tunable=True, nominal=max(1.0, abs(value)), description=words)
-        for n, value, words in (
-            ("proportional", proportional, "command per unit of position"),
-            ("integral", integral, "command per unit of position and second"),
-            ("derivative", derivative, "command per unit of velocity"),
-        )
-    )
-    kp, ki, kd = gains
-    tau, windup = (
-        pid.parameter(n, value, unit="s", min=1e-9, tunable=True, description=words)
-        for n, value, words in (
-            ("filter_time", filter_time, "time constant of the derivative's filter"),
-            ("windup_time", windup_time, "time constant of the integral while a command is held"),
-        )
-    )
-    size: dict[str, Any] = {"unit": commands[0].unit, "nominal": commands[0].nominal}
-    total = pid.state("integrated", **size, description="part of the integral")
-    smooth = pid.state("smoothed", **shown, description="error, low-pass filtered")
-    error = reference - found
-    rate = (error - smooth) / tau
-    action = kp * error + total + kd * rate
-    excess: ca.SX = ca.SX(0)
-    for command in commands:
-        weight = float(weights[command.name])
-        forward = pid.input(
-            f"feedforward.{command.name}", unit=command.unit, start=command.start or 0.0,
-            nominal=command.nominal, description=f"feed-forward of {command.name}",
-        )  # fmt: skip
-        wanted = forward + weight * action
-        held = wanted if math.isinf(command.min) else ca.fmax(wanted, command.min)
-        held = held if math.isinf(command.max) else ca.fmin(held, command.max)
-        excess += (held - wanted) / (weight * len(commands))
-        pid.output(
-            command.name, held, unit=command.unit, nominal=command.nominal,
-            description=command.description,
-        )  # fmt: skip
-    pid.der(smooth, rate)
-    pid.der(total, ki * error + (excess / windup if integral else 0.0))
-    return pid
 
 
 # ---- connections --------------------------------------------------------------------------------

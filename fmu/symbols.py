@@ -8,7 +8,7 @@ __all__ = ["exported_symbols"]
 
 
 def exported_symbols(library: bytes) -> list[str]:
-    """Names of the exported symbols of a 64-bit shared library, sorted.
+    """Names of the exported symbols of a shared library, sorted. ELF and PE also of 32 bits.
 
     Raises ValueError when the format is not known.
     """
@@ -32,17 +32,22 @@ def _string(data: bytes, offset: int) -> str:
 
 def _elf(data: bytes) -> list[str]:
     """Global defined symbols of .dynsym."""
-    (start,) = struct.unpack_from("<Q", data, 0x28)
-    size, count = struct.unpack_from("<HH", data, 0x3A)
-    sections = [struct.unpack_from("<IIQQQQIIQQ", data, start + i * size) for i in range(count)]
+    wide = data[4] == 2  # 64 bits: other sizes, and another order of the fields of a symbol
+    (start,) = struct.unpack_from("<Q" if wide else "<I", data, 0x28 if wide else 0x20)
+    size, count = struct.unpack_from("<HH", data, 0x3A if wide else 0x2E)
+    layout = "<IIQQQQIIQQ" if wide else "<10I"
+    sections = [struct.unpack_from(layout, data, start + i * size) for i in range(count)]
     names = []
     for section in sections:
         kind, offset, length, link = section[1], section[4], section[5], section[6]
         if kind != 11:  # SHT_DYNSYM
             continue
         strings = sections[link][4]
-        for at in range(offset, offset + length, 24):
-            name, info, _, index = struct.unpack_from("<IBBH", data, at)
+        for at in range(offset, offset + length, 24 if wide else 16):
+            if wide:
+                name, info, _, index = struct.unpack_from("<IBBH", data, at)
+            else:
+                name, _, _, info, _, index = struct.unpack_from("<IIIBBH", data, at)
             if index != 0 and info >> 4 in (1, 2):  # defined, global or weak
                 names.append(_string(data, strings + name))
     return names
@@ -101,11 +106,12 @@ def _universal(data: bytes) -> list[str]:
 
 
 def _pe(data: bytes) -> list[str]:
-    """Names of the export table of a PE32+ library."""
+    """Names of the export table of a PE32 (32 bits) or PE32+ library."""
     (header,) = struct.unpack_from("<I", data, 0x3C)
     (sections,) = struct.unpack_from("<H", data, header + 6)
     (optional,) = struct.unpack_from("<H", data, header + 20)
-    (exports,) = struct.unpack_from("<I", data, header + 24 + 112)
+    (kind,) = struct.unpack_from("<H", data, header + 24)
+    (exports,) = struct.unpack_from("<I", data, header + 24 + (112 if kind == 0x20B else 96))
     table = header + 24 + optional
 
     def position(address: int) -> int:

@@ -7,10 +7,13 @@ around one symbolic CasADi model. SI units inside; pressures are gauge; contract
 from __future__ import annotations
 
 from .design.analysis import along_stroke, bode_cloud, margins, margins_over, mode_map
+from .design.branch import equilibrium_branch
 from .design.closed_loop import closed_loop
+from .design.describing import DescribingFunction, describing_function, muscle_characteristic
 from .design.inverse import InverseDynamics
 from .design.kalman import WithEstimate, kalman
 from .design.lqr import lqr
+from .design.offset_free import OffsetFree
 from .design.pid import PID, PositionController, PressureLoop
 from .design.rest import equilibria, equilibrium_path
 from .design.schedule import scheduled_lqr
@@ -39,6 +42,7 @@ from .fmu import (
     export_ssp,
     pid_controller,
     save_input_table,
+    state_feedback_controller,
 )
 from .linear import linearize, linearize_along, linearize_grid, modes
 from .load_study import LoadStudy, load_study
@@ -129,6 +133,7 @@ __all__ = [
     "CoulombFriction",
     "Creep",
     "Damper",
+    "DescribingFunction",
     "DirectionalDamping",
     "DryFriction",
     "EquilibriumError",
@@ -158,6 +163,7 @@ __all__ = [
     "MovingHorizonEstimator",
     "Mpc",
     "Muscle",
+    "OffsetFree",
     "OnOffValves",
     "OpenLoop",
     "OperatingPoint",
@@ -209,10 +215,12 @@ __all__ = [
     "compare_with_record",
     "conductance_from_flow",
     "continue_cycle",
+    "describing_function",
     "draws",
     "energy",
     "equilibria",
     "equilibrium",
+    "equilibrium_branch",
     "equilibrium_path",
     "export_fmu",
     "export_motion",
@@ -239,6 +247,7 @@ __all__ = [
     "mode_map",
     "modes",
     "muscle",
+    "muscle_characteristic",
     "muscle_names",
     "muscle_volume",
     "own_law",
@@ -256,6 +265,7 @@ __all__ = [
     "simulate_many",
     "spline_law",
     "stability_path",
+    "state_feedback_controller",
     "sweep",
     "tvlqr",
 ]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from .cli_fit import add_fit_plant
 from .cli_mpc import add_mpc
 from .cli_plan import add_plan
 from .errors import InputError, PamError
@@ -73,6 +74,12 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument(
         "--law", default="six-parameter", metavar="LAW", help="force law (default: six-parameter)"
     )
+    fit.add_argument(
+        "--loss",
+        default="squares",
+        metavar="LOSS",
+        help="squares (default); bisquare, where some cells are measured wrong; huber; l1",
+    )
     fit.add_argument("--name", metavar="NAME", help="name of the muscle in the muscle file")
     fit.add_argument(
         "--out",
@@ -92,7 +99,8 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "plant",
         metavar="PLANT",
-        help=f"{', '.join(_PLANTS)}, or FILE.py:NAME (a Plant, or a function that returns one)",
+        help="a plant of the library by name, such as HangingLoad or AntagonisticSlide; FILE.py:NAME "
+        "(a Plant, or a function that returns one); or FILE.toml with a table [plant]",
     )
     export.add_argument(
         "--muscle",
@@ -117,8 +125,16 @@ def _parser() -> argparse.ArgumentParser:
         "--platform",
         action="append",
         metavar="NAME",
-        help="native, or one of the five by name (may be repeated; default: all five)",
+        help="native, or a platform by name (may be repeated; default: the usual five; on request "
+        "x86-linux, x86-windows, aarch64-windows)",
     )
+    for kind, rest in (("input", "tunable parameters"), ("output", "local variables")):
+        export.add_argument(
+            f"--{kind}",
+            action="append",
+            metavar="NAME",
+            help=f"{kind} that the FMU shows (may be repeated; default: all; the rest become {rest})",
+        )
     export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
     export.set_defaults(run=_export)
 
@@ -175,6 +191,7 @@ def _parser() -> argparse.ArgumentParser:
         "--plot", type=Path, metavar="FILE.png", help="draw force over contraction and pressure"
     )
     muscles.set_defaults(run=_muscles)
+    add_fit_plant(commands)
     add_plan(commands)
     add_mpc(commands)
     return parser
@@ -193,7 +210,7 @@ def _fit(options: argparse.Namespace) -> int:
     from .muscle.muscle_file import save_muscle
 
     table = read_table(options.table, rest_length=options.rest_length)
-    fitted = fit_force(table, options.law)
+    fitted = fit_force(table, options.law, loss=options.loss)
     print(fitted.report())
     if options.plot:
         from .files import atomic_path
@@ -212,9 +229,6 @@ def _fit(options: argparse.Namespace) -> int:
     return 0
 
 
-_PLANTS = ("hanging_load", "antagonistic_slide")
-
-
 def _export(options: argparse.Namespace) -> int:
     from .fmu import export_fmu
 
@@ -230,14 +244,20 @@ def _export(options: argparse.Namespace) -> int:
             raise InputError(f"--set {text}: give NAME=VALUE with a number in SI, as in mass=3.0")
     plant = plant.with_values(values)
     target = options.out or Path(f"{plant.name}.fmu")
-    print(f"-> {export_fmu(plant, target, fmi=options.fmi, platforms=options.platform)}")
+    chosen = {"inputs": options.input, "outputs": options.output}
+    fmu = export_fmu(plant, target, fmi=options.fmi, platforms=options.platform, **chosen)
+    print(f"-> {fmu}")
     return 0
 
 
 def _plant(name: str, muscle_name: str) -> Any:
-    """A plant by its name, or from a user's file (FILE.py:NAME)."""
-    from .plant_file import named_plant
+    """A plant by its name, from a user's file (FILE.py:NAME), or from a table (FILE.toml)."""
+    from .plant_file import named_plant, plant_of
+    from .quantities import read_toml
 
+    if name.endswith(".toml"):
+        content = read_toml(Path(name))
+        return plant_of(content.get("plant"), f"{name}: plant", Path(name).parent)
     return named_plant(name, _muscle(muscle_name))
 
 

@@ -360,7 +360,15 @@ def chosen_signals(
 
 
 def modes(system: control.StateSpace) -> list[tuple[float, float]]:
-    """(natural frequency [Hz], damping ratio) of each oscillating pair of poles, slowest first."""
+    """(natural frequency [Hz], damping ratio) of each oscillating pair of poles, slowest first.
+
+    Raises InputError for what is no system of python-control.
+    """
+    if not callable(getattr(system, "poles", None)):
+        raise InputError(
+            f"modes: system is a {type(system).__name__}, not a control.StateSpace, such as "
+            "plant.linearize(point)"
+        )
     poles = np.asarray(system.poles())
     pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
     found = [(abs(s) / (2 * np.pi), -s.real / abs(s)) for s in pairs]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from .equilibrium import OperatingPoint
+from .errors import require_positive
 from .linear import chosen_signals, point_of
 from .plant.plant import Plant, Values
 
@@ -20,6 +21,8 @@ def as_nlsys(
     at: OperatingPoint | Values | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    dt: float | None = None,
+    rtol: float = 1e-9,
 ) -> PlantSystem:
     """The plant as python-control's NonlinearIOSystem, on CasADi functions without conversions.
 
@@ -34,10 +37,18 @@ def as_nlsys(
     interconnections hand all parameters to every system. ``system.x0`` and ``system.u0`` hold the
     point ``at``; ``control.linearize`` of the system uses exact Jacobians.
 
-    python-control integrates by default to rtol 1e-3: give
+    dt : sampling time [s] for a discrete-time system: its update is the plant's motion over one
+        sample under held inputs, integrated at the relative tolerance ``rtol``. python-control then
+        calls one compiled function for each sample, also in a loop with sampled controllers.
+        Default: continuous time.
+
+    Which call for which purpose: ``system.response(t, u)`` is the quickest for the plant alone (the
+    plant's own integrator, nothing called in between); ``control.input_output_response`` of a system
+    with ``dt`` for held inputs and sampled loops; that of a continuous one for everything else.
+    There python-control integrates by default to rtol 1e-3: give
     ``solve_ivp_kwargs={"rtol": 1e-9, "atol": 1e-9 * nominal}`` where figures matter. It joins samples
-    of inputs by straight lines, as ``simulate(..., interpolation="linear")`` does. One system may be
-    used by several threads at once as long as ``params`` stay the same; copies are independent.
+    of inputs by straight lines, as ``response`` does (held when the system has a ``dt``). One system
+    may be used by several threads at once as long as ``params`` stay the same; copies are independent.
 
     Raises InputError or UnknownNameError for names that are not the plant's.
     """
@@ -48,4 +59,5 @@ def as_nlsys(
         plant, x, u,
         chosen_signals("inputs", plant, inputs, ("input",)),
         chosen_signals("outputs", plant, outputs, ("state", "output")),
+        None if dt is None else require_positive("dt", dt, "s"), require_positive("rtol", rtol),
     )  # fmt: skip

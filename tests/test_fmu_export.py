@@ -160,7 +160,7 @@ def test_five_platforms_are_in_the_file(fmi: str, tmp_path: Path) -> None:
     path = exported(benchmark_slide(), tmp_path, fmi, platforms=None)
     found = check_fmu(path)
     assert found.ok, str(found)
-    assert set(found.platforms) == set(PLATFORMS)
+    assert set(found.platforms) == {n for n, p in PLATFORMS.items() if not p.on_request}
     with zipfile.ZipFile(path) as archive:
         binaries = {n: archive.read(n) for n in archive.namelist() if n.startswith("binaries/")}
     marks = {".so": b"\x7fELF", ".dll": b"MZ", ".dylib": b"\xcf\xfa\xed\xfe"}
@@ -232,7 +232,7 @@ def test_changed_values_become_start_values(tmp_path: Path) -> None:
 def test_bad_arguments_are_refused_in_a_sentence(tmp_path: Path) -> None:
     plant, path = oscillator(), tmp_path / "plant.fmu"
     with pytest.raises(UnknownNameError, match=r"did you mean 'x86_64-linux'"):
-        export_fmu(plant, path, platforms=["x86-linux"])
+        export_fmu(plant, path, platforms=["x86_64-linus"])
     with pytest.raises(UnknownNameError, match="FMI version"):
         export_fmu(plant, path, fmi="1.0")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="not a Plant"):

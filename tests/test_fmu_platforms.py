@@ -21,8 +21,9 @@ import pytest
 from conftest import benchmark_slide
 
 import pam_ocp as pam
-from pam_ocp.fmu import PLATFORMS, export_fmu
-from pam_ocp.fmu.compile import compile_library, native
+from pam_ocp.fmu import PLATFORMS, check_fmu, export_fmu
+from pam_ocp.fmu.compile import compile_library, native, platforms_named
+from pam_ocp.fmu.symbols import exported_symbols
 from pam_ocp.muscle.losses import CoulombFriction
 
 HERE = Path(__file__).parent / "c"
@@ -41,6 +42,13 @@ needs_qemu = pytest.mark.skipif(
 needs_wine = pytest.mark.skipif(
     WINE is None or platform.machine().lower() not in ("x86_64", "amd64"),
     reason="needs wine on x86_64 (Debian: wine64)",
+)
+
+
+needs_32_bits = pytest.mark.skipif(
+    not Path("/lib/ld-linux.so.2").exists()
+    or platform.machine().lower() not in ("x86_64", "amd64", "i686"),
+    reason="needs a 32-bit C library on x86 (Debian: libc6-i386)",
 )
 
 
@@ -76,7 +84,7 @@ class Bench:
         """The FMU for all three platforms, unpacked."""
         if (make, fmi) not in self.fmus:
             target = self.folder / f"{make.__name__}{fmi[0]}"
-            names = {native().name, "aarch64-linux", "x86_64-windows"}
+            names = {native().name, "aarch64-linux", "x86_64-windows", "x86-linux"}
             path = export_fmu(make(), target.with_suffix(".fmu"), fmi=fmi, platforms=names)
             with zipfile.ZipFile(path) as archive:
                 archive.extractall(target)
@@ -140,6 +148,34 @@ def test_aarch64_gives_the_bits_of_this_machine(make: Any, fmi: str, bench: Benc
     there = bench.run(make, fmi, "aarch64-linux", str(QEMU), "-L", str(ARM_ROOT))
     assert moves(here)
     assert there == here
+
+
+@needs_32_bits
+@CASES
+def test_32_bits_give_the_bits_of_this_machine(make: Any, fmi: str, bench: Bench) -> None:
+    here = bench.run(make, fmi, native().name)
+    assert moves(here)
+    assert bench.run(make, fmi, "x86-linux") == here
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_platforms_on_request_have_their_folders_and_fmis_symbols(fmi: Any, tmp_path: Path) -> None:
+    """Of the big plant, too: its functions ask for Windows' check of the stack."""
+    wanted = {
+        "x86-linux": ("linux32", ".so"), "x86-windows": ("win32", ".dll"),
+        "aarch64-windows": ("aarch64-windows", ".dll"),
+    }  # fmt: skip
+    assert not any(n in {p.name for p in platforms_named(None)} for n in wanted)
+    for plant in (benchmark_slide(), row_of_loads()):
+        path = export_fmu(plant, tmp_path / "x.fmu", fmi=fmi, platforms=[*wanted, "native"])
+        with zipfile.ZipFile(path) as archive:
+            for name, (folder, suffix) in wanted.items():
+                place = f"binaries/{folder if fmi == '2.0' else name}/{plant.name}{suffix}"
+                symbols = exported_symbols(archive.read(place))
+                assert f"fmi{fmi[0]}DoStep" in symbols
+                assert all(s.startswith(f"fmi{fmi[0]}") for s in symbols)
+        assert set(check_fmu(path).platforms) == {*wanted, native().name}
 
 
 @needs_wine

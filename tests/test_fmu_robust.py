@@ -57,9 +57,11 @@ def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -
 
 
 @pytest.mark.slow
-def test_a_quiet_millisecond_costs_at_most_three_times_the_model_calls_of_one_rodas_step(
+def test_a_millisecond_costs_at_most_three_times_the_model_calls_of_one_rodas_step(
     tmp_path: Path,
 ) -> None:
+    """At rest, with inputs that jump in each step, and with jumps 100 steps apart. Jumps 10 steps
+    apart keep the slide in its quickest motion all the time, which takes more internal steps."""
     plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"))
     with zipfile.ZipFile(exported(tmp_path, "2.0", plant)) as archive:
         archive.extractall(tmp_path / "fmu")
@@ -69,11 +71,17 @@ def test_a_quiet_millisecond_costs_at_most_three_times_the_model_calls_of_one_ro
          str(HERE / "step_cost.c"), "-o", str(tmp_path / "step_cost"), "-lm"],
         check=True,
     )  # fmt: skip
-    done = subprocess.run([str(tmp_path / "step_cost")], capture_output=True, text=True, check=True)
-    print(done.stdout)
-    costs = [float(c) for c in re.findall(r"= +([\d.]+) units", done.stdout)]
-    assert len(costs) == 4
-    assert costs[0] < 3.0, done.stdout
+    costs = np.full(4, np.inf)
+    for _ in range(3):  # other work on the machine only ever slows one down
+        done = subprocess.run(
+            [str(tmp_path / "step_cost")], capture_output=True, text=True, check=True
+        )
+        print(done.stdout)
+        found = re.findall(r"= +([\d.]+) units", done.stdout)
+        costs = np.minimum(costs, [float(c) for c in found])
+    still, hundred, ten, each = costs
+    assert max(still, hundred, each) <= 3.0, costs
+    assert ten <= 3.6, costs
 
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc with sanitizers")

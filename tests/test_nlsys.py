@@ -139,6 +139,76 @@ def test_a_phase_plane_is_drawn_of_an_autonomous_plant(long_muscle):
     assert flat(mark.get_xydata()) == pytest.approx([0.06, 0.0], abs=1e-6)
 
 
+# ---- sampled ---------------------------------------------------------------------------------------
+def test_a_sampled_system_moves_as_simulate_does_under_held_inputs(slide, wave):
+    t, u = wave
+    system = as_nlsys(slide, slide.equilibrium(x=0.0, stiffness=2.2e4), dt=5e-3)
+    motion = pam.simulate(
+        slide, {"muscle1.command": u[0], "muscle2.command": u[1]}, t=t,
+        start={v.name: x for v, x in zip(slide.states, system.x0, strict=True)},
+    )  # fmt: skip
+    names = [v.name for v in (*slide.states, *slide.outputs)]
+    nominal = np.array([slide.variable(n).nominal for n in names])
+    assert np.ptp(motion["x"]) > 1e-3
+    for response in (
+        control.input_output_response(system, t, u, system.x0),
+        system.response(t, u),
+    ):
+        difference = np.abs(np.asarray(response.outputs).T - motion.array(names)) / nominal
+        assert difference.max() < 1e-6
+
+
+def test_a_sampled_system_is_linearised_by_the_derivatives_of_its_step(slide):
+    point, dt = slide.equilibrium(x=0.003, stiffness=2.2e4), 0.01
+    at_rest = control.linearize(as_nlsys(slide, point, dt=dt), point.x, point.u)
+    exact = slide.linearize(point, dt=dt)  # at rest: the matrix exponential
+    assert at_rest.dt == dt
+    n, e = slide.vector("state", attribute="nominal"), slide.vector("input", attribute="nominal")
+    scaled = lambda g: (g.A * n / n[:, None], g.B * e / n[:, None])  # noqa: E731
+    for found, expected in zip(scaled(at_rest), scaled(exact), strict=True):
+        assert np.allclose(found, expected, rtol=0, atol=1e-8)
+    system, x = (
+        as_nlsys(slide, point, inputs=["muscle1.command"], dt=dt, rtol=1e-12),
+        point.x.copy(),
+    )
+    x[1:] += [0.2, 4e4, -3e4]  # in motion, by differences
+    moving, h = control.linearize(system, x, point.u[:1]), 1e-4
+    for i in range(4):
+        step = h * n * np.eye(4)[i]
+        slope = (system._rhs(0, x + step, point.u[:1]) - system._rhs(0, x - step, point.u[:1])) / 2
+        assert np.asarray(moving.A)[:, i] * h * n[i] / n == pytest.approx(slope / n, abs=1e-9)
+
+
+def test_a_sampled_plant_and_a_sampled_controller_are_closed_loops_closed_loop(slide):
+    """python-control's interconnection of both, against the loop of this package."""
+    point, dt = slide.equilibrium(x=0.003, stiffness=2.2e4), 2e-3
+    feedback = pam.lqr(slide, point, dt=dt)
+    plant = as_nlsys(slide, point, outputs=[v.name for v in slide.states], dt=dt)
+    law = control.nlsys(
+        None, lambda t, x, u, p: point.u - feedback.K @ (u - point.x), inputs=plant.output_labels,
+        outputs=plant.input_labels, name="law", dt=dt,
+    )  # fmt: skip
+    loop = control.interconnect([plant, law], inputs=[], outputs=plant.output_labels)
+    start = point.x + np.array([-1e-3, 0.0, 0.0, 0.0])
+    t = dt * np.arange(101)
+    found = control.input_output_response(loop, t, np.zeros((0, 101)), start)
+    run = pam.closed_loop(
+        slide, feedback, duration=0.2, dt=dt,
+        start={v.name: x for v, x in zip(slide.states, start, strict=True)},
+    )  # fmt: skip
+    n = slide.vector("state", attribute="nominal")
+    assert np.abs(run["x"] - point.x[0]).max() > 5e-4
+    difference = (np.asarray(found.states).T - run.array([v.name for v in slide.states])) / n
+    assert np.abs(difference).max() < 1e-6
+
+
+def test_a_sampling_time_and_inputs_of_the_wrong_shape_are_refused(slide, system):
+    with pytest.raises(InputError, match="dt = 0 s must be > 0"):
+        as_nlsys(slide, dt=0.0)
+    with pytest.raises(InputError, match=r"U has shape \(3,\)"):
+        system.response(np.linspace(0, 1, 11), [1e5, 1e5, 1e5])
+
+
 def test_copies_and_pickles_have_memory_of_their_own(system):
     x, u = system.x0 + 1e-3, system.u0
     expected = system.dynamics(0.0, x, u)
@@ -207,11 +277,27 @@ def test_the_benchmarks_numpy_right_hand_sides_are_the_plants(benchmark):
 
 
 @pytest.mark.slow
-def test_it_is_five_times_as_quick_as_numpy_where_the_right_hand_side_counts(benchmark):
+def test_a_response_that_agrees_with_simulate_is_five_times_as_quick_as_numpys(benchmark):
+    """Whole responses within 1e-6 of nominal of simulate, continuous and with held inputs."""
+    for case in benchmark.cases():
+        for solver in ("RK45", "LSODA"):
+            found = benchmark.same_accuracy(case, solver)
+            assert found["difference"] < 1e-6
+            assert found["ratio"] > 5, (case.label, solver, found)
+    for case, least in zip(benchmark.cases(), (1.5, 5), strict=True):
+        found = benchmark.sampled(case)
+        assert found["difference"] < 1e-6
+        assert found["ratio"] > least, (case.label, found)
+
+
+@pytest.mark.slow
+def test_under_the_same_python_solver_it_is_quicker_still_and_its_right_hand_side_five_times(
+    benchmark,
+):
     """With valves the right-hand side is most of the work; with regulators it is python-control."""
     regulators, valves = benchmark.cases()
-    assert benchmark.measure(valves, "LSODA")["ratio"] > 5
-    assert benchmark.measure(regulators, "LSODA")["ratio"] > 1.3
+    assert benchmark.same_solver(valves, "LSODA")["ratio"] > 5
+    assert benchmark.same_solver(regulators, "LSODA")["ratio"] > 1.3
     for case in (regulators, valves):
         quick, by_hand = benchmark.one_call(case)
         assert by_hand / quick > 5

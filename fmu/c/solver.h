@@ -28,11 +28,8 @@ typedef struct {
 typedef struct {
     double k[6][SOLVER_N];
     double jacobian[SOLVER_N * SOLVER_N];
-    double lu[SOLVER_N * SOLVER_N];
-    double diagonal[SOLVER_N]; /* reciprocals of the pivots */
-    double weight[SOLVER_N];   /* reciprocals of the nominals, row by row */
-    double x[SOLVER_N], stage[SOLVER_N], f[SOLVER_N], slope[SOLVER_N];
-    int pivot[SOLVER_N], permuted;
+    double inverse[SOLVER_N * SOLVER_N]; /* of I/(h gamma) - J, by columns */
+    double stage[SOLVER_N], f[SOLVER_N], slope[SOLVER_N];
 } SolverWork;
 
 typedef enum {

@@ -47,9 +47,9 @@ __attribute__((no_builtin)) int memcmp(const void *one, const void *other, size_
     return 0;
 }
 
-/* ---- stack: a frame of more than a page (size in rax) must touch its pages in order ---- */
+/* ---- stack: a frame of more than a page must touch its pages in order ---- */
 
-#if defined(__x86_64__)
+#if defined(__x86_64__) /* size in rax */
 __asm__(".globl ___chkstk_ms\n"
         "___chkstk_ms:\n"
         "  pushq %rcx\n"
@@ -65,5 +65,36 @@ __asm__(".globl ___chkstk_ms\n"
         "  orb $0, (%rcx)\n"
         "  popq %rax\n"
         "  popq %rcx\n"
+        "  ret\n");
+#elif defined(__i386__) /* size in eax; moves the stack pointer, too */
+__asm__(".globl __alloca\n"
+        "__alloca:\n"
+        "  pushl %ecx\n"
+        "  leal 8(%esp), %ecx\n" /* the stack pointer of the caller */
+        "1: cmpl $4096, %eax\n"
+        "  jb 2f\n"
+        "  subl $4096, %ecx\n"
+        "  orb $0, (%ecx)\n"
+        "  subl $4096, %eax\n"
+        "  jmp 1b\n"
+        "2: subl %eax, %ecx\n"
+        "  orb $0, (%ecx)\n"
+        "  movl %esp, %eax\n"
+        "  movl %ecx, %esp\n"
+        "  movl (%eax), %ecx\n"
+        "  jmpl *4(%eax)\n");
+#elif defined(__aarch64__) /* a sixteenth of the size in x15 */
+__asm__(".globl __chkstk\n"
+        "__chkstk:\n"
+        "  lsl x16, x15, #4\n"
+        "  mov x17, sp\n"
+        "1: cmp x16, #1, lsl #12\n"
+        "  b.lo 2f\n"
+        "  sub x17, x17, #1, lsl #12\n"
+        "  ldr xzr, [x17]\n"
+        "  sub x16, x16, #1, lsl #12\n"
+        "  b 1b\n"
+        "2: sub x17, x17, x16\n"
+        "  ldr xzr, [x17]\n"
         "  ret\n");
 #endif

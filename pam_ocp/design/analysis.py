@@ -82,6 +82,11 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
     """
     import control
 
+    if not isinstance(loop, control.StateSpace):
+        raise InputError(
+            f"margins: loop is a {type(loop).__name__}, not a control.StateSpace, such as "
+            "StateFeedback.loop"
+        )
     if loop.ninputs != loop.noutputs:
         raise InputError(f"margins: the loop has {loop.ninputs} inputs and {loop.noutputs} outputs")
     a, b, k = (np.asarray(getattr(loop, n)) for n in ("A", "B", "C"))

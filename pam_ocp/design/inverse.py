@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..plant.plant import Plant
+from ..plant.plant import Plant, require_plant
 
 __all__ = ["InverseDynamics"]
 
@@ -35,6 +35,14 @@ class InverseDynamics:
     """
 
     def __init__(self, plant: Plant) -> None:
+        require_plant(plant)
+        if len(plant.positions) > 1 and not self._driven(plant):
+            raise InputError(
+                f"InverseDynamics: in {plant.name!r} no pressure acts on the acceleration of its "
+                "load, only through a tendon or another mass (higher relative degree): the pressures "
+                "that a motion needs follow from its third and fourth derivatives. Plan the motion "
+                "with plan(), and hold it by tvlqr()"
+            )
         if len(plant.positions) != 1:
             raise InputError(
                 f"InverseDynamics needs a plant with one position; {plant.name!r} has "
@@ -58,6 +66,13 @@ class InverseDynamics:
         self._z = np.concatenate([plant.vector("state"), plant.vector("input")])
         self._p = plant.vector("parameter")
         self._function = self._build(pressures)
+
+    @staticmethod
+    def _driven(plant: Plant) -> bool:
+        """Whether a pressure stands in the equation of motion of the first position."""
+        velocity = next(iter(plant.positions.values()))
+        symbols = {s.name() for s in ca.symvar(plant.expression(f"der({velocity})"))}
+        return any(n.endswith(".pressure") for n in symbols)
 
     def _build(self, pressures: list[str]) -> ca.Function:
         """(states and inputs, parameters) -> (acceleration[, stiffness]), slopes over pressures."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..equilibrium import OperatingPoint
 from ..errors import InputError, require_positive
 from ..linear import linearize
-from ..plant.plant import Plant, Values
+from ..plant.plant import Plant, Values, require_plant
 from .closed_loop import Controller, Measured
 
 __all__ = ["KalmanFilter", "WithEstimate", "kalman"]
@@ -24,8 +24,8 @@ Array: TypeAlias = NDArray[np.float64]
 class KalmanFilter:
     """Estimate of all states from a few measured outputs, by the plant's linear model at a point.
 
-    gain : (states, measured), stationary. In each sample: ``correct(measured)``, then
-    ``predict(inputs)`` to the next one.
+    gain : (states and disturbances, measured), stationary. In each sample: ``correct(measured)``,
+    then ``predict(inputs)`` to the next one. ``disturbance`` : {input: estimate} of those estimated.
     """
 
     point: OperatingPoint
@@ -33,7 +33,8 @@ class KalmanFilter:
     gain: Array
     dt: float
     system: Any = field(repr=False)
-    """python-control's sampled system, x[k+1] = A x[k] + B u[k]."""
+    """python-control's sampled system, x[k+1] = A x[k] + B u[k]; disturbances are its last states."""
+    disturbances: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._a, self._b, self._c, self._d = (
@@ -44,7 +45,7 @@ class KalmanFilter:
 
     def reset(self) -> None:
         """Back to the point itself."""
-        self.deviation: Array = np.zeros(len(self.point.x))
+        self.deviation: Array = np.zeros(len(self._a))
         self._u: Array = np.zeros(self._b.shape[1])
 
     def correct(self, measured: Measured) -> Array:
@@ -52,13 +53,20 @@ class KalmanFilter:
         y = np.array([measured[n] for n in self.measured]) - self._y0
         error = y - self._c @ self.deviation - self._d @ self._u
         self.deviation = self.deviation + self.gain @ error
-        return np.asarray(self.point.x + self.deviation)
+        return np.asarray(self.point.x + self.deviation[: len(self.point.x)])
+
+    @property
+    def disturbance(self) -> dict[str, float]:
+        """The estimated disturbances by name [SI]."""
+        found = self.deviation[len(self.point.x) :]
+        return {n: self.point[n] + float(d) for n, d in zip(self.disturbances, found, strict=True)}
 
     def predict(self, inputs: Mapping[str, float]) -> None:
         """Go on to the next sample under inputs by name (kept within the plant's range)."""
         variables = self.point.plant.inputs
         u = np.array([np.clip(inputs.get(v.name, v.start or 0.0), v.min, v.max) for v in variables])
         self._u = u - self.point.u
+        self._u[[v.name in self.disturbances for v in variables]] = 0.0  # they are states here
         self.deviation = self._a @ self.deviation + self._b @ self._u
 
 
@@ -68,6 +76,7 @@ def kalman(
     *,
     measured: Mapping[str, float],
     process: float | Mapping[str, float] = 1.0,
+    disturbances: Mapping[str, float] | None = None,
     dt: float = 1e-3,
 ) -> KalmanFilter:
     """The stationary Kalman filter about a point of rest, for a sampling time ``dt`` [s].
@@ -75,40 +84,93 @@ def kalman(
     measured : {state or output: standard deviation of its noise [SI]}, of each sample.
     process : what drives the states besides the inputs, in units of nominal per sqrt(s): a number
         for all, or {state: value} (others 0). The mass not known well is noise on the velocity.
+    disturbances : {input: drift [SI per sqrt(s)]} of inputs that are not known but estimated with the
+        states, as constants that drift: an external force, or a command's unknown offset. At most as
+        many as measured values. See :class:`OffsetFree`.
 
     By ``control.dlqe``'s Riccati equation on the exactly sampled system in units of nominal.
     Raises InputError when the states cannot be told from what is measured.
     """
-    import control
-
+    require_plant(plant)
     if not isinstance(at, OperatingPoint):
         at = plant.equilibrium(at)
     names = [plant.variable(n).name for n in measured]
-    system = linearize(plant, at, outputs=names, dt=dt)
-    nominal = plant.vector("state", attribute="nominal")
     noise = np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
+    unknown = {plant.variable(n).name: v for n, v in (disturbances or {}).items()}
+    system = _with_disturbances(plant, linearize(plant, at, outputs=names, dt=dt), list(unknown))
+    states = plant.vector("state", attribute="nominal")
+    sizes = [plant.variable(n).nominal for n in unknown]
     if isinstance(process, Mapping):
         given = {plant.variable(n).name: float(v) for n, v in process.items()}
         drive = np.array([given.get(v.name, 0.0) for v in plant.states])
     else:
-        drive = np.full(len(nominal), require_positive("process", process))
+        drive = np.full(len(states), require_positive("process", process))
+    drift = [
+        require_positive(f"disturbances[{n!r}]", v) / size
+        for (n, v), size in zip(unknown.items(), sizes, strict=True)
+    ]
+    nominal = np.concatenate([states, sizes])
+    gain = _stationary(system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * dt)
+    return KalmanFilter(at, names, gain, dt, system, list(unknown))
+
+
+def _with_disturbances(plant: Plant, system: Any, disturbances: list[str]) -> Any:
+    """The sampled system with some of its inputs as further states that stay as they are.
+
+    Raises InputError when what is measured cannot tell them from the states (the condition of
+    Pannocchia and Rawlings, AIChE Journal 49 (2003) 426-437).
+    """
+    import control
+
+    if not disturbances:
+        return system
+    inputs = [v.name for v in plant.inputs]
+    wrong = [n for n in disturbances if n not in inputs]
+    if wrong:
+        raise InputError(
+            f"disturbances: {wrong[0]} is a {plant.variable(wrong[0]).causality}; name inputs of the "
+            f"plant ({', '.join(inputs)}), such as that of an ExternalForce"
+        )
+    columns = [inputs.index(n) for n in disturbances]
+    a, b, c, d = (np.asarray(getattr(system, n)) for n in "ABCD")
+    n, m = len(a), len(columns)
+    x, y = plant.vector("state", attribute="nominal"), np.abs(c).max(axis=1, initial=1e-300)
+    u = np.array([plant.inputs[i].nominal for i in columns])
+    pencil = np.block([[(a - np.eye(n)) * x / x[:, None], b[:, columns] * u / x[:, None]],
+                       [c * x / y[:, None], d[:, columns] * u / y[:, None]]])  # fmt: skip
+    pencil = pencil / np.maximum(np.abs(pencil).max(axis=0), 1e-300)
+    if m > len(c) or np.linalg.matrix_rank(pencil, tol=1e-9) < n + m:
+        raise InputError(
+            f"disturbances: {', '.join(disturbances)} cannot be told from the states by "
+            f"{len(c)} measured value(s); measure more, or estimate fewer"
+        )
+    whole = np.block([[a, b[:, columns]], [np.zeros((m, n)), np.eye(m)]])
+    return control.ss(
+        whole, np.vstack([b, np.zeros((m, b.shape[1]))]), np.hstack([c, d[:, columns]]), d, system.dt,
+        inputs=system.input_labels, outputs=system.output_labels, name=system.name,
+        states=[*system.state_labels, *(f"{n.replace('.', '_')}_unknown" for n in disturbances)],
+    )  # fmt: skip
+
+
+def _stationary(system: Any, names: list[str], nominal: Array, noise: Array, drive: Array) -> Array:
+    """The gain that corrects the present estimate, in SI; ``drive`` : variances per sample."""
+    import control
+
     a = np.asarray(system.A) * nominal / nominal[:, None]
     c = np.asarray(system.C) * nominal / noise[:, None]
     try:
-        gain, covariance, _ = control.dlqe(
-            a, np.eye(len(a)), c, np.diag(drive**2) * dt, np.eye(len(noise))
-        )
+        gain, covariance, _ = control.dlqe(a, np.eye(len(a)), c, np.diag(drive), np.eye(len(noise)))
     except (ValueError, np.linalg.LinAlgError) as error:
         raise InputError(
-            f"kalman: the states of {plant.name!r} cannot be told from {', '.join(names)} ({error}); "
-            "measure more, or add process noise"
+            f"kalman: the states cannot be told from {', '.join(names)} ({error}); measure more, or "
+            "add process noise"
         ) from None
     # dlqe's gain corrects the prediction for the next sample; this one corrects the present one
     p = np.asarray(covariance)
     present = p @ c.T @ np.linalg.inv(c @ p @ c.T + np.eye(len(noise)))
     if not np.all(np.isfinite(gain)):
         raise InputError(f"kalman: no stationary filter exists for {', '.join(names)}")
-    return KalmanFilter(at, names, present * nominal[:, None] / noise, dt, system)
+    return np.asarray(present * nominal[:, None] / noise)
 
 
 @dataclass

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..equilibrium import OperatingPoint
 from ..errors import InputError, require_positive
 from ..linear import linearize
-from ..plant.plant import Plant, Values
+from ..plant.plant import Plant, Values, require_plant
 from .closed_loop import Measured
 
 if TYPE_CHECKING:
@@ -237,6 +237,7 @@ def lqr(
     """
     import control
 
+    require_plant(plant)
     require_positive("dt", dt, "s")
     if at is None or not isinstance(at, OperatingPoint):
         at = plant.equilibrium(at)

@@ -11,6 +11,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..plant.plant import Plant
 from ..simulate import simulate
 
@@ -65,15 +66,24 @@ def _runner(function: ca.Function) -> tuple[Any, Callable[[Array, Array, Array],
 class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
     """x' = f(x, u, p), y = g(x, u, p) of a plant; made by :func:`pam_ocp.as_nlsys`.
 
+    With ``dt`` in discrete time: x(t + dt) = F(x(t), u(t), p), the inputs held over dt.
     x0, u0 : states and (chosen) inputs of the point that it was made at, for ``X0`` and ``U``.
     units : {signal: SI unit} of states, inputs and outputs; ``params`` holds all parameters.
     Its ``linearize`` (and so ``control.linearize``) is exact.
     """
 
     def __init__(
-        self, plant: Plant, x: Array, u: Array, inputs: Sequence[str], outputs: Sequence[str]
+        self,
+        plant: Plant,
+        x: Array,
+        u: Array,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        dt: float | None = None,
+        rtol: float = 1e-9,
     ) -> None:
         self.plant = plant
+        self._sampling = None if dt is None else (dt, rtol)
         self._held = u
         all_inputs = [v.name for v in plant.inputs]
         self._columns = [all_inputs.index(n) for n in inputs]
@@ -91,31 +101,86 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
             self._update, self._output, name=plant.name,
             params={signal(v.name): v.start for v in plant.parameters},
             states=[signal(n) for n in names], inputs=[signal(n) for n in inputs],
-            outputs=[signal(n) for n in outputs],
+            outputs=[signal(n) for n in outputs], dt=0 if dt is None else dt,
         )  # fmt: skip
         self.units = {signal(n): plant.variable(n).unit for n in (*names, *inputs, *outputs)}
 
     def _functions(
         self, inputs: tuple[str, ...], outputs: tuple[str, ...]
     ) -> tuple[ca.Function, ca.Function]:
-        """(x, chosen u, [p, all u]) -> xdot, and -> y; the inputs left out stand behind p."""
+        """(x, chosen u, [p, all u]) -> xdot or the next x, and -> y; inputs left out stand behind p."""
         plant = self.plant
 
         def build() -> tuple[ca.Function, ca.Function]:
-            held = ca.SX.sym("held", len(plant.inputs))
             chosen = ca.SX.sym("u", len(inputs))
+            held = ca.SX.sym("held", len(plant.inputs))
             u = ca.SX(held)
             for i, column in enumerate(self._columns):
                 u[column] = chosen[i]
             xdot, y, _ = plant.function(plant.x, u, plant.p)
             rows = ca.vertcat(*(ca.vertcat(plant.x, y)[i] for i in self._rows))
             arguments = [plant.x, chosen, ca.vertcat(plant.p, held)]
-            return (
-                ca.Function("update", arguments, [ca.densify(xdot)]),
-                ca.Function("output", arguments, [ca.densify(rows)]),
-            )
+            update = ca.Function("update", arguments, [ca.densify(xdot)])
+            output = ca.Function("output", arguments, [ca.densify(rows)])
+            return self._over_a_sample(update) if self._sampling else update, output
 
-        return plant.cached(("nlsys", inputs, outputs), build)  # type: ignore[no-any-return]
+        return plant.cached(  # type: ignore[no-any-return]
+            ("nlsys", inputs, outputs, self._sampling, self._nominal.tobytes()), build
+        )
+
+    @property
+    def _nominal(self) -> Array:
+        return self.plant.vector("state", attribute="nominal")
+
+    def _over_a_sample(self, derivative: ca.Function) -> ca.Function:
+        """The state behind one sample, by CasADi's Rosenbrock integrator in units of nominal."""
+        assert self._sampling is not None
+        (dt, rtol), nominal = self._sampling, self._nominal
+        x, p = ca.SX.sym("x", len(nominal)), ca.SX.sym("p", derivative.numel_in(2))
+        u = ca.SX.sym("u", derivative.numel_in(1))
+        dae = {"x": x, "p": ca.vertcat(u, p), "ode": derivative(x * nominal, u, p) / nominal}
+        step = ca.integrator("step", "rosenbrock", dae, 0.0, dt, {"reltol": rtol, "abstol": rtol})
+        arguments = [ca.MX.sym(n, s.numel()) for n, s in zip("xup", (x, u, p), strict=True)]
+        end = step(x0=arguments[0] / nominal, p=ca.vertcat(*arguments[1:]))["xf"] * nominal
+        return ca.Function("update", arguments, [end])
+
+    def _jacobians(self, x: Array, chosen: Array, p: Array) -> tuple[Array, Array]:
+        """A and B of the sampled system: the variational equations integrated with the motion.
+
+        (CasADi's derivatives of the integrator follow steps chosen for the motion alone; at rest
+        these are too long.)
+        """
+        assert self._sampling is not None
+        (dt, rtol), n, m = self._sampling, len(x), len(chosen)
+        nominal = self._nominal
+        effort = np.array([self.plant.inputs[i].nominal for i in self._columns])
+
+        def build() -> ca.Function:
+            state, own = ca.SX.sym("x", n), ca.SX.sym("u", m)
+            parameters = ca.SX.sym("p", len(p))
+            u = ca.SX(parameters[len(self.plant.parameters) :])
+            for i, column in enumerate(self._columns):
+                u[column] = own[i] * effort[i]
+            values = parameters[: len(self.plant.parameters)]
+            ode = self.plant.function(state * nominal, u, values)[0] / nominal
+            slopes = ca.SX.sym("slopes", n, n + m)
+            change = ca.jacobian(ode, state) @ slopes
+            change[:, n:] += ca.jacobian(ode, own)
+            dae = {
+                "x": ca.vertcat(state, ca.vec(slopes)), "p": ca.vertcat(own, parameters),
+                "ode": ca.vertcat(ode, ca.vec(change)),
+            }  # fmt: skip
+            options = {"reltol": rtol, "abstol": rtol}
+            return ca.integrator("variation", "rosenbrock", dae, 0.0, dt, options)
+
+        key = ("variation", *self._columns, self._sampling, nominal.tobytes(), effort.tobytes())
+        start = np.hstack([np.eye(n), np.zeros((n, m))])
+        end = self.plant.cached(key, build)(
+            x0=np.concatenate([x / nominal, start.ravel("F")]),
+            p=np.concatenate([chosen / effort, p]),
+        )["xf"]
+        slopes = np.asarray(end, dtype=float)[n:].reshape(n, n + m, order="F") * nominal[:, None]
+        return slopes[:, :n] / nominal, slopes[:, n:] / effort
 
     def response(
         self,
@@ -127,12 +192,17 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
     ) -> control.TimeResponseData:
         """``control.input_output_response`` by the plant's own integrator (:func:`pam_ocp.simulate`).
 
-        T : output times [s]; U : (inputs, times) or one value per input, joined by straight lines, by
-        default ``u0``; X0 : by default ``x0``. Quicker and tighter than a Python-side integrator,
-        since nothing is called between two output times. Raises SimulationError.
+        T : output times [s]; U : (inputs, times) or one value per input, joined by straight lines
+        (held, when the system is sampled), by default ``u0``; X0 : by default ``x0``. Quicker and
+        tighter than a Python-side integrator, since nothing is called between two output times.
+        Raises InputError, SimulationError.
         """
         t = np.asarray(T, float)
         u = np.asarray(self.u0 if U is None else U, float)
+        if u.size not in (self.ninputs, self.ninputs * t.size):
+            raise InputError(
+                f"U has shape {u.shape}; give {self.ninputs} value(s) or ({self.ninputs}, {t.size})"
+            )
         u = np.broadcast_to(u.reshape(self.ninputs, -1), (self.ninputs, len(t)))
         vector = self._vector(params)[: len(self.plant.parameters)]
         values = {v.name: float(n) for v, n in zip(self.plant.parameters, vector, strict=True)}
@@ -142,12 +212,13 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         motion = simulate(
             self.plant, {**held, **dict(zip(names, u, strict=True))}, t=t,
             start={v.name: float(n) for v, n in zip(self.plant.states, x0, strict=True)},
-            parameters=values, interpolation="linear", rtol=rtol,
+            parameters=values, interpolation="previous" if self._sampling else "linear", rtol=rtol,
         )  # fmt: skip
-        every = [v.name for v in (*self.plant.states, *self.plant.outputs)]
+        x = motion.array([v.name for v in self.plant.states]).T
+        # with the inputs as given: simulate holds the last but one over the last sample
+        y = self._output_buffers.function(x, u, self._vector(params))
         return control.TimeResponseData(
-            t, motion.array([every[i] for i in self._rows]).T,
-            motion.array([v.name for v in self.plant.states]).T, u, issiso=self.issiso(),
+            t, np.asarray(y, dtype=float), x, u, issiso=self.issiso(),
             output_labels=self.output_labels, input_labels=self.input_labels,
             state_labels=self.state_labels, sysname=self.name,
             title=f"Input/output response for {self.name}",
@@ -199,11 +270,15 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         x = np.broadcast_to(np.asarray(x0, float), (self.nstates,))
         u = self._held.copy()
         u[self._columns] = 0.0 if u0 is None else u0
-        vector = self._vector(params)[: len(self.plant.parameters)]
-        a, b, c, d = (np.asarray(m) for m in self.plant.jacobians(x, u, vector))
+        vector = self._vector(params)
+        p = vector[: len(self.plant.parameters)]
+        a, b, c, d = (np.asarray(m) for m in self.plant.jacobians(x, u, p))
         c, d = np.vstack([np.eye(len(x)), c]), np.vstack([np.zeros_like(b), d])
+        b = b[:, self._columns]
+        if self._sampling:
+            a, b = self._jacobians(x, u[self._columns], vector)
         system = control.StateSpace(
-            a, b[:, self._columns], c[self._rows], d[np.ix_(self._rows, self._columns)],
+            a, b, c[self._rows], d[np.ix_(self._rows, self._columns)], self.dt,
             remove_useless_states=False,
         )  # fmt: skip
         if copy_names:

@@ -65,6 +65,8 @@ class EquilibriumPath:
     points: tuple[OperatingPoint, ...]
     end: str = ""
     """Why the path stops before the last value asked for; "" when it does not."""
+    folds: tuple[OperatingPoint, ...] = ()
+    """Points at which the path turns back (of :func:`equilibrium_branch` only)."""
 
     def __getitem__(self, name: str) -> Array:
         return np.array([point[name] for point in self.points])
@@ -87,7 +89,7 @@ def equilibrium_path(
 
     ``equilibrium_path(plant, "mass", np.linspace(5, 60, 40), {"muscle.command": 3e5})``. Each point
     starts from its neighbour, so the path stays on one branch; it ends where that branch leaves the
-    bounds or turns back (a fold), and says so in ``end``.
+    bounds or turns back (a fold), and says so in ``end``; :func:`equilibrium_branch` goes round folds.
     Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
     """
     points: list[OperatingPoint] = []

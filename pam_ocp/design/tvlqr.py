@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, require_positive
 from ..linear import LinearAlong, linearize_along
-from ..plant.plant import Plant
+from ..plant.plant import Plant, require_plant
 from ..trajectory import Trajectory
 from .closed_loop import Measured
 from .lqr import Integrals, Weighting, saturated
@@ -122,6 +122,12 @@ def tvlqr(
     """
     from scipy.integrate import solve_ivp
 
+    require_plant(plant)
+    if not isinstance(motion, Trajectory):
+        raise InputError(
+            f"motion is a {type(motion).__name__}, not a Trajectory of the plant, such as "
+            "plan.trajectory"
+        )
     weighting = Weighting(plant, weights, effort, integral or {})
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
     along = linearize_along(plant, motion, t=t, inputs=weighting.inputs)

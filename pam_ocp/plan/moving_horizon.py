@@ -15,7 +15,6 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from ..errors import InputError, require_finite, require_positive
 from ..plant.plant import Plant, Values
@@ -152,6 +151,8 @@ class MovingHorizonEstimator(Estimator):
     # ---- the fit --------------------------------------------------------------------------------
     def _improve(self) -> float:
         """One Gauss-Newton step of the window's trajectory; returns its largest change."""
+        from scipy.linalg import cho_factor, cho_solve
+
         last = self._last
         offset, spread = self._condensed()
         residual, slope = self._residuals()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, require_positive
-from ..plant.plant import Plant
+from ..plant.plant import Plant, require_plant
 from ..signals import signals
 from ..simulate import evaluated, simulate
 from ..trajectory import Trajectory
@@ -162,6 +162,9 @@ def limit_cycle(
     """
     if not (isinstance(degree, int) and 2 <= degree <= 9):
         raise InputError(f"degree = {degree!r}: give a whole number from 2 to 9")
+    require_plant(plant)
+    if not isinstance(guess, (HopfPoint, Trajectory)):
+        raise InputError(f"guess is a {type(guess).__name__}, not a Trajectory or a HopfPoint")
     settings = Settings(degree, require_positive("tolerance", tolerance))
     try:
         if isinstance(guess, HopfPoint):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.fmu import export_fmu, export_ssp, pid_controller
+from pam_ocp.fmu import export_fmu, export_ssp, pid_controller, state_feedback_controller
 from pam_ocp.fmu.runner import Runner, UnpackedFmu
 
 BAR = 1e5
@@ -61,38 +61,72 @@ WIRES = {
 }
 
 
-def write_system(folder: Path, model: pam.Plant) -> None:
-    """Plant, controller and motion as system.ssp, and what the system does as system.csv."""
+FEEDBACK_WIRES = {
+    **{f"plant.{n}": f"feedback.{n}" for n in COMMANDS},
+    **{f"feedback.{n}": f"plant.{n}" for n in ("x", "v", "muscle1.pressure", "muscle2.pressure")},
+    "feedback.reference.x": "goal.x",
+}
+
+
+def write_systems(folder: Path, model: pam.Plant) -> None:
+    """A PID that follows a motion (system), and an LQI that goes to a goal (feedback)."""
+    write_system(folder / "system", model, WIRES, pid_parts(model))
+    write_system(folder / "feedback", model, FEEDBACK_WIRES, feedback_parts(model))
+
+
+def feedback_parts(model: pam.Plant) -> dict[str, Any]:
+    point = model.equilibrium(x=0.002, stiffness=2.2e4)
+    law = pam.lqr(model, point, integral={"x": 100.0})
+    goal = np.array([0.002, 0.002, 0.005, 0.005])
+    t = np.array([0.0, 0.05, 0.2, STEPS * STEP])
+    start = dict(zip((v.name for v in model.states), point.x.tolist(), strict=True))
+    mass = 1.3 * float(model.variable("mass").start or 1.0)
+    return {
+        "goal": pam.Trajectory(t, {"x": goal}, [model.variable("x")]),
+        "feedback": state_feedback_controller(law),
+        "plant": model.with_values({**start, "mass": mass}),
+    }
+
+
+def pid_parts(model: pam.Plant) -> dict[str, Any]:
     t = np.arange(STEPS + 1) * STEP
     swing = {COMMANDS[0]: (4 - np.cos(8 * t)) * BAR, COMMANDS[1]: (2 + np.cos(8 * t)) * BAR}
     weights = {COMMANDS[0]: 1.0, COMMANDS[1]: -1.0}
     gains = {"proportional": 2e6, "integral": 1.5e8, "derivative": 1e4}
-    parts = {
+    return {
         "motion": pam.simulate(model, swing, t=t),
         "pid": pid_controller(model, "x", weights, **gains),
         "plant": model.with_values(mass=1.5 * float(model.variable("mass").start or 1.0)),
     }
-    path = export_ssp(parts, WIRES, folder / "system.ssp", stop_time=STEPS * STEP)
+
+
+def write_system(
+    target: Path, model: pam.Plant, wires: dict[str, str], parts: dict[str, Any]
+) -> None:
+    """Plant, controller and motion as an SSP, and what the system does as a table beside it."""
+    path = export_ssp(parts, wires, target.with_suffix(".ssp"), stop_time=STEPS * STEP)
     names = [v.name for v in (*model.states, *model.outputs)]
-    table = np.column_stack([t, _coupled(path, names)])
+    t = np.arange(STEPS + 1) * STEP
+    table = np.column_stack([t, _coupled(path, wires, list(parts), names)])
     header = ",".join(["time", *names])
-    np.savetxt(folder / "system.csv", table, fmt="%.17g", delimiter=",", header=header, comments="")
+    file = target.with_suffix(".csv")
+    np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
 
 
-def _coupled(path: Path, names: list[str]) -> Any:
+def _coupled(path: Path, wires: dict[str, str], parts: list[str], names: list[str]) -> Any:
     """The plant's values at each time when all parts step, and then all hand over."""
     with tempfile.TemporaryDirectory() as name:
         folder, runners = Path(name), {}
         with zipfile.ZipFile(path) as archive:
             archive.extractall(folder)
-        for key in ("motion", "pid", "plant"):
+        for key in parts:
             fmu = UnpackedFmu(folder / "resources" / f"{key}.fmu", folder / key)
             runners[key] = Runner(fmu, "CoSimulation")
             runners[key].initialize({}, 0.0, None)
 
         def hand_over() -> None:
             values = {}
-            for sink, source in WIRES.items():
+            for sink, source in wires.items():
                 key, _, variable = source.partition(".")
                 values[sink] = float(runners[key].get([variable])[0])
             for sink, value in values.items():
@@ -121,7 +155,7 @@ def build(folder: Path) -> None:
     inputs = commands(np.arange(STEPS + 1) * STEP)
     write_motion(folder / "held.csv", model, inputs, START)
     write_motion(folder / "constant.csv", model, CONSTANT, START)
-    write_system(folder, model)
+    write_systems(folder, model)
     results = (*model.states, *model.outputs)
     facts = {
         "start": START,

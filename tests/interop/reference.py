@@ -38,7 +38,7 @@ def importer(module: str) -> ModuleType:
 
 
 class Motion:
-    """One reference motion: ``held``, ``constant`` or ``system``."""
+    """One reference motion: ``held``, ``constant``, ``system`` or ``feedback``."""
 
     def __init__(self, name: str) -> None:
         folder = Path(FOLDER)
