@@ -98,6 +98,25 @@ def test_phases_have_limits_of_their_own():
     assert plan.durations[1] == pytest.approx(1.0 + 1.0 / 10.0, rel=1e-6)
 
 
+def test_bounds_of_a_polynomial_input_are_those_of_its_phase():
+    plan = pam.plan(
+        double_integrator(10.0), [*AT_REST, AT_REST[0]], rest=False,
+        phases=[None, Phase(bounds={"u": (-2.0, 2.0)})], method=Collocation(8, 5, "polynomial"),
+    )  # fmt: skip
+    motion = plan.replay.trajectory
+    there = motion.t < plan.durations[0]
+    assert np.abs(motion["u"][there]).max() > 9.0
+    assert np.abs(motion["u"][~there]).max() < 2.05
+    # bang-bang there and back: 2 sqrt(d/a)
+    assert plan.durations == pytest.approx([2 / np.sqrt(10), 2 / np.sqrt(2)], rel=1e-3)
+    planner = pam.Planner(
+        double_integrator(10.0), AT_REST, rest=False, bounds={"u": (-4.0, 4.0)},
+        method=Collocation(8, 5, "polynomial"),
+    )  # fmt: skip
+    wider = planner(bounds={"u": (-9.0, 9.0)}, guess=planner())
+    assert wider.duration == pytest.approx(2 / 3, rel=1e-3)
+
+
 def test_a_bound_that_changes_with_time_is_kept():
     corridor = Profile([0.0, 0.5, 1.0], [0.2, 0.2, 1.2])
     plan = pam.plan(

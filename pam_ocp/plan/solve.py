@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, PlanError, require_positive
 from ..plant.plant import Plant, Values
 from ..simulate import evaluated
+from .backend import Backend, Solver, SolverName
 from .diagnosis import Conflict, elastic, explanation
 from .guess import by_stops, from_solution, idle_inputs
 from .mesh import Collocation, Mesh, Method, Shooting, refined
@@ -22,7 +23,7 @@ from .problem import Budget, Condition, Problem
 from .replay import interval_errors, replayed
 from .result import Plan, Solved
 from .solution import unpack
-from .solver import Ipopt, Outcome, Progress
+from .solver import Outcome, Progress
 from .transcription import Program, Row, transcribe
 from .wording import Avoid, Constraint, Phase, Stop
 
@@ -53,6 +54,8 @@ def plan(
     tolerance: float | None = None,
     guess: Plan | None = None,
     progress: Progress = False,
+    solver: SolverName = "ipopt",
+    compiled: bool = False,
     options: Mapping[str, Any] | None = None,
 ) -> Plan:
     """The optimal motion of a plant that visits ``stops`` in order.
@@ -79,7 +82,7 @@ def plan(
     track : {NAME: aim or (aim, weight)}, an aim being a number or a Profile: adds the integral of
         weight ((value - aim)/nominal)^2 to the objective.
     budgets : {running term: most, or (least, most)} in SI, such as {"air": 1e-3} or
-        {"integral(force)": 50.0}.
+        {"integral(force)": 50.0}; "time" bounds the duration of the whole motion.
     design : {parameter of the plant: (low, high)}: chosen with the motion.
     integrand, final : further running cost, and cost of the end: CasADi expressions of the plant's
         symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
@@ -89,7 +92,13 @@ def plan(
         tightly, meets its planned end to this part of nominal in all; None for one mesh only.
     guess : another plan to start from.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
-    options : of IPOPT, over its defaults here.
+    solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on many
+        intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a process
+        of its own that is ended after ``options={"time_limit": 60.0}`` seconds. What it leaves unsolved
+        IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
+    compiled : IPOPT's functions compiled (zig or cc) and kept for the next time; pays for
+        :class:`Shooting` solved many times (a third of the time), little for collocation.
+    options : of the solver, over its defaults here.
 
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan.
@@ -97,7 +106,8 @@ def plan(
     planner = Planner(
         plant, stops, cyclic=cyclic, duration=duration, minimise=minimise, bounds=bounds, rest=rest,
         phases=phases, constraints=constraints, track=track, budgets=budgets, design=design,
-        integrand=integrand, final=final, method=method, progress=progress, options=options,
+        integrand=integrand, final=final, method=method, progress=progress, solver=solver,
+        compiled=compiled, options=options,
     )  # fmt: skip
     return planner(guess=guess, tolerance=tolerance)
 
@@ -122,6 +132,8 @@ class Planner:
         *,
         method: Method | None = None,
         progress: Progress = False,
+        solver: SolverName = "ipopt",
+        compiled: bool = False,
         options: Mapping[str, Any] | None = None,
         **wish: Any,
     ) -> None:
@@ -130,11 +142,11 @@ class Planner:
             raise InputError(f"method = {method!r}: give Collocation(...) or Shooting(...)")
         self.plant = plant
         self._wish = Wish(stops, **wish)
-        self._options, self._progress = options, progress
+        self._backend = Backend(solver, compiled, options, progress)
         problem = pose(plant, self._wish)
         mesh = (method or Collocation()).mesh(len(problem.legs))
         self._program = transcribe(problem, mesh)
-        self._ipopt = Ipopt(self._program, options, progress)
+        self._solver = self._backend.build(self._program)
         self._build_seconds = time.perf_counter() - begin
 
     def __call__(
@@ -158,7 +170,7 @@ class Planner:
         if tolerance is not None:
             require_positive("tolerance", tolerance)
         program = self._with(values, changed)
-        run = _Run(program, self._ipopt, self._options, self._progress)
+        run = _Run(program, self._backend, self._solver)
         found = run.solve(guess._solved if guess is not None else None)
         meshes = [program.mesh]
         iterations = found.outcome.iterations
@@ -166,9 +178,7 @@ class Planner:
             finer = self._finer(found, tolerance)
             if finer == meshes[-1]:
                 break
-            following = _Run(
-                transcribe(program.problem, finer), None, self._options, self._progress
-            ).solve(found)
+            following = _Run(transcribe(program.problem, finer), self._backend).solve(found)
             iterations += following.outcome.iterations
             if not following.outcome.success:  # the coarser plan stands, with its replay error
                 break
@@ -234,24 +244,29 @@ def _renewed(program: Program, problem: Problem) -> tuple[Row, ...]:
     image: dict[int, Condition | Budget] = {
         id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)
     }
+
+    def renewed(row: Row, condition: Condition | Budget) -> Condition | Budget:
+        if id(condition) in image:
+            return image[id(condition)]
+        # an input between its points: its limits are the leg's bounds
+        leg = problem.legs[program.mesh.intervals[row.members[0]].leg]
+        low, high = leg.bounds[condition.label]
+        return replace(condition, low=low, high=high)
+
     return tuple(
-        replace(row, conditions=tuple(image[id(c)] for c in row.conditions)) for row in program.rows
+        replace(row, conditions=tuple(renewed(row, c) for c in row.conditions))
+        for row in program.rows
     )
 
 
 class _Run:
     """One program: from a guess, or from all guesses there are, to a solution or a diagnosis."""
 
-    def __init__(
-        self,
-        program: Program,
-        ipopt: Ipopt | None,
-        options: Mapping[str, Any] | None,
-        progress: Progress,
-    ) -> None:
+    def __init__(self, program: Program, backend: Backend, solver: Solver | None = None) -> None:
         begin = time.perf_counter()
-        self.program, self.options = program, options
-        self.ipopt = ipopt or Ipopt(program, options, progress)
+        self.program, self.options = program, backend.ipopt_options
+        # a refined mesh is solved once: compiling it would not pay
+        self.solver = solver or replace(backend, compiled=False).build(program)
         self.build_seconds = time.perf_counter() - begin
         self.conflicts: tuple[Conflict, ...] = ()
 
@@ -278,7 +293,7 @@ class _Run:
         return found
 
     def _from(self, guess: Array, warm: Outcome | None = None, adaptive: bool = False) -> Solved:
-        outcome = self.ipopt(self.program, guess, warm, adaptive)
+        outcome = self.solver(self.program, guess, warm, adaptive)
         solution = unpack(self.program.problem, self.program.mesh, outcome.w)
         return Solved(self.program, outcome, solution)
 
@@ -304,6 +319,8 @@ def _plan(
     samples = evaluated(plant, solution.t, solution.states, solution.inputs)
     statistics = {
         **figures,
+        "solver": outcome.solver,
+        **({"warning": outcome.warning} if outcome.warning else {}),
         "solve_seconds": outcome.seconds,
         "variables": len(outcome.w),
         "constraints": len(outcome.lam_g),

@@ -5,24 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .compiled import compiled as compiled_library
+from .derivatives import derivatives
 from .transcription import Program
 
 __all__ = ["DEFAULTS", "Ipopt", "Outcome", "Progress"]
 
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
-Start: TypeAlias = Literal["cold", "warm", "adaptive"]
 
 DEFAULTS: dict[str, Any] = {
     "tol": 1e-9,
     "constr_viol_tol": 1e-9,
+    "compl_inf_tol": 1e-10,  # objectives to 1e-8, so that their differences are worth something
     "acceptable_iter": 0,
     "max_iter": 500,
     "mu_init": 1e-2,
@@ -37,13 +39,15 @@ ADAPTIVE: dict[str, Any] = {"mu_strategy": "adaptive", "alpha_for_y": "primal"}
 
 WARM: dict[str, Any] = {
     "warm_start_init_point": "yes",
-    "mu_init": 1e-6,
-    "warm_start_bound_push": 1e-9,
-    "warm_start_bound_frac": 1e-9,
-    "warm_start_slack_bound_push": 1e-9,
-    "warm_start_slack_bound_frac": 1e-9,
-    "warm_start_mult_bound_push": 1e-9,
-}
+    "mu_strategy": "adaptive",  # 3 to 20 iterations where a barrier that only falls takes 5 to 60
+    "max_iter": 80,  # a neighbour that is no help: start cold instead
+    **{
+        f"warm_start_{name}": 1e-6  # 1e-9 takes twice as many where the active constraints change
+        for name in (
+            "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
+        )
+    },
+}  # fmt: skip
 """Primal, dual and barrier together: primal values alone are slower than a cold start."""
 
 
@@ -61,6 +65,9 @@ class Outcome:
     lam_x: Array
     log: tuple[dict[str, float], ...] = field(default=())
     """One entry per iteration: objective, infeasibilities, barrier, step lengths."""
+    solver: str = "IPOPT"
+    warning: str = ""
+    """What did not go as asked."""
 
 
 class _Watch(ca.Callback):
@@ -105,43 +112,65 @@ def _printed(iteration: int, objective: float, violation: float) -> None:
 
 
 class Ipopt:
-    """IPOPT for a program, built once, for any number of solves."""
+    """IPOPT for a program, built once, for any number of solves.
+
+    compiled : the program's functions as machine code; see compiled.py.
+    """
 
     def __init__(
         self,
         program: Program,
         options: Mapping[str, Any] | None = None,
         progress: Progress = False,
+        compiled: bool = False,
     ) -> None:
         self.program = program
         self._watch = None
         if progress:
             self._watch = _Watch(program, progress if callable(progress) else _printed)
         self._given = dict(options or {})
-        self._first = self._built("plan", {}, {})
-        self._solvers: dict[Start, ca.Function] = {"cold": self._first}
+        self._derivatives = derivatives(program)
+        self._library: str | None = None
+        self._solvers: dict[str, ca.Function] = {}
+        if compiled:
+            self._library = compiled_library(self._solver("cold"))
+            self._solvers.clear()
+        self._first = self._solver("cold")
 
-    def _built(self, name: str, ipopt: Mapping[str, Any], more: Mapping[str, Any]) -> ca.Function:
-        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **ipopt, **self._given}
-        options = {"print_time": False, "ipopt": chosen, **more}
-        if self._watch is not None:
-            options["iteration_callback"] = self._watch
-        try:
-            return ca.nlpsol(name, "ipopt", self.program.nlp, options)
-        except RuntimeError as error:
-            raise InputError(f"options = {self._given}: {str(error).splitlines()[-1]}") from None
+    def _solver(self, name: str, ipopt: Mapping[str, Any] | None = None) -> ca.Function:
+        """The solver of this name, made at its first use; all share the same functions."""
+        if name not in self._solvers:
+            chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **(ipopt or {}), **self._given}
+            # multipliers of the parameters: duals.py finds them when somebody asks
+            options: dict[str, Any] = {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
+            if self._watch is not None:
+                options["iteration_callback"] = self._watch
+            if self._library is None:
+                options |= self._derivatives
+            problem = self._library or self.program.nlp
+            try:
+                solver = ca.nlpsol(name, "ipopt", problem, options)
+            except RuntimeError as error:
+                raise InputError(
+                    f"options = {self._given}: {str(error).splitlines()[-1]}"
+                ) from None
+            if not self._derivatives:  # CasADi's own, taken over from the first
+                functions = {"hess_lag": "nlp_hess_l", "jac_g": "nlp_jac_g", "grad_f": "nlp_grad_f"}
+                self._derivatives = {o: solver.get_function(f) for o, f in functions.items()}
+            self._solvers[name] = solver
+        return self._solvers[name]
 
-    def _solver(self, start: Start) -> ca.Function:
-        """The solver for a kind of start; all share the derivatives of the first."""
-        if start not in self._solvers:
-            shared = {
-                option: self._first.get_function(function)
-                for option, function in (
-                    ("hess_lag", "nlp_hess_l"), ("jac_g", "nlp_jac_g"), ("grad_f", "nlp_grad_f")
-                )
-            }  # fmt: skip
-            self._solvers[start] = self._built(start, WARM if start == "warm" else ADAPTIVE, shared)
-        return self._solvers[start]
+    def residual(self, program: Program, outcome: Outcome) -> float:
+        """Largest violation of the constraints and of stationarity, in units of nominal."""
+        p = program.parameters()
+        gradient = np.asarray(self._first.get_function("nlp_grad_f")(outcome.w, p)[1], float)
+        g, jacobian = self._first.get_function("nlp_jac_g")(outcome.w, p)
+        slope = gradient.ravel() + np.asarray(jacobian.T @ outcome.lam_g, float).ravel()
+        values = np.asarray(g, float).ravel()
+        misses = [np.abs(slope + outcome.lam_x)]
+        for value, (low, high) in ((values, program.limits()), (outcome.w, program.bounds())):
+            misses += [low - value, value - high]
+        return max(float(np.max(miss, initial=0.0)) for miss in misses)
 
     def __call__(
         self, program: Program, guess: Array, warm: Outcome | None = None, adaptive: bool = False
@@ -151,7 +180,10 @@ class Ipopt:
         warm : an outcome to start from, with its multipliers. adaptive : another barrier strategy.
         """
         begin = time.perf_counter()
-        solver = self._solver("warm" if warm else "adaptive" if adaptive else "cold")
+        if warm is not None:
+            solver = self._solver("warm", WARM)
+        else:
+            solver = self._solver("adaptive", ADAPTIVE) if adaptive else self._first
         (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
         start = {"x0": np.clip(guess, lbx, ubx)}
         if warm is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -17,9 +17,10 @@ from .mesh import Interval, Mesh
 from .problem import Budget, Condition, Problem, limits
 from .stage import Stage, nominals
 
-__all__ = ["Group", "Program", "Row", "transcribe"]
+__all__ = ["Group", "Program", "Row", "sampled", "transcribe", "with_design"]
 
 Array: TypeAlias = NDArray[np.float64]
+Symbol = TypeVar("Symbol", ca.SX, ca.MX)
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,8 @@ class Program:
     nlp: dict[str, ca.MX]
     rows: tuple[Row, ...]
     groups: tuple[Group, ...]
+    other: dict[str, ca.MX]
+    """The part of "f", and the rows of "g" behind the groups', that no stage gives (no budgets)."""
 
     def limits(self) -> tuple[Array, Array]:
         """(low, high) of all constraints."""
@@ -152,25 +155,27 @@ def transcribe(problem: Problem, mesh: Mesh) -> Program:
     plant = problem.plant
     z = _unknowns(problem, mesh)
     p, q = ca.MX.sym("p", len(plant.parameters)), ca.MX.sym("q", problem.q.numel())
-    chosen = _with_design(problem, p, z.design)
+    chosen = with_design(problem, p, z.design)
     durations = z.durations * problem.time_nominals
     clock = _Clock.of(mesh, durations)
     made = _stages(problem, mesh, z, clock, (chosen, q))
-    rest = [
-        *_nodes(problem, mesh, z, clock, (chosen, q)),
-        *_continuity(problem, mesh, z),
-        *_budgets(problem, made.budgets),
-    ]
+    beside = [*_nodes(problem, mesh, z, clock, (chosen, q)), *_continuity(problem, mesh, z)]
+    rest = [*beside, *_budgets(problem, made.budgets)]
+    other = {
+        "f": ca.MX(_other_costs(problem, mesh, z, clock, (chosen, q))),
+        "g": ca.MX(ca.veccat(*(piece for piece, _ in beside))),
+    }
     nlp = {
         "x": z.w,
         "p": ca.vertcat(p, q),
-        "f": made.cost + _other_costs(problem, mesh, z, clock, (chosen, q)),
+        "f": made.cost + other["f"],
         "g": ca.veccat(*made.constraints, *(piece for piece, _ in rest)),
     }
-    return Program(problem, mesh, nlp, (*made.rows, *(row for _, row in rest)), tuple(made.groups))
+    rows = (*made.rows, *(row for _, row in rest))
+    return Program(problem, mesh, nlp, rows, tuple(made.groups), other)
 
 
-def _with_design(problem: Problem, p: ca.MX, design: ca.MX) -> ca.MX:
+def with_design(problem: Problem, p: Symbol, design: Symbol) -> Symbol:
     """All parameters of the plant, those to be designed taken from the unknowns [SI]."""
     if not problem.design:
         return p
@@ -207,7 +212,7 @@ def _stages(
             ca.horzcat(*(z.begin(k) for k in members)),
             ca.horzcat(*(ca.vec(z.states[k]) for k in members)),
             ca.horzcat(*(ca.vec(z.inputs[k]) for k in members)),
-            h, t, given[0], _sampled(profiles, h, t, taus), given[1], z.peaks,
+            h, t, given[0], sampled(profiles, h, t, taus), given[1], z.peaks,
         )  # fmt: skip
         made.constraints.append(defects)
         made.rows.append(Row("dynamics", "defect", defects.numel()))
@@ -223,12 +228,14 @@ def _stages(
 
 
 def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
-    """Intervals of equal degree on legs with equal path conditions."""
+    """Intervals of equal degree on legs with equal path conditions (and bounds that are guarded)."""
     found: list[tuple[Stage, list[int]]] = []
+    guarded = [v.name for v in problem.plant.inputs] if mesh.form.guarded else []
     for k, interval in enumerate(mesh.intervals):
         leg = problem.legs[interval.leg]
         for stage, members in found:
-            if stage.degree == interval.degree and stage.leg.path == leg.path:
+            same = all(stage.leg.bounds[n] == leg.bounds[n] for n in guarded)
+            if stage.degree == interval.degree and stage.leg.path == leg.path and same:
                 members.append(k)
                 break
         else:
@@ -236,7 +243,7 @@ def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
     return found
 
 
-def _sampled(profiles: Sequence[ca.Function], h: ca.MX, t: ca.MX, taus: Array) -> ca.MX:
+def sampled(profiles: Sequence[ca.Function], h: ca.MX, t: ca.MX, taus: Array) -> ca.MX:
     """Values of the profiles at all points: one column per interval, profiles fastest."""
     if not profiles:
         return ca.MX(0, h.shape[1])
