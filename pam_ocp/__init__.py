@@ -6,6 +6,7 @@ around one symbolic CasADi model. SI units inside; pressures are gauge; contract
 
 from __future__ import annotations
 
+from .animate import animate_plan
 from .design.analysis import along_stroke, bode_cloud, margins, margins_over, mode_map
 from .design.branch import equilibrium_branch
 from .design.closed_loop import closed_loop
@@ -80,11 +81,15 @@ from .plan.estimate import KalmanFilter
 from .plan.mesh import Collocation, Shooting
 from .plan.moving_horizon import MovingHorizonEstimator
 from .plan.mpc import Mpc
+from .plan.pareto import Pareto, pareto
 from .plan.problem import TIME
+from .plan.problem_file import load_problem
 from .plan.profile import Profile
 from .plan.result import Plan
+from .plan.robust import RobustPlan, robust_plan
 from .plan.saved import load_plan
 from .plan.solve import Planner, plan
+from .plan.spread import Spread
 from .plan.wording import Avoid, Constraint, Phase, Stop
 from .plant.actuator import IdealPressure, Regulator
 from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
@@ -95,6 +100,7 @@ from .plant.loads import Damper, DryFriction, ExternalForce, Inertia, Spring, Wa
 from .plant.plant import Plant
 from .plant.regulated import PositionFeedback, RegulatedLoad
 from .plant.single import HangingLoad
+from .plot_plan import plot_costates
 from .simulate import simulate
 from .trajectory import Comparison, Trajectory
 from .validation import RecordComparison, compare_with_record
@@ -168,6 +174,7 @@ __all__ = [
     "OpenLoop",
     "OperatingPoint",
     "PamError",
+    "Pareto",
     "Phase",
     "Plan",
     "PlanError",
@@ -182,11 +189,13 @@ __all__ = [
     "RecordComparison",
     "RegulatedLoad",
     "Regulator",
+    "RobustPlan",
     "SeriesLoad",
     "Shooting",
     "SimulationError",
     "SixParameterLaw",
     "SpoolValve",
+    "Spread",
     "Spring",
     "SpringOverMuscle",
     "StiffnessDamping",
@@ -203,6 +212,7 @@ __all__ = [
     "Wall",
     "WithEstimate",
     "along_stroke",
+    "animate_plan",
     "as_nlsys",
     "backbone",
     "bode_cloud",
@@ -240,6 +250,7 @@ __all__ = [
     "linearize_grid",
     "load_muscle",
     "load_plan",
+    "load_problem",
     "load_study",
     "lqr",
     "margins",
@@ -251,13 +262,16 @@ __all__ = [
     "muscle_names",
     "muscle_volume",
     "own_law",
+    "pareto",
     "pid_controller",
     "plan",
+    "plot_costates",
     "polynomial_law",
     "pressures_of",
     "read_record",
     "read_records",
     "read_table",
+    "robust_plan",
     "save_input_table",
     "save_muscle",
     "scheduled_lqr",

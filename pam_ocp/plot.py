@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from .fit.static import ForceFit
     from .load_study import LoadStudy
     from .muscle.muscle import Muscle
-    from .plan.result import Plan
     from .validation import RecordComparison
 
 __all__ = [
@@ -27,7 +26,6 @@ __all__ = [
     "plot_fit",
     "plot_load_study",
     "plot_muscle",
-    "plot_plan",
     "plot_record",
     "plot_trajectory",
 ]
@@ -134,56 +132,6 @@ def _pressure_scale(figure: Figure, axes: list[Any], pressures: Any) -> None:
     part = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.9, 256)))
     label = "pressure [bar gauge]"
     figure.colorbar(ScalarMappable(scale, part), ax=axes, label=label, fraction=0.05)
-
-
-def plot_plan(plan: Plan) -> Figure:
-    """The planned motion: positions, velocities, pressures with commands, forces, stiffness."""
-    trajectory = plan.trajectory
-    replay = plan.replay.trajectory if plan.replay else trajectory
-    panels = _panels(trajectory)
-    figure, axes = _figure(len(panels), size=(8, 1.0 + 1.75 * len(panels)), sharex=True)
-    for ax, (label, names) in zip(axes[:, 0], panels.items(), strict=True):
-        for i, name in enumerate(names):
-            variable = trajectory.variable(name)
-            if variable.causality == "input":
-                owner = [n for n in names if n.split(".")[0] == name.split(".")[0] and n != name]
-                colour = COLOURS[names.index(owner[0])] if owner else COLOURS[i % len(COLOURS)]
-                _draw(ax, trajectory, name, colour, linewidth=0.9, alpha=0.75)
-            else:
-                _draw(ax, replay, name, COLOURS[i % len(COLOURS)])
-        _limits(ax, plan, names)
-        ax.set_ylabel(label)
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
-        for time in np.cumsum(plan.durations)[:-1]:
-            ax.axvline(time, color="#999999", lw=0.8, ls=":")
-    axes[0, 0].set_title(
-        f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error {plan.replay_error:.1e} of nominal",
-        loc="left", fontsize="medium",
-    )  # fmt: skip
-    axes[-1, 0].set_xlabel("time [s]")
-    return figure
-
-
-def _panels(trajectory: Trajectory) -> dict[str, list[str]]:
-    """Columns to draw by unit; contractions say nothing that positions do not."""
-    panels: dict[str, list[str]] = {}
-    for variable in trajectory.variables:
-        if variable.name.endswith(".contraction"):
-            continue
-        panels.setdefault(variable.display_unit, []).append(variable.name)
-    for names in panels.values():  # states before inputs: an input takes its state's colour
-        names.sort(key=lambda n: trajectory.variable(n).causality == "input")
-    return panels
-
-
-def _limits(ax: Axes, plan: Plan, names: Sequence[str]) -> None:
-    for name in names:
-        variable = plan.plant.variable(name)
-        if variable.causality != "state":
-            continue
-        for bound in (variable.min, variable.max):
-            if np.isfinite(bound):
-                ax.axhline(bound / variable.display_factor, color="#bbbbbb", lw=0.8, ls="--")
 
 
 def plot_comparison(

@@ -102,7 +102,7 @@ class _Tour:
     def plan(self) -> None:
         """plan the quickest motion between -15 mm and +15 mm and back"""
         from .plan.solve import plan
-        from .plot import plot_plan
+        from .plot_plan import plot_plan
 
         self.motion = plan(
             self.slide, stops=[{"x": -REACH}, {"x": REACH}], cyclic=True, minimise="time"

@@ -333,7 +333,8 @@ def test_bad_input_has_exit_code_2(capsys, tmp_path, monkeypatch, options, messa
 
 
 @pytest.mark.slow
-def test_the_example_runs(capsys):
-    code, out, _ = run(capsys, "plan", EXAMPLE)
+def test_the_example_runs(capsys, tmp_path):
+    code, out, _ = run(capsys, "plan", EXAMPLE, "--animate", tmp_path / "slide.gif")
     assert code == 0
     assert "0.05 +" in out
+    assert (tmp_path / "slide.gif").stat().st_size > 100_000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal, TypeAlias
 
@@ -37,6 +37,13 @@ def _collocation_points(scheme: str, degree: int) -> tuple[float, ...]:
     if scheme == "radau":
         points[-1] = 1.0  # CasADi's is off by rounding
     return tuple(points)
+
+
+def _lagrange(nodes: Array, tau: float) -> Array:
+    """Weights of values at ``nodes`` that give their polynomial at ``tau``."""
+    return np.array(
+        [np.prod([(tau - b) / (a - b) for b in nodes if b != a]) for a in nodes], dtype=float
+    )
 
 
 @dataclass(frozen=True)
@@ -83,10 +90,14 @@ class Form:
 
     def weights(self, degree: int, tau: float) -> Array:
         """Weights of these values that give the input at ``tau`` (Lagrange)."""
-        nodes = self.input_taus(degree)
-        return np.array(
-            [np.prod([(tau - b) / (a - b) for b in nodes if b != a]) for a in nodes], dtype=float
-        )
+        return _lagrange(self.input_taus(degree), tau)
+
+    def state_weights(self, degree: int, tau: float) -> Array:
+        """Weights of the start and the states at their points that give the state at ``tau``."""
+        nodes = np.insert(self.collocated(degree), 0, 0.0)
+        weights = np.zeros(1 + len(self.state_taus(degree)))
+        weights[: len(nodes)] = _lagrange(nodes, tau)
+        return weights
 
     def input_powers(self, degree: int) -> Array:
         """(columns, columns) matrix from the values to coefficients of powers of tau."""
@@ -97,12 +108,14 @@ class Form:
 class Interval:
     """A part of a leg, ``fraction`` of its duration long; ``degree`` of its polynomials.
 
-    For shooting, ``degree`` is the number of RK4 steps.
+    For shooting, ``degree`` is the number of RK4 steps. raised : whether refinement has tried a
+    higher degree here already.
     """
 
     leg: int
     fraction: float
     degree: int
+    raised: bool = False
 
 
 @dataclass(frozen=True)
@@ -148,7 +161,8 @@ class Collocation:
         degree then go a long way: 6 of degree 9, say).
     points : "radau" (stiffly accurate; the end of an interval is a point) or "gauss" (Legendre;
         order 2 degree instead of 2 degree - 1; Biegler, Nonlinear Programming, 2010, sect. 10.2).
-    guarded : bounds of polynomial inputs are asked for between the points too; without, they
+    guarded : bounds of polynomial inputs, and path constraints that depend on them, are asked for
+        between the points too; without, they
         may be far outside there (a switch makes them swing), which the plan's replay reports.
     """
 
@@ -204,7 +218,9 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
     """The mesh with more points where the error of an interval exceeds the tolerance.
 
     The degree is raised first (by 1 for each two decades, at least 1; the steps of RK4 by its fourth
-    order), then the interval is split.
+    order), then the interval is split. A polynomial input that switches inside an interval is not
+    helped by degrees: where one rise was not enough, such an interval is split, into as many parts
+    as there are decades to go (2 to 4).
     """
     shooting = mesh.form.scheme == "shooting"
     intervals: list[Interval] = []
@@ -212,14 +228,17 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
         if not error > tolerance:
             intervals.append(interval)
             continue
-        decades = np.log10(error / tolerance) if np.isfinite(error) else 4.0
+        decades = float(np.log10(error / tolerance)) if np.isfinite(error) else 4.0
         if shooting:
             degree = int(np.ceil(interval.degree * 1.1 * 10 ** (decades / 4)))
         else:
             degree = interval.degree + max(1, int(np.ceil(decades / 2)))
-        if degree <= (MOST_STEPS if shooting else HIGHEST_DEGREE):
-            intervals.append(Interval(interval.leg, interval.fraction, degree))
+        rough = interval.raised and mesh.form.control == "polynomial"
+        if degree <= (MOST_STEPS if shooting else HIGHEST_DEGREE) and not rough:
+            intervals.append(replace(interval, degree=degree, raised=True))
         else:
+            parts = min(max(2, int(np.ceil(decades))), 4) if rough else 2
             each = interval.degree if shooting else SPLIT_DEGREE
-            intervals += [Interval(interval.leg, interval.fraction / 2, each)] * 2
+            part = Interval(interval.leg, interval.fraction / parts, each, interval.raised)
+            intervals += [part] * parts
     return Mesh(tuple(intervals), mesh.form)

@@ -160,8 +160,11 @@ def _tracking(plant: Plant, symbols: Symbols, track: Mapping[str, Any]) -> ca.SX
 
 
 def budget(plant: Plant, term: str, value: Any) -> Budget:
-    """Bounds of the integral of a running term, in its own unit."""
-    integrand, variable = _running(plant, term)
+    """Bounds of the integral of a running term, in its own unit; "time" is that of the whole motion."""
+    if term == "time":
+        integrand, variable = ca.SX(1), Variable("time", "output", unit="s")
+    else:
+        integrand, variable = _running(plant, term)
     pair = value if isinstance(value, tuple | list) else (None, value)
     if len(pair) != 2 or (pair[0] is None and pair[1] is None):
         raise InputError(f"budgets[{term!r}] = {value!r}: give the most, or (least, most)")

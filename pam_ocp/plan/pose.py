@@ -258,7 +258,8 @@ def _require_an_end(wish: Wish, legs: Sequence[Leg]) -> None:
     """A free duration wants a reason to end."""
     weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else dict(wish.minimise)
     asked = {term for term, weight in weights.items() if weight}
-    more = wish.integrand is not None or wish.final is not None or wish.track
+    ended = wish.track or "time" in (wish.budgets or {})
+    more = wish.integrand is not None or wish.final is not None or ended
     free = any(leg.duration[1] > leg.duration[0] for leg in legs)
     if free and asked and not more and asked <= {"effort", "rate"}:
         raise InputError(

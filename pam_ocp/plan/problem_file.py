@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,7 @@ from .wording import Avoid, Constraint, Phase, Stop, subject
 
 __all__ = ["load_problem"]
 
-_METHODS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
-    "Collocation": (Collocation, ("intervals", "degree", "control", "points")),
-    "Shooting": (Shooting, ("intervals", "steps", "control")),
-}
+_METHODS = {kind.__name__: kind for kind in (Collocation, Shooting)}
 _STOP = ("rest", "dwell", "within")
 
 
@@ -266,8 +264,8 @@ def _method(plant: Plant, where: str, value: Any) -> Any:
     kind = given.pop("kind", "Collocation")
     if kind not in _METHODS:
         raise UnknownNameError(f"{where}.kind", kind, _METHODS)
-    made, keys = _METHODS[kind]
-    known_keys(f"{where} ({kind})", given, keys)
+    made = _METHODS[kind]
+    known_keys(f"{where} ({kind})", given, [f.name for f in fields(made)])
     return made(**given)
 
 

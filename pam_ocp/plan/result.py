@@ -161,7 +161,7 @@ class Plan:
 
     def plot(self) -> Figure:
         """Motion, velocities, pressures with commands, forces, stiffness; active bounds shaded."""
-        from ..plot import plot_plan
+        from ..plot_plan import plot_plan
 
         return plot_plan(self)
 
@@ -175,7 +175,8 @@ class Plan:
             f"{s['solve_seconds']:.3f} s (built in {s['build_seconds']:.3f} s; {s['variables']} "
             f"variables, {s['constraints']} constraints)",
             f"mesh       {s['intervals']} intervals"
-            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
+            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else "")
+            + ("" if s.get("tolerance_met", True) else ", tolerance not met"),
         ]
         lines[3:3] = [
             f"design     {name} = {self.plant.variable(name).shown(value)}"

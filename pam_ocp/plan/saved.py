@@ -46,7 +46,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "log": plan.log,
         "meshes": [
             {"form": [m.form.scheme, m.form.control, m.form.guarded],
-             "intervals": [[i.leg, i.fraction, i.degree] for i in m.intervals]}
+             "intervals": [[i.leg, i.fraction, i.degree, i.raised] for i in m.intervals]}
             for m in plan.meshes
         ],
     }  # fmt: skip

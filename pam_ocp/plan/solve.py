@@ -31,7 +31,7 @@ __all__ = ["Planner", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-MAX_REFINEMENTS = 8
+MAX_REFINEMENTS = 10
 
 
 def plan(
@@ -172,20 +172,30 @@ class Planner:
         program = self._with(values, changed)
         run = _Run(program, self._backend, self._solver)
         found = run.solve(guess._solved if guess is not None else None)
-        meshes = [program.mesh]
-        iterations = found.outcome.iterations
-        while tolerance is not None and found.outcome.success and len(meshes) <= MAX_REFINEMENTS:
-            finer = self._finer(found, tolerance)
-            if finer == meshes[-1]:
-                break
-            following = _Run(transcribe(program.problem, finer), self._backend).solve(found)
-            iterations += following.outcome.iterations
+        meshes, figures = [program.mesh], {"iterations": found.outcome.iterations}
+        if tolerance is not None and found.outcome.success:
+            found = self._refined(found, tolerance, meshes, figures)
+        figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
+        return _plan(found, run.conflicts, meshes, figures)
+
+    def _refined(
+        self, found: Solved, tolerance: float, meshes: list[Mesh], figures: dict[str, Any]
+    ) -> Solved:
+        """Solve on finer meshes until a tight integration agrees, or as far as it goes."""
+        while True:
+            problem = found.program.problem
+            errors = interval_errors(_designed(problem, found), found.solution)
+            # local errors add up over the intervals
+            figures["tolerance_met"] = bool(np.sum(errors) <= tolerance)
+            if figures["tolerance_met"] or len(meshes) > MAX_REFINEMENTS:
+                return found
+            finer = refined(meshes[-1], errors, tolerance / len(errors))
+            following = _Run(transcribe(problem, finer), self._backend).solve(found)
+            figures["iterations"] += following.outcome.iterations
             if not following.outcome.success:  # the coarser plan stands, with its replay error
-                break
+                return found
             found = following
             meshes.append(finer)
-        seconds = {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
-        return _plan(found, run.conflicts, meshes, {"iterations": iterations, **seconds})
 
     def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
         """The program with other numbers."""
@@ -203,13 +213,6 @@ class Planner:
         _require_same_form(self._program.problem, problem)
         rows = _renewed(self._program, problem)
         return replace(self._program, problem=problem, rows=rows)
-
-    @staticmethod
-    def _finer(found: Solved, tolerance: float) -> Mesh:
-        problem = found.program.problem
-        errors = interval_errors(_designed(problem, found), found.solution)
-        # local errors add up over the intervals
-        return refined(found.program.mesh, errors, tolerance / len(errors))
 
 
 def _shape(problem: Problem) -> tuple[object, ...]:

@@ -41,18 +41,23 @@ class Stage:
     def conditions(self) -> tuple[Condition, ...]:
         """Of the rows of path values: at each point, at the start, then between the points."""
         points = len(self.form.state_taus(self.degree))
-        guarded = self._guarded() * len(self.form.guard_taus(self.degree))
-        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *guarded)
+        guards = self._guarded() * len(self.form.guard_taus(self.degree))
+        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *guards)
 
     def _guarded(self) -> tuple[Condition, ...]:
-        """The inputs that have bounds, as conditions between their points."""
-        plant = self.problem.plant
+        """What a polynomial input might break between its points: its bounds, and path conditions
+        that depend on it (but for those with profiles, which are known at the points only)."""
+        plant, problem = self.problem.plant, self.problem
         bounds = [(v, *self.leg.bounds[v.name]) for v in plant.inputs]
-        return tuple(
+        inputs = tuple(
             Condition(v.name, plant.expression(v.name), low, high, v.nominal, v)
             for v, low, high in bounds
             if np.isfinite([low, high]).any() and low < high
         )
+        path = problem.depends_on_inputs(self.leg)
+        if problem.profiles:
+            path = tuple(c for c in path if not ca.depends_on(c.expression, problem.r))
+        return (*inputs, *path)
 
     def function(self) -> ca.Function:
         """(start, states, inputs, h, t, p, r, q, m) -> (defects, path, cost, budgets).
@@ -88,7 +93,10 @@ class Stage:
         jumping = problem.conditions("jumping", problem.depends_on_inputs(self.leg))
         values.append(jumping(*point(0.0, start, 0)))
         guarded = problem.conditions("guarded", self._guarded())
-        values += [guarded(*point(tau, start, 0)) for tau in f.guard_taus(d)]
+        through = ca.horzcat(start, states)
+        values += [
+            guarded(*point(tau, through @ f.state_weights(d, tau), 0)) for tau in f.guard_taus(d)
+        ]
         return ca.Function(
             "stage",
             [start, ca.vec(states), ca.vec(inputs), h, t, p, ca.vec(r), q, m],

@@ -74,7 +74,7 @@ class Constraint:
                 f"Constraint {self.name!r}: low = {self.low}, high = {self.high}; give one of them, or "
                 "both with low <= high"
             )
-        shown = Variable(self.name, "constraint", unit=self.unit, nominal=self.nominal)
+        shown = Variable("value", "constraint", unit=self.unit, nominal=self.nominal)
         return (Condition(self.name, self.expression, low, high, self.nominal, shown),)
 
 

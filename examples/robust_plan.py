@@ -1,0 +1,63 @@
+"""One input for muscles that differ: the spread at the stops, and what bounding it costs.
+
+A force law is fitted to a measured table. Sixteen slides are drawn from the fit's covariance, with the
+scatter of strength between specimens of a muscle (2 %) on top, each muscle by itself. The quickest
+cycle between two stops is planned twice: for the nominal slide alone, and so that all of them come
+within 0.3 mm of it at the stops. Then both inputs drive the sixteen, and 60 slides that neither plan
+has seen.
+
+Run:  python examples/robust_plan.py [folder for the results]
+"""
+
+import sys
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+import pam_ocp as pam
+from pam_ocp.plan.robust import robust_plan
+
+SCATTER = 0.02
+WIDTH = 3e-4
+
+
+def slides(fit: pam.ForceFit, count: int, seed: int) -> list[dict[str, float]]:
+    """Coefficients of both muscles: one draw of the law, a factor of strength for each."""
+    values = {n: float(v) for n, v in fit.law.values.items()}
+    factors = 1 + SCATTER * np.random.default_rng(seed).standard_normal((count, 2))
+    exponent = "a3"  # all other coefficients of the six-parameter law scale its force
+    return [
+        {
+            f"muscle{i + 1}.{n}": v if n == exponent else v * factor
+            for i, factor in enumerate(both)
+            for n, v in case["parameters"].items()
+        }
+        for case, both in zip(
+            pam.draws(values, fit.covariance, count, seed=seed), factors, strict=True
+        )
+    ]
+
+
+def main(folder: Path) -> None:
+    with resources.as_file(resources.files("pam_ocp.data") / "DMSP-20-300_static.csv") as path:
+        table = pam.read_table(path, rest_length=0.300)
+    fit = pam.fit_force(table)
+    muscle = fit.muscle(rest_length=0.300, diameter=0.020)
+    plant = pam.AntagonisticSlide(
+        muscle, 5.0, 0.12, damping=pam.ConstantDamping(60.0), feed=pam.Regulator(0.05, 6e5, 40e5)
+    )
+    found = robust_plan(
+        plant, [{"x": -0.015}, {"x": 0.015}], cyclic=True, duration=(0.03, 0.5),
+        draws=slides(fit, 16, seed=1), unseen=slides(fit, 60, seed=2), spread={"x": WIDTH},
+        method=pam.Collocation(20, 4),
+    )  # fmt: skip
+    print(found)
+    found.plot().savefig(folder / "robust_plan.png", dpi=130)
+    found.plan.plot().savefig(folder / "robust_motion.png", dpi=130)
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+    target.mkdir(parents=True, exist_ok=True)
+    main(target)
