@@ -172,7 +172,8 @@ class Planner:
         program = self._with(values, changed)
         run = _Run(program, self._backend, self._solver)
         found = run.solve(guess._solved if guess is not None else None)
-        meshes, figures = [program.mesh], {"iterations": found.outcome.iterations}
+        meshes = [program.mesh]
+        figures: dict[str, Any] = {"iterations": found.outcome.iterations}
         if tolerance is not None and found.outcome.success:
             found = self._refined(found, tolerance, meshes, figures)
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
