@@ -3,7 +3,8 @@
     python benchmarks/fit.py [starts]
 
 A spreadsheet's solver (generalised reduced gradient) is a local method; SLSQP, the method of its
-kind in SciPy, stands for it. Starts: each coefficient at its nominal size times 10^(-1 .. 1), of
+kind in SciPy, stands for it. IPOPT (the solver of our last step, alone) and lmfit (where it is
+installed, else said so) start from the same points. Starts: each coefficient at its nominal size times 10^(-1 .. 1), of
 either sign. Success: the sum of squares is within one part in a million of the least one found.
 Times as ratios to ours in the same run.
 """
@@ -13,7 +14,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
@@ -60,6 +63,48 @@ def trust_region(residuals: Callable, jacobian: Callable, start: np.ndarray) -> 
     return 2 * float(least_squares(residuals, start, jac=jacobian, x_scale="jac").cost)
 
 
+def ipopt(table: pam.ForceTable) -> Callable[[np.ndarray], float]:
+    """IPOPT alone with exact derivatives, from one start."""
+    z = ca.SX.sym("z", 6)
+    a1, a2, a3, a4, a5, a6 = ca.vertsplit(z * SIZES)
+    p, kappa = ca.DM(table.pressure / 1e5), ca.DM(table.contraction * 100)
+    model = (a1 * p + a2) * ca.exp(a3 * kappa) + a4 * kappa * p + a5 * p + a6
+    options = {
+        "print_time": False, "error_on_fail": False, "show_eval_warnings": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 1000},
+    }  # fmt: skip
+    nlp = {"x": z, "f": ca.sumsqr(model - ca.DM(table.force)) / 1e4}
+    solver = ca.nlpsol("local", "ipopt", nlp, options)
+    return lambda start: 1e4 * float(solver(x0=start)["f"])
+
+
+def lmfit_of(table: pam.ForceTable) -> Callable[[np.ndarray], float] | None:
+    """lmfit's Minimizer (leastsq with exact derivatives), or None where it is not installed."""
+    try:
+        import lmfit
+    except ImportError:
+        return None
+    residuals, jacobian = squares_of(table)
+
+    def vector(parameters: lmfit.Parameters) -> np.ndarray:
+        return np.array([parameters[f"z{i}"].value for i in range(6)])
+
+    def run(start: np.ndarray) -> float:
+        parameters = lmfit.Parameters()
+        for i, value in enumerate(start):
+            parameters.add(f"z{i}", value=value)
+        try:
+            found = lmfit.minimize(
+                lambda q: residuals(vector(q)), parameters, Dfun=lambda q: jacobian(vector(q)),
+                col_deriv=False, max_nfev=4000,
+            )  # fmt: skip
+        except ValueError:  # it gives up on numbers that overflow
+            return float("inf")
+        return float(found.chisqr)
+
+    return run
+
+
 def main(count: int) -> None:
     random = np.random.default_rng(1000)
     starts = 10 ** random.uniform(-1, 1, (count, 6)) * random.choice([-1, 1], (count, 6))
@@ -76,15 +121,21 @@ def main(count: int) -> None:
             return found.squares
 
         results: dict[str, tuple[np.ndarray, float]] = {}
-        for method, run in (
-            ("ours, with intervals", ours),
-            ("SLSQP (GRG's kind)", lambda s: slsqp(residuals, jacobian, s)),  # noqa: B023
-            ("SciPy least_squares", lambda s: trust_region(residuals, jacobian, s)),  # noqa: B023
-        ):
+        methods: dict[str, Callable[[np.ndarray], float] | None] = {
+            "ours, with intervals": ours,
+            "SLSQP (GRG's kind)": partial(slsqp, residuals, jacobian),
+            "SciPy least_squares": partial(trust_region, residuals, jacobian),
+            "IPOPT alone": ipopt(table),
+            "lmfit": lmfit_of(table),
+        }
+        for method, run in methods.items():
+            if run is None:
+                print(f"{name:<14}{method:<24}  not installed (pip install lmfit): skipped")
+                continue
             began = time.perf_counter()
             found = np.array([run(start) for start in starts])
             results[method] = found, (time.perf_counter() - began) / count
-        least = min(float(found.min()) for found, _ in results.values())
+        least = min(float(np.nanmin(found)) for found, _ in results.values())
         reference = results["ours, with intervals"][1]
         for method, (found, seconds) in results.items():
             share = float(np.mean(found <= least * (1 + 1e-6)))

@@ -29,11 +29,17 @@ from .errors import (
     SimulationError,
     UnknownNameError,
 )
+from .fit.branches import Hysteresis, LackOfFit, fit_branches, hysteresis, lack_of_fit
 from .fit.compare import LawComparison, compare_laws
+from .fit.design import CellDesign
 from .fit.dynamic import fit_plant
+from .fit.experiment_design import design_cells, design_experiment, design_signal
 from .fit.free_run import FreeRun, FreeRunFit, fit_free_run, free_run
 from .fit.plant_fit import PlantFit
 from .fit.records import read_record, read_records
+from .fit.saved_plant import load_plant_fit
+from .fit.shared import JointForceFit, fit_forces
+from .fit.signal_design import SignalDesign
 from .fit.static import ForceFit, fit_force
 from .fit.tables import ForceTable, read_table
 from .fmu import (
@@ -130,6 +136,7 @@ __all__ = [
     "Avoid",
     "BoucWen",
     "BraidVolume",
+    "CellDesign",
     "Collocation",
     "Comparison",
     "ConsistentVolume",
@@ -156,11 +163,14 @@ __all__ = [
     "GeometricLaw",
     "HangingLoad",
     "HildebrandtLaw",
+    "Hysteresis",
     "IdealPressure",
     "Inertia",
     "InputError",
     "InverseDynamics",
+    "JointForceFit",
     "KalmanFilter",
+    "LackOfFit",
     "LawComparison",
     "LengthScaledLaw",
     "LoadStudy",
@@ -192,6 +202,7 @@ __all__ = [
     "RobustPlan",
     "SeriesLoad",
     "Shooting",
+    "SignalDesign",
     "SimulationError",
     "SixParameterLaw",
     "SpoolValve",
@@ -226,6 +237,9 @@ __all__ = [
     "conductance_from_flow",
     "continue_cycle",
     "describing_function",
+    "design_cells",
+    "design_experiment",
+    "design_signal",
     "draws",
     "energy",
     "equilibria",
@@ -235,21 +249,26 @@ __all__ = [
     "export_fmu",
     "export_motion",
     "export_ssp",
+    "fit_branches",
     "fit_force",
+    "fit_forces",
     "fit_free_run",
     "fit_plant",
     "free_run",
     "free_vibration",
     "hopf",
     "hopf_border",
+    "hysteresis",
     "iso6358",
     "kalman",
+    "lack_of_fit",
     "limit_cycle",
     "linearize",
     "linearize_along",
     "linearize_grid",
     "load_muscle",
     "load_plan",
+    "load_plant_fit",
     "load_problem",
     "load_study",
     "lqr",

@@ -209,7 +209,8 @@ def test_standard_errors_agree_with_a_finite_difference_jacobian(fit: ForceFit) 
         fit.correlation, covariance / np.outer(stderr, stderr), rtol=1e-4, atol=1e-5
     )
     half = student.ppf(0.975, 54) * stderr[0]
-    assert fit.interval("a1") == pytest.approx((c[0] - half, c[0] + half), rel=1e-5)
+    ends = fit.interval("a1", linearised=True)
+    assert ends == pytest.approx((c[0] - half, c[0] + half), rel=1e-5)
 
 
 def test_prediction_adds_the_scatter_of_a_measurement(fit: ForceFit) -> None:
@@ -249,6 +250,28 @@ def test_profile_interval_of_a_linear_law_is_the_linearised_one(fit: ForceFit) -
     linear = fit_force(fit.table, polynomial_law(1, 2))
     for name in linear.free:
         assert linear.profile_interval(name) == pytest.approx(linear.interval(name), rel=1e-5)
+
+
+def test_intervals_are_profiles_found_all_at_once(fit: ForceFit) -> None:
+    """Against one bisection after the other, each with a fit from scratch."""
+    from pam_ocp.fit.profile import profile_end
+
+    reach = student.ppf(0.975, fit.dof)
+    limit = fit.cost + (reach * fit.sigma) ** 2
+    assert fit.has_profile
+    assert "95 % interval (profile likelihood)" in fit.report()
+    for name, (low, high) in fit.intervals().items():
+        size = fit.coefficients[name].stderr
+        assert low == pytest.approx(profile_end(fit, name, -size, limit), abs=1e-4 * size)
+        assert high == pytest.approx(profile_end(fit, name, size, limit), abs=1e-4 * size)
+        assert fit.interval(name) == pytest.approx((low, high), rel=1e-9)
+
+
+def test_intervals_are_linearised_where_there_is_no_profile(fit: ForceFit) -> None:
+    for other in (fit_force(fit.table, loss="huber"), fit_force(fit.table, censored=True)):
+        assert not other.has_profile
+        assert other.intervals() == other.intervals(linearised=True)
+        assert "(profile likelihood)" not in other.report()
 
 
 def test_three_contraction_levels_are_called_saturated(fit: ForceFit) -> None:

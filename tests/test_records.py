@@ -100,6 +100,17 @@ def test_units_that_do_not_measure_the_quantity_are_refused(slide: pam.Plant) ->
         read_record({"t": T, "x [furlong]": [1, 2, 3, 4]}, slide)
 
 
+def test_units_that_cannot_be_are_refused_with_the_place(slide: pam.Plant) -> None:
+    with pytest.raises(InputError, match=r"'x', row 4, is 4 m \(read in m, as no unit was named\)"):
+        read_record({"t": T, "x": [1, 2, 3, 4]}, slide)
+    with pytest.raises(InputError, match=r"the unit cannot be right.*units=\{'muscle1.command'"):
+        read_record({"t": T, "muscle1_command [bar]": [2e5, 3e5, 3e5, 2e5]}, slide)
+    with pytest.raises(InputError, match="it looks like bar or kPa"):
+        read_record({"t": T, "muscle1_command": [2.0, 3.0, 3.0, 2.0]}, slide)
+    none = read_record({"t": T, "x [mm]": [1, 2, 3, 4], "muscle1_command": [0.0] * 4}, slide)
+    assert np.all(none["muscle1.command"] == 0)  # a muscle without pressure is no wrong unit
+
+
 def test_what_is_not_there_is_named(slide: pam.Plant) -> None:
     with pytest.raises(InputError, match="no column for the time"):
         read_record({"x": [1, 2]}, slide)

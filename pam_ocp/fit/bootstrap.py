@@ -11,7 +11,6 @@ from ..errors import FitError, InputError, UnknownNameError
 from .problem import Problem
 from .search import minimise
 from .statistics import Array
-from .tables import ForceTable
 
 if TYPE_CHECKING:
     from .force_fit import ForceFit
@@ -85,5 +84,4 @@ def _resampled(
     # residuals are smaller than errors: the fit has taken up its coefficients' share
     weighted = problem.weights * fit.residuals * np.sqrt(len(cells) / max(fit.dof, 1))
     force = cells.force - fit.residuals + (weighted - weighted.mean())[drawn] / problem.weights
-    new = ForceTable(cells.pressure, cells.contraction, force, cells.rest_length, cells.source)
-    return replace(problem, cells=new)
+    return replace(problem, cells=replace(cells, force=force))

@@ -43,6 +43,7 @@ def fit_plant(
     noise: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     inputs: Mapping[str, float] | None = None,
+    process_noise: Mapping[str, float] | None = None,
 ) -> PlantFit:
     """Fit parameters of a plant to measured records by least squares.
 
@@ -64,6 +65,11 @@ def fit_plant(
     noise : {measured variable: standard deviation}; by default estimated from the residuals.
     bounds : {free parameter: (low, high)}.
     inputs : values of inputs that were constant and are no column.
+    process_noise : {state: intensity}: white noise that disturbs the plant itself, as the standard
+        deviation that the state gains in one second [its unit/sqrt(s)]. The motion is then smoothed:
+        states may jump where intervals begin, and jumps are weighed against the measurement noise,
+        which must be given (the most probable parameters and motion together; A. Jazwinski,
+        Stochastic Processes and Filtering Theory, 1970, 5.3). Not for single shooting.
 
     Returns
     -------
@@ -82,6 +88,7 @@ def fit_plant(
     unknowns = Unknowns(
         groups(plant, free, dict(bounds or {})), names,
         _places("offsets", offsets, plant, names), _places("gains", gains, plant, names), low,
+        process=_process(plant, process_noise, method, noise),
     )  # fmt: skip
     if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
         raise InputError("free is empty: name at least one parameter of the plant")
@@ -91,11 +98,14 @@ def fit_plant(
     found = estimate(task, sigma, (low, high), noise is not None)
     fit = outcome(task, found, high > low)
     for order in ORDERS[task.method][1:] if degree is None else ():
-        if fit.integration_error < ACCURATE:
+        if fit.integration_error < ACCURATE and not process_noise:
             break
+        before = found.solution.residuals
         task = task.refined(found, order)
         found = estimate(task, found.sigma, (low, high), noise is not None, found.delay)
         fit = outcome(task, found, high > low)
+        if process_noise and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
+            break
     return replace(fit, seconds=time.perf_counter() - began)
 
 
@@ -125,6 +135,34 @@ def _places(
                 f"{argument}: {known} is not measured; measured are {', '.join(names)}"
             )
         found.append(names.index(known))
+    return tuple(found)
+
+
+def _process(
+    plant: Plant, given: Mapping[str, float] | None, method: Any, noise: Any
+) -> tuple[tuple[int, float], ...]:
+    """Positions of the disturbed states, and intensities."""
+    if not given:
+        return ()
+    if method == "single-shooting":
+        raise InputError(
+            "process_noise: single shooting knows no jumps; take method='collocation' or "
+            "'multiple-shooting'"
+        )
+    if noise is None:
+        raise InputError(
+            "process_noise needs noise={measured variable: standard deviation}: the data alone do "
+            "not tell which of both scattered"
+        )
+    order, found = [v.name for v in plant.states], []
+    for name, value in given.items():
+        variable = plant.variable(name)
+        if variable.name not in order:
+            raise InputError(
+                f"process_noise: {variable.name} is a {variable.causality}, not a state"
+            )
+        size = require_positive(f"process_noise[{name!r}]", value, f"{variable.unit}/sqrt(s)")
+        found.append((order.index(variable.name), size))
     return tuple(found)
 
 

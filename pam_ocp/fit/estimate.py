@@ -61,7 +61,8 @@ class Task:
         head, first, experiments = estimate.program.head, 0, list(self.experiments)
         x0 = w[head - nx * len(experiments) : head].reshape(-1, nx) * x_nominal
         per = nx * (self.degree if self.method == "collocation" else 1)
-        ends = w[head:].reshape(-1, per)[:, -nx:] * x_nominal  # none in single shooting
+        inner = w[head : w.size - estimate.program.jumps]
+        ends = inner.reshape(-1, per)[:, -nx:] * x_nominal  # none in single shooting
         for r, e in enumerate(experiments):
             states = e.states.copy()
             states[0] = x0[r]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from ..muscle.force import ForceLaw
 from ..muscle.muscle import Muscle
 from .polish import SLACK_TOLERANCE
 from .problem import PLAIN, Problem, Terms
-from .robust import robust_scale, spread
+from .robust import BISQUARE, robust_scale, spread
 from .statistics import (
     Array,
     Coefficient,
@@ -31,6 +32,7 @@ from .tables import ForceTable
 
 if TYPE_CHECKING:
     from .bootstrap import Bootstrap, Resampling
+    from .branches import LackOfFit
 
 __all__ = ["ForceFit"]
 
@@ -133,10 +135,12 @@ class ForceFit:
     def sigma(self) -> float:
         """Standard deviation s of a measurement of weight 1 [N]; NaN without freedom.
 
-        After a robust fit from the median of the absolute residuals.
+        After a robust fit from the median of the absolute residuals, or the scale of the bisquare.
         """
         if not self.dof:
             return float("nan")
+        if self.terms.loss == "bisquare":
+            return self.terms.threshold / BISQUARE
         if self.terms.loss != "squares":
             return spread(self.root_weights * self.residuals, len(self.free))
         return float(np.sqrt(self.cost / self.dof))
@@ -211,15 +215,46 @@ class ForceFit:
         """Correlation matrix of the free coefficients."""
         return self.linearisation.correlation
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Linearised confidence interval of a coefficient [its unit]."""
+    def interval(
+        self, name: str, level: float = 0.95, *, linearised: bool = False
+    ) -> tuple[float, float]:
+        """Confidence interval of a coefficient [its unit]; see :meth:`intervals`."""
         entry = self._entry(name)
-        half = 0.0 if entry.held else student_t(level, self.dof) * entry.stderr
-        return entry.value - half, entry.value + half
+        if entry.held:
+            return entry.value, entry.value
+        return self._intervals((name,), level, linearised)[name]
 
-    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Linearised confidence intervals of the free coefficients."""
-        return {n: self.interval(n, level) for n in self.free}
+    def intervals(
+        self, level: float = 0.95, *, linearised: bool = False
+    ) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of the free coefficients.
+
+        By profile likelihood, as :meth:`profile_interval`, wherever it is defined: after least
+        squares without inequalities. Else, and with ``linearised``, value ± t standard errors, which
+        is short on one side for a coefficient in which the law bends.
+        """
+        return self._intervals(self.free, level, linearised)
+
+    @property
+    def has_profile(self) -> bool:
+        """Whether intervals are those of the profile likelihood."""
+        return self.terms.loss == "squares" and not self.problem.limited and self.dof > 0
+
+    def _intervals(
+        self, names: Sequence[str], level: float, linearised: bool
+    ) -> dict[str, tuple[float, float]]:
+        from .profile import profile_ends
+
+        reach = student_t(level, self.dof)
+        found = {}
+        for name in names:
+            c = self.coefficients[name]
+            found[name] = (c.value - reach * c.stderr, c.value + reach * c.stderr)
+        bent = [n for n in names if np.isfinite(self.coefficients[n].stderr)]
+        trusted = self.has_profile and not self.solver.at_bound and self.sigma > 0
+        if trusted and not linearised and bent and self.problem.nonlinear:
+            found |= profile_ends(self, bent, reach)
+        return found
 
     def _entry(self, name: str) -> Coefficient:
         if name not in self.coefficients:
@@ -234,7 +269,7 @@ class ForceFit:
         All other coefficients are fitted anew at each value, so the interval may be lopsided; an
         end that the data leave open is infinite. (Bates, Watts, Nonlinear Regression, 1988, 6.1.)
         """
-        from .profile import profile_end
+        from .profile import profile_ends
 
         entry = self._entry(name)
         if entry.held:
@@ -245,9 +280,7 @@ class ForceFit:
             raise InputError(
                 "profile_interval needs loss='squares'; after a robust fit use bootstrap()"
             )
-        limit = self.cost + student_t(level, self.dof) ** 2 * self.sigma**2
-        step = entry.stderr
-        return profile_end(self, name, -step, limit), profile_end(self, name, step, limit)
+        return profile_ends(self, (name,), student_t(level, self.dof))[name]
 
     def predict(self, p: ArrayLike, kappa: ArrayLike, level: float = 0.95) -> Prediction:
         """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
@@ -280,43 +313,19 @@ class ForceFit:
 
         return bootstrap(self, n, seed, method)
 
+    def lack_of_fit(self) -> LackOfFit:
+        """F-test of the law against the scatter of repeats; see :func:`branches.lack_of_fit`."""
+        from .branches import lack_of_fit
+
+        return lack_of_fit(self)
+
     # ---- doubts, in words ---------------------------------------------------------------------
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What to know before the coefficients are trusted; empty when there is nothing."""
-        found = [*self._unseen(), *self._saturated()]
-        if self.dof == 0:
-            found.append("as many coefficients as taut cells: no error can be estimated")
-        found += [
-            f"{name} = {self.law.values[name]:g} ended at the edge of its range: its interval means "
-            "nothing; hold it with fixed=... or take another law"
-            for name in self.solver.at_bound
-        ]
-        return tuple(found)
+        from .doubts import force_warnings
 
-    def _unseen(self) -> list[str]:
-        return [
-            f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
-            "together moves the force of no taut cell by more than "
-            f"{np.max(np.abs(self.jacobian @ move)):.2g} N"
-            f"{'' if lost or not self.dof else ' (one standard error)'}"
-            for lost, move, words in self.linearisation.hardly_seen()
-        ]
-
-    def _saturated(self) -> list[str]:
-        if not type(self.law).is_affine():
-            return []
-        # at each contraction the law is a straight line in p: two numbers at most
-        level = self.cells.levels()
-        lines = [np.unique(self.cells.pressure[level == i]).size for i in range(level.max() + 1)]
-        told = sum(min(2, count) for count in lines)
-        if told - len(self.free) > 2:
-            return []
-        return [
-            f"{len(lines)} contraction levels: at each the law is a straight line in p, so they tell "
-            f"{told} numbers for {len(self.free)} coefficients, nearly saturated; a small RMSE proves "
-            "little, measure at more lengths"
-        ]
+        return force_warnings(self)
 
     # ---- out of it ------------------------------------------------------------------------------
     def muscle(

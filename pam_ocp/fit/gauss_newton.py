@@ -24,12 +24,16 @@ DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Scaled unknowns w, residuals without weights (K, ny) in nominals, and the solver's account."""
+    """Scaled unknowns w, residuals without weights (K, ny) in nominals, and the solver's account.
+
+    jumps : of disturbed states, in their standard deviations.
+    """
 
     w: Array
     residuals: Array
     status: str
     iterations: int
+    jumps: Array
 
     @property
     def found(self) -> bool:
@@ -108,15 +112,18 @@ def _solution(
     if not np.all(np.isfinite(found)):
         raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")
     function = ca.Function("residuals", [program.w, program.weights], [program.residuals])
-    value = np.asarray(function(found, weights)).reshape(-1, weights.size)
-    return Solution(found, value / weights, status, iterations)
+    value = np.asarray(function(found, weights)).ravel()
+    measured = value[: value.size - program.jumps].reshape(-1, weights.size)
+    jumps = value[value.size - program.jumps :]
+    return Solution(found, measured / weights, status, iterations, jumps)
 
 
 def reduced_jacobian(program: Program, weights: Array, w: Array) -> Array:
     """d(weighted residuals)/d(head), the states following from the plant's equations.
 
     Along solutions of defects(head, states) = 0: d(states) = -(d defects/d states)^-1 (d defects/
-    d head) d(head). The rest of the covariance is that of least squares in the head alone.
+    d head) d(head). The rest of the covariance is that of least squares in the head alone. Jumps of
+    disturbed states are unknown too: their columns are projected out of the head's.
     """
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
@@ -126,18 +133,24 @@ def reduced_jacobian(program: Program, weights: Array, w: Array) -> Array:
         [ca.jacobian(program.residuals, program.w), ca.jacobian(program.defects, program.w)],
     )  # fmt: skip
     r, g = (_sparse(csc_matrix, block) for block in function(w, weights))
-    head = program.head
-    direct = np.asarray(r[:, :head].todense())
+    own = np.r_[: program.head, program.w.numel() - program.jumps : program.w.numel()]
+    inner = slice(program.head, program.w.numel() - program.jumps)
+    direct = np.asarray(r[:, own].todense())
     if g.shape[0] == 0:
         return direct
     try:
-        states = splu(g[:, head:]).solve(np.asarray(g[:, :head].todense()))
+        states = splu(g[:, inner]).solve(np.asarray(g[:, own].todense()))
     except RuntimeError:
         raise FitError(
             "the plant's equations do not determine its states along a record: one of them is "
             "singular at the solution"
         ) from None
-    return np.asarray(direct - r[:, head:] @ states)
+    every = np.asarray(direct - r[:, inner] @ states)
+    if not program.jumps:
+        return every
+    basis = np.linalg.qr(every[:, program.head :])[0]
+    rest = every[:, : program.head]
+    return np.asarray(rest - basis @ (basis.T @ rest))
 
 
 def _sparse(kind: Any, matrix: ca.DM) -> Any:

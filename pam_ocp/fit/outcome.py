@@ -38,7 +38,7 @@ def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
     tight = (w - low < 1e-6) | (high - w < 1e-6)
     tight[first:count] = False
     dof = max(solution.residuals.size - len(names) + int(tight.sum()), 0)
-    squares = float(np.sum((solution.residuals / sigma) ** 2))
+    squares = float(np.sum((solution.residuals / sigma) ** 2) + np.sum(solution.jumps**2))
     linearisation = Linearisation(
         names, values, units, jacobian / program.head_scale, np.sqrt(squares / max(dof, 1)), dof,
         np.eye(len(names))[tight] if tight.any() else None,
@@ -58,10 +58,13 @@ def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
     starts = _starts(plant, values[count:], len(task.experiments))
     nominal = np.array([plant.variable(n).nominal for n in u.names])
     sizes = np.cumsum([len(e.t) for e in task.experiments])[:-1]
+    residuals = tuple(np.split(solution.residuals * nominal, sizes))
+    # of a smoothed motion the residuals are smaller than the noise, which is given then
+    scatter = sigma if u.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
     return PlantFit(
         plant=fitted,
         records=tuple(e.record for e in task.experiments),
-        simulated=tuple(
+        simulated=_smoothed(task, residuals) if u.process else tuple(
             _simulated(fitted, e, s, delay, u.names, offsets, gains)
             for e, s in zip(task.experiments, starts, strict=True)
         ),
@@ -72,14 +75,15 @@ def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
         offsets=offsets,
         gains=gains,
         starts=tuple(starts),
-        noise=dict(zip(u.names, (np.sqrt(np.mean(solution.residuals**2, axis=0)) * nominal).tolist(), strict=True)),
-        residuals=tuple(np.split(solution.residuals * nominal, sizes)),
+        noise=dict(zip(u.names, (scatter * nominal).tolist(), strict=True)),
+        residuals=residuals,
         descriptions={g.name: g.description for g in u.groups},
         at_bound=tuple(n for n, edge in zip(names, tight, strict=True) if edge),
         method=task.method,
         degree=task.degree,
         step=task.step,
         inputs=task.inputs,
+        process_noise={plant.states[i].name: size for i, size in u.process},
         status=solution.status,
         iterations=solution.iterations,
         seconds=0.0,
@@ -92,6 +96,17 @@ def _starts(plant: Plant, values: Array, records: int) -> list[dict[str, float]]
         {v.name: float(np.clip(x, v.min, v.max)) for v, x in zip(plant.states, row, strict=True)}
         for row in rows
     ]
+
+
+def _smoothed(task: Task, residuals: Sequence[Array]) -> tuple[Trajectory, ...]:
+    """The most probable motions, as the sensors would have shown them without noise."""
+    variables = [task.plant.variable(n) for n in task.unknowns.names]
+    return tuple(
+        Trajectory(
+            e.t, {v.name: e.measured[:, i] - r[:, i] for i, v in enumerate(variables)}, variables
+        )
+        for e, r in zip(task.experiments, residuals, strict=True)
+    )
 
 
 def _simulated(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -56,6 +58,9 @@ class PlantFit:
     status: str
     iterations: int
     seconds: float
+    process_noise: Mapping[str, float] = field(default_factory=dict)
+    """Intensity of the noise that was allowed to disturb a state [unit/sqrt(s)]; ``simulated`` is then
+    the smoothed motion."""
 
     # ---- parameters ---------------------------------------------------------------------------
     @cached_property
@@ -195,6 +200,12 @@ class PlantFit:
         from .report import plant_report
 
         return plant_report(self, level)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
+        from .saved_plant import write_plant_fit
+
+        return write_plant_fit(self, path)
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())

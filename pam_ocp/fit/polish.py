@@ -13,10 +13,13 @@ from ..muscle.force import ForceLaw
 from .problem import Loss, Problem, sizes
 from .statistics import Array, SolverStatistics
 
-__all__ = ["SLACK_TOLERANCE", "Optimum", "polish"]
+__all__ = ["SLACK_TOLERANCE", "Optimum", "cosine", "polish"]
 
 SLACK_TOLERANCE = 1.0
 """A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp)."""
+
+SPLIT = ("huber", "l1")
+"""Losses with a kink, or a jump of their curvature, which the solver meets by splitting residuals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +37,8 @@ def _solver(
 ) -> ca.Function:
     """min sum rho(w (F - y)/unit)/2 over scaled coefficients; built once per law and size.
 
-    A robust loss splits the residual, r = a + b: squares of a, ``edge`` |b|. So IPOPT sees a smooth
-    problem whose solution is that of the loss itself.
+    Huber's loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|. So
+    IPOPT sees a smooth problem whose solution is that of the loss itself. Tukey's is smooth itself.
     """
     total = law.function().size1_in(2)
     z, base = ca.MX.sym("z", len(free)), ca.MX.sym("base", total)
@@ -49,11 +52,14 @@ def _solver(
     p, kappa, force, weight = ca.horzsplit(data)
     tension = law.function().map(count)(p.T, kappa.T, ca.repmat(c, 1, count))[0]
     residual = (weight.T * (tension - force.T) / unit).T
-    parts = ca.MX.sym("parts", 0 if loss == "squares" else count, 2)
-    inner = residual if loss == "squares" else residual - parts[:, 0] + parts[:, 1]
+    parts = ca.MX.sym("parts", count if loss in SPLIT else 0, 2)
+    inner = residual - parts[:, 0] + parts[:, 1] if loss in SPLIT else residual
     objective = edge * ca.sum1(ca.sum2(parts))
     constraints = [inner] if loss == "l1" else []
-    objective += 0 if loss == "l1" else ca.sumsqr(inner) / 2
+    if loss == "bisquare":
+        objective += edge**2 / 6 * ca.sum1(1 - (1 - ca.fmin((inner / edge) ** 2, 1)) ** 3)
+    elif loss != "l1":
+        objective += ca.sumsqr(inner) / 2
     if priors:
         objective += ca.sumsqr((rows[:, :-1] @ (scale * z) - rows[:, -1]) / unit) / 2
     if slack:
@@ -85,7 +91,7 @@ def polish(problem: Problem, start: Array, scanned: int) -> Optimum:
     scale = np.where(norms > 0, size / np.where(norms > 0, norms, 1.0), 1.0)
     base = start.copy()
     base[free] = 0.0
-    n, robust = len(problem.cells), terms.loss != "squares"
+    n, robust = len(problem.cells), terms.loss in SPLIT
     limp = problem.slack if problem.censored else problem.slack.subset(slice(0))
     solver = _solver(problem.law, problem.free, n, terms.loss, len(problem.priors[0]), len(limp))
     parts = -residuals[0] / unit if robust else np.empty(0)  # tension - force, as in the solver
@@ -137,14 +143,17 @@ def _gradient(
     problem: Problem, c: Array, inside: list[int], size: float, statistics: dict[str, Any]
 ) -> float:
     """Largest cosine of residual and Jacobian; for robust losses and inequalities IPOPT's own measure."""
-    if problem.terms.loss != "squares" or problem.censored:
+    if problem.terms.loss in SPLIT or problem.censored:
         done = statistics["success"] and np.isfinite(problem.cost(c))
         return float(statistics["iterations"]["inf_du"][-1]) if done else float("inf")
     residual, jacobian = (a[0] for a in problem.with_priors(c[None]))
-    return _cosine(residual, jacobian[:, inside], size)
+    if problem.terms.loss == "bisquare":
+        n = len(problem.cells)
+        residual[:n] *= problem.terms.reweighting(residual[:n], 0.0) ** 2
+    return cosine(residual, jacobian[:, inside], size)
 
 
-def _cosine(residual: Array, columns: Array, size: float) -> float:
+def cosine(residual: Array, columns: Array, size: float) -> float:
     """Largest cosine between residual and columns; 0 for a residual of rounding errors."""
     length = float(np.linalg.norm(residual))
     if not np.isfinite(length):

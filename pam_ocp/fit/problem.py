@@ -22,7 +22,15 @@ from ..variables import Variable
 from .statistics import Array, sensitivity
 from .tables import ForceTable
 
-__all__ = ["PLAIN", "Loss", "Problem", "Terms", "nonlinear_coefficients", "sizes"]
+__all__ = [
+    "PLAIN",
+    "Loss",
+    "Problem",
+    "Terms",
+    "least_squares",
+    "nonlinear_coefficients",
+    "sizes",
+]
 
 DECADES = (-2.0, 1.5)
 """A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
@@ -57,14 +65,15 @@ def nonlinear_coefficients(
     raise AssertionError("the full set always covers every pair")
 
 
-Loss: TypeAlias = Literal["squares", "huber", "l1"]
+Loss: TypeAlias = Literal["squares", "huber", "l1", "bisquare"]
 
 
 @dataclass(frozen=True)
 class Terms:
     """What a fit minimises beside plain squares, and within which limits.
 
-    loss : "squares"; "huber" (squares up to ``threshold``, then straight); "l1" (absolute values).
+    loss : "squares"; "huber" (squares up to ``threshold``, then straight); "l1" (absolute values);
+        "bisquare" (Tukey's: constant from ``threshold`` on, such cells count no more).
     threshold : the slope of the straight part [N, of a measurement of weight 1]; for "huber" where
         it begins.
     censored : whether the law must be slack where the muscle was.
@@ -85,11 +94,15 @@ class Terms:
         edge = self.threshold
         if self.loss == "l1":
             return np.asarray(2 * edge * size)
+        if self.loss == "bisquare":
+            return np.asarray(edge**2 / 3 * (1 - (1 - np.minimum((size / edge) ** 2, 1.0)) ** 3))
         with np.errstate(invalid="ignore"):
             return np.asarray(np.where(size <= edge, size**2, edge * (2 * size - edge)))
 
     def reweighting(self, residuals: Array, smallest: float) -> Array:
         """Factors of the residuals whose squares have the slope of the loss (IRLS)."""
+        if self.loss == "bisquare":
+            return np.asarray(1 - np.minimum(np.abs(residuals) / self.threshold, 1.0) ** 2)
         size = np.maximum(np.abs(residuals), smallest)
         factors = self.threshold / size
         return np.asarray(np.sqrt(factors if self.loss == "l1" else np.minimum(1.0, factors)))
@@ -120,7 +133,9 @@ class Problem:
         held: Mapping[str, float],
         weights: Array,
         terms: Terms = PLAIN,
+        few: bool = False,
     ) -> Problem:
+        """``few`` : the table may hold fewer cells than there are coefficients, for a part of a fit."""
         names = [v.name for v in law.coefficient_variables()]
         free = tuple(i for i, n in enumerate(names) if n not in held)
         bent = nonlinear_coefficients(law, frozenset(held))
@@ -132,7 +147,7 @@ class Problem:
         if not free:
             raise InputError("fixed holds every coefficient: leave at least one free")
         known = sum(n not in held for n, _, _ in terms.priors)
-        if len(cells) + known < len(free):
+        if len(cells) + known < len(free) and not few:
             raise InputError(
                 f"the table has {len(cells)} taut cells, fewer than the {len(free)} coefficients of "
                 f"the {law.name} law to be fitted; measure more, hold some with fixed=..., "
@@ -237,7 +252,7 @@ class Problem:
         smallest = 1e-6 * float(np.linalg.norm(self.weights * self.cells.force))
         factors = np.ones_like(target)
         for _ in range(1 if self.terms.loss == "squares" else REWEIGHTINGS):
-            parts = _least_squares(columns * factors[:, :, None], target * factors)
+            parts = least_squares(columns * factors[:, :, None], target * factors)
             rest = target - np.einsum("mnk,mk->mn", columns, parts)
             if self.terms.loss != "squares":
                 factors[:, :n] = self.terms.reweighting(rest[:, :n], smallest)
@@ -246,7 +261,7 @@ class Problem:
         return np.where(good, cost, np.inf), c
 
 
-def _least_squares(columns: Array, target: Array) -> Array:
+def least_squares(columns: Array, target: Array) -> Array:
     """Least-norm solutions (m, k) of many small problems (m, n, k), in columns of unit length."""
     norms: Array = np.asarray(np.linalg.norm(columns, axis=1))
     norms[norms == 0] = 1.0

@@ -26,6 +26,10 @@ __all__ = ["read_record", "read_records"]
 TIME_NAMES = ("time", "t", "zeit", "timestamp")
 GAP = 10.0
 """A step of time longer than this many usual ones is a gap."""
+BEYOND = 20.0
+"""A value this many times beyond a variable's bounds was read in a wrong unit."""
+LEAST_PRESSURE = 1e3
+"""A record whose pressures stay below this [Pa] was read in a wrong unit."""
 _SI = ("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s")
 
 
@@ -120,6 +124,9 @@ def _record(
         base = unit(variable.unit) if plant is not None else None
         factor = _factor(raw, header, variable.name, base, units.get(variable.name))
         values[variable.name] = raw.numbers(header) * factor
+        if plant is not None:
+            said = units.get(variable.name) or parse_header(header)[1]
+            _check_size(raw, header, variable, values[variable.name], said)
         if plant is None:
             said = units.get(variable.name) or parse_header(header)[1] or "1"
             variable = Variable(variable.name, "output", unit=_si(said))
@@ -159,6 +166,29 @@ def _factor(raw: RawTable, header: str, name: str, base: Unit | None, wanted: st
             f"({base.name}); correct the header or give units={{{name!r}: ...}}"
         )
     return measured.factor
+
+
+def _check_size(
+    raw: RawTable, header: str, variable: Variable, values: Array, said: str | None
+) -> None:
+    """Values that no such variable takes come from a wrong unit."""
+    bound = max((abs(v) for v in (variable.min, variable.max) if np.isfinite(v)), default=np.inf)
+    worst = int(np.argmax(np.abs(values)))
+    size = float(abs(values[worst]))
+    read = f"read in {said}" if said else f"read in {variable.unit}, as no unit was named"
+    place = (
+        f"{raw.label}: column {header!r}, {raw.row(worst)}, is {values[worst]:.4g} {variable.unit}"
+    )
+    remedy = f"correct the header or give units={{{variable.name!r}: ...}}"
+    if np.isfinite(bound) and size > BEYOND * max(bound, 1e-3 * variable.nominal):
+        raise InputError(
+            f"{place} ({read}), where {variable.name} lies within {variable.min:g} .. "
+            f"{variable.max:g}: the unit cannot be right; {remedy}"
+        )
+    if variable.unit == "Pa" and 0 < size < LEAST_PRESSURE:
+        raise InputError(
+            f"{place} at most ({read}): no muscle moves at that, it looks like bar or kPa; {remedy}"
+        )
 
 
 def _si(text: str) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .branches import branch_lines
 from .statistics import Coefficient, Linearisation
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ __all__ = ["coefficient_line", "correlation_lines", "force_report", "plant_repor
 def force_report(fit: ForceFit, level: float) -> str:
     """See :meth:`ForceFit.report`."""
     data, solver = fit.table, fit.solver
+    intervals = fit.intervals(level)
     worst = int(np.argmax(np.abs(fit.residuals)))
     place = f"{fit.cells.pressure[worst] / 1e5:.3g} bar, {100 * fit.cells.contraction[worst]:.3g} %"
     length = "" if data.rest_length is None else f", rest length {data.rest_length:g} m"
@@ -35,10 +37,15 @@ def force_report(fit: ForceFit, level: float) -> str:
         f"    condition {fit.condition:.3g}, rank {fit.rank} of {len(fit.free)}",
         f"    IPOPT: {solver.status}, {solver.iterations} iterations after a scan of "
         f"{solver.scanned} points, {1e3 * solver.seconds:.0f} ms",
-        f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval; SI",
-        *(coefficient_line(c, fit.interval(c.name, level)) for c in fit.coefficients.values()),
+        f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval"
+        f"{' (profile likelihood)' if fit.has_profile else ''}; SI",
+        *(
+            coefficient_line(c, intervals.get(c.name, (c.value,) * 2))
+            for c in fit.coefficients.values()
+        ),
         *_published_lines(fit),
         *correlation_lines(fit.linearisation),
+        *branch_lines(fit),
     ]
     if fit.warnings:
         lines += ["[[Warnings]]", *(f"    {text}" for text in fit.warnings)]
@@ -89,7 +96,7 @@ def plant_report(fit: PlantFit, level: float) -> str:
         f"    {fit.plant.name}: {fit.plant.description}",
         "[[Records]]",
         f"    {len(fit.records)} with {samples} samples of {', '.join(fit.measured)}",
-        "[[Fit]]",
+        "[[Fit]]" + (" of the smoothed motion" if fit.process_noise else ""),
         *(
             f"    {n}: RMSE {fit.plant.variable(n).shown(e)}, fit {fit.fit_percent[n]:.2f} %"
             for n, e in fit.rmse.items()
@@ -97,6 +104,10 @@ def plant_report(fit: PlantFit, level: float) -> str:
         f"    condition {linear.condition:.3g}, rank {fit.rank} of {len(linear.names)} unknowns "
         f"(initial states included), {linear.dof} degrees of freedom",
         f"    {fit.method}: {fit.status}, {fit.iterations} iterations, {fit.seconds:.2f} s",
+        *(
+            f"    process noise of {n}: {size:.4g} {fit.plant.variable(n).unit}/sqrt(s)"
+            for n, size in fit.process_noise.items()
+        ),
     ]
     if fit.warnings:
         lines += ["[[Warnings]]", *(f"    {text}" for text in fit.warnings)]

@@ -7,10 +7,12 @@ import numpy as np
 from .problem import Terms
 from .statistics import Array
 
-__all__ = ["HUBER", "robust_scale", "spread"]
+__all__ = ["BISQUARE", "HUBER", "robust_scale", "spread"]
 
 HUBER = 1.345
 """Standard deviations at which Huber's loss goes over: 95 % efficient for normal errors."""
+BISQUARE = 4.685
+"""Standard deviations from which Tukey's bisquare counts a cell no more: also 95 % efficient."""
 
 
 def spread(residuals: Array, fitted: int) -> float:
@@ -25,7 +27,8 @@ def spread(residuals: Array, fitted: int) -> float:
 def robust_scale(terms: Terms, residuals: Array, fitted: int) -> float:
     """The factor s of the covariance s^2 (J^T J)^-1 of a robust fit (weighted residuals [N]).
 
-    Huber: P. Huber, Robust Statistics (1981), eq. 7.6.6, with its correction for small samples.
+    Huber, bisquare: P. Huber, Robust Statistics (1981), eq. 7.6.6, with its correction for small
+    samples.
     Absolute values: 1/(2 f(0)), the density f of the residuals by a normal kernel of Silverman's
     width (asymptotic; G. Bassett, R. Koenker, J. Am. Stat. Assoc. 73 (1978) 618-622).
     """
@@ -35,6 +38,13 @@ def robust_scale(terms: Terms, residuals: Array, fitted: int) -> float:
         slopes = np.clip(residuals, -terms.threshold, terms.threshold)
         correction = 1 + fitted / n * (1 - inside) / inside
         return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / inside)
+    if terms.loss == "bisquare":
+        near = terms.reweighting(residuals, 0.0)  # 1 - u2
+        slopes = residuals * near**2
+        bends = near * (5 * near - 4)  # (1 - u2)(1 - 5 u2), 0 beyond
+        mean = float(np.mean(bends))
+        correction = 1 + fitted / n * float(np.var(bends)) / mean**2
+        return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / mean)
     width = 1.06 * spread(residuals, fitted) * n**-0.2
     density = np.mean(np.exp(-((residuals / width) ** 2) / 2)) / (width * np.sqrt(2 * np.pi))
     return float(1 / (2 * density) * np.sqrt(n / (n - fitted)))

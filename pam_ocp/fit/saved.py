@@ -26,6 +26,7 @@ FORMAT = "pam_ocp force fit"
 def write_fit(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
     """See :meth:`ForceFit.to_json`."""
     table = {n: getattr(fit.table, n).tolist() for n in ("pressure", "contraction", "force")}
+    table |= {n: list(getattr(fit.table, n)) for n in ("branch", "run") if getattr(fit.table, n)}
     content = {
         "format": FORMAT,
         "version": 1,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import FitError
+from .high_breakdown import SUBSETS, robust_start
 from .polish import Optimum, polish
 from .problem import Problem, sizes
 from .statistics import Array
@@ -23,9 +24,20 @@ STATIONARY = 1e-6
 """Largest cosine between the residual and a column of the Jacobian at an optimum."""
 
 
-def minimise(problem: Problem, start: Array | None = None) -> Optimum:
-    """The global optimum: scan, follow up the best few, polish by IPOPT."""
-    starts, scanned = _scan(problem, start)
+def minimise(problem: Problem, start: Array | None = None, begin: Array | None = None) -> Optimum:
+    """The global optimum: scan, follow up the best few, polish by IPOPT.
+
+    Tukey's bisquare, which counts cells far off no more, has an optimum for every choice of those:
+    what is sought is the one next to ``begin`` (all coefficients), a start that wrong cells cannot
+    pull; it is found anew where it is not given.
+
+    start : values (m, k) of the nonlinear coefficients to try beside the scan.
+    """
+    if problem.terms.loss == "bisquare":
+        begin = robust_start(problem)[0] if begin is None else begin
+        starts, scanned = begin[None], SUBSETS
+    else:
+        starts, scanned = _scan(problem, start)
     found = [polish(problem, c, scanned) for c in starts]
     stationary = [o for o in found if o.solver.gradient <= STATIONARY]
     if not stationary:

@@ -13,13 +13,22 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, UnknownNameError, require_positive
 from ..muscle.force import LAWS, ForceLaw
 from .force_fit import ForceFit
+from .high_breakdown import robust_start
 from .problem import Loss, Problem, Terms, nonlinear_coefficients, sizes
 from .robust import HUBER, spread
 from .search import minimise
 from .statistics import Array
 from .tables import ForceTable
 
-__all__ = ["ForceFit", "fit_force", "nonlinear_coefficients"]
+__all__ = [
+    "ForceFit",
+    "cell_weights",
+    "checked_pairs",
+    "fit_force",
+    "held_coefficients",
+    "law_class",
+    "nonlinear_coefficients",
+]
 
 
 def fit_force(
@@ -46,9 +55,11 @@ def fit_force(
         belong here too; its ``rest_length`` is taken from the table.
     weights : per cell, 1/(standard deviation) up to a common factor; multiplies the residual.
         As long as the table (values at slack cells are ignored).
-    loss : "squares"; "huber" or "l1" where some cells are far off (a slipped clamp, a wrong digit).
-        Huber's goes over from squares to absolute values at 1.345 standard deviations, which are
-        estimated from a fit by absolute values.
+    loss : "squares"; another where some cells are far off (a slipped clamp, a wrong digit).
+        "bisquare" is the one to take: an MM-estimate, which cells beyond 4.685 standard deviations
+        do not move at all, wherever they lie (V. Yohai, Ann. Stat. 15 (1987) 642-656). "huber" goes
+        over from squares to absolute values at 1.345 standard deviations, "l1" counts absolute
+        values: both have one optimum, but a wrong cell at the edge of the table pulls them.
     censored : slack cells count too: there the law must be below 1 N (the width of the clamp).
     bounds : {coefficient: (low, high)} [SI].
     priors : {coefficient: (mean, standard deviation)} [SI], known from elsewhere: normal.
@@ -67,14 +78,15 @@ def fit_force(
     began = time.perf_counter()
     if not isinstance(table, ForceTable):
         raise InputError(f"table is a {type(table).__name__}; read it with read_table(...)")
-    kind = _law_class(law)
-    held = _held(kind, dict(fixed or {}), table)
+    kind = law_class(law)
+    held = held_coefficients(kind, dict(fixed or {}), table)
     terms = Terms(
-        _loss(loss), censored=bool(censored), bounds=_pairs(kind, "bounds", bounds, held),
-        priors=_pairs(kind, "priors", priors, held),
+        _loss(loss), censored=bool(censored), bounds=checked_pairs(kind, "bounds", bounds, held),
+        priors=checked_pairs(kind, "priors", priors, held),
     )  # fmt: skip
-    problem = _settled(Problem.of(kind, table, held, _weights(weights, table), terms), noise)
-    optimum = minimise(problem, _start(problem, dict(start or {})))
+    whole = Problem.of(kind, table, held, cell_weights(weights, table), terms)
+    problem, begin = _settled(whole, noise)
+    optimum = minimise(problem, _start(problem, dict(start or {})), begin)
     return ForceFit(
         law=kind(**dict(zip(problem.names, optimum.coefficients.tolist(), strict=True))),
         table=table,
@@ -86,7 +98,7 @@ def fit_force(
 
 
 # ---- arguments ----------------------------------------------------------------------------------
-def _law_class(law: Any) -> type[ForceLaw]:
+def law_class(law: Any) -> type[ForceLaw]:
     if isinstance(law, str):
         if law not in LAWS:
             raise UnknownNameError("force law", law, LAWS)
@@ -104,7 +116,9 @@ def _checked(kind: type[ForceLaw], argument: str, values: Mapping[str, Any]) -> 
     return {n: known[n].check(v, argument) for n, v in values.items()}
 
 
-def _held(kind: type[ForceLaw], fixed: dict[str, Any], table: ForceTable) -> dict[str, float]:
+def held_coefficients(
+    kind: type[ForceLaw], fixed: dict[str, Any], table: ForceTable
+) -> dict[str, float]:
     """The coefficients that no fit may move: the user's, and the law's known constants."""
     constants = {**kind.fixed_coefficients()}
     if constants.get("rest_length", 0.0) is None:
@@ -120,7 +134,7 @@ def _held(kind: type[ForceLaw], fixed: dict[str, Any], table: ForceTable) -> dic
     return {n: float(v) for n, v in constants.items() if v is not None}
 
 
-def _weights(weights: ArrayLike | None, table: ForceTable) -> Array:
+def cell_weights(weights: ArrayLike | None, table: ForceTable) -> Array:
     if weights is None:
         return np.ones(len(table.taut))
     array = np.asarray(weights, dtype=float)
@@ -139,12 +153,12 @@ def _weights(weights: ArrayLike | None, table: ForceTable) -> Array:
 
 
 def _loss(loss: Any) -> Loss:
-    if loss not in ("squares", "huber", "l1"):
-        raise InputError(f"loss = {loss!r}: choose 'squares', 'huber' or 'l1'")
+    if loss not in ("squares", "huber", "l1", "bisquare"):
+        raise InputError(f"loss = {loss!r}: choose 'squares', 'huber', 'l1' or 'bisquare'")
     return loss  # type: ignore[no-any-return]
 
 
-def _pairs(
+def checked_pairs(
     kind: type[ForceLaw], argument: str, given: Mapping[str, Any] | None, held: Mapping[str, float]
 ) -> tuple[tuple[str, float, float], ...]:
     """(name, first, second) of bounds or priors, checked."""
@@ -172,24 +186,33 @@ def _pairs(
     return tuple(pairs)
 
 
-def _settled(problem: Problem, noise: float | None) -> Problem:
-    """The problem with the scales that its loss and its priors need, from the data themselves."""
+def _settled(problem: Problem, noise: float | None) -> tuple[Problem, Array | None]:
+    """The problem with the scales that its loss and its priors need, from the data themselves.
+
+    Also where to begin, for a loss that has more than one optimum.
+    """
     terms = problem.terms
     if terms.priors and noise is None:
         bare = replace(problem, terms=replace(terms, priors=(), loss="squares"))
         noise = float(np.sqrt(minimise(bare).cost / max(len(problem.cells) - len(problem.free), 1)))
     if noise is not None:
         terms = replace(terms, noise=require_positive("noise", noise, "N"))
+    if terms.loss == "bisquare":
+        begin, edge = robust_start(replace(problem, terms=terms))
+        return replace(problem, terms=replace(terms, threshold=edge)), begin
     if terms.loss != "squares":
         straight = replace(terms, loss="l1", threshold=np.sqrt(2) * terms.noise)
         terms = straight
     if problem.terms.loss == "huber":
         found = minimise(replace(problem, terms=straight)).coefficients
         residuals = problem.evaluate(found[None])[0][0]
-        size = float(np.linalg.norm(problem.weights * problem.cells.force))
-        edge = HUBER * max(spread(residuals, len(problem.free)), 1e-9 * size)
+        edge = HUBER * max(spread(residuals, len(problem.free)), 1e-9 * _size(problem))
         terms = replace(terms, loss="huber", threshold=edge)
-    return replace(problem, terms=terms)
+    return replace(problem, terms=terms), None
+
+
+def _size(problem: Problem) -> float:
+    return float(np.linalg.norm(problem.weights * problem.cells.force))
 
 
 def _start(problem: Problem, start: Mapping[str, Any]) -> Array | None:

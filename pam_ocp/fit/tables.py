@@ -17,29 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, UnknownNameError, require_positive
 from ..units import unit
+from .labels import LABELS, read_labels
 from .sources import SPELLINGS, RawTable, load, parse_header
+from .table_checks import (
+    QUANTITIES,
+    Series,
+    check_force,
+    check_mixed_pressure,
+    check_pressure,
+    contraction_of,
+)
 
 __all__ = ["ForceTable", "read_table"]
 
 Array: TypeAlias = NDArray[np.float64]
-
-# quantity: (SI unit, names by which a header calls it)
-_QUANTITIES: dict[str, tuple[str, frozenset[str]]] = {
-    "length": ("m", frozenset({"length", "l", "len", "muscle length", "active length"})),
-    "contraction": (
-        "1",
-        frozenset({"contraction", "contraction ratio", "kappa", "κ", "eps", "epsilon", "ε"}),
-    ),
-    "pressure": ("Pa", frozenset({"pressure", "p", "gauge pressure", "pressure gauge", "p gauge"})),
-    "force": ("N", frozenset({"force", "f", "pulling force", "tension", "tensile force"})),
-}
-
-LARGEST_PRESSURE = (1e3, 5e6)
-"""Where the largest gauge pressure of a table may lie [Pa]; beyond, its unit is in doubt."""
-LARGEST_FORCE = 1e5
-"""Beyond any fluidic muscle [N]."""
-CONTRACTION_RANGE = (-0.10, 0.60)
-"""10 % beyond the rest length; the braid locks at 35-40 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +45,8 @@ class ForceTable:
         (the law lies somewhere below zero there) and is no equality for a fit.
     rest_length : l0 [m], or None when the table was given over contraction without it.
     source : where the numbers come from.
+    branch : of each cell, such as "inflation" and "deflation"; empty when none was named.
+    run : which repeat each cell belongs to; empty when none was named.
     """
 
     pressure: Array
@@ -61,6 +54,8 @@ class ForceTable:
     force: Array
     rest_length: float | None = None
     source: str = ""
+    branch: tuple[str, ...] = ()
+    run: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("pressure", "contraction", "force"):
@@ -77,6 +72,11 @@ class ForceTable:
             object.__setattr__(self, name, array)
         if self.rest_length is not None:
             require_positive("rest_length", self.rest_length, "m")
+        for name in ("branch", "run"):
+            labels = tuple(str(label) for label in getattr(self, name))
+            if labels and len(labels) != len(self):
+                raise InputError(f"{name} has {len(labels)} labels for {len(self)} cells")
+            object.__setattr__(self, name, labels)
 
     @property
     def slack(self) -> NDArray[np.bool_]:
@@ -90,14 +90,27 @@ class ForceTable:
 
     def subset(self, chosen: ArrayLike | slice) -> ForceTable:
         """The chosen cells (mask, indices or slice) as a table."""
-        index = chosen if isinstance(chosen, slice) else np.asarray(chosen)
+        index = np.arange(len(self))[chosen if isinstance(chosen, slice) else np.asarray(chosen)]
         return ForceTable(
             self.pressure[index],
             self.contraction[index],
             self.force[index],
             self.rest_length,
             self.source,
+            tuple(self.branch[i] for i in index if self.branch),
+            tuple(self.run[i] for i in index if self.run),
         )
+
+    @property
+    def branches(self) -> tuple[str, ...]:
+        """The distinct branches, in the order in which they come."""
+        return tuple(dict.fromkeys(self.branch))
+
+    def of_branch(self, name: str) -> ForceTable:
+        """The cells of one branch, ``"inflation"`` say."""
+        if name not in self.branches:
+            raise UnknownNameError("branch of the table", name, self.branches)
+        return self.subset(np.array([b == name for b in self.branch]))
 
     def levels(self, tolerance: float = 0.005) -> NDArray[np.intp]:
         """Number of the contraction level of each cell, from 0; shape (n,).
@@ -146,7 +159,8 @@ def read_table(
         ``"DMSP-20-300_static.csv"``, works where no such file exists.
     rest_length : l0 [m]; needed when the table holds lengths instead of contractions.
     columns : which column holds a quantity, ``{"pressure": "P1"}``, where its name does not say
-        it. Quantities: pressure, force, and length or contraction.
+        it. Quantities: pressure, force, and length or contraction; labels: branch (inflation or
+        deflation) and run (which repeat).
     units : ``{"pressure": "kPa"}`` where the header names no unit. Default: Pa (gauge), N, m,
         contraction as a fraction.
 
@@ -162,14 +176,15 @@ def read_table(
     if rest_length is not None:
         require_positive("rest_length", rest_length, "m")
     found = _assign(raw, dict(columns or {}), dict(units or {}))
-    series = {q: _Series(q, header, name, raw) for q, (header, name) in found.items()}
-    _check_pressure(series["pressure"])
-    _check_force(series["force"])
-    kappa = _contraction(series, rest_length)
+    series = {q: Series(q, header, name, raw) for q, (header, name) in found.items()}
+    check_pressure(series["pressure"])
+    check_force(series["force"])
+    kappa = contraction_of(series, rest_length)
     table = ForceTable(
-        series["pressure"].si, kappa, series["force"].si, rest_length, source=raw.label
-    )
-    _check_mixed_pressure(series["pressure"], table)
+        series["pressure"].si, kappa, series["force"].si, rest_length, source=raw.label,
+        **read_labels(raw, dict(columns or {})),
+    )  # fmt: skip
+    check_mixed_pressure(series["pressure"], table)
     if not np.any(~table.slack):
         sign = (
             "all forces are negative or zero: count pulling as positive"
@@ -185,16 +200,18 @@ def _assign(
     raw: RawTable, columns: dict[str, str], units: dict[str, str]
 ) -> dict[str, tuple[str, str | None]]:
     """quantity -> (header, unit or None), from the user's words first, then from the headers."""
-    for argument, given in (("columns", columns), ("units", units)):
+    for argument, given, known in (
+        ("columns", columns, (*QUANTITIES, *LABELS)), ("units", units, (*QUANTITIES,)),
+    ):  # fmt: skip
         for quantity in given:
-            if quantity not in _QUANTITIES:
-                raise UnknownNameError(f"quantity in {argument}", quantity, _QUANTITIES)
+            if quantity not in known:
+                raise UnknownNameError(f"quantity in {argument}", quantity, known)
     for header in columns.values():
         if header not in raw.columns:
             raise UnknownNameError("column", header, raw.columns)
     parsed = {h: parse_header(h) for h in raw.columns if h not in columns.values()}
     found: dict[str, tuple[str, str | None]] = {}
-    for quantity, (_, names) in _QUANTITIES.items():
+    for quantity, (_, names) in QUANTITIES.items():
         fitting = [h for h, (name, _) in parsed.items() if name in names]
         if quantity in columns:
             fitting = [columns[quantity]]
@@ -213,7 +230,7 @@ def _unit_of(quantity: str, header: str, units: dict[str, str]) -> str | None:
     """The unit that the header or the user states for a quantity; None when neither does."""
     said = parse_header(header)[1]
     wanted = units.get(quantity)
-    base = unit(_QUANTITIES[quantity][0])
+    base = unit(QUANTITIES[quantity][0])
     if wanted is None:
         if said is not None and not unit(said).compatible(base):
             raise InputError(
@@ -254,131 +271,3 @@ def _near_headers(quantity: str, headers: Iterable[str]) -> list[str]:
     wanted = [quantity, "contraction"] if quantity == "length" else [quantity]
     near = [m for w in wanted for m in difflib.get_close_matches(w, plain, n=2, cutoff=0.6)]
     return [plain[m] for m in near]
-
-
-# ---- numbers, and whether they can be what the header says ---------------------------------------
-class _Series:
-    """One column as numbers: ``values`` as they stand, ``si`` converted."""
-
-    def __init__(self, quantity: str, header: str, name: str | None, raw: RawTable) -> None:
-        self.quantity, self.header, self.raw = quantity, header, raw
-        self.declared = name is not None
-        self.unit = name or _QUANTITIES[quantity][0]
-        self.values = raw.numbers(header)
-        self.si: Array = self.values * unit(self.unit).factor
-
-    def shown(self, index: int) -> str:
-        """``pressure 0.35 bar in row 3``."""
-        name = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.quantity} {self.values[index]:g}{name} in {self.raw.row(index)}"
-
-    @property
-    def reading(self) -> str:
-        return f"read in {self.unit}" + ("" if self.declared else ", as no unit was named")
-
-
-def _check_pressure(pressure: _Series) -> None:
-    top = int(np.argmax(pressure.si))
-    low = int(np.argmin(pressure.si))
-    largest, smallest = pressure.si[top], pressure.si[low]
-    if smallest < -max(0.02 * largest, 2e3):
-        raise InputError(
-            f"{pressure.shown(low)} is negative beyond noise; pressures are gauge pressures >= 0"
-        )
-    low_end, high_end = LARGEST_PRESSURE
-    if not low_end <= largest <= high_end:
-        fitting = [
-            u for u in ("bar", "kPa", "Pa") if 5e4 <= pressure.values[top] * unit(u).factor <= 2e6
-        ]
-        guess = f"it looks like {' or '.join(fitting)}" if fitting else "that cannot be"
-        remedy = fitting[0] if fitting else "bar"
-        raise InputError(
-            f"the largest {pressure.shown(top)} ({pressure.reading}) is {largest / 1e5:g} bar, "
-            f"outside {low_end / 1e5:g} .. {high_end / 1e5:g} bar: {guess}; "
-            f"correct the header or give units={{'pressure': {remedy!r}}}"
-        )
-
-
-def _check_mixed_pressure(pressure: _Series, table: ForceTable) -> None:
-    """A muscle at its rest length or shorter cannot pull hard with next to no pressure."""
-    doubtful = (
-        (table.pressure < table.pressure.max() / 500)
-        & (table.force > 0.2 * table.force.max())
-        & (table.contraction >= 0)
-    )
-    if np.any(doubtful):
-        i = int(np.argmax(doubtful))
-        raise InputError(
-            f"{pressure.shown(i)} goes with a force of {table.force[i]:g} N, while other rows reach "
-            f"{pressure.values.max():g} {pressure.unit}: the column mixes units"
-        )
-
-
-def _check_force(force: _Series) -> None:
-    top = int(np.argmax(np.abs(force.si)))
-    if abs(force.si[top]) > LARGEST_FORCE:
-        raise InputError(
-            f"{force.shown(top)} ({force.reading}) is beyond any fluidic muscle "
-            f"({LARGEST_FORCE:g} N); check the unit"
-        )
-
-
-def _contraction(series: Mapping[str, _Series], rest_length: float | None) -> Array:
-    """kappa from whichever column there is; both must agree where both are."""
-    low, high = CONTRACTION_RANGE
-    direct = series.get("contraction")
-    if direct is not None:
-        _check_contraction(direct)
-    if "length" not in series:
-        assert direct is not None
-        return direct.si
-    if rest_length is None:
-        if direct is not None:
-            return direct.si
-        raise InputError(
-            f"column {series['length'].header!r} holds lengths: give rest_length in metres, "
-            "as in read_table(..., rest_length=0.300)"
-        )
-    length = series["length"]
-    shortest = int(np.argmin(length.si))
-    if length.si[shortest] <= 0:
-        raise InputError(f"{length.shown(shortest)} must be > 0")
-    kappa: Array = 1.0 - length.si / rest_length
-    for i in (int(np.argmin(kappa)), int(np.argmax(kappa))):
-        if not low <= kappa[i] <= high:
-            side = "more than 10 % beyond" if kappa[i] < low else "far too short for"
-            raise InputError(
-                f"{length.shown(i)} ({length.reading}) is {side} the rest length {rest_length:g} m; "
-                "check rest_length (in metres) and the unit of the lengths (mm?)"
-            )
-    if direct is not None:
-        gap = np.abs(kappa - direct.si)
-        i = int(np.argmax(gap))
-        if gap[i] > 0.01:
-            raise InputError(
-                f"{direct.shown(i)} contradicts {length.shown(i)}, which is a contraction of "
-                f"{kappa[i]:.4g} at rest_length = {rest_length:g} m; correct one of them"
-            )
-    return kappa
-
-
-def _check_contraction(contraction: _Series) -> None:
-    low, high = CONTRACTION_RANGE
-    size = np.abs(contraction.si)
-    worst = int(np.argmax(size))
-    if size[worst] > 1:
-        raise InputError(
-            f"{contraction.shown(worst)} ({contraction.reading}) is beyond 1: it looks like "
-            "percent; give units={'contraction': '%'}"
-        )
-    if 0 < size[worst] < 0.006 and contraction.unit == "%":
-        raise InputError(
-            f"the largest {contraction.shown(worst)} is next to nothing: it looks like a fraction; "
-            "correct the header or give units={'contraction': '1'}"
-        )
-    for i in (int(np.argmin(contraction.si)), int(np.argmax(contraction.si))):
-        if not low <= contraction.si[i] <= high:
-            raise InputError(
-                f"{contraction.shown(i)} is outside {low * 100:g} .. {high * 100:g} %; contraction is "
-                "(rest length - length)/rest length, positive when shorter"
-            )

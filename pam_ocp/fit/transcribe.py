@@ -37,14 +37,18 @@ class Unknowns:
     gains: Sequence[int] = ()
     delay: float = 0.0
     delay_bounds: tuple[float, float] | None = None
+    process: Sequence[tuple[int, float]] = ()
+    """Positions of states that are disturbed, and the intensities [unit/sqrt(s)]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """min |W residuals|^2 subject to ``defects`` = 0, in scaled unknowns w = (head, states).
+    """min |W residuals|^2 subject to ``defects`` = 0, in scaled unknowns w = (head, states, jumps).
 
     head : (parameters, gains - 1, offsets, delay, initial states of every record).
     residuals : in units of the measured variables' nominals; one weight each is the parameter.
+    jumps : how many unknowns at the end of w are jumps of disturbed states where intervals begin, in
+        units of their standard deviations; residuals ends with them.
     """
 
     w: ca.MX
@@ -56,6 +60,7 @@ class Program:
     guess: Array
     low: Array
     high: Array
+    jumps: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +108,13 @@ def transcribe(
         ends = points
         if method == "single-shooting":
             ends = _rolled(step, experiments, x0, mesh, p)
+    lift = _jumps(mesh, records, unknowns.process, x_nominal)
+    jumps = ca.MX.sym(
+        "jumps", len(unknowns.process), lift.shape[1] // max(len(unknowns.process), 1)
+    )
     begins = ca.horzcat(x0, ends)[:, mesh.begin.tolist()]
+    if jumps.numel():
+        begins += ca.reshape(lift @ ca.vec(jumps), nx, n)
     if method == "collocation":
         defects = step.map(n)(begins, points, mesh.h[None], mesh.u, p)
     elif method == "multiple-shooting":
@@ -120,7 +131,7 @@ def transcribe(
     sensor = _sensor(unknowns, gain, offset, len(names))
     residuals = (mesh.measured / y_nominal[:, None]) - modelled * sensor[0] - sensor[1]
     weights = ca.MX.sym("weights", len(names))
-    residuals = ca.vec(residuals * ca.repmat(weights, 1, len(rows)))
+    residuals = ca.vertcat(ca.vec(residuals * ca.repmat(weights, 1, len(rows))), ca.vec(jumps))
 
     head = ca.veccat(theta, gain, offset, delay, x0)
     guess, low, high = _guess(plant, experiments, unknowns, method, degree, x_nominal, usual)
@@ -128,10 +139,31 @@ def transcribe(
         [scales, np.ones(len(unknowns.gains)), y_nominal[list(unknowns.offsets)],
          np.full(delay.numel(), usual), np.tile(x_nominal, records)]
     )  # fmt: skip
+    open_ = np.full(jumps.numel(), np.inf)
     return Program(
-        ca.veccat(head, points), weights, residuals, ca.vec(defects), head.numel(), head_scale,
-        guess, low, high,
+        ca.veccat(head, points, jumps), weights, residuals, ca.vec(defects), head.numel(), head_scale,
+        np.concatenate([guess, np.zeros(jumps.numel())]), np.concatenate([low, -open_]),
+        np.concatenate([high, open_]), jumps.numel(),
     )  # fmt: skip
+
+
+def _jumps(
+    mesh: _Mesh, records: int, process: Sequence[tuple[int, float]], x_nominal: Array
+) -> ca.DM:
+    """Matrix from jumps (in standard deviations) to the begins of all intervals (nominals).
+
+    White noise of intensity q adds the variance q^2 h during an interval of length h; the next one
+    begins with it. The first of each record has none: its initial state is free.
+    """
+    nx, n = len(x_nominal), mesh.h.size
+    later = np.nonzero(mesh.begin >= records)[0]
+    rows, columns, values = [], [], []
+    for place, i in enumerate(later if process else []):
+        for column, (state, intensity) in enumerate(process):
+            rows.append(int(i * nx + state))
+            columns.append(place * len(process) + column)
+            values.append(intensity * np.sqrt(mesh.h[i - 1]) / x_nominal[state])
+    return ca.DM.triplet(rows, columns, ca.DM(values), nx * n, len(later) * len(process))
 
 
 def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:

@@ -1,0 +1,56 @@
+"""What to know before the coefficients of a static fit are trusted, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .force_fit import ForceFit
+
+__all__ = ["at_edge", "force_warnings", "unseen"]
+
+
+def force_warnings(fit: ForceFit) -> tuple[str, ...]:
+    """See :attr:`ForceFit.warnings`."""
+    found = [*unseen(fit), *_saturated(fit)]
+    if fit.dof == 0:
+        found.append("as many coefficients as taut cells: no error can be estimated")
+    return (*found, *at_edge(fit))
+
+
+def unseen(fit: ForceFit) -> list[str]:
+    """Combinations of coefficients that the data do not, or hardly, see."""
+    return [
+        f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
+        "together moves the force of no taut cell by more than "
+        f"{np.max(np.abs(fit.jacobian @ move)):.2g} N"
+        f"{'' if lost or not fit.dof else ' (one standard error)'}"
+        for lost, move, words in fit.linearisation.hardly_seen()
+    ]
+
+
+def at_edge(fit: ForceFit) -> list[str]:
+    """Coefficients that ended at the edge of their range."""
+    return [
+        f"{name} = {fit.law.values[name]:g} ended at the edge of its range: its interval means "
+        "nothing; hold it with fixed=... or take another law"
+        for name in fit.solver.at_bound
+    ]
+
+
+def _saturated(fit: ForceFit) -> list[str]:
+    if not type(fit.law).is_affine():
+        return []
+    # at each contraction the law is a straight line in p: two numbers at most
+    level = fit.cells.levels()
+    lines = [np.unique(fit.cells.pressure[level == i]).size for i in range(level.max() + 1)]
+    told = sum(min(2, count) for count in lines)
+    if told - len(fit.free) > 2:
+        return []
+    return [
+        f"{len(lines)} contraction levels: at each the law is a straight line in p, so they tell "
+        f"{told} numbers for {len(fit.free)} coefficients, nearly saturated; a small RMSE proves "
+        "little, measure at more lengths"
+    ]
