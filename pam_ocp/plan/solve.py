@@ -32,6 +32,8 @@ __all__ = ["Planner", "plan"]
 Array: TypeAlias = NDArray[np.float64]
 
 MAX_REFINEMENTS = 10
+MORE_INTERVALS = 100
+"""Refinement ends before it adds more: a mesh that grows so is chasing switches, and slow to solve."""
 
 
 def plan(
@@ -191,6 +193,8 @@ class Planner:
             if figures["tolerance_met"] or len(meshes) > MAX_REFINEMENTS:
                 return found
             finer = refined(meshes[-1], errors, tolerance / len(errors))
+            if len(finer.intervals) > len(meshes[0].intervals) + MORE_INTERVALS:
+                return found
             following = _Run(transcribe(problem, finer), self._backend).solve(found)
             figures["iterations"] += following.outcome.iterations
             if not following.outcome.success:  # the coarser plan stands, with its replay error
