@@ -80,3 +80,17 @@ def scipy_states(
         assert solution.success
         rows.append(solution.y[:, -1] * nominal)
     return np.array(rows)
+
+
+@pytest.fixture(scope="session")
+def fmus(tmp_path_factory):
+    """The benchmark's slide as an FMU of each version, unpacked."""
+    from fmu_tools import unpacked
+
+    return unpacked(tmp_path_factory.mktemp("fmus"))
+
+
+@pytest.fixture(params=["2.0", "3.0"])
+def fmu(request, fmus):
+    """One version after the other."""
+    return fmus[request.param]

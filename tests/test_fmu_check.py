@@ -10,23 +10,13 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
-from fmu_tools import VERSIONS, unpacked
+from fmu_tools import VERSIONS
 from numpy.polynomial import chebyshev, polynomial
 
 import pam_ocp as pam
 from pam_ocp.fmu import check_fmu, export_fmu, source
 from pam_ocp.fmu.runner import UnpackedFmu
 from pam_ocp.signals import PiecewisePolynomial
-
-
-@pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, UnpackedFmu]:
-    return unpacked(tmp_path_factory.mktemp("fmus"))
-
-
-@pytest.fixture(params=VERSIONS)
-def fmu(request: pytest.FixtureRequest, fmus: dict[str, UnpackedFmu]) -> UnpackedFmu:
-    return fmus[request.param]
 
 
 def test_a_wrong_trajectory_is_found_out(fmus: dict[str, UnpackedFmu], tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,11 @@ import fmpy.ssp.simulation
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide
+from fmu_tools import coupled
 
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.fmu import check_fmu, export_fmu, export_ssp, state_feedback_controller
-from pam_ocp.fmu.runner import Runner, UnpackedFmu
 
 COMMANDS = ("muscle1.command", "muscle2.command")
 STATES = ("x", "v", "muscle1.pressure", "muscle2.pressure")
@@ -95,31 +94,6 @@ def goal(times: Any, x: Any, stiffness: Any) -> pam.Trajectory:
     return pam.Trajectory(times, {"x": x, "stiffness": stiffness}, variables)
 
 
-def stepped(path: Path, folder: Path, steps: int) -> dict[str, Any]:
-    """The system stepped here: all step, then all hand over. The first inputs are 0, as in FMPy."""
-    with zipfile.ZipFile(path) as archive:
-        archive.extractall(folder)
-    runners = {}
-    for key in ("goal", "feedback", "plant"):
-        fmu = UnpackedFmu(folder / "resources" / f"{key}.fmu", folder / key)
-        runners[key] = Runner(fmu, "CoSimulation")
-        runners[key].initialize({}, 0.0, None)
-    values = dict.fromkeys(WIRES, 0.0)
-    rows = []
-    for k in range(steps):
-        for key, runner in runners.items():
-            own = {n: v for n, v in values.items() if n.startswith(f"{key}.")}
-            runner.set({n.removeprefix(f"{key}."): v for n, v in own.items()})
-            runner.step(k * STEP, STEP)
-        for sink, source in WIRES.items():
-            key, _, name = source.partition(".")
-            values[sink] = float(runners[key].get([name])[0])
-        rows.append([float(runners["plant"].get([n])[0]) for n in ("x", "stiffness")])
-    for runner in runners.values():
-        runner.__exit__(None, None, None)
-    return dict(zip(("x", "stiffness"), np.array(rows).T, strict=True))
-
-
 def test_in_an_ssp_it_takes_a_heavier_slide_to_its_goal_in_fmpy_as_here(
     feedback: Any, tmp_path: Path
 ) -> None:
@@ -131,11 +105,11 @@ def test_in_an_ssp_it_takes_a_heavier_slide_to_its_goal_in_fmpy_as_here(
         "plant": plant.with_values(mass=1.3 * float(plant.variable("mass").start or 1.0)),
     }
     path = export_ssp(parts, WIRES, tmp_path / "s.ssp", platforms="native", stop_time=1.5)
-    here = stepped(path, tmp_path, 1500)
+    here = coupled(path, tmp_path, 1500, STEP, WIRES, ("plant.x", "plant.stiffness"))
     there = fmpy.ssp.simulation.simulate_ssp(str(path), stop_time=1.5 - STEP / 2, step_size=STEP)
-    assert there["plant.x"] == pytest.approx(here["x"], abs=1e-12)
-    assert here["x"][-1] == pytest.approx(0.004, abs=1e-6)
-    assert here["stiffness"][-1] == pytest.approx(2.3e4, rel=1e-4)
+    assert there["plant.x"] == pytest.approx(here["plant.x"], abs=1e-12)
+    assert here["plant.x"][-1] == pytest.approx(0.004, abs=1e-6)
+    assert here["plant.stiffness"][-1] == pytest.approx(2.3e4, rel=1e-4)
 
 
 def test_what_is_no_state_feedback_is_refused(feedback: Any) -> None:

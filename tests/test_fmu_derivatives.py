@@ -8,21 +8,10 @@ import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide, flat
 from fmpy.fmi1 import FMICallException
-from fmu_tools import COMMANDS, KINDS, VERSIONS, started, unpacked
+from fmu_tools import COMMANDS, KINDS, started
 
 import pam_ocp as pam
 from pam_ocp.fmu.runner import UnpackedFmu
-
-
-@pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, UnpackedFmu]:
-    return unpacked(tmp_path_factory.mktemp("fmus"))
-
-
-@pytest.fixture(params=VERSIONS)
-def fmu(request: pytest.FixtureRequest, fmus: dict[str, UnpackedFmu]) -> UnpackedFmu:
-    return fmus[request.param]
-
 
 # ---- partial derivatives --------------------------------------------------------------------------
 

@@ -10,22 +10,11 @@ import numpy as np
 import pytest
 from conftest import BAR
 from fmpy.fmi1 import FMICallException
-from fmu_tools import DISCARD, ERROR, KINDS, VERSIONS, now, started, unpacked
+from fmu_tools import DISCARD, ERROR, KINDS, VERSIONS, now, started
 
 import pam_ocp as pam
 from pam_ocp.fmu import export_fmu
 from pam_ocp.fmu.runner import Runner, UnpackedFmu, pointer
-
-
-@pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, UnpackedFmu]:
-    return unpacked(tmp_path_factory.mktemp("fmus"))
-
-
-@pytest.fixture(params=VERSIONS)
-def fmu(request: pytest.FixtureRequest, fmus: dict[str, UnpackedFmu]) -> UnpackedFmu:
-    return fmus[request.param]
-
 
 # ---- refused calls: an error, a line in the log, and nothing has changed --------------------------
 

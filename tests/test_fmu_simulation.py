@@ -9,22 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import BAR, benchmark_slide, scipy_states
-from fmu_tools import KINDS, VERSIONS, bars_every, started, unpacked
+from fmu_tools import KINDS, VERSIONS, bars_every, started
 
 import pam_ocp as pam
 from pam_ocp.fmu import check_fmu, export_fmu
 from pam_ocp.fmu.runner import Runner, UnpackedFmu
-
-
-@pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, UnpackedFmu]:
-    return unpacked(tmp_path_factory.mktemp("fmus"))
-
-
-@pytest.fixture(params=VERSIONS)
-def fmu(request: pytest.FixtureRequest, fmus: dict[str, UnpackedFmu]) -> UnpackedFmu:
-    return fmus[request.param]
-
 
 # ---- accuracy -------------------------------------------------------------------------------------
 

@@ -10,20 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from fmu_tools import COMMANDS, VERSIONS, bars_every, now, started, unpacked
+from fmu_tools import COMMANDS, bars_every, now, started
 
 from pam_ocp.fmu.runner import Runner, UnpackedFmu
-
-
-@pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, UnpackedFmu]:
-    return unpacked(tmp_path_factory.mktemp("fmus"))
-
-
-@pytest.fixture(params=VERSIONS)
-def fmu(request: pytest.FixtureRequest, fmus: dict[str, UnpackedFmu]) -> UnpackedFmu:
-    return fmus[request.param]
-
 
 # ---- saved states ---------------------------------------------------------------------------------
 
