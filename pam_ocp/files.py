@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from .errors import InputError
 
-__all__ = ["atomic_path"]
+__all__ = ["atomic_path", "read_json", "write_json"]
 
 
 @contextmanager
@@ -38,3 +40,26 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
+    """Write a mapping as JSON; numbers must be finite. Returns the path."""
+    with atomic_path(path) as temporary:
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        temporary.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+def read_json(path: str | os.PathLike[str], kind: str, form: str, remedy: str) -> dict[str, Any]:
+    """The mapping in a file whose "format" is ``form``.
+
+    kind : what should be in it, for the message. Raises InputError for any other file.
+    """
+    name = os.fspath(path)
+    try:
+        content = json.loads(Path(path).read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name} cannot be read as {kind}: {error}") from None
+    if not isinstance(content, dict) or content.get("format") != form:
+        raise InputError(f"{name} is no {kind.removeprefix('a ')}; {remedy}")
+    return content

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, UnknownNameError
-from ..files import atomic_path
+from ..files import read_json, write_json
 from ..muscle.force import LAWS, ForceLaw
 from .force_fit import ForceFit
 from .problem import Terms
@@ -45,20 +44,12 @@ def write_fit(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
         "source": fit.table.source,
         "table": table,
     }
-    with atomic_path(path) as temporary:
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        temporary.write_text(text, encoding="utf-8")
-    return Path(path)
+    return write_json(path, content)
 
 
 def read_fit(path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:
     """See :meth:`ForceFit.from_json`."""
-    try:
-        content = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{os.fspath(path)} cannot be read as a fit: {error}") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{os.fspath(path)} is no fit; to_json() writes one")
+    content = read_json(path, "a fit", FORMAT, "to_json() writes one")
     try:
         if law is None and content["law"] not in LAWS:
             raise UnknownNameError("force law (give its class as law=...)", content["law"], LAWS)

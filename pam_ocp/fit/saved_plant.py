@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..files import atomic_path
+from ..files import read_json, write_json
 from ..plant.plant import Plant, require_plant
 from ..trajectory import Trajectory
 from ..variables import Variable
@@ -57,10 +56,7 @@ def write_plant_fit(fit: PlantFit, path: str | os.PathLike[str]) -> Path:
         "records": [_record(r, r.names) for r in fit.records],
         "simulated": [_record(r, fit.measured) for r in fit.simulated],
     }  # fmt: skip
-    with atomic_path(path) as temporary:
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        temporary.write_text(text, encoding="utf-8")
-    return Path(path)
+    return write_json(path, content)
 
 
 def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
@@ -72,12 +68,7 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
     """
     name = os.fspath(path)
     require_plant(plant)
-    try:
-        content = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{name} cannot be read as a fit: {error}") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{name} is no fit of a plant; PlantFit.save() writes one")
+    content = read_json(path, "a fit of a plant", FORMAT, "PlantFit.save() writes one")
     try:
         _require_same(name, content, plant)
         linear = dict(content["linearisation"])
