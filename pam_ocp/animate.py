@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, require_positive
+from .errors import InputError, require_instance, require_positive
 from .files import atomic_path
+from .plan.result import Plan
 from .plant.antagonist import AntagonisticSlide
 from .plant.elastic import SeriesLoad
 from .plant.joint import AntagonisticJoint
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .plan.result import Plan
     from .plant.plant import Plant
     from .trajectory import Trajectory
 
@@ -49,6 +49,7 @@ def animate_plan(
 
     Raises InputError when the ending is not .gif, PlanError for a plan that failed.
     """
+    require_instance("plan", plan, Plan, "give what plan() returned")
     target = Path(path)
     if target.suffix.lower() != ".gif":
         raise InputError(f"{target.name}: an animation is written as .gif")

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, PamError, require_finite
+from .errors import InputError, PamError, require_finite, require_instance
 from .plant.plant import Plant, Values, require_plant
 
 __all__ = [
@@ -109,6 +109,7 @@ def equilibrium(
     Raises InputError when the conditions are too few or too many, EquilibriumError when no point
     within the bounds meets them (it names the one that fails, and by how much).
     """
+    require_instance("conditions", conditions, Mapping, "give values by name", none=True)
     search, targets = posed(plant, {**(conditions or {}), **more}, free, expressions)
     point, nearest = search.solve(guess)
     if point is None:

@@ -19,6 +19,7 @@ __all__ = [
     "SimulationError",
     "UnknownNameError",
     "require_finite",
+    "require_instance",
     "require_positive",
 ]
 
@@ -74,6 +75,15 @@ class PlanError(PamError):
 
 class ExportError(PamError):
     """An FMU could not be built."""
+
+
+def require_instance(
+    argument: str, value: Any, kinds: type | tuple[type, ...], remedy: str, none: bool = False
+) -> Any:
+    """``value``, or an InputError when it is none of ``kinds`` (with ``none``: nor None)."""
+    if isinstance(value, kinds) or (none and value is None):
+        return value
+    raise InputError(f"{argument} is a {type(value).__name__}: {remedy}")
 
 
 def require_finite(argument: str, value: Any, unit: str = "") -> float:

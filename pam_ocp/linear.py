@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
-from .errors import InputError, require_positive
+from .errors import InputError, require_instance, require_positive
 from .plant.plant import Plant, Values, require_plant
 from .trajectory import Trajectory
 
@@ -47,6 +47,8 @@ def point_of(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Plant, A
                 f"the operating point belongs to {at.plant.name!r}, not {plant.name!r}"
             )
         return at.plant, at.x, at.u
+    remedy = "give an OperatingPoint (of equilibrium), or values by name"
+    require_instance("at", at, Mapping, remedy, none=True)
     given = {plant.variable(n).name: v for n, v in (at or {}).items()}
     moved = plant.with_values(given)
     return moved, moved.vector("state"), moved.vector("input")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .errors import require_instance
+from .plan.result import Plan
 from .plot import COLOURS, _figure
 from .variables import Variable
 
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
 
     from .plan.active import Limit
     from .plan.pareto import Pareto
-    from .plan.result import Plan
     from .plan.robust import RobustPlan
 
 __all__ = ["colours_of", "panels_of", "plot_costates", "plot_pareto", "plot_plan", "plot_robust"]
@@ -224,6 +225,7 @@ def _spans(limit: Limit) -> list[tuple[float, float]]:
 
 def plot_costates(plan: Plan) -> Figure:
     """What a change of each state at each time would cost: d(objective)/d(state) over time."""
+    require_instance("plan", plan, Plan, "give what plan() returned")
     costates = plan.costates
     groups: dict[str, list[Variable]] = {}
     for v in plan.plant.states:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..equilibrium import OperatingPoint
-from ..errors import InputError, SimulationError
+from ..errors import InputError, SimulationError, require_instance
 from ..linear import chosen_signals, point_of
 from ..muscle.muscle import Muscle
 from ..plant.plant import Plant, Values, require_plant
@@ -192,6 +192,7 @@ def muscle_characteristic(
     what resists a shortening by x. For ``control.describing_function`` and its plot (with
     ``zero_check=False``, since it is not odd).
     """
+    require_instance("muscle", muscle, Muscle, "give a Muscle, such as muscle('DMSP-20-300')")
     centre = float(muscle.force(pressure, contraction))
 
     def resist(x: float) -> float:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, require_instance
 from ..linear import chosen_signals, linearize
 from .closed_loop import Measured
 from .kalman import KalmanFilter
@@ -57,6 +57,8 @@ class OffsetFree:
         )
 
     def _check(self) -> None:
+        require_instance("OffsetFree: feedback", self.feedback, StateFeedback, "give that of lqr()")
+        require_instance("OffsetFree: filter", self.filter, KalmanFilter, "give that of kalman()")
         if self.feedback.integrated:
             raise InputError(
                 f"OffsetFree: the feedback integrates {self.feedback.integrated[0]}; design it "

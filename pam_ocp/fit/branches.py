@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, require_instance
 from .statistics import Array
 from .tables import ForceTable
 
@@ -64,6 +64,9 @@ def lack_of_fit(fit: ForceFit) -> LackOfFit:
     """
     from scipy.special import fdtrc
 
+    from .force_fit import ForceFit
+
+    require_instance("fit", fit, ForceFit, "give what fit_force() returned")
     if fit.terms.loss != "squares" or fit.terms.priors:
         raise InputError("lack_of_fit needs loss='squares' without priors")
     group = repeats(fit.cells)

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..errors import FitError, InputError, require_positive
+from ..errors import FitError, InputError, require_instance, require_positive
 from ..plant.plant import Plant
 from ..trajectory import Trajectory
 from .experiment import Group, groups, measured_names
@@ -222,6 +222,10 @@ def _runs(
     history: int,
     steps: int,
 ) -> _Runs:
+    kinds = (Trajectory, list, tuple)
+    require_instance(
+        "records", records, kinds, "give a Trajectory (of read_record), or a list of them"
+    )
     chosen = [records] if isinstance(records, Trajectory) else list(records)
     names = measured_names(plant, chosen, outputs)
     for argument, value, least in (("history", history, 2), ("steps", steps, 1)):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, UnknownNameError, require_finite, require_positive
-from ..plant.plant import Plant, Values
+from ..plant.plant import Plant, Values, require_plant
 from .step import Givens, Step, StepMethod
 
 __all__ = ["Estimate", "Estimator", "KalmanFilter"]
@@ -57,6 +57,7 @@ class Estimator(ABC):
         method: StepMethod = "rk4",
         substeps: int = 2,
     ) -> None:
+        require_plant(plant)
         self.plant, self.given, how = plant, Givens(plant), Step(step, method, substeps)
         self.step = float(step)
         if not measured:

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
-from ..errors import InputError, require_positive
+from ..errors import InputError, require_instance, require_positive
 from ..plant.plant import Plant, require_plant
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
@@ -40,6 +40,22 @@ class Wish:
     design: Mapping[str, tuple[float, float]] | None = None
     integrand: ca.SX | None = None
     final: ca.SX | None = None
+
+    def __post_init__(self) -> None:
+        lists = (list, tuple)
+        shown = 'give a list of mappings, such as [{"x": 0.0}, {"x": 0.02}]'
+        require_instance("stops", self.stops, (*lists, Mapping), shown)
+        require_instance(
+            "minimise", self.minimise, (str, Mapping), "give a term, or {term: weight}"
+        )
+        for argument in ("bounds", "track", "budgets", "design"):
+            value = getattr(self, argument)
+            require_instance(argument, value, Mapping, "give a mapping by name", none=True)
+        require_instance("phases", self.phases, lists, "give a list of Phase or None", none=True)
+        for i, phase in enumerate(self.phases or ()):
+            require_instance(f"phases[{i}]", phase, Phase, "give a Phase or None", none=True)
+        remedy = "give a list of Constraint and Avoid"
+        require_instance("constraints", self.constraints, lists, remedy)
 
 
 def pose(plant: Plant, wish: Wish) -> Problem:

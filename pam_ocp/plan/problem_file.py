@@ -49,11 +49,6 @@ def load_problem(path: str | Path) -> tuple[Plant, dict[str, Any]]:
 
 
 # ---- values -------------------------------------------------------------------------------------
-def _scalar(plant: Plant, name: str, where: str, value: Any) -> float:
-    """A value of a variable (or der(NAME)) in SI."""
-    return quantity(where, value, subject(plant, name)[0].unit)
-
-
 def _wanted(plant: Plant, name: str, where: str, value: Any) -> Any:
     """A number, or a pair of them."""
     unit = subject(plant, name)[0].unit

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, PlanError, require_positive
+from ..errors import InputError, PlanError, require_instance, require_positive
 from ..plant.plant import Plant, Values
 from ..simulate import evaluated
 from .backend import Backend, Solver, SolverName
@@ -171,6 +171,7 @@ class Planner:
         begin = time.perf_counter()
         if tolerance is not None:
             require_positive("tolerance", tolerance)
+        require_instance("guess", guess, Plan, "give what plan() returned", none=True)
         program = self._with(values, changed)
         run = _Run(program, self._backend, self._solver)
         found = run.solve(guess._solved if guess is not None else None)

@@ -97,18 +97,6 @@ class Staged:
         """The program's unknowns."""
         return z[self.first]
 
-    def lifted_multipliers(self, lam_g: Array, lam_x: Array) -> tuple[Array, Array]:
-        """(rows, bounds) from the program's; those of what is carried linearly are left at zero."""
-        g = np.where(self.row == NONE, 0.0, self.sign * lam_g[self.row])
-        budgets = len(self.program.problem.budgets)
-        if budgets:  # what is spent is carried to the end, where it counts
-            g[self.spent[:, 1]] = np.tile(
-                -lam_g[len(lam_g) - budgets :], len(self.spent) // budgets
-            )
-        x = np.zeros(len(self.unknown))
-        x[self.first] = lam_x
-        return g, x
-
     def lowered_multipliers(self, g: Array, x: Array) -> tuple[Array, Array]:
         """The program's (lam_g, lam_x) from those of rows and bounds.
 
