@@ -212,7 +212,7 @@ def _joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:
 
 def merged(times: Array) -> Array:
     """Sorted times without those that differ only by rounding."""
-    times = np.unique(times)
+    times = np.sort(times)
     keep = np.concatenate([[True], np.diff(times) > 1e-12 * (1 + np.abs(times[1:]))])
     keep[-1] = True
     if len(times) > 1 and not np.diff(times)[-1] > 1e-12 * (1 + abs(times[-1])):

@@ -134,6 +134,12 @@ def check_equations() -> None:
         checked += 1
 
 
+def _environment() -> dict[str, str]:
+    """One thread each; byte code kept for all, as for tools that an installer has compiled."""
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    return {**kept, "OMP_NUM_THREADS": "1"}
+
+
 def run(tool: str, way: str) -> Result | str:
     """A peer's result, or why there is none."""
     if tool not in OWN and not (CACHE / tool / "ready").is_file():
@@ -142,7 +148,7 @@ def run(tool: str, way: str) -> Result | str:
         done = subprocess.run(
             [str(interpreter(tool)), str(HERE / f"{tool}_peer.py"), *([way] if way else [])],
             capture_output=True, text=True,
-            timeout=LIMIT, env={**os.environ, "OMP_NUM_THREADS": "1"},
+            timeout=LIMIT, env=_environment(),
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"no result in {LIMIT:.0f} s"

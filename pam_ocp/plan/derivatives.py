@@ -71,7 +71,7 @@ class _Local:
         p = ca.SX.sym("p", len(problem.plant.parameters))
         q = ca.SX.sym("q", problem.q.numel())
         h, t = (ca.dot(weights, parts["durations"]) for weights in (lengths, starts))
-        defects, path, cost, budgets = stage.function()(
+        defects, path, cost, budgets = stage.function(
             parts["start"], parts["states"], parts["inputs"], h, t,
             with_design(problem, p, parts["design"]), ca.SX(0, 1), q, parts["peaks"],
         )  # fmt: skip
@@ -91,7 +91,7 @@ class _Block:
     def over(self, name: str, value: ca.SX, more: list[ca.SX], given: list[ca.MX]) -> ca.MX:
         """The stored entries of ``value`` of all intervals, as one column."""
         entries = value.nz[:] if value.nnz() else ca.SX(0, 1)
-        function = ca.Function(name, [*self.local.given, *more], [ca.cse(entries)])
+        function = ca.Function(name, [*self.local.given, *more], [entries])
         return ca.vec(function.map(self.unknowns.shape[1])(*given))
 
     def given(self, problem: Problem, w: ca.MX, p: ca.MX) -> list[ca.MX]:
@@ -161,15 +161,17 @@ class _Entries:
         if not self.values:
             return ca.MX(*self.shape)
         rows, columns = np.concatenate(self.rows), np.concatenate(self.columns)
-        places, at = np.unique(columns * self.shape[0] + rows, return_inverse=True)
-        size, count = len(places), len(at)
+        every = columns * self.shape[0] + rows
+        count, order = len(every), np.argsort(every, kind="stable")
+        first = np.diff(every[order], prepend=-1) > 0  # of the entries at one place
+        places, at = every[order][first], np.empty(count, dtype=np.intp)
+        at[order] = np.cumsum(first) - 1
+        size = len(places)
         pattern = ca.Sparsity.triplet(
             *self.shape, (places % self.shape[0]).tolist(), (places // self.shape[0]).tolist()
         )
         values = ca.vertcat(*self.values)
         if size == count:
-            order = np.empty(count, dtype=np.intp)
-            order[at] = np.arange(count)
             return ca.MX(pattern, values[order.tolist()])
         adding = ca.DM.triplet(at.tolist(), list(range(count)), ca.DM.ones(count), size, count)
         return ca.MX(pattern, adding @ values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -39,11 +40,15 @@ def _collocation_points(scheme: str, degree: int) -> tuple[float, ...]:
     return tuple(points)
 
 
-def _lagrange(nodes: Array, tau: float) -> Array:
+@cache
+def _lagrange(nodes: tuple[float, ...], tau: float) -> tuple[float, ...]:
     """Weights of values at ``nodes`` that give their polynomial at ``tau``."""
-    return np.array(
-        [np.prod([(tau - b) / (a - b) for b in nodes if b != a]) for a in nodes], dtype=float
-    )
+    return tuple(math.prod((tau - b) / (a - b) for b in nodes if b != a) for a in nodes)
+
+
+def _weights(values: Sequence[float]) -> ca.DM:
+    """A sparse column: at a node all weights but one are zero."""
+    return ca.sparsify(ca.DM(values))
 
 
 @dataclass(frozen=True)
@@ -88,16 +93,15 @@ class Form:
         inside = nodes[:-1, None] + np.diff(nodes)[:, None] * shares
         return np.append(0.0, inside[np.diff(nodes) > 1e-9].ravel())
 
-    def weights(self, degree: int, tau: float) -> Array:
+    def weights(self, degree: int, tau: float) -> ca.DM:
         """Weights of these values that give the input at ``tau`` (Lagrange)."""
-        return _lagrange(self.input_taus(degree), tau)
+        return _weights(_lagrange(tuple(self.input_taus(degree).tolist()), float(tau)))
 
-    def state_weights(self, degree: int, tau: float) -> Array:
+    def state_weights(self, degree: int, tau: float) -> ca.DM:
         """Weights of the start and the states at their points that give the state at ``tau``."""
-        nodes = np.insert(self.collocated(degree), 0, 0.0)
-        weights = np.zeros(1 + len(self.state_taus(degree)))
-        weights[: len(nodes)] = _lagrange(nodes, tau)
-        return weights
+        through = _lagrange((0.0, *self.collocated(degree).tolist()), float(tau))
+        ends = 1 + len(self.state_taus(degree)) - len(through)  # Gauss: the end is no node
+        return _weights((*through, *(0.0,) * ends))
 
     def input_powers(self, degree: int) -> Array:
         """(columns, columns) matrix from the values to coefficients of powers of tau."""

@@ -75,6 +75,12 @@ class Objective:
     peaks: tuple[float, ...]
     """Weight of each peak."""
 
+    @property
+    def only_time(self) -> bool:
+        """Whether nothing but the duration counts."""
+        rest = (self.integrand, self.final)
+        return self.time > 0 and not self.rate and not self.peaks and all(e.is_zero() for e in rest)
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:

@@ -36,6 +36,10 @@ DEFAULTS: dict[str, Any] = {
 }
 """IPOPT's options; ``plan(..., options=...)`` overrides them."""
 
+BARRIER_OF_TIME = 5e-4
+"""mu_init where only the duration counts, in seconds: motions are quick, and a barrier as high as for
+other objectives would first make them slow (a sixth of the time of 78 random tasks)."""
+
 ADAPTIVE: dict[str, Any] = {"mu_strategy": "adaptive", "alpha_for_y": "primal"}
 """Another way through, for a second try."""
 
@@ -143,6 +147,9 @@ class Ipopt:
         """The solver of this name, made at its first use; all share the same functions."""
         if name not in self._solvers:
             chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **(ipopt or {}), **self._given}
+            goal = self.program.problem.objective
+            if goal.only_time and "mu_init" not in self._given:
+                chosen["mu_init"] = BARRIER_OF_TIME * goal.time
             # multipliers of the parameters: duals.py finds them when somebody asks
             options: dict[str, Any] = {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
             if self._watch is not None:

@@ -8,6 +8,7 @@ States, inputs and defects are in units of nominal.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import casadi as ca
@@ -30,7 +31,7 @@ def nominals(problem: Problem) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Stage:
-    """An interval of ``degree`` on a leg, for :meth:`function`."""
+    """An interval of ``degree`` on a leg, for :attr:`function`."""
 
     problem: Problem
     leg: Leg
@@ -59,6 +60,7 @@ class Stage:
             path = tuple(c for c in path if not ca.depends_on(c.expression, problem.r))
         return (*inputs, *path)
 
+    @cached_property
     def function(self) -> ca.Function:
         """(start, states, inputs, h, t, p, r, q, m) -> (defects, path, cost, budgets).
 
@@ -119,7 +121,7 @@ class Stage:
         derivative, ends, quadrature = ca.collocation_coeff(taus.tolist())
         through = ca.horzcat(start, states[:, : len(taus)])
         slope = through @ ca.DM(derivative)  # scaled dx/dtau at the points
-        integrands, (x_nominal, _) = self._integrands(), nominals(self.problem)
+        integrands, x_nominal = self._integrands(), nominals(self.problem)[0]
         defects, integrals = [], ca.SX.zeros(1 + len(self.problem.budgets))
         for j, tau in enumerate(taus):
             x, u, p, *rest = point(tau, states[:, j], j + 1)  # type: ignore[operator]

@@ -183,7 +183,7 @@ class _Builder:
             if self.shooting:
                 states = ca.MX(self.nx, n)  # the defect from zero is the end state
             taus = self.mesh.form.profile_taus(stage.degree)
-            defects, path, cost, budgets = stage.function().map(n)(
+            defects, path, cost, budgets = stage.function.map(n)(
                 self._columns(members, lambda s: s.x), states,
                 self._columns(members, lambda s: s.inputs), h, t, self._parameters(members),
                 sampled(self.profiles, h, t, taus), self.q, self._columns(members, lambda s: s.peaks),

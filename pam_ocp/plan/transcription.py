@@ -205,7 +205,7 @@ def _stages(
     profiles = [profile.function() for profile in problem.profiles]
     at = 0
     for stage, members in _alike(problem, mesh):
-        mapped = stage.function().map(len(members))
+        mapped = stage.function.map(len(members))
         taus = mesh.form.profile_taus(stage.degree)
         h, t = (ca.horzcat(*(each[k] for k in members)) for each in (clock.lengths, clock.starts))
         defects, path, cost, budgets = mapped(
