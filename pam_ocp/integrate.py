@@ -143,11 +143,16 @@ class Integration:
         return np.vstack(rows)
 
     def advance(self, start: float, x: Array, end: float) -> Array:
-        """The state at ``end`` from ``x`` at ``start``, no break of the inputs between them.
+        """The state at ``end`` from ``x`` at ``start``, no break of the inputs between them."""
+        return np.asarray(self.between(start, x, end, (1.0,))[0])
 
-        One integrator over a stretched unit interval serves all calls: quick for root finding.
+    def between(self, start: float, x: Array, end: float, taus: tuple[float, ...]) -> Array:
+        """States (n, nx) at the rising fractions ``taus`` of the way; see :meth:`advance`.
+
+        One integrator over a stretched unit interval serves all calls. Raises RuntimeError when it
+        gives up.
         """
-        nominal, nx = self._nominal, len(self.x0)
+        nominal = self._nominal
 
         def build() -> ca.Function:
             dae = self._dae(nominal)
@@ -156,15 +161,15 @@ class Integration:
             p = ca.vertcat(dae["p"], dae["u"], begin, span)
             unit = {"t": dae["t"], "x": dae["x"], "p": p, "ode": span * stretched}
             options = {"reltol": self.rtol, "abstol": self.rtol, "max_num_steps": self.max_steps}
-            return ca.integrator("advance", "rosenbrock", unit, 0.0, 1.0, options)
+            return ca.integrator("between", "rosenbrock", unit, 0.0, list(taus), options)
 
-        key = ("advance", self.u.degree, nominal.tobytes(), self.rtol, self.max_steps)
+        key = ("between", taus, self.u.degree, nominal.tobytes(), self.rtol, self.max_steps)
         piece = self.u.shifted(np.array([start, end])).coefficients[0]
         p = np.concatenate(
             [self.plant.vector("parameter"), [start], piece.ravel(), [start, end - start]]
         )
-        result = self.plant.cached(key, build)(x0=x / nominal, p=p)["xf"]
-        return np.asarray(result).reshape(nx) * nominal
+        found = self.plant.cached(key, build)(x0=x / nominal, p=p)["xf"]
+        return np.asarray(np.asarray(found, float).T * nominal)
 
     def _dae(self, nominal: Array) -> dict[str, ca.SX]:
         """The plant in scaled states, inputs as polynomials of the time since their break."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .fatrop import Fatrop
-from .solver import Ipopt, Outcome, Progress
+from .solver import Ipopt, Outcome, Progress, Start
 from .transcription import Program
 
 __all__ = ["Backend", "Solver", "SolverName"]
@@ -59,20 +59,20 @@ class _FatropFirst:
         self._fatrop, self._ipopt = fatrop, ipopt
 
     def __call__(
-        self, program: Program, guess: Array, warm: Outcome | None = None, adaptive: bool = False
+        self, program: Program, guess: Array, start: Start = "cold", warm: Outcome | None = None
     ) -> Outcome:
         """As :class:`Ipopt`; fatrop takes no multipliers, and has no other barrier strategy."""
-        if adaptive:
-            return self._ipopt(program, guess, warm, adaptive)
+        if start == "adaptive":
+            return self._ipopt(program, guess, start)
         found = self._fatrop(program, guess)
         if not found.success:
-            instead = self._ipopt(program, guess, warm)
+            instead = self._ipopt(program, guess, start, warm)
             warning = f"{found.status}; solved by IPOPT instead"
             return replace(instead, warning=warning, seconds=instead.seconds + found.seconds)
         residual = self._ipopt.residual(program, found)
         if residual <= RESIDUAL:
             return found
-        polished = self._ipopt(program, found.w, found)
+        polished = self._ipopt(program, found.w, "warm", found)
         warning = f"fatrop left a residual of {residual:.1e}; IPOPT went on from there"
         return replace(
             polished, warning=warning, seconds=polished.seconds + found.seconds,

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-__all__ = ["Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "refined"]
+__all__ = [
+    "Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "guarded", "refined",
+]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
 Control: TypeAlias = Literal["constant", "linear", "polynomial"]
@@ -28,6 +30,11 @@ MOST_STEPS = 64
 """RK4 steps in an interval of multiple shooting, before it is split."""
 GUARDS = 3
 """Checks of a polynomial input's bounds between each two of its points."""
+MOST_GUARDS = 15
+"""The same where an input is seen beyond its bounds between those: it may then be so by 0.5 %, instead
+of 8 % (Ehlich and Zeller, Math. Z. 86, 1964: 1 / cos(pi / 2 m) with m checks per degree)."""
+MOST_EXCESS = 1e-2
+"""Of an input beyond its bounds between its points, in units of nominal."""
 CONTROLS = ("constant", "linear", "polynomial")
 
 
@@ -84,12 +91,13 @@ class Form:
             return self.collocated(degree)
         return np.array([0.0]) if self.control == "constant" else np.array([0.0, 1.0])
 
-    def guard_taus(self, degree: int) -> Array:
-        """Where inputs are checked between their points, the start of the interval among them."""
+    def guard_taus(self, degree: int, guards: int) -> Array:
+        """Where inputs are checked between their points (``guards`` times between each two), the start
+        of the interval among them."""
         if not self.guarded or self.control != "polynomial":
             return np.zeros(0)
         nodes = np.concatenate([[0.0], self.input_taus(degree), [1.0]])
-        shares = np.arange(1, GUARDS + 1) / (GUARDS + 1)
+        shares = np.arange(1, guards + 1) / (guards + 1)
         inside = nodes[:-1, None] + np.diff(nodes)[:, None] * shares
         return np.append(0.0, inside[np.diff(nodes) > 1e-9].ravel())
 
@@ -113,13 +121,14 @@ class Interval:
     """A part of a leg, ``fraction`` of its duration long; ``degree`` of its polynomials.
 
     For shooting, ``degree`` is the number of RK4 steps. raised : whether refinement has tried a
-    higher degree here already.
+    higher degree here already. guards : see :meth:`Form.guard_taus`.
     """
 
     leg: int
     fraction: float
     degree: int
     raised: bool = False
+    guards: int = GUARDS
 
 
 @dataclass(frozen=True)
@@ -218,6 +227,15 @@ class Shooting:
 Method: TypeAlias = Collocation | Shooting
 
 
+def guarded(mesh: Mesh, excesses: Sequence[float]) -> Mesh:
+    """The mesh with more checks where an input exceeds its bounds between them by ``MOST_EXCESS``."""
+    intervals = (
+        replace(interval, guards=MOST_GUARDS) if excess > MOST_EXCESS else interval
+        for interval, excess in zip(mesh.intervals, excesses, strict=True)
+    )
+    return Mesh(tuple(intervals), mesh.form)
+
+
 def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
     """The mesh with more points where the error of an interval exceeds the tolerance.
 
@@ -243,6 +261,7 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
         else:
             parts = min(max(2, int(np.ceil(decades))), 4) if rough else 2
             each = interval.degree if shooting else SPLIT_DEGREE
-            part = Interval(interval.leg, interval.fraction / parts, each, interval.raised)
-            intervals += [part] * parts
+            intervals += [
+                replace(interval, fraction=interval.fraction / parts, degree=each)
+            ] * parts
     return Mesh(tuple(intervals), mesh.form)

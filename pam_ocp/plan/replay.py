@@ -15,15 +15,19 @@ from ..integrate import Integration
 from ..plant.plant import Plant
 from ..simulate import simulate
 from ..trajectory import Trajectory
-from .problem import Problem
+from .mesh import Mesh
+from .problem import Problem, limits
 from .solution import Solution
+from .stage import Stage
 
-__all__ = ["Replay", "interval_errors", "replayed"]
+__all__ = ["Replay", "excesses", "interval_errors", "replayed"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-11
 """Relative tolerance of the integrator that replays a plan."""
+DENSE = 31
+"""Places between two points of a polynomial input where it is looked at."""
 OVERSAMPLING = 8
 """Checked times between two samples of a plan."""
 
@@ -43,20 +47,50 @@ class Replay:
     trajectory: Trajectory = field(repr=False)
 
 
-def interval_errors(plant: Plant, solution: Solution) -> list[float]:
+def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]:
     """For each interval: how far a tight integration from its start leaves its planned points."""
-    times, states, signals = solution.t, solution.states, solution.inputs
+    states, breaks = solution.states, solution.inputs.breaks
     nominal = plant.vector("state", attribute="nominal")
-    ends = np.searchsorted(times, signals.breaks - 1e-12 * (1 + np.abs(signals.breaks)))
-    errors = []
-    for a, b in pairwise(ends):
-        part = slice(a, b + 1)
-        found = Integration.over(plant, signals, times[part], states[a], rtol=TOLERANCE)()
-        if found is None:
-            errors.append(float("inf"))
-        else:
-            errors.append(float(np.max(np.abs(found - states[part]) / nominal)))
+    run = Integration(plant, solution.inputs, breaks, states[0], rtol=TOLERANCE)
+    errors, at = [], 0
+    for interval, (begin, end) in zip(mesh.intervals, pairwise(breaks), strict=True):
+        taus = tuple(mesh.form.state_taus(interval.degree).tolist())
+        planned = states[at + 1 : at + 1 + len(taus)]
+        try:
+            found = run.between(begin, states[at], end, taus)
+            miss = float(np.max(np.abs(found - planned) / nominal))
+        except RuntimeError:
+            miss = float("inf")
+        errors.append(miss if np.isfinite(miss) else float("inf"))
+        at += len(taus)
     return errors
+
+
+def excesses(problem: Problem, mesh: Mesh, solution: Solution) -> list[float]:
+    """For each interval: by how much polynomial inputs, and what depends on them, exceed their limits
+    between the points, in units of nominal."""
+    found = [0.0] * len(mesh.intervals)
+    if not mesh.form.guarded or mesh.form.control != "polynomial":
+        return found
+    begins, h = solution.inputs.breaks[:-1], np.diff(solution.inputs.breaks)
+    p, at = problem.plant.vector("parameter"), 0
+    rest = (np.zeros(problem.r.numel()), np.array(problem.aims), solution.peaks)
+    for k, interval in enumerate(mesh.intervals):
+        stage = Stage(problem, problem.legs[interval.leg], mesh.form, interval.degree, DENSE)
+        taus = mesh.form.guard_taus(interval.degree, DENSE)
+        points = solution.states[at : at + 1 + len(mesh.form.state_taus(interval.degree))]
+        weights = [mesh.form.state_weights(interval.degree, tau) for tau in taus]
+        x = points.T @ np.asarray(ca.horzcat(*weights))
+        powers = (taus * h[k]) ** np.arange(solution.inputs.coefficients.shape[1])[:, None]
+        u = solution.inputs.coefficients[k].T @ powers
+        values = problem.conditions("guarded", stage.guarded)(
+            x, u, p, begins[k] + h[k] * taus[None, :], *rest
+        )
+        low, high = (np.array(e)[:, None] for e in limits(stage.guarded))
+        beyond = np.maximum(low - np.asarray(values), np.asarray(values) - high)
+        found[k] = float(np.max(beyond, initial=0.0))
+        at += len(points) - 1
+    return found
 
 
 def replayed(problem: Problem, plant: Plant, samples: Trajectory, solution: Solution) -> Replay:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "log": plan.log,
         "meshes": [
             {"form": [m.form.scheme, m.form.control, m.form.guarded],
-             "intervals": [[i.leg, i.fraction, i.degree, i.raised] for i in m.intervals]}
+             "intervals": [astuple(i) for i in m.intervals]}
             for m in plan.meshes
         ],
     }  # fmt: skip

@@ -17,13 +17,13 @@ from ..simulate import evaluated
 from .backend import Backend, Solver, SolverName
 from .diagnosis import Conflict, elastic, explanation
 from .guess import by_stops, from_solution, idle_inputs
-from .mesh import Collocation, Mesh, Method, Shooting, refined
+from .mesh import Collocation, Mesh, Method, Shooting, guarded, refined
 from .pose import Cyclic, Wish, pose
 from .problem import Budget, Condition, Problem
-from .replay import interval_errors, replayed
+from .replay import excesses, interval_errors, replayed
 from .result import Plan, Solved
 from .solution import unpack
-from .solver import Outcome, Progress
+from .solver import Outcome, Progress, Start
 from .transcription import Program, Row, transcribe
 from .wording import Avoid, Constraint, Phase, Stop
 
@@ -32,7 +32,7 @@ __all__ = ["Planner", "plan"]
 Array: TypeAlias = NDArray[np.float64]
 
 MAX_REFINEMENTS = 10
-MORE_INTERVALS = 100
+MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is chasing switches, and slow to solve."""
 
 
@@ -187,16 +187,21 @@ class Planner:
     ) -> Solved:
         """Solve on finer meshes until a tight integration agrees, or as far as it goes."""
         while True:
-            problem = found.program.problem
-            errors = interval_errors(_designed(problem, found), found.solution)
+            problem, mesh = found.program.problem, meshes[-1]
+            plant = _designed(problem, found)
+            errors = interval_errors(plant, mesh, found.solution)
             # local errors add up over the intervals
-            figures["tolerance_met"] = bool(np.sum(errors) <= tolerance)
-            if figures["tolerance_met"] or len(meshes) > MAX_REFINEMENTS:
+            met = figures["tolerance_met"] = bool(np.sum(errors) <= tolerance)
+            if met:
+                beyond = excesses(replace(problem, plant=plant), mesh, found.solution)
+                finer = guarded(mesh, beyond)
+            else:
+                finer = refined(mesh, errors, tolerance / len(errors))
+            if finer == mesh or len(meshes) > MAX_REFINEMENTS:
                 return found
-            finer = refined(meshes[-1], errors, tolerance / len(errors))
             if len(finer.intervals) > len(meshes[0].intervals) + MORE_INTERVALS:
                 return found
-            following = _Run(transcribe(problem, finer), self._backend).solve(found)
+            following = _Run(transcribe(problem, finer), self._backend).refined(found)
             figures["iterations"] += following.outcome.iterations
             if not following.outcome.success:  # the coarser plan stands, with its replay error
                 return found
@@ -279,30 +284,37 @@ class _Run:
         self.build_seconds = time.perf_counter() - begin
         self.conflicts: tuple[Conflict, ...] = ()
 
+    def refined(self, coarse: Solved) -> Solved:
+        """From the solution on a coarser mesh; no other guess would be better."""
+        guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
+        found = self._from(guess, "near")
+        return found if found.outcome.success else self._from(guess)
+
     def solve(self, previous: Solved | None) -> Solved:
         """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
         program, problem, mesh = self.program, self.program.problem, self.program.mesh
         if previous is None:
             found = self._from(by_stops(problem, mesh, balanced=idle_inputs(problem)))
         else:
-            same = previous.program.nlp is program.nlp
-            start = previous.outcome.w if same else from_solution(problem, mesh, previous.solution)
-            found = self._from(start, previous.outcome if same else None)
+            if previous.program.nlp is program.nlp:
+                found = self._from(previous.outcome.w, "warm", previous.outcome)
+            else:
+                found = self._from(from_solution(problem, mesh, previous.solution), "near")
             if not found.outcome.success:
-                found = self._from(by_stops(problem, mesh))
+                found = self._from(by_stops(problem, mesh, balanced=idle_inputs(problem)))
         if not found.outcome.success:
             balanced = by_stops(problem, mesh, balanced=True)
-            again = self._from(balanced, adaptive=True)
+            again = self._from(balanced, "adaptive")
             if again.outcome.success:
                 return again
             self.conflicts, feasible = elastic(program, balanced, self.options)
             if not self.conflicts:
-                again = self._from(feasible, adaptive=True)
+                again = self._from(feasible, "adaptive")
             return again if again.outcome.success else found
         return found
 
-    def _from(self, guess: Array, warm: Outcome | None = None, adaptive: bool = False) -> Solved:
-        outcome = self.solver(self.program, guess, warm, adaptive)
+    def _from(self, guess: Array, start: Start = "cold", warm: Outcome | None = None) -> Solved:
+        outcome = self.solver(self.program, guess, start, warm)
         solution = unpack(self.program.problem, self.program.mesh, outcome.w)
         return Solved(self.program, outcome, solution)
 

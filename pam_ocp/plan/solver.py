@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -16,7 +16,7 @@ from .compiled import compiled as compiled_library
 from .derivatives import derivatives
 from .transcription import Program
 
-__all__ = ["DEFAULTS", "Ipopt", "Outcome", "Progress"]
+__all__ = ["DEFAULTS", "Ipopt", "Outcome", "Progress", "Start"]
 
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
@@ -43,18 +43,29 @@ other objectives would first make them slow (a sixth of the time of 78 random ta
 ADAPTIVE: dict[str, Any] = {"mu_strategy": "adaptive", "alpha_for_y": "primal"}
 """Another way through, for a second try."""
 
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+
+NEAR: dict[str, Any] = {
+    "mu_init": 1e-6,
+    "mu_strategy": "adaptive",
+    "bound_mult_init_method": "mu-based",
+    "max_iter": 300,  # a neighbour that is no help: start cold instead
+    **dict.fromkeys(_PUSHES, 1e-6),
+}
+"""From the primal values of another mesh: half of the iterations of a cold start there."""
+
 WARM: dict[str, Any] = {
     "warm_start_init_point": "yes",
     "mu_strategy": "adaptive",  # 3 to 20 iterations where a barrier that only falls takes 5 to 60
-    "max_iter": 80,  # a neighbour that is no help: start cold instead
-    **{
-        f"warm_start_{name}": 1e-6  # 1e-9 takes twice as many where the active constraints change
-        for name in (
-            "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
-        )
-    },
-}  # fmt: skip
-"""Primal, dual and barrier together: primal values alone are slower than a cold start."""
+    "max_iter": 80,
+    # 1e-9 takes twice as many where the active constraints change
+    **{f"warm_start_{name}": 1e-6 for name in (*_PUSHES, "mult_bound_push")},
+}
+"""From primal and dual values of the same program with other numbers."""
+
+
+Start: TypeAlias = Literal["cold", "adaptive", "near", "warm"]
+STARTS: dict[Start, dict[str, Any]] = {"cold": {}, "adaptive": ADAPTIVE, "near": NEAR, "warm": WARM}
 
 
 @dataclass(frozen=True)
@@ -148,7 +159,7 @@ class Ipopt:
         if name not in self._solvers:
             chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **(ipopt or {}), **self._given}
             goal = self.program.problem.objective
-            if goal.only_time and "mu_init" not in self._given:
+            if name == "cold" and goal.only_time and "mu_init" not in self._given:
                 chosen["mu_init"] = BARRIER_OF_TIME * goal.time
             # multipliers of the parameters: duals.py finds them when somebody asks
             options: dict[str, Any] = {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
@@ -182,24 +193,22 @@ class Ipopt:
         return max(float(np.max(miss, initial=0.0)) for miss in misses)
 
     def __call__(
-        self, program: Program, guess: Array, warm: Outcome | None = None, adaptive: bool = False
+        self, program: Program, guess: Array, start: Start = "cold", warm: Outcome | None = None
     ) -> Outcome:
         """Solve for the program's values (same expressions as the one built).
 
-        warm : an outcome to start from, with its multipliers. adaptive : another barrier strategy.
+        start : "cold", "adaptive" (another barrier strategy), "near" (the guess solves another mesh)
+        or "warm" (from the multipliers of the outcome ``warm`` too).
         """
         begin = time.perf_counter()
-        if warm is not None:
-            solver = self._solver("warm", WARM)
-        else:
-            solver = self._solver("adaptive", ADAPTIVE) if adaptive else self._first
+        solver = self._solver(start, STARTS[start])
         (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
-        start = {"x0": np.clip(guess, lbx, ubx)}
+        given = {"x0": np.clip(guess, lbx, ubx)}
         if warm is not None:
-            start |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
+            given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         if self._watch is not None:
             self._watch.iteration = 0
-        result = solver(**start, p=program.parameters(), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
+        result = solver(**given, p=program.parameters(), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
         stats = solver.stats()
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "lam_g", "lam_x")}
         return Outcome(

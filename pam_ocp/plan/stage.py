@@ -37,15 +37,22 @@ class Stage:
     leg: Leg
     form: Form
     degree: int
+    guards: int
+    """Checks between the points; see :meth:`Form.guard_taus`."""
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
         """Of the rows of path values: at each point, at the start, then between the points."""
         points = len(self.form.state_taus(self.degree))
-        guards = self._guarded() * len(self.form.guard_taus(self.degree))
+        guards = self.guarded * len(self._guard_taus)
         return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *guards)
 
-    def _guarded(self) -> tuple[Condition, ...]:
+    @property
+    def _guard_taus(self) -> Array:
+        return self.form.guard_taus(self.degree, self.guards)
+
+    @property
+    def guarded(self) -> tuple[Condition, ...]:
         """What a polynomial input might break between its points: its bounds, and path conditions
         that depend on it (but for those with profiles, which are known at the points only)."""
         plant, problem = self.problem.plant, self.problem
@@ -94,10 +101,10 @@ class Stage:
         # an input may jump at the start of the interval: what depends on it is checked there too
         jumping = problem.conditions("jumping", problem.depends_on_inputs(self.leg))
         values.append(jumping(*point(0.0, start, 0)))
-        guarded = problem.conditions("guarded", self._guarded())
+        guarded = problem.conditions("guarded", self.guarded)
         through = ca.horzcat(start, states)
         values += [
-            guarded(*point(tau, through @ f.state_weights(d, tau), 0)) for tau in f.guard_taus(d)
+            guarded(*point(tau, through @ f.state_weights(d, tau), 0)) for tau in self._guard_taus
         ]
         return ca.Function(
             "stage",

@@ -228,18 +228,19 @@ def _stages(
 
 
 def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
-    """Intervals of equal degree on legs with equal path conditions (and bounds that are guarded)."""
+    """Intervals of equal degree and checks on legs with equal path conditions (and bounds)."""
     found: list[tuple[Stage, list[int]]] = []
     guarded = [v.name for v in problem.plant.inputs] if mesh.form.guarded else []
     for k, interval in enumerate(mesh.intervals):
         leg = problem.legs[interval.leg]
         for stage, members in found:
-            same = all(stage.leg.bounds[n] == leg.bounds[n] for n in guarded)
-            if stage.degree == interval.degree and stage.leg.path == leg.path and same:
+            same = (stage.degree, stage.guards) == (interval.degree, interval.guards)
+            bounds = all(stage.leg.bounds[n] == leg.bounds[n] for n in guarded)
+            if same and bounds and stage.leg.path == leg.path:
                 members.append(k)
                 break
         else:
-            found.append((Stage(problem, leg, mesh.form, interval.degree), [k]))
+            found.append((Stage(problem, leg, mesh.form, interval.degree, interval.guards), [k]))
     return found
 
 
