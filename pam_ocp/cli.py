@@ -72,8 +72,10 @@ def _parser() -> argparse.ArgumentParser:
         "--diameter", type=float, metavar="M", help="inner diameter at rest, in metres"
     )
     fit.add_argument(
-        "--law", default="six-parameter", metavar="LAW", help="force law (default: six-parameter)"
-    )
+        "--law", default="six-parameter", metavar="LAW",
+        help="force law (default: six-parameter); also polynomial-1-3 (degrees), spline-3:0,0.1,0.25 "
+        "(degree and contractions)",
+    )  # fmt: skip
     fit.add_argument(
         "--loss",
         default="squares",
@@ -84,8 +86,8 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument(
         "--out",
         type=Path,
-        metavar="FILE.json",
-        help="write the muscle file that the other commands take",
+        metavar="FILE",
+        help="write the muscle file (.toml, .json) that the other commands take",
     )
     fit.add_argument(
         "--plot", type=Path, metavar="FILE.png", help="draw measurement, law and residuals"
@@ -263,9 +265,9 @@ def _plant(name: str, muscle_name: str) -> Any:
 
 def _muscle(name: str, rest_length: float | None = None) -> Any:
     from .muscle.catalogue import muscle
-    from .muscle.muscle_file import load_muscle
+    from .muscle.muscle_file import ENDINGS, load_muscle
 
-    return load_muscle(name) if name.endswith(".json") else muscle(name, rest_length=rest_length)
+    return load_muscle(name) if name.endswith(ENDINGS) else muscle(name, rest_length=rest_length)
 
 
 def _check(options: argparse.Namespace) -> int:

@@ -178,7 +178,9 @@ def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
 
 def _from_here(muscle: str | None) -> str | None:
     """A muscle file named on the command line lies in the working folder, not beside the study."""
-    return str(Path(muscle).absolute()) if muscle and muscle.endswith(".json") else muscle
+    from .muscle.muscle_file import ENDINGS
+
+    return str(Path(muscle).absolute()) if muscle and muscle.endswith(ENDINGS) else muscle
 
 
 def _records(study: Mapping[str, Any], plant: Plant, name: str) -> list[Trajectory]:

@@ -24,7 +24,7 @@ A problem file (TOML). Values are numbers in SI, or texts with a unit; plain key
 
   [plant]
   arrangement = "AntagonisticSlide" # HangingLoad, AntagonisticJoint, ..., or FILE.py:NAME
-  muscle = "DMSP-20-200N"           # see 'pam-ocp muscles'; or a muscle file (.json)
+  muscle = "DMSP-20-200N"           # see 'pam-ocp muscles'; or a muscle file (.toml, .json)
   mass = "2 kg"
   pre_contraction = "10 %"
   feed = { kind = "Regulator", lag = "50 ms", max_pressure = "6 bar", max_rate = "40 bar/s" }

@@ -15,7 +15,7 @@ from .muscle.gas import BraidVolume, ConsistentVolume, Gas, PolynomialVolume
 from .muscle.hysteresis import BoucWen, Creep, MaxwellSlip
 from .muscle.losses import ConstantDamping, CoulombFriction, DirectionalDamping, StiffnessDamping
 from .muscle.muscle import Muscle
-from .muscle.muscle_file import load_muscle
+from .muscle.muscle_file import ENDINGS, load_muscle
 from .muscle.valves import OnOffValves, SpoolValve, Tube
 from .plant.actuator import IdealPressure, Regulator
 from .plant.antagonist import AntagonisticSlide
@@ -73,7 +73,7 @@ _UNITS: dict[str, tuple[str, ...]] = {
 
 
 def muscle_of(value: Any, where: str = "muscle", folder: Path | None = None) -> Muscle:
-    """A Muscle from a catalogue's name, a muscle file (.json), or a table.
+    """A Muscle from a catalogue's name, a muscle file (.toml, .json), or a table.
 
     value : the name; the file, relative to ``folder``; or { name = ..., rest_length = ... } where
         the catalogue holds no length.
@@ -86,7 +86,7 @@ def muscle_of(value: Any, where: str = "muscle", folder: Path | None = None) -> 
         value = value.get("name")
     if not isinstance(value, str):
         raise InputError(f"{where} = {value!r}: give a name of the catalogue, or a muscle file")
-    if value.endswith(".json"):
+    if value.endswith(ENDINGS):
         return load_muscle((folder or Path()) / value)
     return catalogue_muscle(value, rest_length=length)
 

@@ -8,6 +8,9 @@ import pytest
 
 from pam_ocp.errors import InputError, UnknownNameError
 from pam_ocp.muscle.catalogue import catalogue_entry, muscle, muscle_names, summary, transfer_note
+from pam_ocp.muscle.force import coefficient
+from pam_ocp.muscle.free import law_named, own_law, polynomial_law, spline_law
+from pam_ocp.muscle.muscle import Muscle
 from pam_ocp.muscle.muscle_file import load_muscle, save_muscle
 
 # REFERENCE: name -> (a1 .. a6 for bar and percent)
@@ -85,10 +88,53 @@ def test_law_and_muscle_share_a_replaced_rest_length():
     assert longer.rest_length == longer.law.values["rest_length"] == 0.31
 
 
+@pytest.mark.parametrize("ending", ["json", "toml"])
 @pytest.mark.parametrize("name", ["DMSP-20-400N", "DMSP-20-300-wall", "DMSP-40", "Reynolds-2003"])
-def test_a_muscle_of_any_law_survives_its_file(name, tmp_path):
+def test_a_muscle_of_any_law_survives_its_file(name, ending, tmp_path):
     known = replace(muscle(name, rest_length=0.3), mass=0.25)
-    assert load_muscle(save_muscle(known, tmp_path / "muscle.json")) == known
+    assert load_muscle(save_muscle(known, tmp_path / f"muscle.{ending}")) == known
+
+
+@pytest.mark.parametrize("ending", ["json", "toml"])
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("polynomial-1-2", polynomial_law(1, 2)),
+        ("spline-2:0.0,0.1,0.25", spline_law([0, 0.1, 0.25], 2)),
+    ],
+)
+def test_so_does_one_whose_form_was_chosen(name, law, ending, tmp_path):
+    numbers = {v.name: 1e-3 * (i + 1) for i, v in enumerate(law.coefficient_variables())}
+    known = Muscle(law(**numbers), rest_length=0.3, name="mine", pressure_range=(0, 5e5))
+    assert law_named(name) is law
+    again = load_muscle(save_muscle(known, tmp_path / f"muscle.{ending}"))
+    assert again == known
+    assert again.law.name == name
+
+
+def test_a_law_of_ones_own_is_in_no_file(tmp_path):
+    own = own_law("mine", lambda p, kappa, a: a * p, {"a": coefficient("N/Pa", 1e-3, "area")})
+    with pytest.raises(InputError, match="law 'mine' is one of your own"):
+        save_muscle(Muscle(own(a=1e-3), rest_length=0.3), tmp_path / "m.toml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_is_no_muscle_is_refused(tmp_path):
+    for name, text, words in (
+        ("a.toml", "x = [", "is no TOML file"),
+        ("a.json", "{", "not a muscle file"),
+        ("b.toml", "x = 1", "its 'format' must be"),
+        ("c.toml", 'format = "pam_ocp muscle 1"\nlaw = "spline-3:0,x"', "numbers behind the colon"),
+        (
+            "d.toml",
+            'format = "pam_ocp muscle 1"\nlaw = "hexagonal"',
+            "unknown force law 'hexagonal'",
+        ),
+        ("e.yaml", "", "ends in .toml or .json"),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError, match=words):
+            load_muscle(tmp_path / name)
 
 
 def test_summary_tells_law_size_range_and_source():

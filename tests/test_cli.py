@@ -51,7 +51,7 @@ def test_fit_prints_a_report_and_writes_the_muscle(capsys, tmp_path):
 
 
 def test_a_fitted_muscle_goes_into_an_fmu(capsys, tmp_path):
-    muscle, fmu = tmp_path / "muscle.json", tmp_path / "load.fmu"
+    muscle, fmu = tmp_path / "muscle.toml", tmp_path / "load.fmu"
     run(capsys, "fit", TABLE, "--rest-length", 0.25, "--out", muscle)
     code, out, err = run(
         capsys, "export", "hanging_load", "--muscle", muscle, "--set", "mass=5", "--platform", "native",
@@ -67,6 +67,17 @@ def test_a_fitted_muscle_goes_into_an_fmu(capsys, tmp_path):
     code, out, _ = run(capsys, "check", fmu)
     assert code == 0
     assert "all well" in out
+
+
+def test_a_law_may_be_named_by_its_form(capsys, tmp_path):
+    file = tmp_path / "muscle.toml"
+    law = "spline-2:0,0.12,0.25"
+    code, _, err = run(capsys, "fit", TABLE, "--law", law, "--rest-length", 0.25, "--out", file)
+    assert (code, err) == (0, "")
+    assert pam.load_muscle(file).law.name == "spline-2:0.0,0.12,0.25"
+    code, out, _ = run(capsys, "muscles", "show", file)
+    assert code == 0
+    assert "B-splines of degree 2 in 2 pieces" in out
 
 
 def test_check_tells_by_its_exit_code(capsys, tmp_path):

@@ -20,7 +20,7 @@ from pam_ocp.errors import InputError, UnknownNameError
 from pam_ocp.fit import ForceFit, ForceTable, fit_force, read_table
 from pam_ocp.fit.static import nonlinear_coefficients
 from pam_ocp.muscle.force import LAWS, ForceLaw, SixParameterLaw, coefficient
-from pam_ocp.muscle.free import polynomial_law
+from pam_ocp.muscle.free import own_law, polynomial_law
 
 NAMES = ("a1", "a2", "a3", "a4", "a5", "a6")
 # REFERENCE: our sets for p in bar and kappa in %, RMSE of 60 and 40 taut cells
@@ -353,11 +353,20 @@ def test_a_saved_fit_comes_back_exactly(tmp_path: Path, fit: ForceFit) -> None:
 
 
 def test_a_fit_of_a_law_of_ones_own_is_read_with_its_class(tmp_path: Path, fit: ForceFit) -> None:
-    law = polynomial_law(2, 2)
+    law = own_law(
+        "plane", lambda p, kappa, a, b: a * p - b * kappa,
+        {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("N", 1e3, "slope")},
+    )  # fmt: skip
     path = fit_force(fit.table, law).to_json(tmp_path / "fit.json")
     assert isinstance(ForceFit.from_json(path, law).law, law)
-    with pytest.raises(UnknownNameError, match=r"law=\.\.\."):
+    with pytest.raises(InputError, match=r"unknown force law 'plane'.*law=\.\.\."):
         ForceFit.from_json(path)
+
+
+def test_a_fit_of_a_polynomial_is_read_by_its_name(tmp_path: Path, fit: ForceFit) -> None:
+    found = fit_force(fit.table, "polynomial-2-2")
+    assert found.law == fit_force(fit.table, polynomial_law(2, 2)).law
+    assert ForceFit.from_json(found.to_json(tmp_path / "fit.json")).law == found.law
 
 
 def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> None:

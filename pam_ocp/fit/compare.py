@@ -15,7 +15,7 @@ from ..errors import FitError, InputError, UnknownNameError
 from ..muscle.force import LAWS, ForceLaw
 from ..muscle.free import polynomial_law
 from .force_fit import ForceFit
-from .static import fit_force
+from .static import fit_force, law_class
 from .tables import ForceTable
 
 __all__ = ["ComparedLaw", "LawComparison", "compare_laws"]
@@ -130,7 +130,7 @@ def compare_laws(
     )
     if not chosen:
         raise InputError("laws is empty: give names or classes of force laws")
-    kinds = [_kind(law) for law in chosen]
+    kinds = [law_class(law) for law in chosen]
     constants = {v.name for kind in kinds for v in kind.coefficient_variables()}
     for name in fixed or {}:
         if name not in constants:
@@ -142,14 +142,6 @@ def compare_laws(
         return law.fit is None, doubt, law.rmse
 
     return LawComparison(tuple(sorted(found, key=rank)), table.source)
-
-
-def _kind(law: str | type[ForceLaw]) -> type[ForceLaw]:
-    if isinstance(law, type) and issubclass(law, ForceLaw):
-        return law
-    if law not in LAWS:
-        raise UnknownNameError("force law", law, LAWS)
-    return LAWS[str(law)]
 
 
 def _compared(table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float]) -> ComparedLaw:

@@ -368,7 +368,7 @@ class ForceFit:
 
     @classmethod
     def from_json(cls, path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:
-        """Read what :meth:`to_json` wrote. ``law`` : the class, for a law that is not in ``LAWS``."""
+        """Read what :meth:`to_json` wrote. ``law`` : the class, for a law of the user's own."""
         from .saved import read_fit
 
         return read_fit(path, law)

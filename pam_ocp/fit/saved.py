@@ -11,7 +11,8 @@ import numpy as np
 
 from ..errors import InputError, UnknownNameError
 from ..files import read_json, write_json
-from ..muscle.force import LAWS, ForceLaw
+from ..muscle.force import ForceLaw
+from ..muscle.free import law_named
 from .force_fit import ForceFit
 from .problem import Terms
 from .statistics import SolverStatistics
@@ -51,9 +52,7 @@ def read_fit(path: str | os.PathLike[str], law: type[ForceLaw] | None = None) ->
     """See :meth:`ForceFit.from_json`."""
     content = read_json(path, "a fit", FORMAT, "to_json() writes one")
     try:
-        if law is None and content["law"] not in LAWS:
-            raise UnknownNameError("force law (give its class as law=...)", content["law"], LAWS)
-        kind = LAWS[content["law"]] if law is None else law
+        kind = law or law_named(content["law"])
         solver = SolverStatistics(**content["solver"])
         return ForceFit(
             law=kind(**content["coefficients"]),
@@ -67,6 +66,10 @@ def read_fit(path: str | os.PathLike[str], law: type[ForceLaw] | None = None) ->
             solver=replace(solver, at_bound=tuple(solver.at_bound)),
             terms=_read(content.get("terms", {})),
         )
+    except UnknownNameError as error:
+        raise InputError(
+            f"{os.fspath(path)}: {error} Give the class of an own law: law=..."
+        ) from None
     except (KeyError, TypeError) as error:
         raise InputError(f"{os.fspath(path)} is damaged or of another law: {error}") from None
 

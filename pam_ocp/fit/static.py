@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError, UnknownNameError, require_positive
 from ..muscle.force import LAWS, ForceLaw
+from ..muscle.free import law_named
 from .force_fit import ForceFit
 from .high_breakdown import robust_start
 from .problem import Loss, Problem, Terms, nonlinear_coefficients, sizes
@@ -49,7 +50,7 @@ def fit_force(
     Parameters
     ----------
     table : from :func:`read_table`; the taut cells are fitted.
-    law : name in ``LAWS``, or a class of force laws.
+    law : name in ``LAWS``, "polynomial-3-4", "spline-3:0,0.1,0.25", or a class of force laws.
     start : coefficients to try in addition to the scan [SI]. The optimum does not depend on it.
     fixed : coefficients to hold [SI], ``{"a3": -40.0}``. Known constants of a law (a radius, say)
         belong here too; its ``rest_length`` is taken from the table.
@@ -100,9 +101,7 @@ def fit_force(
 # ---- arguments ----------------------------------------------------------------------------------
 def law_class(law: Any) -> type[ForceLaw]:
     if isinstance(law, str):
-        if law not in LAWS:
-            raise UnknownNameError("force law", law, LAWS)
-        return LAWS[law]
+        return law_named(law)
     if isinstance(law, type) and issubclass(law, ForceLaw):
         return law
     raise InputError(f"law = {law!r} must be a name ({', '.join(LAWS)}) or a class of force laws")

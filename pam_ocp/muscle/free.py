@@ -6,6 +6,7 @@ Each function here makes a subclass of ForceLaw, so that everything that takes a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, make_dataclass
 from functools import cache
@@ -14,13 +15,36 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError
-from .force import ForceLaw, coefficient
+from ..errors import InputError, UnknownNameError
+from .force import LAWS, ForceLaw, coefficient
 from .validity import Validity
 
-__all__ = ["own_law", "polynomial_law", "spline_law"]
+__all__ = ["law_named", "own_law", "polynomial_law", "spline_law"]
 
 _TYPICAL = {"g": ("N/Pa", 3e-3, "gain G"), "h": ("N", 300.0, "force at zero pressure H")}
+
+
+_POLYNOMIAL = re.compile(r"polynomial-(\d+)-(\d+)")
+_SPLINE = re.compile(r"spline-(\d+):(.+)")
+
+
+def law_named(name: str) -> type[ForceLaw]:
+    """The class of laws of this name: one of ``LAWS``, or a form with its numbers.
+
+    "polynomial-3-4" is ``polynomial_law(3, 4)``, "spline-3:0,0.1,0.25" ``spline_law([0, 0.1, 0.25], 3)``.
+    """
+    if name in LAWS:
+        return LAWS[name]
+    if found := _POLYNOMIAL.fullmatch(str(name)):
+        return polynomial_law(int(found[1]), int(found[2]))
+    if found := _SPLINE.fullmatch(str(name)):
+        try:
+            breaks = [float(part) for part in found[2].split(",")]
+        except ValueError:
+            raise InputError(f"law = {name!r}: give numbers behind the colon") from None
+        return spline_law(breaks, int(found[1]))
+    known = (*LAWS, "polynomial-DEGREE-DEGREE", "spline-DEGREE:BREAK,BREAK,...")
+    raise UnknownNameError("force law", name, known)
 
 
 def polynomial_law(gain_degree: int = 3, offset_degree: int = 4) -> type[ForceLaw]:
@@ -105,7 +129,7 @@ def _spline_law(breaks: tuple[float, ...], degree: int) -> type[ForceLaw]:
         fields,
         formula=lambda law, p, kappa: spline(law, "g", kappa) * p + spline(law, "h", kappa),
         gain_area=area,
-        name=f"spline-{len(breaks) - 1}x{degree}",
+        name=f"spline-{degree}:{','.join(map(repr, breaks))}",
         title=f"B-splines of degree {degree} in {len(breaks) - 1} pieces",
         reference="free law, affine in pressure",
         validity=Validity(contraction=(breaks[0], breaks[-1]), note="the breaks of its splines"),

@@ -30,6 +30,7 @@ DEFAULTS: dict[str, Any] = {
     "mu_init": 1e-2,
     "alpha_for_y": "bound-mult",  # 33 iterations instead of 40 to 150 on time-optimal motions
     "nlp_scaling_method": "none",  # the program is scaled by the plant's nominals already
+    "fast_step_computation": "yes",  # a tenth of the time; what counts is the program's own residual
     "mumps_pivtol": 1e-4,  # with smaller pivots steps are too inexact where copies are nearly alike
     "mumps_permuting_scaling": 0,  # what is scaled already is not scaled again
     "mumps_scaling": 0,

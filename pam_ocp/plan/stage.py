@@ -7,6 +7,7 @@ States, inputs and defects are in units of nominal.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -85,9 +86,12 @@ class Stage:
         q, m = ca.SX.sym("q", problem.q.numel()), ca.SX.sym("m", problem.m.numel())
         x_nominal, u_nominal = nominals(problem)
 
+        driven: dict[float, ca.SX] = {}
+
         def point(tau: float, x: ca.SX, profile: int) -> tuple[ca.SX, ...]:
-            u = inputs @ f.weights(d, tau) * u_nominal
-            return x * x_nominal, u, p, t + h * tau, r[:, profile], q, m
+            if tau not in driven:
+                driven[tau] = inputs @ f.weights(d, tau) * u_nominal
+            return x * x_nominal, driven[tau], p, t + h * tau, r[:, profile], q, m
 
         rates = self._rates(inputs, h)
         method = self._shooting if f.scheme == "shooting" else self._collocation
@@ -114,11 +118,16 @@ class Stage:
             ["defects", "path", "cost", "budgets"],
         )
 
-    def _integrands(self) -> ca.Function:
+    def _integrands(self) -> Callable[..., ca.SX]:
         """Running cost and budgets, the latter in units of nominal."""
         problem = self.problem
         budgets = [b.integrand / b.nominal for b in problem.budgets]
-        return problem.function("integrands", [problem.objective.integrand, *budgets])
+        if not budgets and problem.objective.integrand.is_zero():
+            return lambda *_: ca.SX(1, 1)
+        function: Callable[..., ca.SX] = problem.function(
+            "integrands", [problem.objective.integrand, *budgets]
+        )
+        return function
 
     def _collocation(
         self, start: ca.SX, states: ca.SX, h: ca.SX, point: object
