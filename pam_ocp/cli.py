@@ -46,6 +46,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
 
+    for add in (
+        _add_tour, _add_fit, add_fit_plant, _add_export, _add_check, _add_loads, _add_muscles, add_plan,
+        add_mpc,
+    ):  # fmt: skip
+        add(commands)
+    return parser
+
+
+def _add_tour(commands: Any) -> None:
     tour = commands.add_parser("tour", help="the whole chain on a bundled measured muscle")
     tour.add_argument(
         "--out",
@@ -56,6 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     tour.set_defaults(run=_tour)
 
+
+def _add_fit(commands: Any) -> None:
     fit = commands.add_parser("fit", help="fit a force law to a measured table")
     fit.add_argument(
         "table",
@@ -94,6 +105,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     fit.set_defaults(run=_fit)
 
+
+def _add_export(commands: Any) -> None:
     export = commands.add_parser(
         "export", help="export a plant as an FMU",
         description="Export a plant as an FMU for Model Exchange and Co-Simulation.",
@@ -140,6 +153,8 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
     export.set_defaults(run=_export)
 
+
+def _add_check(commands: Any) -> None:
     check = commands.add_parser(
         "check", help="check an FMU",
         description="Validate an FMU and run it by fmpy. Exit code 0 when nothing is found, 1 otherwise.",
@@ -153,6 +168,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     check.set_defaults(run=_check)
 
+
+def _add_loads(commands: Any) -> None:
     loads = commands.add_parser(
         "loads",
         help="the influence of loads on a muscle",
@@ -176,6 +193,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     loads.set_defaults(run=_loads)
 
+
+def _add_muscles(commands: Any) -> None:
     muscles = commands.add_parser(
         "muscles",
         help="list the catalogue of muscles, or show one",
@@ -193,10 +212,6 @@ def _parser() -> argparse.ArgumentParser:
         "--plot", type=Path, metavar="FILE.png", help="draw force over contraction and pressure"
     )
     muscles.set_defaults(run=_muscles)
-    add_fit_plant(commands)
-    add_plan(commands)
-    add_mpc(commands)
-    return parser
 
 
 def _tour(options: argparse.Namespace) -> int:

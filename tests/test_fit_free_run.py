@@ -10,7 +10,9 @@ from scipy.integrate import solve_ivp
 import pam_ocp as pam
 from pam_ocp.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fit.experiment import groups
-from pam_ocp.fit.free_run import _Rollout, _runs, fit_free_run, free_run
+from pam_ocp.fit.free_run import fit_free_run, free_run
+from pam_ocp.fit.rollout import Rollout
+from pam_ocp.fit.runs import runs_of
 
 TRUTH = {"stiffness": 40.0, "damping": 1.5, "friction": 2.0, "gain": 30.0}
 SPEED = 0.05
@@ -108,9 +110,9 @@ def test_outputs_are_read_with_the_inputs_of_their_time() -> None:
 
 def test_sensitivities_are_those_of_finite_differences() -> None:
     plant = rubbing().with_values(stiffness=30.0)
-    runs = _runs(plant, [record(5)], 0.3, 0.2, ["q"], 3, 4)
+    runs = runs_of(plant, [record(5)], 0.3, 0.2, ["q"], 3, 4)
     unknowns = groups(plant, list(TRUTH), {})
-    rollout = _Rollout(plant, runs, unknowns)
+    rollout = Rollout(plant, runs, unknowns)
     z, step = np.ones(len(unknowns)), 1e-6
     exact = rollout.jacobian(z)
     for i, unit in enumerate(np.eye(len(z))):

@@ -22,27 +22,12 @@ __all__ = ["outcome", "replay"]
 
 def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
     """Statistics, fitted plant and simulations of a solution."""
-    solution, program, sigma = estimate.solution, estimate.program, estimate.sigma
-    delay = estimate.delay
-    plant, u = task.plant, task.unknowns
-    jacobian = reduced_jacobian(program, 1 / sigma, solution.w)
-    values = solution.w[: program.head] * program.head_scale
-    first = len(u.groups)
-    values[first : first + len(u.gains)] += 1.0
+    solution, sigma, plant, u = estimate.solution, estimate.sigma, task.plant, task.unknowns
     names = head_names(task, delay_free)
-    units = [g.unit for g in u.groups] + ["1"] * len(u.gains)
-    units += [plant.variable(u.names[i]).unit for i in u.offsets] + (["s"] if delay_free else [])
-    units += [v.unit for v in plant.states] * len(task.experiments)
     count = len(names) - len(task.experiments) * len(plant.states)
-    w, low, high = (a[: program.head] for a in (solution.w, program.low, program.high))
-    tight = (w - low < 1e-6) | (high - w < 1e-6)
-    tight[first:count] = False
-    dof = max(solution.residuals.size - len(names) + int(tight.sum()), 0)
-    squares = float(np.sum((solution.residuals / sigma) ** 2) + np.sum(solution.jumps**2))
-    linearisation = Linearisation(
-        names, values, units, jacobian / program.head_scale, np.sqrt(squares / max(dof, 1)), dof,
-        np.eye(len(names))[tight] if tight.any() else None,
-    )  # fmt: skip
+    linearisation, at_bound = _linearised(task, estimate, names, count)
+    values = linearisation.values
+    first = len(u.groups)
     fitted = plant.with_values(
         {
             plant.parameters[m].name: float(np.clip(v, g.low, g.high))
@@ -61,33 +46,49 @@ def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
     residuals = tuple(np.split(solution.residuals * nominal, sizes))
     # of a smoothed motion the residuals are smaller than the noise, which is given then
     scatter = sigma if u.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
-    return PlantFit(
-        plant=fitted,
-        records=tuple(e.record for e in task.experiments),
-        simulated=_smoothed(task, residuals) if u.process else tuple(
-            _simulated(fitted, e, s, delay, u.names, offsets, gains)
-            for e, s in zip(task.experiments, starts, strict=True)
-        ),
-        measured=tuple(u.names),
-        parameters=tuple(names[:count]),
-        linearisation=linearisation,
-        delay=delay,
-        offsets=offsets,
-        gains=gains,
-        starts=tuple(starts),
-        noise=dict(zip(u.names, (scatter * nominal).tolist(), strict=True)),
-        residuals=residuals,
-        descriptions={g.name: g.description for g in u.groups},
-        at_bound=tuple(n for n, edge in zip(names, tight, strict=True) if edge),
-        method=task.method,
-        degree=task.degree,
-        step=task.step,
-        inputs=task.inputs,
-        process_noise={plant.states[i].name: size for i, size in u.process},
-        status=solution.status,
-        iterations=solution.iterations,
-        seconds=0.0,
+    simulated = _smoothed(task, residuals) if u.process else tuple(
+        _simulated(fitted, e, s, estimate.delay, u.names, offsets, gains)
+        for e, s in zip(task.experiments, starts, strict=True)
     )  # fmt: skip
+    return PlantFit(
+        plant=fitted, records=tuple(e.record for e in task.experiments), simulated=simulated,
+        measured=tuple(u.names), parameters=tuple(names[:count]), linearisation=linearisation,
+        delay=estimate.delay, offsets=offsets, gains=gains, starts=tuple(starts),
+        noise=dict(zip(u.names, (scatter * nominal).tolist(), strict=True)), residuals=residuals,
+        descriptions={g.name: g.description for g in u.groups}, at_bound=at_bound,
+        method=task.method, degree=task.degree, step=task.step, inputs=task.inputs,
+        process_noise={plant.states[i].name: size for i, size in u.process},
+        status=solution.status, iterations=solution.iterations, seconds=0.0,
+    )  # fmt: skip
+
+
+def _linearised(
+    task: Task, estimate: Estimate, names: Sequence[str], count: int
+) -> tuple[Linearisation, tuple[str, ...]]:
+    """The unknowns with their statistics, and which of them ended at a bound.
+
+    count : of the unknowns before the initial states.
+    """
+    solution, program, sigma = estimate.solution, estimate.program, estimate.sigma
+    plant, u = task.plant, task.unknowns
+    jacobian = reduced_jacobian(program, 1 / sigma, solution.w)
+    values = solution.w[: program.head] * program.head_scale
+    first = len(u.groups)
+    values[first : first + len(u.gains)] += 1.0
+    units = [g.unit for g in u.groups] + ["1"] * len(u.gains)
+    units += [plant.variable(u.names[i]).unit for i in u.offsets]
+    units += ["s"] * (count - len(units))  # a free delay
+    units += [v.unit for v in plant.states] * len(task.experiments)
+    w, low, high = (a[: program.head] for a in (solution.w, program.low, program.high))
+    tight = (w - low < 1e-6) | (high - w < 1e-6)
+    tight[first:count] = False
+    dof = max(solution.residuals.size - len(names) + int(tight.sum()), 0)
+    squares = float(np.sum((solution.residuals / sigma) ** 2) + np.sum(solution.jumps**2))
+    linearisation = Linearisation(
+        names, values, units, jacobian / program.head_scale, np.sqrt(squares / max(dof, 1)), dof,
+        np.eye(len(names))[tight] if tight.any() else None,
+    )  # fmt: skip
+    return linearisation, tuple(n for n, edge in zip(names, tight, strict=True) if edge)
 
 
 def _starts(plant: Plant, values: Array, records: int) -> list[dict[str, float]]:

@@ -85,53 +85,26 @@ def transcribe(
     """State the program for a method; ``degree`` is that of the collocation, or steps of RK4."""
     mesh = _mesh(experiments, unknowns.delay)
     x_nominal = plant.vector("state", attribute="nominal")
-    nx, n, records = len(x_nominal), mesh.h.size, len(experiments)
-    names, k = unknowns.names, len(unknowns.groups)
-    y_nominal = np.array([plant.variable(name).nominal for name in names])
-
-    theta, x0 = ca.MX.sym("theta", k), ca.MX.sym("x0", nx, records)
-    gain, offset = (
-        ca.MX.sym("gain", len(unknowns.gains)),
-        ca.MX.sym("offset", len(unknowns.offsets)),
-    )
+    y_nominal = np.array([plant.variable(name).nominal for name in unknowns.names])
+    records, usual = len(experiments), float(np.median(mesh.h))
+    theta, x0 = ca.MX.sym("theta", len(unknowns.groups)), ca.MX.sym("x0", len(x_nominal), records)
+    gain = ca.MX.sym("gain", len(unknowns.gains))
+    offset = ca.MX.sym("offset", len(unknowns.offsets))
     delay = ca.MX.sym("delay", 1 if unknowns.delay_bounds else 0)
     scales, p = _parameters(plant, unknowns.groups, theta)
-    usual = float(np.median(mesh.h))
-
-    if method == "collocation":
-        points = ca.MX.sym("x", nx * degree, n)
-        ends = points[nx * (degree - 1) :, :]
-        step, read = _collocation(plant, x_nominal, mesh, names, degree)
-    else:
-        points = ca.MX.sym("x", nx, n if method == "multiple-shooting" else 0)
-        step, read = _shooting(plant, x_nominal, mesh, names, degree)
-        ends = points
-        if method == "single-shooting":
-            ends = _rolled(step, experiments, x0, mesh, p)
     lift = _jumps(mesh, records, unknowns.process, x_nominal)
-    jumps = ca.MX.sym(
-        "jumps", len(unknowns.process), lift.shape[1] // max(len(unknowns.process), 1)
-    )
-    begins = ca.horzcat(x0, ends)[:, mesh.begin.tolist()]
-    if jumps.numel():
-        begins += ca.reshape(lift @ ca.vec(jumps), nx, n)
-    if method == "collocation":
-        defects = step.map(n)(begins, points, mesh.h[None], mesh.u, p)
-    elif method == "multiple-shooting":
-        defects = step.map(n)(begins, mesh.h[None], mesh.u, p) - ends
-    else:
-        defects = ca.MX(0, 1)
+    jumps = ca.MX.sym("jumps", lift.shape[1])
+    way = _way(plant, experiments, unknowns, mesh, method, degree, (x0, p, lift @ jumps))
 
     rows = mesh.interval.tolist()
     since = mesh.offset[None] - (delay * usual if unknowns.delay_bounds else unknowns.delay)
-    inside = points[:, rows] if method == "collocation" else ca.MX(0, len(rows))
-    modelled = read.map(len(rows))(
-        begins[:, rows], inside, since, mesh.h[rows][None], mesh.u[:, rows], p
+    modelled = way.read.map(len(rows))(
+        way.begins[:, rows], way.inside[:, rows], since, mesh.h[rows][None], mesh.u[:, rows], p
     )
-    sensor = _sensor(unknowns, gain, offset, len(names))
+    sensor = _sensor(unknowns, gain, offset, len(unknowns.names))
     residuals = (mesh.measured / y_nominal[:, None]) - modelled * sensor[0] - sensor[1]
-    weights = ca.MX.sym("weights", len(names))
-    residuals = ca.vertcat(ca.vec(residuals * ca.repmat(weights, 1, len(rows))), ca.vec(jumps))
+    weights = ca.MX.sym("weights", len(unknowns.names))
+    residuals = ca.vertcat(ca.vec(residuals * ca.repmat(weights, 1, len(rows))), jumps)
 
     head = ca.veccat(theta, gain, offset, delay, x0)
     guess, low, high = _guess(plant, experiments, unknowns, method, degree, x_nominal, usual)
@@ -141,10 +114,58 @@ def transcribe(
     )  # fmt: skip
     open_ = np.full(jumps.numel(), np.inf)
     return Program(
-        ca.veccat(head, points, jumps), weights, residuals, ca.vec(defects), head.numel(), head_scale,
+        ca.veccat(head, way.points, jumps), weights, residuals, way.defects, head.numel(), head_scale,
         np.concatenate([guess, np.zeros(jumps.numel())]), np.concatenate([low, -open_]),
         np.concatenate([high, open_]), jumps.numel(),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """The motion along all intervals: unknown points, where intervals begin, what is to be zero.
+
+    inside : the points that ``read`` takes besides the begin (none for shooting), a column each.
+    """
+
+    points: ca.MX
+    begins: ca.MX
+    inside: ca.MX
+    defects: ca.MX
+    read: ca.Function
+
+
+def _way(
+    plant: Plant,
+    experiments: Sequence[Experiment],
+    unknowns: Unknowns,
+    mesh: _Mesh,
+    method: FitMethod,
+    degree: int,
+    given: tuple[ca.MX, ca.MX, ca.MX],
+) -> _Way:
+    """The motion by a method. given : initial states, parameters, jumps in nominals (a column)."""
+    x0, p, jumps = given
+    x_nominal = plant.vector("state", attribute="nominal")
+    nx, n = len(x_nominal), mesh.h.size
+
+    def begins(ends: ca.MX) -> ca.MX:
+        found = ca.horzcat(x0, ends)[:, mesh.begin.tolist()]
+        return found + ca.reshape(jumps, nx, n) if unknowns.process else found
+
+    if method == "collocation":
+        points = ca.MX.sym("x", nx * degree, n)
+        step, read = _collocation(plant, x_nominal, mesh, unknowns.names, degree)
+        begin = begins(points[nx * (degree - 1) :, :])
+        defects = step.map(n)(begin, points, mesh.h[None], mesh.u, p)
+        return _Way(points, begin, points, ca.vec(defects), read)
+    step, read = _shooting(plant, x_nominal, mesh, unknowns.names, degree)
+    if method == "single-shooting":
+        begin = begins(_rolled(step, experiments, x0, mesh, p))
+        return _Way(ca.MX(nx, 0), begin, ca.MX(0, n), ca.MX(0, 1), read)
+    points = ca.MX.sym("x", nx, n)
+    begin = begins(points)
+    defects = step.map(n)(begin, mesh.h[None], mesh.u, p) - points
+    return _Way(points, begin, ca.MX(0, n), ca.vec(defects), read)
 
 
 def _jumps(

@@ -1,0 +1,160 @@
+"""Where free runs of a plant begin in records, and what they are compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, require_instance, require_positive
+from ..plant.plant import Plant
+from ..trajectory import Trajectory
+from .experiment import measured_names
+from .statistics import Array
+
+__all__ = ["FreeRun", "Runs", "runs_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """Runs of a plant from many starts, beside what was measured.
+
+    record, start : of each run (n,) the number of its record and the time where it begins [s].
+    t : times since the start (K,) [s]. measured, predicted : (n, K, ny), in SI, of ``names``.
+    """
+
+    names: tuple[str, ...]
+    record: Array
+    start: Array
+    t: Array = field(repr=False)
+    measured: Array = field(repr=False)
+    predicted: Array = field(repr=False)
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Root of the mean squared error over all samples of all runs [unit of the variable]."""
+        squares = np.mean((self.predicted - self.measured) ** 2, axis=(0, 1))
+        return dict(zip(self.names, np.sqrt(squares).tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """What runs start from and are compared with.
+
+    x0 (n, nx); inputs at the edges of all steps (n, K steps + 1, nu), of each step at its begin and
+    its end; step [s].
+    """
+
+    names: tuple[str, ...]
+    record: Array
+    start: Array
+    t: Array
+    measured: Array
+    x0: Array
+    begin: Array
+    end: Array
+    step: float
+    steps: int
+
+    def result(self, predicted: Array) -> FreeRun:
+        return FreeRun(self.names, self.record, self.start, self.t, self.measured, predicted)
+
+
+def runs_of(
+    plant: Plant,
+    records: Trajectory | Sequence[Trajectory],
+    horizon: float,
+    every: float,
+    outputs: Sequence[str] | None,
+    history: int,
+    steps: int,
+) -> Runs:
+    kinds = (Trajectory, list, tuple)
+    require_instance(
+        "records", records, kinds, "give a Trajectory (of read_record), or a list of them"
+    )
+    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    names = measured_names(plant, chosen, outputs)
+    for argument, value, least in (("history", history, 2), ("steps", steps, 1)):
+        if not isinstance(value, int) or value < least:
+            raise InputError(f"{argument} = {value!r}: give a whole number of at least {least}")
+    sampling = _sampling(chosen)
+    length = _multiple("horizon", horizon, sampling)
+    stride = _multiple("every", every, sampling)
+    inputs = [v.name for v in plant.inputs]
+    parts: list[tuple[Any, ...]] = []
+    for r, record in enumerate(chosen):
+        missing = [n for n in inputs if n not in record]
+        if missing:
+            raise InputError(f"record {r + 1} has no column for the input {missing[0]}")
+        if not np.all(np.isfinite(record.array(inputs))):
+            raise InputError(f"record {r + 1}: an input is not finite; cut the record there")
+        first = -(-(history - 1) // stride) * stride
+        for i in range(first, len(record) - length, stride):
+            u = record.array(inputs)[i : i + length + 1]
+            parts.append(
+                (r, record.t[i], record.array(names)[i + 1 : i + length + 1],
+                 _start(plant, record, i, history), *_edges(u, steps, record.interpolation))
+            )  # fmt: skip
+    if not parts:
+        raise InputError(
+            f"no record holds {history} samples and a horizon of {horizon:g} s after them; the "
+            f"longest lasts {max(r.duration for r in chosen):g} s"
+        )
+    number, start, measured, x0, begin, end = (np.array(c, float) for c in zip(*parts, strict=True))
+    t = np.asarray(sampling * np.arange(1, length + 1))
+    return Runs(tuple(names), number, start, t, measured, x0, begin, end, sampling / steps, steps)
+
+
+def _sampling(records: Sequence[Trajectory]) -> float:
+    """The sampling time of all records [s]."""
+    usual = float(np.median(np.diff(records[0].t)))
+    for r, record in enumerate(records):
+        steps = np.diff(record.t)
+        uneven = np.nonzero(np.abs(steps - usual) > 1e-3 * usual)[0]
+        if uneven.size or not steps.size:
+            where = (
+                f"a step of {steps[uneven[0]]:g} s at t = {record.t[uneven[0]]:g} s"
+                if uneven.size
+                else "one sample"
+            )
+            raise InputError(
+                f"record {r + 1} has {where} where {usual:g} s are usual; free runs want equal "
+                "steps: resample it with record.at(...)"
+            )  # fmt: skip
+    return usual
+
+
+def _multiple(argument: str, value: Any, sampling: float) -> int:
+    number = require_positive(argument, value, "s") / sampling
+    whole = round(number)
+    if whole < 1 or abs(number - whole) > 1e-3 * number:
+        raise InputError(
+            f"{argument} = {value:g} s is no multiple of the sampling time {sampling:g} s"
+        )
+    return whole
+
+
+def _start(plant: Plant, record: Trajectory, i: int, history: int) -> Array:
+    """The states at sample i from that sample and those before."""
+    values = {v.name: float(v.start or 0.0) for v in plant.states}
+    past = slice(i - history + 1, i + 1)
+    since = record.t[past] - record.t[past].mean()
+    for position, velocity in plant.positions.items():
+        if position in record:
+            values[velocity] = float(since @ record[position][past] / (since @ since))
+    values.update({n: float(record[n][i]) for n in values if n in record})
+    return np.array([values[v.name] for v in plant.states])
+
+
+def _edges(u: Array, steps: int, interpolation: str) -> tuple[Array, Array]:
+    """The inputs at the begin and at the end of each step, from samples (K + 1, nu)."""
+    part = np.arange(steps)[:, None] / steps
+    width = 0.0 if interpolation == "previous" else 1.0
+    slope = width * np.diff(u, axis=0)[:, None, :]
+    begin = u[:-1, None, :] + part * slope
+    end = u[:-1, None, :] + (part + 1 / steps) * slope
+    shape = ((len(u) - 1) * steps, u.shape[1])
+    return begin.reshape(shape), end.reshape(shape)
