@@ -124,12 +124,7 @@ def _candidates(problem: Problem, trim: _Trim) -> Array:
     """The best coefficients (FOLLOWED, all) through random subsets, after two improvements."""
     random = np.random.default_rng(19840701)
     values = _nonlinear_values(problem, random)
-    c = np.tile(problem.base, (len(values), 1))
-    c[:, list(problem.nonlinear)] = values
-    with np.errstate(all="ignore"):
-        target, jacobian = problem.evaluate(c)
-        columns = jacobian[:, :, problem.linear]
-        good = np.isfinite(target).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
+    c, target, columns, good = problem.linear_in(values, problem.evaluate)
     if not good.any():
         raise FitError(f"the {problem.law.name} law gives no finite force anywhere in the scan")
     per = max(SUBSETS // int(good.sum()), 10)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..errors import InputError
-from .sources import RawTable, parse_header
+from .sources import RawTable
 
 __all__ = ["LABELS", "read_labels"]
 
@@ -34,18 +33,9 @@ def read_labels(raw: RawTable, columns: Mapping[str, str]) -> dict[str, tuple[st
     """
     found = {}
     for label, names in LABELS.items():
-        fitting = [
-            h for h in raw.columns if parse_header(h)[0] in names and h not in columns.values()
-        ]
-        if label in columns:
-            fitting = [columns[label]]
-        if len(fitting) > 1:
-            raise InputError(
-                f"{raw.label}: {' and '.join(map(repr, fitting))} both read as {label}; choose one "
-                f"with columns={{{label!r}: {fitting[0]!r}}}"
-            )
-        if fitting:
-            texts = [_text(cell) for cell in raw.columns[fitting[0]]]
+        header = raw.header(label, names, columns)
+        if header is not None:
+            texts = [_text(cell) for cell in raw.columns[header]]
             found[label] = tuple(_branches(texts) if label == "branch" else texts)
     return found
 

@@ -8,13 +8,14 @@ are a linear least-squares problem (variable projection: G. Golub, V. Pereyra, S
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..muscle.force import ForceLaw
@@ -236,17 +237,28 @@ class Problem:
         n = len(self.cells)
         return float(np.sum(self.terms.rho(residuals[:n])) + np.sum(residuals[n:] ** 2))
 
+    def linear_in(
+        self, values: Array, rows: Callable[[Array], tuple[Array, Array]]
+    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """What is left for the linear coefficients at nonlinear ``values`` (m, k), they being 0.
+
+        rows : ``evaluate`` or ``with_priors``. Returns coefficients (m, all), targets (m, n), columns
+        (m, n, linear) and which of the m are finite.
+        """
+        c = np.tile(self.base, (len(values), 1))
+        c[:, list(self.nonlinear)] = values
+        with np.errstate(all="ignore"):
+            target, jacobian = rows(c)
+            columns = jacobian[:, :, self.linear]
+            good = np.isfinite(target).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
+        return c, target, columns, np.asarray(good)
+
     def project(self, values: Array) -> tuple[Array, Array]:
         """Best linear coefficients for nonlinear ``values`` (m, k): costs (m,), all (m, c).
 
         Inequalities are left out; a robust loss is met by reweighting.
         """
-        c = np.tile(self.base, (len(values), 1))
-        c[:, list(self.nonlinear)] = values
-        with np.errstate(all="ignore"):
-            target, jacobian = self.with_priors(c)
-            columns = jacobian[:, :, self.linear]
-            good = np.isfinite(target).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
+        c, target, columns, good = self.linear_in(values, self.with_priors)
         columns[~good], target[~good] = 0.0, 0.0
         n = len(self.cells)
         smallest = 1e-6 * float(np.linalg.norm(self.weights * self.cells.force))

@@ -10,7 +10,7 @@ import csv
 import difflib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -50,6 +50,24 @@ class RawTable:
         """``row 3 (line 5)``, for messages."""
         line = f" (line {self.lines[index]})" if self.lines else ""
         return f"row {index + 1}{line}"
+
+    def header(
+        self, quantity: str, spellings: Collection[str], columns: Mapping[str, str]
+    ) -> str | None:
+        """The header of a quantity: the user's choice, else the one spelled so; None without.
+
+        Raises InputError where two are.
+        """
+        if quantity in columns:
+            return columns[quantity]
+        free = [h for h in self.columns if h not in columns.values()]
+        fitting = [h for h in free if parse_header(h)[0] in spellings]
+        if len(fitting) > 1:
+            raise InputError(
+                f"{self.label}: {' and '.join(map(repr, fitting))} both read as {quantity}; choose one "
+                f"with columns={{{quantity!r}: {fitting[0]!r}}}"
+            )
+        return fitting[0] if fitting else None
 
     def numbers(self, header: str) -> NDArray[np.float64]:
         """A column as finite numbers, in the unit in which they stand."""

@@ -209,19 +209,11 @@ def _assign(
     for header in columns.values():
         if header not in raw.columns:
             raise UnknownNameError("column", header, raw.columns)
-    parsed = {h: parse_header(h) for h in raw.columns if h not in columns.values()}
     found: dict[str, tuple[str, str | None]] = {}
     for quantity, (_, names) in QUANTITIES.items():
-        fitting = [h for h, (name, _) in parsed.items() if name in names]
-        if quantity in columns:
-            fitting = [columns[quantity]]
-        if len(fitting) > 1:
-            raise InputError(
-                f"{raw.label}: {' and '.join(map(repr, fitting))} both read as {quantity}; "
-                f"choose one with columns={{{quantity!r}: {fitting[0]!r}}}"
-            )
-        if fitting:
-            found[quantity] = (fitting[0], _unit_of(quantity, fitting[0], units))
+        chosen = raw.header(quantity, names, columns)
+        if chosen is not None:
+            found[quantity] = (chosen, _unit_of(quantity, chosen, units))
     _require_columns(raw, found)
     return found
 
