@@ -32,6 +32,23 @@ def test_inputs_end_within_their_bounds_between_the_points_too(by_valve, monkeyp
     assert loose.replay.violation > 0.02
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+def test_the_tolerance_is_that_of_the_whole_motion(tolerance):
+    """A plant that grows along the motion: x'' = 400 x + u, errors by exp(20 t)."""
+    plant = pam.Plant("falling")
+    x = plant.state("x", unit="m")
+    v = plant.state("v", unit="m/s")
+    u = plant.input("u", unit="m/s2", min=-40.0, max=40.0, nominal=10.0)
+    plant.der(x, v)
+    plant.der(v, 400 * x + u)
+    plan = pam.plan(
+        plant, [{"x": 0.0}, {"x": 0.05}], duration=0.5, rest=False, minimise="effort",
+        method=Collocation(4, 2, "linear"), tolerance=tolerance,
+    )  # fmt: skip
+    assert plan.statistics["tolerance_met"]
+    assert plan.replay_error <= tolerance
+
+
 def test_an_excess_is_that_of_the_polynomial_itself(by_valve):
     """Against NumPy's polynomial through the values at the points, on a thousand places."""
     found = pam.plan(by_valve, TASK, method=replace(METHOD, guarded=False))._solved

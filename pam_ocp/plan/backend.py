@@ -44,6 +44,10 @@ class Backend:
         """The user's options where they are IPOPT's."""
         return self.options if self.name == "ipopt" else None
 
+    def near(self) -> Backend:
+        """What solves a finer mesh once: not compiled, and not fatrop, which cannot start near."""
+        return replace(self, name="ipopt", compiled=False, options=self.ipopt_options)
+
     def build(self, program: Program) -> Solver:
         """A solver for this program, and for others of the same expressions."""
         if self.name == "fatrop":

@@ -39,7 +39,7 @@ DEFAULTS: dict[str, Any] = {
 }
 """fatrop's options; ``plan(..., solver="fatrop", options=...)`` overrides them."""
 
-TIME_LIMIT = 60.0
+TIME_LIMIT = 20.0
 """Seconds for one solve; the first takes the start of the process and the derivatives besides."""
 
 SERVER = Path(__file__).with_name("fatrop_server.py")

@@ -20,7 +20,7 @@ from .problem import Problem, limits
 from .solution import Solution
 from .stage import Stage
 
-__all__ = ["Replay", "excesses", "interval_errors", "replayed"]
+__all__ = ["Replay", "excesses", "interval_errors", "motion_error", "replayed"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -64,6 +64,16 @@ def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]
         errors.append(miss if np.isfinite(miss) else float("inf"))
         at += len(taus)
     return errors
+
+
+def motion_error(plant: Plant, solution: Solution) -> float:
+    """How far a tight integration of the whole motion leaves its planned points, in nominals."""
+    nominal = plant.vector("state", attribute="nominal")
+    run = Integration.over(plant, solution.inputs, solution.t, solution.states[0], rtol=TOLERANCE)
+    found = run()
+    if found is None:
+        return float("inf")
+    return float(np.max(np.abs(run.at(solution.t, found) - solution.states) / nominal))
 
 
 def excesses(problem: Problem, mesh: Mesh, solution: Solution) -> list[float]:

@@ -20,7 +20,7 @@ from .guess import by_stops, from_solution, idle_inputs
 from .mesh import Collocation, Mesh, Method, Shooting, guarded, refined
 from .pose import Cyclic, Wish, pose
 from .problem import Budget, Condition, Problem
-from .replay import excesses, interval_errors, replayed
+from .replay import excesses, interval_errors, motion_error, replayed
 from .result import Plan, Solved
 from .solution import unpack
 from .solver import Outcome, Progress, Start
@@ -96,7 +96,7 @@ def plan(
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on many
         intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a process
-        of its own that is ended after ``options={"time_limit": 60.0}`` seconds. What it leaves unsolved
+        of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it leaves unsolved
         IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
     compiled : IPOPT's functions compiled (zig or cc) and kept for the next time; pays for
         :class:`Shooting` solved many times (a third of the time), little for collocation.
@@ -189,19 +189,21 @@ class Planner:
         while True:
             problem, mesh = found.program.problem, meshes[-1]
             plant = _designed(problem, found)
-            errors = interval_errors(plant, mesh, found.solution)
-            # local errors add up over the intervals
-            met = figures["tolerance_met"] = bool(np.sum(errors) <= tolerance)
+            error = motion_error(plant, found.solution)
+            met = figures["tolerance_met"] = error <= tolerance
             if met:
                 beyond = excesses(replace(problem, plant=plant), mesh, found.solution)
                 finer = guarded(mesh, beyond)
             else:
-                finer = refined(mesh, errors, tolerance / len(errors))
+                errors = interval_errors(plant, mesh, found.solution)
+                # errors of intervals add up, and may grow along the motion
+                growth = float(np.clip(error / np.sum(errors), 1.0, 1e6))
+                finer = refined(mesh, errors, tolerance / len(errors) / growth)
             if finer == mesh or len(meshes) > MAX_REFINEMENTS:
                 return found
             if len(finer.intervals) > len(meshes[0].intervals) + MORE_INTERVALS:
                 return found
-            following = _Run(transcribe(problem, finer), self._backend).refined(found)
+            following = _Run(transcribe(problem, finer), self._backend.near()).refined(found)
             figures["iterations"] += following.outcome.iterations
             if not following.outcome.success:  # the coarser plan stands, with its replay error
                 return found
@@ -279,8 +281,7 @@ class _Run:
     def __init__(self, program: Program, backend: Backend, solver: Solver | None = None) -> None:
         begin = time.perf_counter()
         self.program, self.options = program, backend.ipopt_options
-        # a refined mesh is solved once: compiling it would not pay
-        self.solver = solver or replace(backend, compiled=False).build(program)
+        self.solver = solver or backend.build(program)
         self.build_seconds = time.perf_counter() - begin
         self.conflicts: tuple[Conflict, ...] = ()
 
