@@ -13,9 +13,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 import pam_ocp as pam
-from pam_ocp.plan.closed_loop import ClosedLoop, closed_loop
-from pam_ocp.plan.estimate import KalmanFilter
-from pam_ocp.plan.mpc import Mpc
+from pam_ocp.plan.closed_loop import ClosedLoop
 
 STEP = 0.005
 PUSH, MASS = 40.0, 2.6
@@ -41,18 +39,18 @@ def run(plant: pam.Plant, fmu: Path, estimating: bool) -> ClosedLoop:
     rest = plant.equilibrium(x=0.0, stiffness=2e4)
     start = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs)}
     model = plant.with_values(start)
-    controller = Mpc(
+    controller = pam.Mpc(
         model, horizon=40, step=STEP, delay=1, track={"x": 1.0, "stiffness": 0.05},
         rate={"muscle1.command": 0.05, "muscle2.command": 0.05},
     )  # fmt: skip
     unknown = {"mass": (0.5, 0.05), "push": (20.0, 100.0)} if estimating else {}
-    observer = KalmanFilter(
+    observer = pam.KalmanFilter(
         model, step=STEP, unknown=unknown, process={"v": 0.01},
         measured={"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0},
         uncertainty={"x": 1e-4, "v": 1e-3, "muscle1.pressure": 1e3, "muscle2.pressure": 1e3},
     )  # fmt: skip
-    return closed_loop(
-        controller, fmu, {"x": wanted, "stiffness": 2e4}, duration=3.0, estimator=observer,
+    return controller.closed_loop(
+        fmu, {"x": wanted, "stiffness": 2e4}, duration=3.0, estimator=observer,
         disturbances={"push": lambda t: PUSH if t >= 1.0 else 0.0},
         parameters={"mass": MASS}, start=start, seed=1,
     )  # fmt: skip

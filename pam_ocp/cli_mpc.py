@@ -167,7 +167,6 @@ def _pairs(option: str, texts: list[str]) -> dict[str, float]:
 
 
 def _run(study: Mapping[str, Any]) -> ClosedLoop:
-    from .plan.closed_loop import closed_loop
     from .plan.mpc import Mpc
 
     plant = _plant(study)
@@ -184,14 +183,14 @@ def _run(study: Mapping[str, Any]) -> ClosedLoop:
     settings.setdefault("track", {n: 1.0 if n == position else 0.05 for n in sources})
     controls = [v.name for v in model.inputs if not v.disturbance]
     settings.setdefault("rate", dict.fromkeys(controls, 0.05))
-    controller = _made("controller", Mpc, model, settings)
+    controller: Mpc = _made("controller", Mpc, model, settings)
     estimator = _estimator(model, position, {"step": settings["step"], **study["estimator"]})
     disturbances = {
         n: _switched(n, v, model.variable(n).unit) for n, v in study["disturbances"].items()
     }
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
-        return closed_loop(
-            controller, _real(study["against"], model, Path(folder)), sources, study["duration"],
+        return controller.closed_loop(
+            _real(study["against"], model, Path(folder)), sources, study["duration"],
             estimator=estimator, disturbances=disturbances,
             noise=_values("noise", plant, study["noise"]) or None,
             parameters=_values("real", plant, study["real"]), start=begin, seed=study["seed"],

@@ -81,7 +81,7 @@ def test_bounds_of_inputs_hold_and_those_of_states_where_they_can(solver):
         double_integrator(limit=1.0), horizon=20, step=0.1, track={"x": 1.0}, rate={"f": 1e-3},
         bounds={"v": (-0.4, 0.4)}, solver=solver, iterations=5,
     )  # fmt: skip
-    loop = closed_loop(mpc, double_integrator(limit=1.0), {"x": 1.0}, 4.0)
+    loop = mpc.closed_loop(double_integrator(limit=1.0), {"x": 1.0}, 4.0)
     assert np.abs(loop.trajectory["f"]).max() <= 1.0
     assert np.abs(loop.trajectory["v"]).max() <= 0.4 + 1e-4
     assert loop.trajectory["x"][-1] == pytest.approx(1.0, abs=1e-2)
@@ -318,3 +318,5 @@ def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
     slow = KalmanFilter(real, step=0.2, measured={"x": 1e-3})
     with pytest.raises(InputError, match="estimator's step"):
         closed_loop(mpc, real, {"x": 1.0}, 1.0, estimator=slow)
+    with pytest.raises(InputError, match=r"controller is a Mpc.*mpc\.closed_loop"):
+        pam.closed_loop(real, mpc, duration=1.0)

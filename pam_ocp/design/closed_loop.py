@@ -75,13 +75,7 @@ def closed_loop(
 
     Raises InputError for bad arguments, SimulationError where the plant cannot be integrated.
     """
-    require_positive("dt", dt, "s")
-    samples = round(require_positive("duration", duration, "s") / dt)
-    if samples < 1 or parts < 1 or delay < 0:
-        raise InputError(
-            f"duration = {duration:g} s, dt = {dt:g} s, parts = {parts}, delay = {delay}: give at "
-            "least one sample and one part of it, and a delay >= 0"
-        )
+    samples = _samples(controller, duration, dt, parts, delay)
     true = _true_plant(plant, parameters)
     acting = _Inputs(true, disturbances or {})
     sense = _Sensors(true, noise or {}, seed)
@@ -110,6 +104,23 @@ def closed_loop(
     )
     grid = np.linspace(0.0, samples * dt, samples * parts + 1)
     return evaluated(true, grid, np.concatenate(rows), inputs)
+
+
+def _samples(controller: Any, duration: float, dt: float, parts: int, delay: int) -> int:
+    """How many there are; InputError for arguments that cannot be."""
+    if not callable(controller):
+        raise InputError(
+            f"controller is a {type(controller).__name__}, which is not called with (t, measured); an "
+            "Mpc has its own loop, mpc.closed_loop(...)"
+        )
+    require_positive("dt", dt, "s")
+    samples = round(require_positive("duration", duration, "s") / dt)
+    if samples < 1 or parts < 1 or delay < 0:
+        raise InputError(
+            f"duration = {duration:g} s, dt = {dt:g} s, parts = {parts}, delay = {delay}: give at "
+            "least one sample and one part of it, and a delay >= 0"
+        )
+    return samples
 
 
 def _true_plant(plant: Plant, parameters: Values | None) -> Plant:

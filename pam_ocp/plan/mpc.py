@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -18,9 +18,13 @@ from ..signals import PiecewisePolynomial
 from ..simulate import evaluated
 from ..trajectory import Trajectory
 from ..variables import Variable
+from .mpc_statistics import MpcStatistics, MpcStep
 from .shooting import Limit, Penalty, Shooting
 from .sqp import Ipopt, Outcome, Sqp
 from .step import Givens, Step, StepMethod
+
+if TYPE_CHECKING:
+    from .closed_loop import ClosedLoop
 
 __all__ = ["Mpc", "MpcStatistics", "MpcStep"]
 
@@ -28,65 +32,6 @@ Array: TypeAlias = NDArray[np.float64]
 
 FIRST_ITERATIONS = 30
 """Of the first solve, which has no solution to start from."""
-
-
-@dataclass(frozen=True)
-class MpcStep:
-    """What one call of :meth:`Mpc.control` did."""
-
-    seconds: float
-    qp_seconds: float
-    """Of ``seconds``, spent in the QP solver (or in IPOPT)."""
-    iterations: int
-    work: int
-    """Iterations of the interior-point method in all quadratic programs (0 where it is not told)."""
-    last_step: float
-    """Largest change in the last iteration, in units of nominal."""
-    converged: bool
-    fallback: bool
-    """The SQP failed and IPOPT was asked."""
-    failed: bool
-    """IPOPT failed too: the inputs are those of the plan before, one step on."""
-
-
-@dataclass(frozen=True)
-class MpcStatistics:
-    """Of all calls of :meth:`Mpc.control` so far; the first call, which starts cold, apart."""
-
-    steps: tuple[MpcStep, ...]
-
-    @property
-    def seconds(self) -> Array:
-        """Of each call after the first [s]."""
-        return np.array([s.seconds for s in self.steps[1:]] or [math.nan])
-
-    @property
-    def median(self) -> float:
-        """Median time of a call [s]."""
-        return float(np.median(self.seconds))
-
-    @property
-    def worst(self) -> float:
-        """Longest time of a call [s]."""
-        return float(np.max(self.seconds))
-
-    @property
-    def fallbacks(self) -> int:
-        """How often IPOPT had to be asked."""
-        return sum(s.fallback for s in self.steps)
-
-    @property
-    def failures(self) -> int:
-        """How often there was no solution at all."""
-        return sum(s.failed for s in self.steps)
-
-    def __str__(self) -> str:
-        iterations = [s.iterations for s in self.steps[1:]] or [0]
-        return (
-            f"{len(self.steps)} steps: median {1e3 * self.median:.2f} ms, worst "
-            f"{1e3 * self.worst:.2f} ms, iterations {np.median(iterations):.0f} (at most "
-            f"{max(iterations)}), IPOPT asked {self.fallbacks} times, failed {self.failures} times"
-        )
 
 
 class Mpc:
@@ -188,6 +133,21 @@ class Mpc:
     def statistics(self) -> MpcStatistics:
         """Times and iterations of the calls since the last :meth:`reset`."""
         return MpcStatistics(tuple(self._steps))
+
+    def closed_loop(
+        self,
+        real: Plant | str | os.PathLike[str],
+        reference: Mapping[str, Any],
+        duration: float,
+        **options: Any,
+    ) -> ClosedLoop:
+        """Run against a plant or an FMU, with noise, disturbances and an estimator.
+
+        Arguments as for :func:`pam_ocp.plan.closed_loop.closed_loop`.
+        """
+        from .closed_loop import closed_loop
+
+        return closed_loop(self, real, reference, duration, **options)
 
     # ---- one step -------------------------------------------------------------------------------
     def control(

@@ -85,19 +85,20 @@ def excesses(problem: Problem, mesh: Mesh, solution: Solution) -> list[float]:
     begins, h = solution.inputs.breaks[:-1], np.diff(solution.inputs.breaks)
     p, at = problem.plant.vector("parameter"), 0
     rest = (np.zeros(problem.r.numel()), np.array(problem.aims), solution.peaks)
+    stages = [Stage(problem, leg, mesh.form, 1, DENSE) for leg in problem.legs]
+    values_of = [problem.conditions("guarded", stage.guarded) for stage in stages]
     for k, interval in enumerate(mesh.intervals):
-        stage = Stage(problem, problem.legs[interval.leg], mesh.form, interval.degree, DENSE)
         taus = mesh.form.guard_taus(interval.degree, DENSE)
         points = solution.states[at : at + 1 + len(mesh.form.state_taus(interval.degree))]
         weights = [mesh.form.state_weights(interval.degree, tau) for tau in taus]
         x = points.T @ np.asarray(ca.horzcat(*weights))
         powers = (taus * h[k]) ** np.arange(solution.inputs.coefficients.shape[1])[:, None]
         u = solution.inputs.coefficients[k].T @ powers
-        values = problem.conditions("guarded", stage.guarded)(
-            x, u, p, begins[k] + h[k] * taus[None, :], *rest
+        values = np.asarray(
+            values_of[interval.leg](x, u, p, begins[k] + h[k] * taus[None, :], *rest)
         )
-        low, high = (np.array(e)[:, None] for e in limits(stage.guarded))
-        beyond = np.maximum(low - np.asarray(values), np.asarray(values) - high)
+        low, high = (np.array(e)[:, None] for e in limits(stages[interval.leg].guarded))
+        beyond = np.maximum(low - values, values - high)
         found[k] = float(np.max(beyond, initial=0.0))
         at += len(points) - 1
     return found

@@ -90,8 +90,8 @@ def plan(
         symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
     method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
         ``Shooting(intervals=50, steps=4)``.
-    tolerance : refine the mesh (degrees first, then intervals) until every interval, integrated
-        tightly, meets its planned end to this part of nominal in all; None for one mesh only.
+    tolerance : refine the mesh (degrees first, then intervals) until the whole motion, integrated
+        tightly, meets its planned points to this part of nominal; None for one mesh only.
     guess : another plan to start from.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on many
@@ -197,7 +197,7 @@ class Planner:
             else:
                 errors = interval_errors(plant, mesh, found.solution)
                 # errors of intervals add up, and may grow along the motion
-                growth = float(np.clip(error / np.sum(errors), 1.0, 1e6))
+                growth = max(1.0, error / sum(errors)) if np.isfinite(error) else 1.0
                 finer = refined(mesh, errors, tolerance / len(errors) / growth)
             if finer == mesh or len(meshes) > MAX_REFINEMENTS:
                 return found
