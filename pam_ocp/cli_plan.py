@@ -21,6 +21,7 @@ A problem file (TOML). Values are numbers in SI, or texts with a unit; plain key
   minimise = { time = 1.0, effort = 1e-4 }   # or one term, as "time"
   duration = { min = "20 ms", max = "1 s" }  # of each leg; or "0.2 s", "free", or a list
   tolerance = 1e-6                  # refine the mesh until a tight integration agrees
+  starts = 1                        # how many starts to try; more of them where valves feed
 
   [plant]
   arrangement = "AntagonisticSlide" # HangingLoad, AntagonisticJoint, ..., or FILE.py:NAME

@@ -321,3 +321,27 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(slide, factor):
     warm = ours(values={"mass": 2.0 * factor}, guess=first)
     assert warm.objective == pytest.approx(cold.objective, rel=1e-7)
     assert warm.statistics["iterations"] < cold.statistics["iterations"]
+
+
+def test_more_starts_keep_the_best(slide):
+    """Valves: many local optima. The first of the objectives is that of the planner's own start."""
+    plant = pam.AntagonisticSlide(
+        pam.muscle("DMSP-20-400N"), 8.5, 0.10, feed=pam.SpoolValve(),
+    )  # fmt: skip
+    task = {"stops": [{"x": -0.01}, {"x": 0.012}], "method": pam.Collocation(20, 3)}
+    own = pam.plan(plant, **task)
+    best = pam.plan(plant, **task, starts=6)
+    found = best.statistics["starts"]
+    assert len(found) > 3
+    assert found[0] == pytest.approx(own.objective, rel=1e-9)
+    assert best.objective == min(found) <= own.objective
+    assert max(found) > min(found) * (1 + 1e-4)  # they differ here, or there were nothing to choose
+    assert best.replay_error < 0.01
+    everywhere = pam.plan(slide, STOPS, cyclic="mirrored", method=pam.Collocation(20, 3), starts=12)
+    assert np.ptp(everywhere.statistics["starts"]) < 1e-6  # with regulators there is one optimum
+
+
+@pytest.mark.parametrize("starts", [0, 13, 2.0, "all"])
+def test_starts_are_a_whole_number(slide, starts):
+    with pytest.raises(InputError, match=r"starts = .*from 1 to 12"):
+        pam.plan(slide, STOPS, starts=starts)

@@ -50,13 +50,14 @@ def from_solution(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
     return _sampled(problem, mesh, durations, states, solution.inputs, design, peaks)
 
 
-def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False) -> Array:
+def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: float = 1.0) -> Array:
     """Scaled unknowns along minimum-jerk paths between the stops, all else at its start.
 
     balanced : other states run between the equilibria at the stops instead, and the inputs are those
-        that move them so.
+        that move them so. stretch : of durations that are free, from the usual ones.
     """
-    durations = problem.time_nominals
+    shortest, longest = np.array([leg.duration for leg in problem.legs]).T
+    durations = np.clip(stretch * problem.time_nominals, shortest, longest)
     path = _Path(problem, [_node(problem, stop, balanced) for stop in problem.stops], durations)
     inputs = path.driving_inputs() if balanced else path.inputs
     return _sampled(

@@ -102,7 +102,7 @@ def pareto(
 
     Parameters
     ----------
-    stops, arguments : as for :func:`pam_ocp.plan`; ``minimise`` and ``tolerance`` excepted.
+    stops, arguments : as for :func:`pam_ocp.plan`, but ``minimise``, ``tolerance``, ``guess``, ``starts``.
     first : "time", "effort", "work", "air", "exergy", "integral(NAME)", "square(NAME)" or
         "peak(NAME)"; second : these, or "rate" or "final(NAME)".
     points : on the front, both ends included.
@@ -115,7 +115,7 @@ def pareto(
     require_plant(plant)
     if not isinstance(points, int) or points < 2:
         raise InputError(f"points = {points!r}: give a whole number >= 2")
-    for name in ("minimise", "tolerance"):
+    for name in ("minimise", "tolerance", "guess", "starts"):
         if name in arguments:
             raise InputError(
                 f"{name} is not an argument of pareto; it is what pareto varies or sets"

@@ -112,6 +112,12 @@ def _number(plant: Plant, where: str, value: Any) -> float:
     return quantity(where, value)
 
 
+def _count(plant: Plant, where: str, value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise InputError(f"{where} = {value!r}: give a whole number")
+    return value
+
+
 def _cyclic(plant: Plant, where: str, value: Any) -> Any:
     if value not in (True, False, "mirrored"):
         raise InputError(f"{where} = {value!r}: give true, false or 'mirrored'")
@@ -290,6 +296,7 @@ _READERS: dict[str, Callable[[Plant, str, Any], Any]] = {
     "final": _expression,
     "method": _method,
     "tolerance": _number,
+    "starts": _count,
     "solver": _text,
     "compiled": _flag,
     "options": _options,

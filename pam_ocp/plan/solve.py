@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -35,6 +36,10 @@ MAX_REFINEMENTS = 10
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is chasing switches, and slow to solve."""
 
+_STRATEGIES: tuple[Start, ...] = ("cold", "adaptive")
+STARTS = tuple(product((True, False), (1.0, 0.3, 3.0), _STRATEGIES))
+"""(whether states run as in the planner's own guess, its durations, barrier strategy)."""
+
 
 def plan(
     plant: Plant,
@@ -55,6 +60,7 @@ def plan(
     method: Method | None = None,
     tolerance: float | None = None,
     guess: Plan | None = None,
+    starts: int = 1,
     progress: Progress = False,
     solver: SolverName = "ipopt",
     compiled: bool = False,
@@ -93,6 +99,8 @@ def plan(
     tolerance : refine the mesh (degrees first, then intervals) until the whole motion, integrated
         tightly, meets its planned points to this part of nominal; None for one mesh only.
     guess : another plan to start from.
+    starts : 1 to 12: how many starts are tried (other durations, states and barrier strategies of the
+        first guess); the best plan is kept. Of use with valves, where there are many local optima.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on many
         intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a process
@@ -111,7 +119,7 @@ def plan(
         integrand=integrand, final=final, method=method, progress=progress, solver=solver,
         compiled=compiled, options=options,
     )  # fmt: skip
-    return planner(guess=guess, tolerance=tolerance)
+    return planner(guess=guess, tolerance=tolerance, starts=starts)
 
 
 class Planner:
@@ -157,13 +165,14 @@ class Planner:
         *,
         guess: Plan | None = None,
         tolerance: float | None = None,
+        starts: int = 1,
         **changed: Any,
     ) -> Plan:
         """The optimal motion for other numbers.
 
         values : parameters (and start values) of the plant by name.
         guess : a plan to start from; one of this planner starts warm, with its multipliers.
-        tolerance : refine the mesh; see :func:`plan`.
+        tolerance, starts : refine the mesh, try other starts; see :func:`plan`.
         changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track`` of the same form.
 
         Raises InputError when a change would ask for another program, PlanError as plan does.
@@ -172,15 +181,19 @@ class Planner:
         if tolerance is not None:
             require_positive("tolerance", tolerance)
         require_instance("guess", guess, Plan, "give what plan() returned", none=True)
+        if not isinstance(starts, int) or not 1 <= starts <= len(STARTS):
+            raise InputError(f"starts = {starts!r}: give a whole number from 1 to {len(STARTS)}")
         program = self._with(values, changed)
         run = _Run(program, self._backend, self._solver)
         found = run.solve(guess._solved if guess is not None else None)
         meshes = [program.mesh]
         figures: dict[str, Any] = {"iterations": found.outcome.iterations}
+        if starts > 1:
+            found, figures["starts"] = run.best(found, starts)
         if tolerance is not None and found.outcome.success:
             found = self._refined(found, tolerance, meshes, figures)
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
-        return _plan(found, run.conflicts, meshes, figures)
+        return _plan(found, () if found.outcome.success else run.conflicts, meshes, figures)
 
     def _refined(
         self, found: Solved, tolerance: float, meshes: list[Mesh], figures: dict[str, Any]
@@ -290,6 +303,18 @@ class _Run:
         guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
         found = self._from(guess, "near")
         return found if found.outcome.success else self._from(guess)
+
+    def best(self, first: Solved, starts: int) -> tuple[Solved, list[float]]:
+        """The best of the first start and further ones, and the objectives of all that led somewhere."""
+        own = idle_inputs(self.program.problem)
+        tried = [first]
+        for usual, stretch, start in STARTS[1:starts]:
+            balanced = own if usual else not own
+            guess = by_stops(self.program.problem, self.program.mesh, balanced, stretch)
+            tried.append(self._from(guess, start))
+        solved = [s for s in tried if s.outcome.success]
+        objectives = [s.outcome.objective for s in solved]
+        return (solved[int(np.argmin(objectives))] if solved else first), objectives
 
     def solve(self, previous: Solved | None) -> Solved:
         """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
