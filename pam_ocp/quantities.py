@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import sys
 from collections.abc import Iterable, Mapping
@@ -22,7 +23,7 @@ __all__ = ["known_keys", "pair", "quantity", "read_toml", "table"]
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The content of a TOML file; InputError when there is none, or it is no TOML."""
     try:
         with Path(path).open("rb") as file:

@@ -13,6 +13,9 @@ from pam_ocp.muscle.free import law_named, own_law, polynomial_law, spline_law
 from pam_ocp.muscle.muscle import Muscle
 from pam_ocp.muscle.muscle_file import load_muscle, save_muscle
 
+HEAD = 'format = "pam_ocp muscle 1"\nrest_length = 0.3\n'
+PLANE = 'law = "polynomial-0-0"\n[coefficients]\ng0 = 1e-3\nh0 = 0.0\n'
+
 # REFERENCE: name -> (a1 .. a6 for bar and percent)
 SETS = {
     "DMSP-10": (-9.2194029, 203.7012413, -0.34221042, -3.2255991, 109.2038216, -208.372034),
@@ -119,22 +122,32 @@ def test_a_law_of_ones_own_is_in_no_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_that_is_no_muscle_is_refused(tmp_path):
-    for name, text, words in (
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
         ("a.toml", "x = [", "is no TOML file"),
-        ("a.json", "{", "not a muscle file"),
+        ("a.json", "{", "cannot be read as a muscle file"),
         ("b.toml", "x = 1", "its 'format' must be"),
-        ("c.toml", 'format = "pam_ocp muscle 1"\nlaw = "spline-3:0,x"', "numbers behind the colon"),
-        (
-            "d.toml",
-            'format = "pam_ocp muscle 1"\nlaw = "hexagonal"',
-            "unknown force law 'hexagonal'",
-        ),
-        ("e.yaml", "", "ends in .toml or .json"),
-    ):
-        (tmp_path / name).write_text(text)
-        with pytest.raises(InputError, match=words):
-            load_muscle(tmp_path / name)
+        ("b.json", "[1]", "its 'format' must be"),
+        ("c.toml", HEAD + 'law = "spline-3:0,x"', "numbers behind the colon"),
+        ("d.toml", HEAD + 'law = "hexagonal"', "unknown force law 'hexagonal'"),
+        ("e.toml", HEAD + 'law = "six-parameter"\ncoefficients = 3', "coefficients = 3: give a table"),
+        ("f.toml", HEAD + PLANE.replace("0.0", "'x'"), "coefficients.h0 = 'x' is not a number"),
+        ("g.toml", HEAD + "pressure_range = [0, 1, 2]\n" + PLANE, "give \\[lowest, highest\\]"),
+        ("h.yaml", "", "ends in .toml or .json"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_no_muscle_is_refused(name, text, words, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=words):
+        load_muscle(tmp_path / name)
+
+
+def test_what_is_no_muscle_or_no_name_is_refused(tmp_path):
+    with pytest.raises(InputError, match="muscle is a int"):
+        save_muscle(3, tmp_path / "m.toml")
+    with pytest.raises(InputError, match="path is a int"):
+        load_muscle(3)
 
 
 def test_summary_tells_law_size_range_and_source():

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from ..errors import InputError, UnknownNameError
-from ..files import atomic_path
-from ..quantities import read_toml
+from ..errors import InputError, UnknownNameError, require_finite, require_instance
+from ..files import atomic_path, read_json, write_json
+from ..quantities import read_toml, table
 from .free import law_named
 from .muscle import Muscle
 
@@ -29,7 +28,8 @@ ENDINGS = (".toml", ".json")
 
 def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
     """Write a muscle with its law and coefficients (SI): TOML or JSON, as the file's name ends."""
-    name = muscle.law.name
+    require_instance("muscle", muscle, Muscle, "give a Muscle, such as fit.muscle(...)")
+    ending, name = _ending(path), muscle.law.name
     try:
         known = law_named(name) is type(muscle.law)
     except UnknownNameError:
@@ -45,16 +45,16 @@ def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
         "law": muscle.law.name,
         "coefficients": {n: float(v) for n, v in muscle.law.values.items()},
     }
-    if _ending(path) == ".toml":
-        text = tomli_w.dumps({key: value for key, value in content.items() if value is not None})
-    else:
-        text = json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    if ending == ".json":
+        return write_json(path, content)
     with atomic_path(path) as temporary:
-        temporary.write_text(text, "utf-8")
+        stated = {key: value for key, value in content.items() if value is not None}
+        temporary.write_text(tomli_w.dumps(stated), "utf-8")
     return Path(path)
 
 
 def _ending(path: str | os.PathLike[str]) -> str:
+    require_instance("path", path, (str, os.PathLike), "give the name of a file")
     ending = Path(path).suffix.lower()
     if ending not in ENDINGS:
         raise InputError(f"{os.fspath(path)}: a muscle file ends in {' or '.join(ENDINGS)}")
@@ -63,33 +63,32 @@ def _ending(path: str | os.PathLike[str]) -> str:
 
 def load_muscle(path: str | os.PathLike[str]) -> Muscle:
     """Read what :func:`save_muscle` wrote. Raises InputError when it is something else."""
-    source = Path(path)
-    if _ending(source) == ".toml":
-        content: Any = read_toml(source)
-    else:
-        try:
-            content = json.loads(source.read_text("utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{source}: no such file") from None
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise InputError(f"{source}: not a muscle file ({error})") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{source}: not a muscle file (its 'format' must be {FORMAT!r})")
+    kind, remedy = "a muscle file", f"its 'format' must be {FORMAT!r}"
+    if _ending(path) == ".json":
+        content = read_json(path, kind, FORMAT, remedy)
+    elif (content := read_toml(path)).get("format") != FORMAT:
+        raise InputError(f"{os.fspath(path)} is no muscle file; {remedy}")
     try:
-        law = law_named(str(content.get("law")))
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from None
+        return _muscle(content)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{os.fspath(path)}: {error}") from None
+
+
+def _muscle(content: dict[str, Any]) -> Muscle:
+    """The muscle that a file's content describes; raises what Python does where it describes none."""
+    law = law_named(str(content.get("law")))
     wanted = {v.name for v in law.coefficient_variables()}
-    given = content.get("coefficients", {})
+    given = table("coefficients", content.get("coefficients", {}))
     if set(given) != wanted:
-        raise InputError(f"{source}: coefficients {sorted(given)} given, {sorted(wanted)} needed")
-    try:
-        return Muscle(
-            law(**{n: float(v) for n, v in given.items()}),
-            **{
-                **{key: content[key] for key in _PLAIN if key in content},
-                **{key: tuple(map(float, content[key])) for key in _RANGES if key in content},
-            },
-        )
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{source}: {error}") from None
+        raise InputError(f"coefficients {sorted(given)} given, {sorted(wanted)} needed")
+    ranges: dict[str, Any] = {}
+    for key in set(_RANGES) & set(content):
+        values = content[key]
+        if not (isinstance(values, list) and len(values) == 2):
+            raise InputError(f"{key} = {values!r}: give [lowest, highest]")
+        ranges[key] = tuple(require_finite(key, v) for v in values)
+    return Muscle(
+        law(**{n: require_finite(f"coefficients.{n}", v) for n, v in given.items()}),
+        **{key: content[key] for key in _PLAIN if key in content},
+        **ranges,
+    )
