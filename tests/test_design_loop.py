@@ -29,6 +29,12 @@ def test_between_samples_the_plant_moves_as_in_simulate(slide):
     assert run.compare(motion).largest < 1e-6
 
 
+def test_a_function_may_be_the_controller(slide):
+    answer = lambda t, measured: {"muscle1.command": 4 * BAR if measured["x"] < 0 else 2 * BAR}  # noqa: E731
+    run = closed_loop(slide, answer, duration=0.05, dt=1e-2, start={"x": -1e-3})
+    assert run["muscle1.command"][0] == 4 * BAR
+
+
 def test_what_the_controller_asks_is_kept_within_the_plants_range(slide):
     run = closed_loop(slide, Fixed({"muscle1.command": 20 * BAR}), duration=0.05, dt=1e-2)
     assert np.all(run["muscle1.command"] == slide.variable("muscle1.command").max)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError, require_positive
-from ..plant.plant import Plant, Values
+from ..plant.plant import Plant, Values, require_plant
 from ..signals import PiecewisePolynomial
 from ..simulate import evaluated
 from ..trajectory import Trajectory
@@ -42,7 +42,7 @@ class Controller(Protocol):
 
 def closed_loop(
     plant: Plant,
-    controller: Controller,
+    controller: Controller | Callable[[float, Measured], Mapping[str, float]],
     *,
     duration: float,
     dt: float = 1e-3,
@@ -60,7 +60,7 @@ def closed_loop(
 
     Parameters
     ----------
-    controller : called every ``dt`` seconds with what is measured; its inputs are held until the
+    controller : a Controller, or a function (t, measured) -> inputs; called every ``dt`` seconds; its inputs are held until the
         next call and kept within the plant's range (the result shows them as the plant gets them).
     start : initial states by name; by default the states' start values.
     parameters : of the true plant, which the controller does not know.
@@ -75,6 +75,7 @@ def closed_loop(
 
     Raises InputError for bad arguments, SimulationError where the plant cannot be integrated.
     """
+    require_plant(plant)
     samples = _samples(controller, duration, dt, parts, delay)
     true = _true_plant(plant, parameters)
     acting = _Inputs(true, disturbances or {})
@@ -83,7 +84,8 @@ def closed_loop(
     u = acting(0.0, {})
     waiting = [u] * delay
     rows, held = [x[None, :]], []
-    controller.reset()
+    if hasattr(controller, "reset"):
+        controller.reset()
     with _stepper(true, x, dt, parts, fmu, rtol) as step:
         for k in range(samples):
             t = k * dt

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, UnknownNameError, require_positive
+from ..errors import InputError, UnknownNameError, require_instance, require_positive
 from ..integrate import Integration
 from ..plant.plant import Plant, Values
 from ..signals import PiecewisePolynomial
@@ -98,6 +98,9 @@ def closed_loop(
 
     Raises InputError for what cannot be meant, SimulationError when the real side stops.
     """
+    require_instance("controller", controller, Mpc, "give an Mpc; others are pam.closed_loop's")
+    require_instance("real", real, (Plant, str, os.PathLike), "give a Plant, or the path of an FMU")
+    require_instance("reference", reference, Mapping, "give {tracked name: number or function}")
     steps = round(require_positive("duration", duration, "s") / controller.step)
     if steps < 1:
         raise InputError(
