@@ -369,6 +369,15 @@ def test_a_fit_of_a_polynomial_is_read_by_its_name(tmp_path: Path, fit: ForceFit
     assert ForceFit.from_json(found.to_json(tmp_path / "fit.json")).law == found.law
 
 
+def test_of_many_combinations_that_are_not_seen_a_few_are_spelled_out(fit: ForceFit) -> None:
+    """26 coefficients, 5 contraction levels: each of them tells two numbers, so 16 are not seen."""
+    told = fit_force(fit.table, "polynomial-12-12").warnings
+    assert sum("see this combination" in w for w in told) == 3
+    more = [w for w in told if "more combinations of the 26 coefficients" in w]
+    assert len(more) == 1
+    assert int(more[0].split()[0]) >= 13
+
+
 def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> None:
     path = tmp_path / "x.json"
     with pytest.raises(InputError, match="cannot be read"):

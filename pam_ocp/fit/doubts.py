@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,32 +12,42 @@ if TYPE_CHECKING:
 
 __all__ = ["at_edge", "force_warnings", "unseen"]
 
+MOST_SHOWN = 3
+"""Combinations that are spelled out."""
+
 
 def force_warnings(fit: ForceFit) -> tuple[str, ...]:
     """See :attr:`ForceFit.warnings`."""
     found = [*unseen(fit), *_saturated(fit)]
     if fit.dof == 0:
         found.append("as many coefficients as taut cells: no error can be estimated")
-    return (*found, *at_edge(fit))
+    return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
 
 
 def unseen(fit: ForceFit) -> list[str]:
     """Combinations of coefficients that the data do not, or hardly, see."""
-    return [
+    found = [
         f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
         "together moves the force of no taut cell by more than "
         f"{np.max(np.abs(fit.jacobian @ move)):.2g} N"
         f"{'' if lost or not fit.dof else ' (one standard error)'}"
         for lost, move, words in fit.linearisation.hardly_seen()
     ]
+    if len(found) > MOST_SHOWN:
+        more = len(found) - MOST_SHOWN
+        found[MOST_SHOWN:] = [
+            f"{more} more combinations of the {len(fit.free)} coefficients are not seen, or hardly; take "
+            "a law with fewer"
+        ]
+    return found
 
 
-def at_edge(fit: ForceFit) -> list[str]:
-    """Coefficients that ended at the edge of their range."""
+def at_edge(names: Iterable[str], values: Mapping[str, float]) -> list[str]:
+    """Coefficients (by name) that ended at the edge of their range."""
     return [
-        f"{name} = {fit.law.values[name]:g} ended at the edge of its range: its interval means "
+        f"{name} = {values[name]:g} ended at the edge of its range: its interval means "
         "nothing; hold it with fixed=... or take another law"
-        for name in fit.solver.at_bound
+        for name in names
     ]
 
 

@@ -46,7 +46,7 @@ class MemberFit(ForceFit):
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """As of a fit alone, but for the number of levels: the other tables tell more than these."""
-        return (*unseen(self), *at_edge(self))
+        return (*unseen(self), *at_edge(self.solver.at_bound, self.law.values))
 
     @property
     def has_profile(self) -> bool:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import FitError, InputError, UnknownNameError
 from ..muscle.force import ForceLaw
+from .doubts import at_edge
 from .member_fit import MemberFit, marginal_root
 from .problem import PLAIN, Problem, Terms
 from .report import coefficient_line, correlation_lines
@@ -143,12 +144,8 @@ class JointForceFit:
             "together moves no taut cell beyond its noise"
             for lost, _, words in self.linearisation.hardly_seen()
         ]
-        found += [
-            f"{n} = {self.coefficients[n].value:g} ended at the edge of its range: its interval means "
-            "nothing; hold it with fixed=... or take another law"
-            for n in self.solver.at_bound
-        ]
-        return tuple(found)
+        values = {n: c.value for n, c in self.coefficients.items()}
+        return (*found, *at_edge(self.solver.at_bound, values))
 
     def report(self, level: float = 0.95) -> str:
         """The fit as text: muscles, shared and own coefficients with intervals, warnings."""
