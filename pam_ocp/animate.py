@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, require_instance, require_positive
+from .errors import InputError, require_count, require_instance, require_positive
 from .files import atomic_path
 from .plan.result import Plan
 from .plant.antagonist import AntagonisticSlide
@@ -54,8 +54,7 @@ def animate_plan(
     if target.suffix.lower() != ".gif":
         raise InputError(f"{target.name}: an animation is written as .gif")
     length = require_positive("seconds", 4.0 if seconds is None else seconds, "s")
-    if not isinstance(fps, int) or not 1 <= fps <= 50:
-        raise InputError(f"fps = {fps!r}: give a whole number from 1 to 50")
+    require_count("fps", fps, 1, 50)
     from matplotlib.animation import FuncAnimation, PillowWriter
 
     _ = plan.trajectory  # a failed plan raises here

@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable
+from numbers import Integral
 from typing import Any
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "PlanError",
     "SimulationError",
     "UnknownNameError",
+    "require_count",
     "require_finite",
     "require_instance",
     "require_positive",
@@ -84,6 +86,15 @@ def require_instance(
     if isinstance(value, kinds) or (none and value is None):
         return value
     raise InputError(f"{argument} is a {type(value).__name__}: {remedy}")
+
+
+def require_count(argument: str, value: Any, least: int = 1, most: int | None = None) -> int:
+    """``value`` as an int, or an InputError when it is no whole number of this range."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):
+        allowed = f">= {least}" if most is None else f"from {least} to {most}"
+        raise InputError(f"{argument} = {value!r}: give a whole number {allowed}")
+    return int(value)
 
 
 def require_finite(argument: str, value: Any, unit: str = "") -> float:

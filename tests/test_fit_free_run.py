@@ -148,7 +148,7 @@ def test_a_value_held_back_by_its_range_is_named() -> None:
         ({"horizon": 0.123456}, "horizon = 0.123456 s is no multiple of the sampling time 0.01 s"),
         ({"every": 0.0}, "every"),
         ({"horizon": 3.0}, "the longest lasts 1.2 s"),
-        ({"history": 1}, "history = 1: give a whole number of at least 2"),
+        ({"history": 1}, "history = 1: give a whole number >= 2"),
         ({"steps": 0}, "steps = 0"),
     ],
 )

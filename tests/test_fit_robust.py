@@ -294,5 +294,5 @@ def test_what_robust_fits_and_bootstraps_cannot_answer_is_refused() -> None:
         fit_force(table_20(), priors={"a9": (0.0, 1.0)})
     with pytest.raises(InputError, match="choose 'residuals' or 'cases'"):
         robust.bootstrap(5, method="jackknife")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="n = 1 must be"):
+    with pytest.raises(InputError, match="n = 1: give a whole number >= 2"):
         robust.bootstrap(1)

@@ -341,7 +341,7 @@ def test_more_starts_keep_the_best(slide):
     assert np.ptp(everywhere.statistics["starts"]) < 1e-6  # with regulators there is one optimum
 
 
-@pytest.mark.parametrize("starts", [0, 13, 2.0, "all"])
+@pytest.mark.parametrize("starts", [0, 13, 2.0, "all", True])
 def test_starts_are_a_whole_number(slide, starts):
     with pytest.raises(InputError, match=r"starts = .*from 1 to 12"):
         pam.plan(slide, STOPS, starts=starts)

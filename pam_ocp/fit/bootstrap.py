@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
-from ..errors import FitError, InputError, UnknownNameError
+from ..errors import FitError, InputError, UnknownNameError, require_count
 from .problem import Problem
 from .search import minimise
 from .statistics import Array
@@ -54,8 +54,7 @@ class Bootstrap:
 
 def bootstrap(fit: ForceFit, n: int, seed: int, method: Resampling) -> Bootstrap:
     """See :meth:`ForceFit.bootstrap`."""
-    if not isinstance(n, int) or n < 2:
-        raise InputError(f"n = {n!r} must be a whole number >= 2")
+    require_count("n", n, 2)
     if method not in ("residuals", "cases"):
         raise InputError(f"method = {method!r}: choose 'residuals' or 'cases'")
     if method == "residuals" and fit.dof < 1:

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, UnknownNameError, require_finite, require_positive
+from ..errors import InputError, UnknownNameError, require_count, require_finite, require_positive
 from ..files import atomic_path
 from ..muscle.force import ForceLaw
 from .force_fit import ForceFit
@@ -187,8 +187,7 @@ def design_cells(
     """
     if criterion not in _WORDS:
         raise InputError(f"criterion = {criterion!r}: choose 'D', 'A' or 'I'")
-    if not isinstance(n, int) or n < 1:
-        raise InputError(f"n = {n!r}: give a whole number of cells, at least 1")
+    require_count("n", n)
     state = _known(known, noise, covariance, fixed)
     chosen = _chosen(state, parameters)
     points, steps = _candidates(state, known, pressure, contraction, candidates)
@@ -316,8 +315,7 @@ def _chosen(state: _Known, parameters: Sequence[str] | None) -> tuple[int, ...]:
 def _repeats(repeats: int | None, n: int) -> int:
     if repeats is None:
         return n
-    if not isinstance(repeats, int) or repeats < 1:
-        raise InputError(f"repeats = {repeats!r}: give a whole number, at least 1")
+    require_count("repeats", repeats)
     return repeats
 
 

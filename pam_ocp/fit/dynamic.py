@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, require_finite, require_positive
+from ..errors import InputError, require_count, require_finite, require_positive
 from ..plant.plant import Plant
 from ..trajectory import Trajectory
 from .estimate import ORDERS, Task, estimate, require_influence
@@ -181,8 +181,7 @@ def _task(
     if step is not None:
         require_positive("step", step, "s")
     order = ORDERS[method][0] if degree is None else degree
-    if not isinstance(order, int) or not 1 <= order <= 9:
-        raise InputError(f"degree = {degree!r}: give a whole number from 1 to 9")
+    require_count("degree", order, 1, 9)
     constant = {}
     for name, value in (inputs or {}).items():
         if plant.variable(name).causality != "input":

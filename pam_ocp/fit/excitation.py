@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from ..errors import InputError, require_positive
+from ..errors import InputError, require_count, require_positive
 from ..plant.plant import Plant, Values
 from .experiment import Group
 from .information import Excitation
@@ -64,10 +64,7 @@ def excitation(
         raise InputError(f"family = {family!r}: choose one of {', '.join(FAMILIES)}")
     h = require_positive("sample", sample, "s")
     count = round(require_positive("duration", duration, "s") / h)
-    if not isinstance(segments, int) or not 1 <= segments <= count:
-        raise InputError(
-            f"segments = {segments!r}: give a whole number from 1 to {count} (samples)"
-        )
+    require_count("segments", segments, 1, count)
     ranges = _ranges(plant, inputs)
     low, high = np.array(list(ranges.values())).T
     return Excitation(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, require_instance, require_positive
+from ..errors import InputError, require_count, require_instance, require_positive
 from ..plant.plant import Plant
 from ..trajectory import Trajectory
 from .experiment import measured_names
@@ -77,9 +77,8 @@ def runs_of(
     )
     chosen = [records] if isinstance(records, Trajectory) else list(records)
     names = measured_names(plant, chosen, outputs)
-    for argument, value, least in (("history", history, 2), ("steps", steps, 1)):
-        if not isinstance(value, int) or value < least:
-            raise InputError(f"{argument} = {value!r}: give a whole number of at least {least}")
+    require_count("history", history, 2)
+    require_count("steps", steps)
     sampling = _sampling(chosen)
     length = _multiple("horizon", horizon, sampling)
     stride = _multiple("every", every, sampling)

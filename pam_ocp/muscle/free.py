@@ -15,7 +15,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError, UnknownNameError
+from ..errors import InputError, UnknownNameError, require_count
 from .force import LAWS, ForceLaw, coefficient
 from .validity import Validity
 
@@ -226,9 +226,7 @@ def _from_expression(expression: ca.SX, names: tuple[str, ...]) -> Callable[...,
 
 
 def _degree(argument: str, value: int) -> int:
-    if not isinstance(value, int) or not 0 <= value <= 12:
-        raise InputError(f"{argument} = {value!r} must be a whole number from 0 to 12")
-    return value
+    return require_count(argument, value, 0, 12)
 
 
 def _made(

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, require_count
 
 __all__ = [
     "Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "guarded", "refined",
@@ -152,12 +152,6 @@ class Mesh:
         return lengths, starts
 
 
-def _whole(argument: str, value: object, high: int | None = None) -> None:
-    if not isinstance(value, int) or value < 1 or (high is not None and value > high):
-        allowed = f"from 1 to {high}" if high else ">= 1"
-        raise InputError(f"{argument} = {value!r}: give a whole number {allowed}")
-
-
 def _equal(intervals: int, degree: int, legs: int, form: Form) -> Mesh:
     one = tuple(
         Interval(leg, 1.0 / intervals, degree) for leg in range(legs) for _ in range(intervals)
@@ -186,8 +180,8 @@ class Collocation:
     guarded: bool = True
 
     def __post_init__(self) -> None:
-        _whole("intervals", self.intervals)
-        _whole("degree", self.degree, HIGHEST_DEGREE)
+        require_count("intervals", self.intervals)
+        require_count("degree", self.degree, 1, HIGHEST_DEGREE)
         if self.control not in CONTROLS:
             raise InputError(f"control = {self.control!r}: choose one of {', '.join(CONTROLS)}")
         if self.points not in ("radau", "gauss"):
@@ -214,8 +208,8 @@ class Shooting:
     control: Literal["constant", "linear"] = "constant"
 
     def __post_init__(self) -> None:
-        _whole("intervals", self.intervals)
-        _whole("steps", self.steps, MOST_STEPS)
+        require_count("intervals", self.intervals)
+        require_count("steps", self.steps, 1, MOST_STEPS)
         if self.control not in ("constant", "linear"):
             raise InputError(f"control = {self.control!r}: choose 'constant' or 'linear'")
 

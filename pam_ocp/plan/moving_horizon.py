@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_finite, require_positive
+from ..errors import InputError, require_count, require_finite, require_positive
 from ..plant.plant import Plant, Values
 from .estimate import Estimate, Estimator
 from .step import StepMethod
@@ -65,9 +65,8 @@ class MovingHorizonEstimator(Estimator):
         method: StepMethod = "rk4",
         substeps: int = 2,
     ) -> None:
-        for argument, count in (("horizon", horizon), ("iterations", iterations)):
-            if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-                raise InputError(f"{argument} = {count!r}: give a whole number >= 1")
+        require_count("horizon", horizon)
+        require_count("iterations", iterations)
         super().__init__(
             plant, step=step, measured=measured, process=process, unknown=unknown, start=start,
             uncertainty=uncertainty, method=method, substeps=substeps,

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, UnknownNameError, require_finite, require_positive
+from ..errors import InputError, UnknownNameError, require_count, require_finite, require_positive
 from ..plant.plant import Plant, Values
 from ..signals import PiecewisePolynomial
 from ..simulate import evaluated
@@ -95,8 +95,7 @@ class Mpc:
         if work is not None:
             counts.append(("work", work, 1))
         for argument, value, least in counts:
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InputError(f"{argument} = {value!r}: give a whole number >= {least}")
+            require_count(argument, value, least)
         if delay not in (0, 1):
             raise InputError(f"delay = {delay!r}: give 0 (at once) or 1 (one step later)")
         require_positive("penalty", penalty)

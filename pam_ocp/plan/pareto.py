@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, PlanError, require_positive
+from ..errors import InputError, PlanError, require_count, require_positive
 from ..plant.plant import Plant, require_plant
 from ..variables import Variable
 from .guess import from_solution
@@ -113,8 +113,7 @@ def pareto(
     between that are not found stand in ``failures``.
     """
     require_plant(plant)
-    if not isinstance(points, int) or points < 2:
-        raise InputError(f"points = {points!r}: give a whole number >= 2")
+    require_count("points", points, 2)
     for name in ("minimise", "tolerance", "guess", "starts"):
         if name in arguments:
             raise InputError(

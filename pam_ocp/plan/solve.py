@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, PlanError, require_instance, require_positive
+from ..errors import InputError, PlanError, require_count, require_instance, require_positive
 from ..plant.plant import Plant, Values
 from ..simulate import evaluated
 from .backend import Backend, Solver, SolverName
@@ -181,15 +181,15 @@ class Planner:
         if tolerance is not None:
             require_positive("tolerance", tolerance)
         require_instance("guess", guess, Plan, "give what plan() returned", none=True)
-        if not isinstance(starts, int) or not 1 <= starts <= len(STARTS):
-            raise InputError(f"starts = {starts!r}: give a whole number from 1 to {len(STARTS)}")
+        require_count("starts", starts, 1, len(STARTS))
         program = self._with(values, changed)
         run = _Run(program, self._backend, self._solver)
         found = run.solve(guess._solved if guess is not None else None)
         meshes = [program.mesh]
-        figures: dict[str, Any] = {"iterations": found.outcome.iterations}
+        figures: dict[str, Any] = {}
         if starts > 1:
             found, figures["starts"] = run.best(found, starts)
+        figures["iterations"] = found.outcome.iterations
         if tolerance is not None and found.outcome.success:
             found = self._refined(found, tolerance, meshes, figures)
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, UnknownNameError, require_finite, require_positive
+from ..errors import InputError, UnknownNameError, require_count, require_finite, require_positive
 from ..plant.plant import Plant, Values
 
 __all__ = ["Givens", "Step", "StepMethod"]
@@ -87,8 +87,7 @@ class Step:
         require_positive("step", self.length, "s")
         if self.method not in get_args(StepMethod):
             raise InputError(f"method = {self.method!r}: choose 'rk4' or 'rosenbrock'")
-        if not (isinstance(self.substeps, int) and self.substeps >= 1):
-            raise InputError(f"substeps = {self.substeps!r}: give a whole number >= 1")
+        require_count("substeps", self.substeps)
 
     def expression(self, given: Givens, x: ca.SX, u: ca.SX, q: ca.SX, length: Any = None) -> ca.SX:
         """The state after the step from x; x and u in units of nominal, q in SI."""

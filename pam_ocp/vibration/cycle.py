@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_positive
+from ..errors import InputError, require_count, require_positive
 from ..plant.plant import Plant, require_plant
 from ..signals import signals
 from ..simulate import evaluated, simulate
@@ -160,8 +160,7 @@ def limit_cycle(
     Raises VibrationError with the reason (no convergence; the guess collapses to a point of rest),
     InputError for a guess that does not oscillate or bad arguments.
     """
-    if not (isinstance(degree, int) and 2 <= degree <= 9):
-        raise InputError(f"degree = {degree!r}: give a whole number from 2 to 9")
+    require_count("degree", degree, 2, 9)
     require_plant(plant)
     if not isinstance(guess, (HopfPoint, Trajectory)):
         raise InputError(f"guess is a {type(guess).__name__}, not a Trajectory or a HopfPoint")
