@@ -10,9 +10,10 @@ from typing import Any, Literal
 from . import units
 from .errors import InputError
 
-__all__ = ["Causality", "Variable"]
+__all__ = ["Causality", "Memory", "Variable"]
 
 Causality = Literal["state", "input", "parameter", "output", "constraint"]
+Memory = Literal["", "held", "settling"]
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
 
@@ -32,6 +33,9 @@ class Variable:
     description : one line for people.
     tunable : for parameters: may change while a simulation runs.
     disturbance : for inputs: not for a controller to choose; plans and equilibria hold it at start.
+    memory : for states: "held" keeps at rest whatever value in min .. max the past has left
+        (hysteresis: rest is a continuum, and a point on it has to be chosen); "settling" forgets
+        slowly and rests where its own equation says (creep).
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
     """
 
@@ -46,6 +50,7 @@ class Variable:
     tunable: bool = False
     display_unit: str = ""
     disturbance: bool = False
+    memory: Memory = ""
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):
@@ -67,6 +72,12 @@ class Variable:
             raise InputError(
                 f"{self.name}: min = {self.min:g} must not lie above max = {self.max:g}"
             )
+        if self.memory not in ("", "held", "settling"):
+            raise InputError(f"{self.name}: memory = {self.memory!r}; choose 'held' or 'settling'")
+        if self.memory and self.causality != "state":
+            raise InputError(f"{self.name}: only states have memory, this is a {self.causality}")
+        if self.memory == "held" and not (math.isfinite(self.min) and math.isfinite(self.max)):
+            raise InputError(f"{self.name}: a held memory needs a finite min and max")
         if self.start is not None:
             self.check(self.start, "start")
 

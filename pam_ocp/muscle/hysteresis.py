@@ -80,7 +80,11 @@ class BoucWen:
             )
         )  # fmt: skip
         z = plant.state(
-            f"{name}.hysteresis", description=f"Bouc-Wen state of {name}: force/friction"
+            f"{name}.hysteresis",
+            min=-1.0,
+            max=1.0,
+            memory="held",
+            description=f"Bouc-Wen state of {name}: force/friction",
         )
         size = (z**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
         signed = z * (z**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
@@ -140,7 +144,11 @@ class MaxwellSlip:
                 description=f"Maxwell-slip element {i} of {name}: contraction to slide",
             )  # fmt: skip
             z = plant.state(
-                f"{name}.slip{i}", description=f"Maxwell-slip element {i} of {name}: force/friction"
+                f"{name}.slip{i}",
+                min=-1.0,
+                max=1.0,
+                memory="held",
+                description=f"Maxwell-slip element {i} of {name}: force/friction",
             )
             up, down = (rate + speed) / 2, (rate - speed) / 2
             plant.der(z, (up * self._sticking(z) + down * self._sticking(-z)) / yielding)
@@ -198,7 +206,7 @@ class Creep:
                 description=f"creep element {i} of {name}: relaxation time",
             )  # fmt: skip
             settled = plant.state(
-                f"{name}.creep{i}", nominal=0.1, display_unit="%",
+                f"{name}.creep{i}", nominal=0.1, display_unit="%", memory="settling",
                 description=f"creep element {i} of {name}: contraction to which it has settled",
             )  # fmt: skip
             plant.der(settled, (motion.contraction - settled) / tau)
