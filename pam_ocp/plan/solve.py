@@ -199,6 +199,7 @@ class Planner:
         self, found: Solved, tolerance: float, meshes: list[Mesh], figures: dict[str, Any]
     ) -> Solved:
         """Solve on finer meshes until a tight integration agrees, or as far as it goes."""
+        refinements = 0
         while True:
             problem, mesh = found.program.problem, meshes[-1]
             plant = _designed(problem, found)
@@ -212,7 +213,8 @@ class Planner:
                 # errors of intervals add up, and may grow along the motion
                 growth = max(1.0, error / sum(errors)) if np.isfinite(error) else 1.0
                 finer = refined(mesh, errors, tolerance / len(errors) / growth)
-            if finer == mesh or len(meshes) > MAX_REFINEMENTS:
+                refinements += 1  # more checks are none: a plan moved by them may be refined again
+            if finer == mesh or refinements > MAX_REFINEMENTS:
                 return found
             if len(finer.intervals) > len(meshes[0].intervals) + MORE_INTERVALS:
                 return found
