@@ -173,7 +173,7 @@ class Search:
             point = self.nearest(guess, high, slack)
             others = np.delete(self.residual(point), i)
             if np.abs(others).max(initial=0.0) < ROUGH:
-                return np.clip(point, self.low, high)
+                return np.asarray(np.clip(point, self.low, high))
         return None
 
     @cached_property
@@ -183,7 +183,7 @@ class Search:
         for i, v in enumerate((*self.plant.states, *self.plant.inputs)):
             if v.unit == "Pa":
                 high[i] = np.inf
-        return high
+        return np.asarray(high, dtype=float)
 
     def starts(self, count: int = 5, seed: int = 0, reach: float = 1.0) -> list[Array]:
         """Start values first, then points spread over the bounds (fixed seed: the same each time).
