@@ -82,7 +82,7 @@ def _drives(plant: Plant) -> Array:
     positions = [
         i
         for i, depends in enumerate(_dependence(plant))
-        if i not in velocities and depends and depends - {i} and depends <= {*velocities, i}
+        if i not in {*velocities, *memories} and depends - {i} and depends <= {*velocities, i}
     ]
     if positions:
         rising = sizes[positions]
