@@ -24,13 +24,22 @@ __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 REST_RATE = 1e-4
 """Rate of contraction [1/s] at which its absolute value is rounded off.
 
-Faster motion is rate-independent; at rest a memory fades over yield/REST_RATE (some 50 s).
+Faster motion is rate-independent. At rest an element keeps its force, up to the last two hundredths
+before it slides fully: smooth derivatives, |z| <= 1 and dissipation in every motion leave no other way.
 """
+EDGE = 0.02
+"""Part of the full friction over which BoucWen's |z| <= 1 is kept also in motion below REST_RATE."""
 
 
 def _speed(rate: ca.SX) -> ca.SX:
     # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.
     return ca.SX(ca.sqrt(rate**2 + REST_RATE**2))
+
+
+def _passage(towards: ca.SX, edge: float) -> ca.SX:
+    """1 while it sticks, falling to 0 where sliding begins: 1 - s^2, s from 0 to 1 at the edge."""
+    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), 1)
+    return ca.SX(1 - s**2)
 
 
 @dataclass(frozen=True)
@@ -88,8 +97,13 @@ class BoucWen:
         )
         size = (z**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
         signed = z * (z**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
-        rate = motion.rate
-        slipping = beta * _speed(rate) * signed + (1 - beta) * rate * size
+        rate, fast = motion.rate, _speed(motion.rate)
+        # Both vanish at rest like rate^2, so that a memory keeps; |onward| <= speed: it dissipates.
+        # At the edge they are those that keep |z| <= 1 however slow the motion.
+        keeps, moving = _passage(ca.sqrt(z**2 + 1e-12), EDGE), (rate / fast) ** 2
+        speed = fast * (1 - keeps * (1 - moving))
+        onward = rate * (1 - keeps * (1 - moving))
+        slipping = beta * speed * signed + (1 - beta) * onward * size
         plant.der(z, (rate - slipping) / width)
         return ca.SX(friction * z)
 
@@ -156,9 +170,7 @@ class MaxwellSlip:
         return total
 
     def _sticking(self, towards: ca.SX) -> ca.SX:
-        """1 while it sticks, falling to 0 where sliding begins: 1 - s^2, s from 0 to 1 at the edge."""
-        s = ca.fmin(ca.fmax((towards - (1 - self.edge)) / self.edge, 0), 1)
-        return ca.SX(1 - s**2)
+        return _passage(towards, self.edge)
 
 
 @dataclass(frozen=True)
