@@ -1,0 +1,188 @@
+"""Effective openings: what stands in for commands with a dead zone, and the way back to the commands.
+
+A command in its dead zone has no slope, so neither a linear model nor a solver sees what it could do.
+The opening does: it is zero where the valve closes and moves the flow at once. A controller chooses
+openings, and the commands that give exactly these are sent (dead-zone inversion: G. Tao and
+P. V. Kokotovic, IEEE Trans. Automat. Control 39 (1994) 59-68).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..variables import Variable
+
+if TYPE_CHECKING:
+    from .plant import Plant
+
+__all__ = [
+    "Inversion",
+    "Opening",
+    "Way",
+    "closing",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class Opening:
+    """An input that stands in for commands of a plant; see :meth:`Plant.opening`.
+
+    variable, symbol : the opening itself. commands : names of the inputs that it stands in for.
+    forward : the opening that the commands give; inverse : each command that gives the opening.
+    Both are expressions of the plant's symbols, its parameters among them.
+    """
+
+    variable: Variable
+    symbol: ca.SX
+    commands: tuple[str, ...]
+    forward: ca.SX
+    inverse: tuple[ca.SX, ...]
+
+    @property
+    def name(self) -> str:
+        return self.variable.name
+
+
+@dataclass(frozen=True)
+class Way:
+    """A symbol in the plant's equations, and what it is in commands and in openings."""
+
+    symbol: ca.SX
+    in_commands: ca.SX
+    in_openings: ca.SX
+
+
+@dataclass
+class Inversion:
+    """Between a plant's inputs as they are sent and as a controller chooses them.
+
+    plant : with commands. inner : the same with openings (the plant itself where it declares none).
+    """
+
+    plant: Plant
+    inner: Plant = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.inner = self.plant.in_openings()
+        self._of = {o.name: o for o in self.plant.openings}
+        self._for = {c: o for o in self.plant.openings for c in o.commands}
+
+    @cached_property
+    def _p(self) -> Array:
+        return self.plant.vector("parameter")
+
+    def __bool__(self) -> bool:
+        """Whether anything differs."""
+        return bool(self._of)
+
+    def _function(self, opening: Opening, forward: bool) -> ca.Function:
+        """(commands, p) -> opening, or (opening, p) -> commands."""
+
+        def build() -> ca.Function:
+            commands = ca.vertcat(*(self.plant.expression(n) for n in opening.commands))
+            if forward:
+                return ca.Function("forward", [commands, self.plant.p], [opening.forward])
+            results = [ca.vertcat(*opening.inverse)]
+            return ca.Function("inverse", [opening.symbol, self.plant.p], results)
+
+        return self.plant.cached(("opening", opening.name, forward), build)  # type: ignore[no-any-return]
+
+    def name(self, name: str) -> str:
+        """What a variable of the plant is called inside: for a command the name of its opening."""
+        if any(v.name == name or v.name.replace(".", "_") == name for v in self.inner.variables):
+            return self.inner.variable(name).name
+        full = self.plant.variable(name).name
+        return self._for[full].name if full in self._for else full
+
+    def names(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values by inner name, as weights: where commands share an opening the largest holds."""
+        found: dict[str, float] = {}
+        for name, value in values.items():
+            inner = self.name(name)
+            found[inner] = value if inner not in found else max(found[inner], value)
+        return found
+
+    def commands(self, values: Mapping[str, float], p: Array | None = None) -> dict[str, float]:
+        """Openings among values by name replaced by the commands that give them."""
+        found: dict[str, float] = {}
+        for name, value in values.items():
+            opening = self._of.get(name)
+            if opening is None:
+                found[name] = value
+                continue
+            sent = np.asarray(
+                self._function(opening, False)(value, self._p if p is None else p)
+            ).ravel()
+            found.update(zip(opening.commands, sent.tolist(), strict=True))
+        return found
+
+    def openings(self, values: Mapping[str, float], p: Array | None = None) -> dict[str, float]:
+        """Commands among values by name replaced by the openings that they give."""
+        found = {n: v for n, v in values.items() if n not in self._for}
+        for opening in self._of.values():
+            if opening.name in found or not any(c in values for c in opening.commands):
+                continue
+            sent = [values.get(c, self.plant.variable(c).start or 0.0) for c in opening.commands]
+            known = self._p if p is None else p
+            found[opening.name] = float(self._function(opening, True)(sent, known))
+        return found
+
+    def rows(self, commands: Array, p: Array | None = None) -> Array:
+        """Openings (n, inner inputs) of commands (n, inputs) in the plants' orders."""
+        names = [v.name for v in self.plant.inputs]
+        known = self._p if p is None else p
+        columns = []
+        for variable in self.inner.inputs:
+            opening = self._of.get(variable.name)
+            if opening is None:
+                columns.append(commands[:, names.index(variable.name)])
+                continue
+            sent = commands[:, [names.index(c) for c in opening.commands]].T
+            columns.append(np.asarray(self._function(opening, True)(sent, known)).ravel())
+        return np.column_stack(columns) if columns else commands[:, :0]
+
+    def sent(self, openings: Array, p: Array | None = None) -> Array:
+        """Commands (n, inputs) of openings (n, inner inputs) in the plants' orders."""
+        inner = [v.name for v in self.inner.inputs]
+        known = self._p if p is None else p
+        columns = {n: openings[:, i] for i, n in enumerate(inner)}
+        for name, opening in self._of.items():
+            row = openings[:, [inner.index(name)]].T
+            found = np.asarray(self._function(opening, False)(row, known))
+            columns.update(zip(opening.commands, found, strict=True))
+        return np.column_stack([columns[v.name] for v in self.plant.inputs])
+
+
+def closing(plant: Plant, u: Array) -> bool:
+    """Whether a command stands in its dead zone: its own slope there is less than the opening's."""
+    if not plant.openings:
+        return False
+
+    def build() -> ca.Function:
+        slopes = [
+            ca.jacobian(o.forward, ca.vertcat(*(plant.expression(c) for c in o.commands)))
+            for o in plant.openings
+        ]
+        least = [ca.mmin(ca.fabs(ca.densify(s))) for s in slopes]
+        return ca.Function("slopes", [plant.u, plant.p], [ca.mmin(ca.vertcat(*least))])
+
+    slope = plant.cached("slopes of the openings", build)(u, plant.vector("parameter"))
+    return float(slope) < 0.99
+
+
+def checked_commands(name: str, commands: list[str], known: Mapping[str, Variable]) -> None:
+    """InputError when what an opening stands in for are no inputs of the plant."""
+    wrong = [c for c in commands if c not in known or known[c].causality != "input"]
+    if wrong or not commands:
+        raise InputError(
+            f"opening {name!r} stands in for {', '.join(wrong) or 'nothing'}; give inputs of the plant"
+        )
