@@ -69,6 +69,10 @@ Start: TypeAlias = Literal["cold", "adaptive", "near", "warm"]
 STARTS: dict[Start, dict[str, Any]] = {"cold": {}, "adaptive": ADAPTIVE, "near": NEAR, "warm": WARM}
 
 
+STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
+"""IPOPT's return status when somebody stopped it."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a solver made of a program."""
@@ -86,6 +90,16 @@ class Outcome:
     solver: str = "IPOPT"
     warning: str = ""
     """What did not go as asked."""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the solver was stopped, rather than failed."""
+        return self.status in STOPPED
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing else should be tried."""
+        return self.success or self.stopped
 
 
 class _Watch(ca.Callback):
