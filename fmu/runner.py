@@ -229,7 +229,8 @@ class Runner:
 
     def failure(self, error: BaseException) -> SimulationError:
         """What went wrong, in the words of the FMU where it has some."""
-        words = self.log[-1][1] if self.log else str(error)
+        refusals = [text for status, text in self.log if status > 1]  # neither OK nor a warning
+        words = refusals[-1] if refusals else str(error)
         return SimulationError(f"{self.kind} of the FMU failed: {words}")
 
 

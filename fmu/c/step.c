@@ -129,6 +129,7 @@ static Status do_step(Instance *s, const char *function, double point, double si
     s->memory.time = point + (*early ? context.offset : size);
     s->memory.step = solver.step;
     *reached = s->memory.time;
+    warn_of_inputs(s, function); /* where a slope has led them */
     if (s->log_mask & LOG_STEPS)
         report(s, OK, function, "to time %.12g, internal steps: %ld, rejected: %ld", *reached,
                steps, rejected);
