@@ -118,3 +118,98 @@ def test_a_constraint_of_ones_own_is_watched_between_points_too():
     )  # fmt: skip
     assert plan.replay.constraint == "bulge"
     assert plan.replay.violation == pytest.approx(0.2, rel=0.02)
+
+
+def rails(limit=20.0):
+    """x'' = u, nothing else."""
+    plant = pam.Plant("rails")
+    x, v = plant.state("x", unit="m", nominal=0.5), plant.state("v", unit="m/s", nominal=2.0)
+    u = plant.input("u", unit="N", min=-limit, max=limit, nominal=4.0)
+    plant.der(x, v)
+    plant.der(v, u)
+    return plant
+
+
+def test_every_leg_is_watched():
+    """Of two legs, out and back, the second alone is held to x (1 - x) <= 0.2."""
+    ways = {"rest": False, "duration": 1.0, "minimise": "effort", "tolerance": None}
+    plan = pam.plan(
+        mass_on_rails(10.0), [{"x": 0.0}, {"x": 1.0}, {"x": 0.0}], **ways,
+        phases=[None, pam.Phase(bounds={"room": (None, 0.2)})],
+        method=pam.Collocation(1, 2, "linear"),
+    )  # fmt: skip
+    peak = float(np.max(densely(plan)["x"][2000:] * (1 - densely(plan)["x"][2000:])))
+    assert peak > 0.21
+    assert plan.replay.violation == pytest.approx((peak - 0.2) / 0.25, rel=0.05)
+
+
+def test_a_state_below_its_lower_bound_between_points_is_said():
+    """Down to -1/4 and up again: one interval of degree 2 looks at both ends and one point."""
+    plan = pam.plan(
+        rails(), [{"x": 0.0, "v": -1.0}, {"x": 0.0, "v": 1.0}], rest=False, duration=1.0,
+        bounds={"x": (-0.23, 1.0)}, minimise="effort", tolerance=None,
+        method=pam.Collocation(1, 2, "constant"),
+    )  # fmt: skip
+    assert densely(plan)["x"].min() == pytest.approx(-0.25, abs=1e-6)
+    assert plan.replay.constraint == "x"
+    assert plan.replay.violation == pytest.approx(0.02 / 0.5, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("wish", "value"),
+    [
+        # u = 6 - 12 t and v = 6 t (1 - t) of least effort by hand; nominals 4 N and 2 m/s
+        ({"minimise": "effort"}, 12.0 / 16.0),
+        ({"minimise": "square(u)"}, 12.0 / 16.0),
+        ({"minimise": {"square(u)": 1.0, "square(v)": 0.0}, "track": {"u": 0.0}}, 24.0 / 16.0),
+        ({"minimise": {"time": 0.0}, "track": {"u": (3.0, 2.0)}}, 2 * (12.0 + 9.0) / 16.0),
+    ],
+)
+def test_objectives_are_in_units_of_nominal(wish, value):
+    plan = pam.plan(
+        rails(), [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}], rest=False, duration=1.0,
+        method=pam.Collocation(6, 3, "linear"), **wish,
+    )  # fmt: skip
+    assert plan.objective == pytest.approx(value, rel=1e-7)
+
+
+def test_the_rate_of_held_inputs_is_that_of_the_line_through_their_middles():
+    plan = pam.plan(
+        rails(), [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}], rest=False, duration=1.0,
+        minimise="rate", method=pam.Collocation(7, 3),
+    )  # fmt: skip
+    signals = plan.trajectory.signals
+    middles = (signals.breaks[:-1] + signals.breaks[1:]) / 2
+    u = signals.coefficients[:, 0, 0] / 4.0
+    assert plan.objective == pytest.approx(np.sum(np.diff(u) ** 2 / np.diff(middles)), rel=1e-9)
+    assert plan.objective > 5
+
+
+def test_a_mirrored_cycle_ends_as_the_mirror_image_of_its_start():
+    """Through -8 and 8 mm in motion: v turns its sign, the muscles change places."""
+    plant = pam.AntagonisticSlide(bought(LONG), 2.0, 0.10)
+    stops = [
+        pam.Stop({"x": -0.008, "v": (0.05, 0.2)}, rest=False),
+        pam.Stop({"x": 0.008}, rest=False),
+    ]
+    plan = pam.plan(
+        plant, stops, cyclic="mirrored", duration=0.4, minimise={"effort": 1.0}, method=ROUGH
+    )
+    first, last = plan.trajectory.row(0), plan.trajectory.row(-1)
+    assert first["v"] > 0.049
+    assert (last["x"], last["v"]) == pytest.approx((-first["x"], -first["v"]), abs=1e-9)
+    for one, two in (("muscle1", "muscle2"), ("muscle2", "muscle1")):
+        assert last[f"{two}.pressure"] == pytest.approx(first[f"{one}.pressure"], abs=1e-3)
+
+
+def test_where_two_legs_meet_the_bounds_of_both_hold():
+    """Quick up to 1 m, slow from there on: at the seam it is slow already."""
+    plan = pam.plan(
+        rails(), [{"x": 0.0}, pam.Stop({"x": 1.0}, rest=False), {"x": 2.0}], duration=(0.05, 5.0),
+        phases=[pam.Phase(bounds={"v": (0.0, 2.0)}), pam.Phase(bounds={"v": (0.0, 1.0)})],
+        method=pam.Collocation(10, 3), tolerance=None,
+    )  # fmt: skip
+    t = plan.trajectory.t
+    seam = int(np.argmin(np.abs(t - plan.durations[0])))
+    assert plan.trajectory["v"][:seam].max() > 1.9
+    assert plan.trajectory["v"][seam] <= 1.0 + 1e-6
