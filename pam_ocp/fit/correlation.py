@@ -22,7 +22,7 @@ from .tables import ForceTable
 
 __all__ = ["SerialErrors", "neighbours", "sequences", "serial_errors", "widening"]
 
-DOUBTFUL = 0.2
+DOUBTFUL = 0.1
 """Probability of so large a likelihood ratio by chance below which errors count as correlated."""
 RHO = np.linspace(0.0, 0.98, 50)
 FEWEST = 6

@@ -18,7 +18,8 @@ MOST_SHOWN = 3
 
 def force_warnings(fit: ForceFit) -> tuple[str, ...]:
     """See :attr:`ForceFit.warnings`."""
-    found = [*unseen(fit), *_saturated(fit)]
+    found = [fit.solver.doubt] if fit.solver.doubt else []
+    found += [*unseen(fit), *_saturated(fit), *_following(fit)]
     if fit.dof == 0:
         found.append("as many coefficients as taut cells: no error can be estimated")
     return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
@@ -48,6 +49,21 @@ def at_edge(names: Iterable[str], values: Mapping[str, float]) -> list[str]:
         f"{name} = {values[name]:g} ended at the edge of its range: its interval means "
         "nothing; hold it with fixed=... or take another law"
         for name in names
+    ]
+
+
+def _following(fit: ForceFit) -> list[str]:
+    serial = fit.serial
+    if serial is None:
+        return []
+    plain, wide = fit.linearisation.independent.stderr(), fit.linearisation.stderr()
+    seen = np.isfinite(plain) & (plain > 0)
+    reach = fit.linearisation.reach(0.95) / fit.linearisation.independent.reach(0.95)
+    factor = reach * float(np.median(wide[seen] / plain[seen])) if seen.any() else reach
+    return [
+        f"residuals follow each other {serial.order} (correlation of neighbouring errors about "
+        f"{serial.correlation:.2g}, by chance with probability {serial.probability:.1g}): intervals and "
+        f"bands are widened for it, by a factor of about {factor:.2g}"
     ]
 
 
