@@ -9,17 +9,22 @@ import numpy as np
 
 if TYPE_CHECKING:
     from .force_fit import ForceFit
+    from .statistics import Linearisation
 
-__all__ = ["at_edge", "force_warnings", "unseen"]
+__all__ = ["at_edge", "following", "force_warnings", "unseen"]
 
 MOST_SHOWN = 3
 """Combinations that are spelled out."""
 
 
+LIKELY = 0.95
+"""Probability from which a correlation is stated as a fact."""
+
+
 def force_warnings(fit: ForceFit) -> tuple[str, ...]:
     """See :attr:`ForceFit.warnings`."""
     found = [fit.solver.doubt] if fit.solver.doubt else []
-    found += [*unseen(fit), *_saturated(fit), *_following(fit)]
+    found += [*unseen(fit), *_saturated(fit), *following(fit.linearisation)]
     if fit.dof == 0:
         found.append("as many coefficients as taut cells: no error can be estimated")
     return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
@@ -52,18 +57,19 @@ def at_edge(names: Iterable[str], values: Mapping[str, float]) -> list[str]:
     ]
 
 
-def _following(fit: ForceFit) -> list[str]:
-    serial = fit.serial
+def following(linear: Linearisation) -> list[str]:
+    """That errors follow each other, and what that does to intervals."""
+    serial = linear.serial
     if serial is None:
         return []
-    plain, wide = fit.linearisation.independent.stderr(), fit.linearisation.stderr()
+    plain, wide = linear.independent.stderr(), linear.stderr()
     seen = np.isfinite(plain) & (plain > 0)
-    reach = fit.linearisation.reach(0.95) / fit.linearisation.independent.reach(0.95)
+    reach = linear.reach(0.95) / linear.independent.reach(0.95)
     factor = reach * float(np.median(wide[seen] / plain[seen])) if seen.any() else reach
     return [
-        f"residuals follow each other {serial.order} (correlation of neighbouring errors about "
-        f"{serial.correlation:.2g}, by chance with probability {serial.probability:.1g}): intervals and "
-        f"bands are widened for it, by a factor of about {factor:.2g}"
+        f"errors {'' if serial.probability > LIKELY else 'may '}follow each other {serial.order} "
+        f"(probability {100 * serial.probability:.3g} %, correlation of neighbours about "
+        f"{serial.correlation:.2g}): intervals and bands are widened for it, by a factor of about {factor:.2g}"
     ]
 
 
