@@ -161,8 +161,12 @@ def judged(case: Case, random: np.random.Generator) -> dict[str, Any]:
     table = case.table()
     fit = pam.fit_force(table, case.name, fixed=case.fixed)
     intervals = fit.intervals(LEVEL)
+    values = dict(case.law.values)
+    if "k3" in values and (values["k1"] - values["k3"]) * (fit.law.values["k1"] - fit.law.values["k3"]) < 0:
+        # of two slopes either may be called the first
+        values |= {a: values[b] for a, b in zip(("k0", "k1", "k2", "k3"), ("k2", "k3", "k0", "k1"), strict=True)}
     seen = {n: bool(np.isfinite(c.stderr)) for n, c in fit.coefficients.items() if not c.held}
-    held = [low <= case.law.values[n] <= high for n, (low, high) in intervals.items() if seen[n]]
+    held = [low <= values[n] <= high for n, (low, high) in intervals.items() if seen[n]]
     ends = [bool(np.isfinite(end)) for n, pair in intervals.items() if seen[n] for end in pair]
     p = random.uniform(fit.cells.pressure.min(), fit.cells.pressure.max(), PLACES)
     k = random.uniform(fit.cells.contraction.min(), fit.cells.contraction.max(), PLACES)
@@ -177,7 +181,7 @@ def judged(case: Case, random: np.random.Generator) -> dict[str, Any]:
         "coefficients": [int(sum(held)), len(held)], "open ends": len(ends) - sum(ends),
         "unseen": len(intervals) - len(held),
         "band": [int(inside[finite].sum()), int(finite.sum())], "no band": int((~finite).sum()),
-        "edge": list(fit.solver.at_bound), "names": {n: bool(low <= case.law.values[n] <= high)
+        "serial": None if fit.serial is None else fit.serial.correlation, "edge": list(fit.solver.at_bound), "names": {n: bool(low <= values[n] <= high)
         for n, (low, high) in intervals.items() if seen[n]},
         "mean width": float(np.mean(np.diff(band.confidence, axis=0)[0][finite])) if finite.any() else None,
     }  # fmt: skip
@@ -207,6 +211,7 @@ def summary(results: list[dict[str, Any]]) -> str:
         parts["all"].append(r)
         parts[f"law {r['law']}"].append(r)
         parts[f"{r['levels']} levels"].append(r)
+        parts[f"errors {'follow' if r['correlation'] else 'alone'}, {'un' if r['serial'] is None else ''}seen"].append(r)
         parts[f"correlation {'0' if not r['correlation'] else '< 0.45' if r['correlation'] < 0.45 else '< 0.9'}"].append(r)  # fmt: skip
     lines.append(f"{'':<34}{'tables':>7}{'coefficients':>14}{'band':>8}{'open':>6}{'unseen':>8}{'edge':>6}{'s':>7}")  # fmt: skip
     for name, rows in sorted(parts.items()):

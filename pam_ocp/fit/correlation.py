@@ -22,8 +22,11 @@ from .tables import ForceTable
 
 __all__ = ["SerialErrors", "neighbours", "sequences", "serial_errors", "widening"]
 
-DOUBTFUL = 0.2
-"""Probability of so large a likelihood ratio by chance below which errors count as correlated."""
+NEGLECTED = 0.15
+"""Probability of a correlation below which errors count as independent.
+
+Of independent errors, a few dozen of them, that is what the data usually leave.
+"""
 RHO = np.linspace(0.0, 0.98, 50)
 FEWEST = 6
 """Degrees of freedom below which nothing is said about a correlation."""
@@ -54,8 +57,8 @@ class Order:
 class SerialErrors:
     """Errors that follow each other.
 
-    order : along what, in words. correlation : of neighbouring errors (largest restricted likelihood).
-    probability : that errors without any correlation would show so much of it.
+    order : along what, in words. probability : that errors follow each other at all.
+    correlation : of neighbouring errors, the mean over all that the data leave possible.
     meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones would
     have. spread : standard deviation of an error, in that of independent ones.
     weights, sizes : (g,), how likely each rho is, and the variances that it gives to the coefficients, in
@@ -85,23 +88,13 @@ class SerialErrors:
         return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
 
 
-def sequences(table: ForceTable) -> list[Order]:
-    """Orders in which errors of a table's cells may follow each other.
+def sequences(*tables: ForceTable) -> list[Order]:
+    """Orders in which errors of the cells of tables (one behind the other) may follow each other.
 
     Row after row; row after row within a ramp (contraction level, branch and run); along pressure in
-    each of these.
+    each of these. Nothing follows from table to table.
     """
-    n = len(table)
-    branch, run = (np.unique(a or ("",) * n, return_inverse=True)[1] for a in (table.branch, table.run))
-    ramp = np.unique(np.stack([table.levels(), branch, run]), axis=1, return_inverse=True)[1].ravel()
-    rows = np.arange(n)
-    found = [Order("from row to row", rows, rows > 0)]
-    for words, key in (
-        ("along each ramp", rows.astype(float)), ("along pressure at each level", table.pressure),
-    ):  # fmt: skip
-        order = np.lexsort((key, ramp))
-        follows = np.concatenate([[False], ramp[order][1:] == ramp[order][:-1]])
-        found.append(Order(words, order, follows))
+    found = [_joined(orders) for orders in zip(*(_orders(t) for t in tables), strict=True)]
     distinct: list[Order] = []
     for one in found:
         if not any(
@@ -112,6 +105,32 @@ def sequences(table: ForceTable) -> list[Order]:
     return distinct
 
 
+def _orders(table: ForceTable) -> list[Order]:
+    n = len(table)
+    branch, run = (np.unique(a or ("",) * n, return_inverse=True)[1] for a in (table.branch, table.run))
+    labels = np.stack([table.levels(), branch, run])
+    ramp = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
+    rows = np.arange(n)
+    found = [Order("from row to row", rows, rows > 0)]
+    for words, key in (
+        ("along each ramp", rows.astype(float)), ("along pressure at each level", table.pressure),
+    ):  # fmt: skip
+        order = np.lexsort((key, ramp))
+        follows = np.concatenate([[False], ramp[order][1:] == ramp[order][:-1]])
+        found.append(Order(words, order, follows))
+    return found
+
+
+def _joined(orders: Sequence[Order]) -> Order:
+    """The same order of several tables."""
+    first = np.cumsum([0, *(len(o.order) for o in orders)])[:-1]
+    return Order(
+        orders[0].words,
+        np.concatenate([o.order + n for o, n in zip(orders, first, strict=True)]),
+        np.concatenate([o.follows for o in orders]),
+    )
+
+
 def serial_errors(
     jacobian: Array, residuals: Array, orders: Sequence[Order]
 ) -> SerialErrors | None:
@@ -120,8 +139,6 @@ def serial_errors(
     jacobian, residuals : weighted, (n, k) and (n,), of the measurements alone; rows of other kinds
     (priors) may stand behind them in the Jacobian, whose errors follow nothing.
     """
-    from scipy.special import chdtrc
-
     n = len(residuals)
     basis = _basis(jacobian[:n])
     freedom = n - basis.shape[1]
@@ -132,16 +149,20 @@ def serial_errors(
     if not found:
         return None
     (values, squares), order = max(found, key=lambda pair: float(pair[0][0].max()))
-    ratio = 2 * float(values.max() - values[0])
-    probability = min(1.0, len(found) * float(chdtrc(1, ratio)) / 2) if ratio > 0 else 1.0
-    if probability > DOUBTFUL:
+    top = max(float(v.max()) for (v, _), _ in found)
+    alone, follow = np.exp(values[0] - top), [np.mean(np.exp(v - top)) for (v, _), _ in found]
+    probability = float(np.mean(follow) / (alone + np.mean(follow)))
+    if probability < NEGLECTED:
         return None
     weights = np.exp(values - values.max())
-    best, scale = int(np.argmax(values)), squares / squares[0]
+    weights *= probability / weights.sum()
+    weights[0] += 1 - probability  # rho = 0
+    mean = int(np.argmin(np.abs(RHO - weights @ RHO)))
+    scale = squares / squares[0]
     parts = scale[:, None, None] * _meats(jacobian, order)
     return SerialErrors(
-        order.words, float(RHO[best]), probability, parts[best], float(np.sqrt(scale[best])),
-        weights / weights.sum(), _relative(parts, parts[best]), freedom,
+        order.words, float(RHO[mean]), probability, parts[mean], float(np.sqrt(scale[mean])),
+        weights, _relative(parts, parts[mean]), freedom,
     )  # fmt: skip
 
 

@@ -45,7 +45,7 @@ def descend(problem: Problem, start: Array, moved: Sequence[int]) -> tuple[Array
             new = _at(problem, trial)
             if new[2] <= cost:
                 c, (rest, slopes, cost) = trial, new
-                damping = max(damping / 10, 1e-12)
+                damping = max(damping / 10, 1e-10)
                 break
             damping *= 4
         if before - cost <= SETTLED * before:

@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 
 __all__ = ["ForceFit"]
 
+STRAIGHT = 0.2
+"""By this part of its half width the profile interval of a coefficient may differ from value ± t errors
+for the law to count as nearly linear in it."""
+
 
 @dataclass(frozen=True, eq=False)
 class ForceFit:
@@ -327,7 +331,9 @@ class ForceFit:
     def predict(self, p: ArrayLike, kappa: ArrayLike, level: float = 0.95) -> Prediction:
         """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
 
-        ``prediction`` is for a measurement of weight 1.
+        ``prediction`` is for a measurement of weight 1. Where the one nonlinear coefficient of a law is
+        hardly known, the bands are those of the profile likelihood: all that laws reach which fit as
+        well as its interval allows, no narrower than ``stderr`` says.
         """
         pressure, contraction = np.broadcast_arrays(np.asarray(p, float), np.asarray(kappa, float))
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
@@ -336,12 +342,45 @@ class ForceFit:
             self.linearisation.stderr(gradient).reshape(pressure.shape),
         )
         t = self.linearisation.reach(level)
-        new = np.hypot(error, self._new_error) if self.dof else np.full_like(error, np.inf)
         with np.errstate(invalid="ignore"):
-            half, wide = (np.where(e > 0, t * e, 0.0) for e in (error, new))
+            half = np.where(error > 0, t * error, 0.0)
+        low, high = force - half, force + half
+        if self._bends:
+            low, high = self._swept_band(pressure, contraction, level, low, high)
+        new = t * self._new_error if self.dof else np.inf
         return Prediction(
-            force, error, (force - half, force + half), (force - wide, force + wide), level
-        )
+            force, error, (low, high),
+            (force - np.hypot(force - low, new), force + np.hypot(high - force, new)), level,
+        )  # fmt: skip
+
+    @cached_property
+    def _bends(self) -> bool:
+        """Whether a band by linearisation would mislead: the one nonlinear coefficient is hardly known."""
+        if len(self.problem.nonlinear) != 1 or not self.has_profile or not self.sigma > 0:
+            return False
+        c = self.coefficients[self.problem.names[self.problem.nonlinear[0]]]
+        if not np.isfinite(c.stderr):
+            return True
+        half = self.linearisation.reach(0.95) * c.stderr
+        ends = np.abs(np.array(self.interval(c.name)) - c.value)
+        return bool(np.any(np.abs(ends / half - 1) > STRAIGHT))
+
+    def _swept_band(
+        self, p: Array, kappa: Array, level: float, low: Array, high: Array
+    ) -> tuple[Array, Array]:
+        """The band by profile likelihood, no narrower than the linearised one (low, high)."""
+        from .sweep import Sweep
+
+        sweep, linear = Sweep.of(self), self.linearisation
+        if sweep is None or not p.size:
+            return low, high
+        gradient = self._sensitivity(p.ravel(), kappa.ravel())[1]
+        plain, wide = linear.independent.stderr(gradient), linear.stderr(gradient)
+        with np.errstate(invalid="ignore"):
+            ratio = np.where(np.isfinite(plain) & (plain > 0), wide / plain, 1.0)
+        limits = self.cost + (linear.reach(level) * ratio * self.sigma) ** 2
+        ends = (e.reshape(p.shape) for e in sweep.band(p.ravel(), kappa.ravel(), limits))
+        return np.minimum(low, next(ends)), np.maximum(high, next(ends))
 
     @property
     def _new_error(self) -> float:

@@ -115,7 +115,8 @@ def _together(fit: ForceFit, names: Sequence[str], reaches: Array) -> Array:
     inside = np.all((z > low) & (z < high), axis=1)
     # the others are where they belong only if another step of theirs changes nothing
     again = _follow(problem, best, free, z, others)[1]
-    still = np.abs(again - cost) <= 10 * SETTLED * above
+    with np.errstate(invalid="ignore"):
+        still = np.abs(again - cost) <= 10 * SETTLED * above
     settled = done & still & inside & np.isfinite(cost)
     return np.where(settled, z[rows, place], np.nan).reshape(-1, 2)
 
@@ -140,7 +141,11 @@ def _follow(
         norms = np.maximum(np.linalg.norm(inner, axis=1), 1e-300)
         inner = inner / norms[:, None, :]
         normal = np.einsum("mni,mnj->mij", inner, inner) + 1e-14 * np.eye(others.shape[1])
-        step = np.linalg.solve(normal, np.einsum("mni,mn->mi", inner, rest)[:, :, None])[:, :, 0]
+        right = np.einsum("mni,mn->mi", inner, rest)[:, :, None]
+        try:
+            step = np.linalg.solve(normal, right)[:, :, 0]
+        except np.linalg.LinAlgError:  # somewhere the others are not determined
+            step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
         z = z.copy()
         np.put_along_axis(z, others, np.take_along_axis(z, others, 1) + step / norms, axis=1)
     raise AssertionError("the loop returns")

@@ -92,6 +92,7 @@ class SolverStatistics:
 
     gradient : largest cosine between the residual and a column of the Jacobian, 0 at an optimum.
     scanned : points of the global scan. at_bound : coefficients that ended at a bound.
+    doubt : why the optimum is in doubt, in words; empty when it is not.
     """
 
     status: str
@@ -100,6 +101,7 @@ class SolverStatistics:
     scanned: int
     at_bound: tuple[str, ...] = ()
     seconds: float = 0.0
+    doubt: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,14 +1,15 @@
-"""Profile intervals of a law with one nonlinear coefficient, by a sweep over its whole range."""
+"""Profile intervals and bands of a law with one nonlinear coefficient, by a sweep over its whole range."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .problem import Problem, sizes
 from .statistics import Array
+from .tables import ForceTable
 
 if TYPE_CHECKING:
     from .force_fit import ForceFit
@@ -33,7 +34,7 @@ class Sweep:
     best: float
     values: Array
     results: tuple[Array, Array, Array]
-    """Costs (m,), best linear coefficients and their variances (m, linear) at ``values``."""
+    """Costs (m,), best linear coefficients (m, k) and roots of their covariances (m, k, k) at ``values``."""
 
     @classmethod
     def of(cls, fit: ForceFit) -> Sweep | None:
@@ -73,6 +74,22 @@ class Sweep:
         reached = _reached(results, column, side, limit)
         return float(side * reached.max()), ""
 
+    def band(self, p: Array, kappa: Array, limits: Array) -> tuple[Array, Array]:
+        """Lowest and highest force (n,) at places (n,) over all laws that cost no more than ``limits`` (n,)."""
+        cost, best, root = self.results
+        kept = cost <= limits.max()
+        there = replace(
+            self.problem, cells=ForceTable(p, kappa, np.zeros(p.size)), weights=np.ones(p.size)
+        )
+        _, target, columns, good = there.linear_in(self.values[kept][:, None], there.evaluate)
+        force = np.einsum("mnk,mk->mn", columns, best[kept]) - target
+        along = np.einsum("mnk,mkl->mnl", columns, root[kept])
+        room = limits - cost[kept][:, None]
+        half = np.sqrt(np.maximum(room, 0.0) * np.sum(along**2, axis=2))
+        inside = (room >= 0) & good[:, None]
+        low, high = np.where(inside, force - half, np.inf), np.where(inside, force + half, -np.inf)
+        return np.asarray(low.min(axis=0)), np.asarray(high.max(axis=0))
+
     def _own_end(self, side: float, limit: float) -> tuple[float, str]:
         inside = np.nonzero(self.results[0] <= limit)[0]
         last = int(inside[-1 if side > 0 else 0]) if inside.size else int(np.argmin(self.results[0]))
@@ -111,8 +128,8 @@ class Sweep:
 
 def _reached(results: tuple[Array, Array, Array], column: int, side: float, limit: float) -> Array:
     """How far to a side the coefficient of ``column`` may go at each value (m,); -inf where the cost is too high."""
-    cost, best, variance = results
-    room = limit - cost
+    cost, best, root = results
+    room, variance = limit - cost, np.sum(root**2, axis=2)
     with np.errstate(invalid="ignore"):
         far = side * best[:, column] + np.sqrt(np.maximum(room, 0.0) * variance[:, column])
     return np.where((room >= 0) & np.isfinite(far), far, -np.inf)
@@ -128,6 +145,6 @@ def _projected(problem: Problem, values: Array) -> tuple[Array, Array, Array]:
     along = np.einsum("mnk,mn->mk", u, target)
     best = np.einsum("mkl,mk->ml", vt, along * inverse) / norms
     rest = target - np.einsum("mnk,mk->mn", u, along * (inverse > 0))
-    variance = np.einsum("mkl,mk->ml", vt**2, inverse**2) / norms**2
+    root = vt.transpose(0, 2, 1) * inverse[:, None, :] / norms[:, :, None]
     cost = np.sum(rest**2, axis=1)
-    return np.where(good, cost, np.inf), np.asarray(best), np.asarray(variance)
+    return np.where(good, cost, np.inf), np.asarray(best), np.asarray(root)
