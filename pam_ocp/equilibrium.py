@@ -133,7 +133,7 @@ def _require_free(plant: Plant, name: str, given: Values) -> None:
 def why_not(search: Search, nearest: Array) -> str:
     """What cannot be met, and for each condition the value that the others would allow."""
     plant = search.plant
-    wanted = [_said(plant, n, v) for n, v in {**search.values, **search.pinned}.items()]
+    wanted = [_said(plant, n, v) for n, v in search.values.items()] + _kept(search)
     remedies = list(dict.fromkeys(filter(None, (_remedy(search, n) for n in search.values))))
     if remedies:
         hint = f"With all else as it is, {' or '.join(remedies)}"
@@ -149,6 +149,16 @@ def why_not(search: Search, nearest: Array) -> str:
         f"no equilibrium of {plant.name!r} with {', '.join(wanted)} within the plant's bounds. {hint}; "
         "or change the load or the muscle"
     )
+
+
+def _kept(search: Search) -> list[str]:
+    """What memories keep, as far as it is not what they start with."""
+    moved = {
+        n: v for n, v in search.pinned.items() if v != (search.plant.variable(n).start or 0.0)
+    }
+    if len(moved) > 3:
+        return ["what its memories hold"]
+    return [_said(search.plant, n, v) for n, v in moved.items()]
 
 
 def _said(plant: Plant, name: str, value: float) -> str:
@@ -180,7 +190,7 @@ def _remedy(search: Search, name: str) -> str:
         words = [] if value == given else [f"{name} = {variable.shown(value)}"]
         if not [*words, *beyond]:
             continue  # met as it stands: nothing to change
-        out = " (beyond the plant's range)" if high is search.higher else ""
+        out = " (beyond the plant's range)" if beyond or value > variable.max else ""
         return (
             f"{' with '.join([*words, *([' and '.join(beyond)] if beyond else [])])} would do{out}"
         )

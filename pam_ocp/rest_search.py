@@ -20,6 +20,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Largest residual of an equilibrium, in units of nominal (per second)."""
+TAUT = 3
+"""Starts under high pressures."""
 ROUGH = 1e-6
 """Largest residual from which Newton's method is asked for the rest."""
 
@@ -66,6 +68,7 @@ class Search:
             np.array([getattr(v, a) for v in unknown], dtype=float)
             for a in ("nominal", "min", "max", "start")
         )
+        self._relaxed: dict[tuple[str, bool], Array | None] = {}
         for name, value in pinned.items():
             i = [v.name for v in unknown].index(name)
             self.low[i] = self.high[i] = self.start[i] = value
@@ -81,6 +84,7 @@ class Search:
     def moved(self, name: str, value: float) -> Search:
         """The same search with another value of one condition."""
         other = copy.copy(self)
+        other._relaxed = {}
         other.p = self.p.copy()
         other.p[len(self.p) - len(self.targets) + self.targets.index(name)] = value
         return other
@@ -117,14 +121,19 @@ class Search:
         value: Array = np.asarray(self.function(point, self.p)[0], dtype=float)
         return value.ravel()
 
+    @property
+    def _open(self) -> list[int]:
+        """The rows that are no pinned value: these are bounds for IPOPT."""
+        return [i for i, n in enumerate(self.names) if n not in self.pinned]
+
     @cached_property
     def _solver(self) -> ca.Function:
         """min |r|^2 s.t. r = residual(z): converges also where no equilibrium exists."""
-        w, r = ca.MX.sym("w", len(self.nominal)), ca.MX.sym("r", len(self.names))
+        w, r = ca.MX.sym("w", len(self.nominal)), ca.MX.sym("r", len(self._open))
         p = ca.MX.sym("p", len(self.p))
         nlp: dict[str, ca.MX] = {
             "x": ca.vertcat(w, r), "p": p, "f": ca.sumsqr(r),
-            "g": self.function(w * self.nominal, p)[0] - r,
+            "g": self.function(w * self.nominal, p)[0][self._open] - r,
         }  # fmt: skip
         ipopt: dict[str, Any] = {
             "print_level": 0, "sb": "yes", "tol": 1e-10, "max_iter": 200, "mu_init": 1e-3,
@@ -134,7 +143,7 @@ class Search:
     def nearest(self, guess: Array, high: Array | None = None, slack: Array | None = None) -> Array:
         """The point within the bounds whose residual is smallest, |r_i| <= slack_i."""
         high = self.high if high is None else high
-        slack = np.full(len(self.names), np.inf) if slack is None else slack
+        slack = np.full(len(self._open), np.inf) if slack is None else slack[self._open]
         result = self._solver(
             x0=np.concatenate([guess / self.nominal, np.zeros(len(slack))]), p=self.p,
             lbx=np.concatenate([self.low / self.nominal, -slack]),
@@ -152,12 +161,18 @@ class Search:
         best, least = self.start, np.inf
         for start in self.starts():
             nearest = self.nearest(start)
-            point = self.polished(nearest)
-            if point is not None:
-                return self.point(point), point
+            for near in (nearest, self.newton(start, steps=20, inside=True)):
+                point = self.polished(near)
+                if point is not None:
+                    return self.point(point), point
             miss = float(np.abs(self.residual(nearest)).max())
             if miss < least:
                 best, least = nearest, miss
+        for name in self.targets:  # by way of those that meet all conditions but one
+            near = self.relaxed(name, more_pressure=False)
+            point = None if near is None else self.polished(self.newton(near, steps=20))
+            if point is not None:
+                return self.point(point), point
         return None, best
 
     def relaxed(self, name: str, more_pressure: bool) -> Array | None:
@@ -165,10 +180,15 @@ class Search:
 
         more_pressure : pressures may exceed their range. None when there is no such point.
         """
+        key = (name, more_pressure)
+        if key not in self._relaxed:
+            self._relaxed[key] = self._let_go(name, self.higher if more_pressure else self.high)
+        return self._relaxed[key]
+
+    def _let_go(self, name: str, high: Array) -> Array | None:
         i = self.names.index(name)
         slack = np.zeros(len(self.names))
         slack[i] = np.inf
-        high = self.higher if more_pressure else self.high
         for guess in self.starts():
             point = self.nearest(guess, high, slack)
             others = np.delete(self.residual(point), i)
@@ -186,7 +206,9 @@ class Search:
         return np.asarray(high, dtype=float)
 
     def starts(self, count: int = 5, seed: int = 0, reach: float = 1.0) -> list[Array]:
-        """Start values first, then points spread over the bounds (fixed seed: the same each time).
+        """Start values, points spread over the bounds (fixed seed: the same each time), taut ones.
+
+        States and inputs that are conditions have their value.
 
         reach : how many nominals to go from the start where there is no bound.
         """
@@ -194,10 +216,23 @@ class Search:
         low = np.where(np.isfinite(self.low), self.low, self.start - span)
         high = np.where(np.isfinite(self.high), self.high, self.start + span)
         spread = np.random.default_rng(seed).uniform(0.1, 0.9, size=(count, len(low)))
-        return [self.start, *(low + s * (high - low) for s in spread)]
+        found = np.vstack([self.start, low + spread * (high - low)])
+        # under little pressure muscles may be slack, and a slack one gives no slope to leave by
+        taut = np.tile(self.start, (TAUT, 1))
+        for i, variable in enumerate((*self.plant.states, *self.plant.inputs)):
+            if variable.unit == "Pa" and np.isfinite(high[i]):
+                taut[:, i] = low[i] + np.linspace(0.6, 0.9, TAUT) * (high[i] - low[i])
+        found = np.vstack([found, taut])
+        for i, variable in enumerate((*self.plant.states, *self.plant.inputs)):
+            if variable.name in self.targets:
+                found[:, i] = self.values[variable.name]
+        return list(found)
 
-    def newton(self, point: Array, steps: int = 4) -> Array:
-        """A few Newton steps to rounding; least squares where the Jacobian is singular."""
+    def newton(self, point: Array, steps: int = 4, inside: bool = False) -> Array:
+        """A few Newton steps to rounding; least squares where the Jacobian is singular.
+
+        inside : each step ends within the bounds.
+        """
         for _ in range(steps):
             residual, jacobian = (np.asarray(m, dtype=float) for m in self.function(point, self.p))
             if not np.all(np.isfinite(jacobian)):
@@ -205,6 +240,8 @@ class Search:
             # in units of nominal: else pressures alone would decide what is singular
             step = np.linalg.lstsq(jacobian * self.nominal, residual.ravel(), rcond=None)[0]
             point = point - step * self.nominal
+            if inside:
+                point = np.clip(point, self.low, self.high)
             if np.abs(step).max() < 1e-15:
                 break
         return point

@@ -118,7 +118,7 @@ class Variable:
 
     def shown(self, value: float) -> str:
         """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``."""
-        text = f"{value / self.display_factor:.6g}"
+        text = f"{value / self.display_factor + 0.0:.6g}"
         return text if self.display_unit == "1" else f"{text} {self.display_unit}"
 
     @property
