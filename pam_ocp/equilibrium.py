@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError, PamError, require_finite, require_instance
+from .plant.opening import Inversion
 from .plant.plant import Plant, Values, require_plant
 
 __all__ = [
@@ -105,12 +106,20 @@ def equilibrium(
         ``{"mean": ((plant.expression("muscle1.pressure") + plant.expression("muscle2.pressure")) / 2, 3e5)}``.
     guess : a point to start from (a neighbour), tried first.
 
+    Muscles fed by valves count one input each, their opening, unless commands are named.
+
     Solved within the variables' bounds by IPOPT from several starts, then by Newton to rounding.
     Raises InputError when the conditions are too few or too many, EquilibriumError when no point
     within the bounds meets them (it names the one that fails, and by how much).
     """
     require_instance("conditions", conditions, Mapping, "give values by name", none=True)
-    search, targets = posed(plant, {**(conditions or {}), **more}, free, expressions)
+    wanted = {**(conditions or {}), **more}
+    inversion = Inversion(require_plant(plant))
+    if inversion.all_free(wanted):  # a closed valve's command has no slope, its opening has
+        near = None if guess is None else inversion.entered(guess)
+        inner = equilibrium(inversion.inner, wanted, free=free, expressions=expressions, guess=near)
+        return inversion.left(inner)
+    search, targets = posed(plant, wanted, free, expressions)
     point, nearest = search.solve(guess)
     if point is None:
         raise EquilibriumError(why_not(search, targets, nearest))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..equilibrium import OperatingPoint
 from ..errors import InputError, require_positive
-from ..linear import linearize
+from ..linear import inside, linearize, no_influence
+from ..plant.opening import Inversion
 from ..plant.plant import Plant, Values, require_plant
 from .closed_loop import Measured
 
@@ -129,12 +130,20 @@ def saturated(u: Array, low: Array, high: Array) -> bool:
     return bool(np.any((u < low) | (u > high)))
 
 
+def sent(inversion: Inversion | None, inputs: list[str], u: Array) -> dict[str, float]:
+    """A controller's answer by name: openings become the commands that give them."""
+    answer = dict(zip(inputs, u.tolist(), strict=True))
+    return inversion.commands(answer) if inversion else answer
+
+
 @dataclass
 class StateFeedback:
     """u = u0 - K (x - x0) - Ki integral(y - wanted): a Controller for :func:`closed_loop`.
 
     K : (inputs, states), Ki : (inputs, integrated outputs), SI units. ``closed`` : python-control's
     system of the closed loop (linear), ``loop`` : the loop broken at the inputs, for margins.
+    inversion : for a plant fed by valves, whose openings are u (then ``point`` and ``inputs`` speak of
+    them): the commands that give these openings are sent.
     """
 
     point: OperatingPoint
@@ -145,6 +154,7 @@ class StateFeedback:
     dt: float
     setpoint: Setpoint = None
     system: Any = field(default=None, repr=False)
+    inversion: Inversion | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         plant = self.point.plant
@@ -175,7 +185,7 @@ class StateFeedback:
             goal = self.wanted(t)
             error = np.array([measured[n] - goal[n] for n in self.integrated])
             self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
-        return dict(zip(self.inputs, u.tolist(), strict=True))
+        return sent(self.inversion, self.inputs, u)
 
     def _augmented(self) -> tuple[Array, Array, Array]:
         """A, B with the integrals as last states, and all gains; continuous time."""
@@ -227,23 +237,29 @@ def lqr(
 ) -> StateFeedback:
     """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
 
+    A plant fed by valves is controlled by its openings (``plant.in_openings()``), from closed rest too;
+    the commands that give them are sent. ``effort`` may name either.
+
     at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
     dt : sampling time [s] of the controller. sampled : design for inputs held over dt
         (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
 
-    Raises InputError when no stabilising feedback exists (a state that is a pure integral, such as
+    Raises InputError when no input has an influence at the point, or when no stabilising feedback exists (a state that is a pure integral, such as
     the totals of a gas feed, or an integrated output that the inputs cannot move).
     """
     import control
 
     require_plant(plant)
     require_positive("dt", dt, "s")
-    if at is None or not isinstance(at, OperatingPoint):
-        at = plant.equilibrium(at)
-    weighting = Weighting(at.plant, weights, effort, integral or {})
+    inversion, at = inside(plant, at)
+    plant = at.plant
+    if isinstance(effort, Mapping):
+        effort = inversion.names(effort)
+    weighting = Weighting(plant, weights, effort, integral or {})
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
     system = linearize(plant, at, inputs=weighting.inputs)
+    no_influence("lqr", plant, np.asarray(system.B), weighting.inputs)
     a, b, q, r = weighting.scaled(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
@@ -262,4 +278,7 @@ def lqr(
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
     gains = weighting.unscaled(np.asarray(k))
-    return StateFeedback(at, weighting.inputs, *gains, weighting.integrated, dt, setpoint, system)
+    return StateFeedback(
+        at, weighting.inputs, *gains, weighting.integrated, dt, setpoint, system,
+        inversion if inversion else None,
+    )  # fmt: skip

@@ -9,7 +9,7 @@ P. V. Kokotovic, IEEE Trans. Automat. Control 39 (1994) 59-68).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -21,13 +21,14 @@ from ..errors import InputError
 from ..variables import Variable
 
 if TYPE_CHECKING:
-    from .plant import Plant
+    from ..equilibrium import OperatingPoint
+    from .plant import Plant, Values
 
 __all__ = [
     "Inversion",
     "Opening",
     "Way",
-    "closing",
+    "in_dead_zone",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
@@ -98,8 +99,9 @@ class Inversion:
 
     def name(self, name: str) -> str:
         """What a variable of the plant is called inside: for a command the name of its opening."""
-        if any(v.name == name or v.name.replace(".", "_") == name for v in self.inner.variables):
-            return self.inner.variable(name).name
+        opening = self.opening_of(name)
+        if opening is not None:
+            return opening
         full = self.plant.variable(name).name
         return self._for[full].name if full in self._for else full
 
@@ -136,6 +138,44 @@ class Inversion:
             found[opening.name] = float(self._function(opening, True)(sent, known))
         return found
 
+    def conditions(self, values: Values | None) -> dict[str, float]:
+        """Conditions of rest or start values, said of the plant inside."""
+        named = {
+            self.opening_of(n) or self.plant.variable(n).name: v for n, v in (values or {}).items()
+        }
+        return self.openings(named)
+
+    def opening_of(self, name: str) -> str | None:
+        """The full name of an opening (``_`` may stand for ``.``); None for any other name."""
+        return next((o for o in self._of if name in (o, o.replace(".", "_"))), None)
+
+    def all_free(self, conditions: Values) -> bool:
+        """Whether there are openings, and no condition names a command that they stand in for."""
+        return bool(self) and not any(
+            self.opening_of(n) is None and self.plant.variable(n).name in self._for
+            for n in conditions
+        )
+
+    def entered(self, point: OperatingPoint) -> OperatingPoint:
+        """A point of the plant, with openings."""
+        if [v.name for v in point.plant.inputs] == [v.name for v in self.inner.inputs]:
+            return point
+        own = Inversion(point.plant)
+        return replace(point, plant=own.inner, u=own.rows(point.u[None, :])[0])
+
+    def left(self, point: OperatingPoint) -> OperatingPoint:
+        """A point of the plant inside, with commands."""
+        moved = self.carrying(point)
+        sent = Inversion(moved).sent(point.u[None, :])[0]
+        return replace(point, plant=moved, u=sent)
+
+    def carrying(self, point: OperatingPoint) -> Plant:
+        """The plant with the parameters and start values that the point's plant has."""
+        other = {v.name: v for v in point.plant.variables}
+        moved = self.plant.with_values()
+        moved._variables = {n: other.get(n, v) for n, v in moved._variables.items()}
+        return moved
+
     def rows(self, commands: Array, p: Array | None = None) -> Array:
         """Openings (n, inner inputs) of commands (n, inputs) in the plants' orders."""
         names = [v.name for v in self.plant.inputs]
@@ -162,8 +202,8 @@ class Inversion:
         return np.column_stack([columns[v.name] for v in self.plant.inputs])
 
 
-def closing(plant: Plant, u: Array) -> bool:
-    """Whether a command stands in its dead zone: its own slope there is less than the opening's."""
+def in_dead_zone(plant: Plant, u: Array) -> bool:
+    """Whether a command (of u (n, inputs)) stands where its slope is less than beyond its dead zone."""
     if not plant.openings:
         return False
 
@@ -175,8 +215,8 @@ def closing(plant: Plant, u: Array) -> bool:
         least = [ca.mmin(ca.fabs(ca.densify(s))) for s in slopes]
         return ca.Function("slopes", [plant.u, plant.p], [ca.mmin(ca.vertcat(*least))])
 
-    slope = plant.cached("slopes of the openings", build)(u, plant.vector("parameter"))
-    return float(slope) < 0.99
+    slope = plant.cached("slopes of the openings", build)(u.T, plant.vector("parameter"))
+    return float(ca.mmin(slope)) < 0.99
 
 
 def checked_commands(name: str, commands: list[str], known: Mapping[str, Variable]) -> None:
