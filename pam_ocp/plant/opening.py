@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -117,7 +117,7 @@ class Inversion:
         """Openings among values by name replaced by the commands that give them."""
         found: dict[str, float] = {}
         for name, value in values.items():
-            opening = self._of.get(name)
+            opening = self._of.get(self.opening_of(name) or "")
             if opening is None:
                 found[name] = value
                 continue
@@ -148,6 +148,38 @@ class Inversion:
     def opening_of(self, name: str) -> str | None:
         """The full name of an opening (``_`` may stand for ``.``); None for any other name."""
         return next((o for o in self._of if name in (o, o.replace(".", "_"))), None)
+
+    def references(self, values: Mapping[str, Any], count: int) -> dict[str, Any]:
+        """Values (or ``count`` of them) by name, those of commands as the openings that they give."""
+        named = {self.opening_of(n) or self.plant.variable(n).name: v for n, v in values.items()}
+        sent = [n for n in named if n in self._for]
+        found = {n: v for n, v in named.items() if n not in self._for}
+        columns = [np.broadcast_to(np.asarray(named[n], dtype=float), (count,)) for n in sent]
+        rows = [self.openings(dict(zip(sent, row, strict=True))) for row in zip(*columns)]
+        return found | {n: np.array([row[n] for row in rows]) for n in (rows[0] if rows else ())}
+
+    def bounds(self, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        """Bounds by name, those of commands as the openings at them; an end at the range's is none."""
+        found: dict[str, tuple[float, float]] = {}
+        for name, ends in bounds.items():
+            inner, pair = name, ends
+            if name in self._for:
+                inner, pair = self._for[name].name, self._bound(name, ends)
+            low, high = found.get(inner, (-np.inf, np.inf))
+            found[inner] = (max(low, pair[0]), min(high, pair[1]))
+        return found
+
+    def _bound(self, command: str, ends: tuple[float, float]) -> tuple[float, float]:
+        """The range of an opening under bounds of one of its commands (it is monotonic in each)."""
+        variable, opening = self.plant.variable(command), self._for[command].name
+        first, last = (
+            self.openings({command: end})[opening] for end in (variable.min, variable.max)
+        )
+        found = [-np.inf, np.inf]
+        for i, end in enumerate(ends):
+            if variable.min < end < variable.max:
+                found[i if last > first else 1 - i] = self.openings({command: end})[opening]
+        return found[0], found[1]
 
     def all_free(self, conditions: Values) -> bool:
         """Whether there are openings, and no condition names a command that they stand in for."""
