@@ -105,6 +105,16 @@ class Inversion:
         full = self.plant.variable(name).name
         return self._for[full].name if full in self._for else full
 
+    def alone(self, name: str) -> str:
+        """The opening of a command that has one to itself; any other name as it is."""
+        opening = self._for.get(name)
+        return opening.name if opening is not None and len(opening.commands) == 1 else name
+
+    def variable(self, name: str) -> Variable:
+        """The variable of this name, an opening or one of the plant."""
+        opening = self.opening_of(name)
+        return self._of[opening].variable if opening else self.plant.variable(name)
+
     def names(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values by inner name, as weights: where commands share an opening the largest holds."""
         found: dict[str, float] = {}
