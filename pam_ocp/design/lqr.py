@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 __all__ = ["StateFeedback", "Weighting", "lqr"]
 
 Array: TypeAlias = NDArray[np.float64]
+LEAST_WEIGHT = 0.3
+"""Of each state [per nominal] where the weights given leave a motion without cost and decay."""
+DECAY = 1e-8
+"""A pole of the closed loop slower than this part of the fastest rate counts as none."""
 Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
 
 
@@ -29,7 +33,9 @@ Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, floa
 class Weighting:
     """The cost: the sum of (weight value / nominal)^2 over states, outputs and inputs, per second.
 
-    weights : {state or output: weight}; by default 10 for each position, 1 for each velocity.
+    weights : {state or output: weight}; by default 10 for each position, 1 for each velocity. Where
+        these leave a motion that neither decays nor costs anything (the co-contraction of a pair on
+        closed valves), every state gets ``LEAST_WEIGHT`` besides.
     effort : weight of each input, a number or {input: weight}.
     integral : {state or output: weight of its integrated error [per s]}.
     """
@@ -224,6 +230,38 @@ class StateFeedback:
         return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 
 
+def stationary(
+    a: Array, b: Array, q: Array, r: Array, states: int, dt: float | None = None
+) -> tuple[Array, Array, Array]:
+    """Gains, solution P of the Riccati equation and Q of a feedback that is seen to stabilise.
+
+    The first ``states`` get the least weight where without it none is found. dt : sampled, inputs held.
+    Raises ValueError when none is found.
+    """
+    import control
+
+    least = np.zeros_like(q)
+    least[:states, :states] = LEAST_WEIGHT**2 * np.eye(states)
+    reason: object = "a pole stays on the imaginary axis"
+    for used in (q, q + least):
+        try:
+            if dt is None:
+                k, p, poles = control.lqr(a, b, used, r)
+                decay = -np.real(poles)
+            else:
+                held = control.ss(a, b, np.zeros((1, len(a))), np.zeros((1, b.shape[1]))).sample(dt)
+                k, p, poles = control.dlqr(held.A, held.B, used * dt, r * dt)
+                decay = -np.log(np.maximum(np.abs(poles), 1e-300)) / dt
+        except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+            reason = error
+            continue
+        # the solver's own residual is not looked at by python-control: its poles tell
+        fastest = max(float(np.abs(decay).max()), float(np.abs(a).max()))
+        if np.all(np.isfinite(k)) and decay.min() > DECAY * fastest:
+            return np.asarray(k), np.asarray(p), used
+    raise ValueError(reason)
+
+
 def lqr(
     plant: Plant,
     at: OperatingPoint | Values | None = None,
@@ -248,8 +286,6 @@ def lqr(
     Raises InputError when no input has an influence at the point, or when no stabilising feedback exists (a state that is a pure integral, such as
     the totals of a gas feed, or an integrated output that the inputs cannot move).
     """
-    import control
-
     require_plant(plant)
     require_positive("dt", dt, "s")
     inversion, at = inside(plant, at)
@@ -264,20 +300,13 @@ def lqr(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
     try:
-        if sampled:
-            zero = np.zeros((1, len(a))), np.zeros((1, b.shape[1]))
-            held = control.ss(a, b, *zero).sample(dt)
-            k = control.dlqr(held.A, held.B, q * dt, r * dt)[0]
-        else:
-            k = control.lqr(a, b, q, r)[0]
-        if not np.all(np.isfinite(k)):
-            raise ValueError("gains are not finite")
-    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+        k = stationary(a, b, q, r, len(plant.states), dt if sampled else None)[0]
+    except ValueError as error:
         raise InputError(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
-    gains = weighting.unscaled(np.asarray(k))
+    gains = weighting.unscaled(k)
     return StateFeedback(
         at, weighting.inputs, *gains, weighting.integrated, dt, setpoint, system,
         inversion if inversion else None,

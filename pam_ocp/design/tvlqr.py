@@ -15,7 +15,7 @@ from ..plant.opening import Inversion
 from ..plant.plant import Plant, require_plant
 from ..trajectory import Trajectory
 from .closed_loop import Measured
-from .lqr import Integrals, Weighting, saturated, sent
+from .lqr import Integrals, Weighting, saturated, sent, stationary
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
 
@@ -156,7 +156,8 @@ def tvlqr(
     no_influence("tvlqr", inversion.inner, along.B, weighting.inputs)
     a, b, q, r = _along(weighting, along, outputs)
     size, inverse = a.shape[-1], np.linalg.inv(r)
-    end = _final(final, a[-1], b[-1], q[-1], r)
+    end, least = _final(final, a[-1], b[-1], q[-1], r, len(plant.states))
+    q = q + least
 
     def riccati(time: float, flat: Any) -> Any:
         i = int(np.clip(np.searchsorted(along.t, time, side="right") - 1, 0, len(along.t) - 2))
@@ -198,7 +199,7 @@ def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
     states = [v.name for v in inversion.plant.states if v.name in motion]
     columns = {n: motion[n] for n in states}
     columns |= {v.name: rows[:, i] for i, v in enumerate(inversion.inner.inputs)}
-    return Trajectory(motion.t, columns, inversion.inner.variables)
+    return Trajectory(motion.t, columns, [inversion.inner.variable(n) for n in columns])
 
 
 def _along(
@@ -213,18 +214,19 @@ def _along(
     return a, b, q, r[0]
 
 
-def _final(final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array) -> Array:
+def _final(
+    final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array, states: int
+) -> tuple[Array, Array]:
+    """P at the end, and what the stationary LQR there needed of weight besides Q."""
     if final is not None:
         given = np.asarray(final, float)
         if given.shape != a.shape:
             raise InputError(f"final has shape {given.shape}; the Riccati matrix has {a.shape}")
-        return given
-    import control
-
+        return given, np.zeros_like(q)
     try:
-        p = np.asarray(control.care(a, b, q, r)[0])
-    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+        _, p, used = stationary(a, b, q, r, states)
+    except ValueError as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
         ) from None
-    return p
+    return p, used - q
