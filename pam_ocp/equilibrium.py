@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .errors import InputError, PamError, require_finite, require_instance
 from .memory import Memory, held
 from .operating_point import OperatingPoint
+from .plant.opening import Inversion
 from .plant.plant import Plant, Values, require_plant
 from .rest_search import ROUGH, TOLERANCE, Search
 
@@ -62,12 +63,22 @@ def equilibrium(
         from which all positions came, everything has slid fully), or {state: value}.
         ``point.memory`` says it. Creep is settled.
 
+    Muscles fed by valves count one input each, their opening, unless commands are named.
+
     Solved within the variables' bounds by IPOPT from several starts, then by Newton to rounding.
     Raises InputError when the conditions are too few or too many, EquilibriumError when no point
     within the bounds meets them (it names the one that fails, and by how much).
     """
     require_instance("conditions", conditions, Mapping, "give values by name", none=True)
-    search = posed(plant, {**(conditions or {}), **more}, free, expressions, memory)
+    wanted = {**(conditions or {}), **more}
+    inversion = Inversion(require_plant(plant))
+    if inversion.all_free(wanted):  # a closed valve's command has no slope, its opening has
+        near = None if guess is None else inversion.entered(guess)
+        inner = equilibrium(
+            inversion.inner, wanted, free=free, expressions=expressions, guess=near, memory=memory
+        )
+        return inversion.left(inner)
+    search = posed(plant, wanted, free, expressions, memory)
     point, nearest = search.solve(guess)
     if point is None:
         raise EquilibriumError(why_not(search, nearest))

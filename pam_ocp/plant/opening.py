@@ -9,9 +9,9 @@ P. V. Kokotovic, IEEE Trans. Automat. Control 39 (1994) 59-68).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -21,13 +21,14 @@ from ..errors import InputError
 from ..variables import Variable
 
 if TYPE_CHECKING:
-    from .plant import Plant
+    from ..equilibrium import OperatingPoint
+    from .plant import Plant, Values
 
 __all__ = [
     "Inversion",
     "Opening",
     "Way",
-    "closing",
+    "in_dead_zone",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
@@ -98,10 +99,21 @@ class Inversion:
 
     def name(self, name: str) -> str:
         """What a variable of the plant is called inside: for a command the name of its opening."""
-        if any(v.name == name or v.name.replace(".", "_") == name for v in self.inner.variables):
-            return self.inner.variable(name).name
+        opening = self.opening_of(name)
+        if opening is not None:
+            return opening
         full = self.plant.variable(name).name
         return self._for[full].name if full in self._for else full
+
+    def alone(self, name: str) -> str:
+        """The opening of a command that has one to itself; any other name as it is."""
+        opening = self._for.get(name)
+        return opening.name if opening is not None and len(opening.commands) == 1 else name
+
+    def variable(self, name: str) -> Variable:
+        """The variable of this name, an opening or one of the plant."""
+        opening = self.opening_of(name)
+        return self._of[opening].variable if opening else self.plant.variable(name)
 
     def names(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values by inner name, as weights: where commands share an opening the largest holds."""
@@ -115,7 +127,7 @@ class Inversion:
         """Openings among values by name replaced by the commands that give them."""
         found: dict[str, float] = {}
         for name, value in values.items():
-            opening = self._of.get(name)
+            opening = self._of.get(self.opening_of(name) or "")
             if opening is None:
                 found[name] = value
                 continue
@@ -135,6 +147,76 @@ class Inversion:
             known = self._p if p is None else p
             found[opening.name] = float(self._function(opening, True)(sent, known))
         return found
+
+    def conditions(self, values: Values | None) -> dict[str, float]:
+        """Conditions of rest or start values, said of the plant inside."""
+        named = {
+            self.opening_of(n) or self.plant.variable(n).name: v for n, v in (values or {}).items()
+        }
+        return self.openings(named)
+
+    def opening_of(self, name: str) -> str | None:
+        """The full name of an opening (``_`` may stand for ``.``); None for any other name."""
+        return next((o for o in self._of if name in (o, o.replace(".", "_"))), None)
+
+    def references(self, values: Mapping[str, Any], count: int) -> dict[str, Any]:
+        """Values (or ``count`` of them) by name, those of commands as the openings that they give."""
+        named = {self.opening_of(n) or self.plant.variable(n).name: v for n, v in values.items()}
+        sent = [n for n in named if n in self._for]
+        found = {n: v for n, v in named.items() if n not in self._for}
+        columns = [np.broadcast_to(np.asarray(named[n], dtype=float), (count,)) for n in sent]
+        rows = [self.openings(dict(zip(sent, row, strict=True))) for row in zip(*columns)]
+        return found | {n: np.array([row[n] for row in rows]) for n in (rows[0] if rows else ())}
+
+    def bounds(self, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        """Bounds by name, those of commands as the openings at them; an end at the range's is none."""
+        found: dict[str, tuple[float, float]] = {}
+        for name, ends in bounds.items():
+            inner, pair = name, ends
+            if name in self._for:
+                inner, pair = self._for[name].name, self._bound(name, ends)
+            low, high = found.get(inner, (-np.inf, np.inf))
+            found[inner] = (max(low, pair[0]), min(high, pair[1]))
+        return found
+
+    def _bound(self, command: str, ends: tuple[float, float]) -> tuple[float, float]:
+        """The range of an opening under bounds of one of its commands (it is monotonic in each)."""
+        variable, opening = self.plant.variable(command), self._for[command].name
+        first, last = (
+            self.openings({command: end})[opening] for end in (variable.min, variable.max)
+        )
+        found = [-np.inf, np.inf]
+        for i, end in enumerate(ends):
+            if variable.min < end < variable.max:
+                found[i if last > first else 1 - i] = self.openings({command: end})[opening]
+        return found[0], found[1]
+
+    def all_free(self, conditions: Values) -> bool:
+        """Whether there are openings, and no condition names a command that they stand in for."""
+        return bool(self) and not any(
+            self.opening_of(n) is None and self.plant.variable(n).name in self._for
+            for n in conditions
+        )
+
+    def entered(self, point: OperatingPoint) -> OperatingPoint:
+        """A point of the plant, with openings."""
+        if [v.name for v in point.plant.inputs] == [v.name for v in self.inner.inputs]:
+            return point
+        own = Inversion(point.plant)
+        return replace(point, plant=own.inner, u=own.rows(point.u[None, :])[0])
+
+    def left(self, point: OperatingPoint) -> OperatingPoint:
+        """A point of the plant inside, with commands."""
+        moved = self.carrying(point)
+        sent = Inversion(moved).sent(point.u[None, :])[0]
+        return replace(point, plant=moved, u=sent)
+
+    def carrying(self, point: OperatingPoint) -> Plant:
+        """The plant with the parameters and start values that the point's plant has."""
+        other = {v.name: v for v in point.plant.variables}
+        moved = self.plant.with_values()
+        moved._variables = {n: other.get(n, v) for n, v in moved._variables.items()}
+        return moved
 
     def rows(self, commands: Array, p: Array | None = None) -> Array:
         """Openings (n, inner inputs) of commands (n, inputs) in the plants' orders."""
@@ -162,8 +244,8 @@ class Inversion:
         return np.column_stack([columns[v.name] for v in self.plant.inputs])
 
 
-def closing(plant: Plant, u: Array) -> bool:
-    """Whether a command stands in its dead zone: its own slope there is less than the opening's."""
+def in_dead_zone(plant: Plant, u: Array) -> bool:
+    """Whether a command (of u (n, inputs)) stands where its slope is less than beyond its dead zone."""
     if not plant.openings:
         return False
 
@@ -175,8 +257,8 @@ def closing(plant: Plant, u: Array) -> bool:
         least = [ca.mmin(ca.fabs(ca.densify(s))) for s in slopes]
         return ca.Function("slopes", [plant.u, plant.p], [ca.mmin(ca.vertcat(*least))])
 
-    slope = plant.cached("slopes of the openings", build)(u, plant.vector("parameter"))
-    return float(slope) < 0.99
+    slope = plant.cached("slopes of the openings", build)(u.T, plant.vector("parameter"))
+    return float(ca.mmin(slope)) < 0.99
 
 
 def checked_commands(name: str, commands: list[str], known: Mapping[str, Variable]) -> None:
