@@ -135,11 +135,11 @@ def posed(
             raise InputError(f"{name} cannot be free and given (= {given[name]}) at once")
     constants = {n: v for n, v in given.items() if plant.variable(n).causality == "parameter"}
     plant = plant.with_values(constants)
-    targets = {n: float(v) for n, v in given.items() if n not in constants}
-    for name, value in targets.items():
-        if not np.isfinite(value):
-            raise InputError(f"equilibrium: {name} = {value} must be finite")
-        plant.variable(name).check(value, "the condition")
+    targets = {
+        n: plant.variable(n).check(v, "the condition")
+        for n, v in given.items()
+        if n not in constants
+    }
     more = {n: (ca.SX(x), require_finite(n, v)) for n, (x, v) in (expressions or {}).items()}
     targets.update({n: v for n, (_, v) in more.items()})
     loose = [n for n in free if plant.variable(n).causality == "parameter"]
