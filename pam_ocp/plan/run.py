@@ -39,11 +39,14 @@ class Run:
         self.build_seconds = time.perf_counter() - begin
         self.conflicts: tuple[Conflict, ...] = ()
 
-    def refined(self, coarse: Solved) -> Solved:
-        """From the solution on a coarser mesh; no other guess would be better."""
+    def refined(self, coarse: Solved, again: bool = True) -> Solved:
+        """From the solution on a coarser mesh; no other guess would be better.
+
+        again : where that fails, from there with the barrier of a cold start.
+        """
         guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
         found = self._from(guess, "near")
-        return found if found.outcome.ended else self._from(guess)
+        return found if found.outcome.ended or not again else self._from(guess)
 
     def best(self, first: Solved, starts: int) -> tuple[Solved, list[float]]:
         """The best of the first start and further ones, and the objectives of all that led somewhere."""

@@ -204,7 +204,10 @@ class Planner:
             found, figures["starts"] = run.best(found, starts)
         figures["iterations"] = found.outcome.iterations
         if not found.outcome.success:
-            figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
+            figures |= {
+                "seconds": time.perf_counter() - begin,
+                "build_seconds": self._build_seconds,
+            }
             failed = _plan(found, figures, conflicts=run.conflicts)
             raise PlanError(explanation(failed.plant.name, found.outcome, run.conflicts), failed)
         refinement = Refinement(checked(found), tolerance or float("inf"), self._backend)
@@ -213,7 +216,12 @@ class Planner:
             figures["warning"] = refinement.warning
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
         result = _plan(
-            refinement.best.found, figures, refinement.best, tuple(refinement.meshes), found, tolerance
+            refinement.best.found,
+            figures,
+            refinement.best,
+            tuple(refinement.meshes),
+            found,
+            tolerance,
         )
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
@@ -317,4 +325,5 @@ def _plan(
         tuple(float(d) for d in solution.durations), design, statistics,
         check.replay if check else None, meshes or (program.mesh,), outcome.log, conflicts,
         tolerance or TOLERANCE, samples, problem, found, coarse,
+        tuple(map(float, solution.peaks)),
     )  # fmt: skip

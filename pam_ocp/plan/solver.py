@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .compiled import compiled as compiled_library
 from .derivatives import derivatives
+from .interrupt import Watch
 from .transcription import Program
 
 __all__ = ["DEFAULTS", "Ipopt", "Outcome", "Progress", "Start"]
@@ -102,43 +103,6 @@ class Outcome:
         return self.success or self.stopped
 
 
-class _Watch(ca.Callback):
-    """Calls ``report(iteration, objective, largest violation)`` in each iteration of IPOPT."""
-
-    def __init__(self, program: Program, report: Callable[[int, float, float], None]) -> None:
-        ca.Callback.__init__(self)
-        self.sizes = {
-            "x": program.nlp["x"].numel(),
-            "f": 1,
-            "g": program.nlp["g"].numel(),
-            "lam_x": program.nlp["x"].numel(),
-            "lam_g": program.nlp["g"].numel(),
-            "lam_p": program.nlp["p"].numel(),
-        }
-        self.low, self.high = program.limits()
-        self.report, self.iteration = report, 0
-        self.construct("watch", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self.sizes[ca.nlpsol_out(i)], 1)
-
-    def eval(self, arguments: Any) -> list[int]:
-        g = np.asarray(arguments[2], float).ravel()
-        worst = max(np.max(self.low - g, initial=0.0), np.max(g - self.high, initial=0.0))
-        self.report(self.iteration, float(arguments[1]), float(worst))
-        self.iteration += 1
-        return [0]
-
-
 def _printed(iteration: int, objective: float, violation: float) -> None:
     print(f"{iteration:5d}  objective {objective:14.8g}  largest violation {violation:9.2e}")
 
@@ -157,9 +121,11 @@ class Ipopt:
         compiled: bool = False,
     ) -> None:
         self.program = program
-        self._watch = None
-        if progress:
-            self._watch = _Watch(program, progress if callable(progress) else _printed)
+        self._report = progress if callable(progress) else _printed if progress else None
+        self._iteration, self._limits = 0, program.limits()
+        nlp = program.nlp
+        sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
+        self._watch = Watch(*sizes, self._progress if self._report else None)
         self._given = dict(options or {})
         self._derivatives = derivatives(program)
         self._library: str | None = None
@@ -178,8 +144,7 @@ class Ipopt:
                 chosen["mu_init"] = BARRIER_OF_TIME * goal.time
             # multipliers of the parameters: duals.py finds them when somebody asks
             options: dict[str, Any] = {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
-            if self._watch is not None:
-                options["iteration_callback"] = self._watch
+            options["iteration_callback"] = self._watch
             if self._library is None:
                 options |= self._derivatives
             problem = self._library or self.program.nlp
@@ -194,6 +159,14 @@ class Ipopt:
                 self._derivatives = {o: solver.get_function(f) for o, f in functions.items()}
             self._solvers[name] = solver
         return self._solvers[name]
+
+    def _progress(self, x: ca.DM, f: ca.DM, g: ca.DM) -> None:
+        """Report an iteration: its number, objective and largest violation."""
+        assert self._report is not None
+        values, (low, high) = np.asarray(g, float).ravel(), self._limits
+        worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
+        self._report(self._iteration, float(f), float(worst))
+        self._iteration += 1
 
     def residual(self, program: Program, outcome: Outcome) -> float:
         """Largest violation of the constraints and of stationarity, in units of nominal."""
@@ -221,9 +194,9 @@ class Ipopt:
         given = {"x0": np.clip(guess, lbx, ubx)}
         if warm is not None:
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        if self._watch is not None:
-            self._watch.iteration = 0
-        result = solver(**given, p=program.parameters(), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
+        self._iteration, self._limits = 0, (lbg, ubg)
+        with self._watch.during():
+            result = solver(**given, p=program.parameters(), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
         stats = solver.stats()
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "lam_g", "lam_x")}
         return Outcome(
