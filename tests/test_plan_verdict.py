@@ -7,6 +7,7 @@ import os
 import pickle
 import signal
 import threading
+import time
 import warnings
 from dataclasses import replace
 
@@ -170,7 +171,9 @@ def test_what_is_not_verified_says_so_first_of_all():
     ):
         plan = pam.plan(falling(5.0), [{"x": 0.0}, {"x": 0.05}], **ROUGH, tolerance=None)
     assert plan.solved
-    assert not (plan.verified or plan.success or plan.verdict)
+    assert not plan.verified
+    assert not plan.success
+    assert not plan.verdict
     assert str(plan).startswith("NOT VERIFIED: its replay deviates by")
     assert f"{plan.replay_error:.2g} of nominal in" in str(plan.verdict)
     assert plan.trajectory["x"][-1] == pytest.approx(0.05)
@@ -365,3 +368,99 @@ def test_an_unverified_plan_is_unverified_from_a_file_too(tmp_path):
         again = pam.load_plan(path, falling(5.0))
     assert not again.verified
     assert again.replay_error == pytest.approx(plan.replay_error, rel=1e-6)
+
+
+# ---- several starts -----------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def by_valve():
+    return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.0, feed=pam.SpoolValve())
+
+
+UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
+
+
+def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatch):
+    from pam_ocp.plan import side_by_side
+
+    alone = pam.plan(by_valve, **UP)
+    workers = []
+    began = side_by_side._Worker.__init__
+
+    def begin(worker, *arguments):
+        began(worker, *arguments)
+        workers.append(worker)
+
+    monkeypatch.setattr(side_by_side._Worker, "__init__", begin)
+    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
+    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    monkeypatch.setattr(side_by_side.Ipopt, "__call__", _slowly(side_by_side.Ipopt.__call__))
+    beside = pam.plan(by_valve, **UP)
+    assert len(alone.statistics["starts"]) == len(beside.statistics["starts"]) == 4
+    for one, two in zip(alone.statistics["starts"], beside.statistics["starts"], strict=True):
+        assert one["status"] == two["status"]
+        assert one["objective"] == pytest.approx(two["objective"], rel=1e-6)
+    assert sum(len(worker.found) for worker in workers) >= 1
+    assert all(worker._process.poll() is not None for worker in workers)
+    assert "starts     4, of which" in str(beside)
+
+
+def _slowly(solve):
+    """A solver in this process that waits first, so that the other processes get their turn."""
+
+    def slow(*arguments):
+        time.sleep(0.7)
+        return solve(*arguments)
+
+    return slow
+
+
+def test_where_no_process_can_be_started_all_starts_are_solved_here(by_valve, monkeypatch):
+    from pam_ocp.plan import side_by_side
+
+    def refused(*_, **__):
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
+    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    monkeypatch.setattr(side_by_side.subprocess, "Popen", refused)
+    assert len(pam.plan(by_valve, **UP).statistics["starts"]) == 4
+
+
+def test_several_starts_are_for_valves_and_tendons_only():
+    from pam_ocp.plan.starts import number_of_starts
+
+    muscle = pam.muscle("DMSP-20-400N")
+    several = [
+        pam.HangingLoad(muscle, 10.0, feed=pam.OnOffValves()),
+        pam.AntagonisticSlide(muscle, 5.0, feed=pam.SpoolValve(tube=pam.Tube())),
+        pam.SeriesLoad(muscle, 10.0),
+    ]
+    one = [
+        pam.HangingLoad(muscle, 10.0, losses=[pam.BoucWen()]),
+        pam.AntagonisticSlide(muscle, 5.0, feed=pam.Regulator(0.05, max_rate=4e6)),
+        pam.SpringOverMuscle(muscle, 1.0, 1e3, 50.0),
+        cart(),
+    ]
+    assert [number_of_starts(plant) for plant in several] == [4, 4, 4]
+    assert [number_of_starts(plant) for plant in one] == [1, 1, 1, 1]
+
+
+def test_ctrl_c_among_several_starts_leaves_no_process_behind(by_valve, monkeypatch):
+    from pam_ocp.plan import side_by_side
+
+    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
+    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    begun = []
+    popen = side_by_side.subprocess.Popen
+
+    def press(*arguments, **options):
+        begun.append(popen(*arguments, **options))
+        if len(begun) == 2:
+            threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        return begun[-1]
+
+    monkeypatch.setattr(side_by_side.subprocess, "Popen", press)
+    with pytest.raises(KeyboardInterrupt):
+        pam.plan(by_valve, UP["stops"], method=Collocation(40, 4))
+    assert len(begun) == 2
+    assert all(process.poll() is not None for process in begun)

@@ -73,25 +73,25 @@ class Refinement:
 
     def __init__(self, first: Checked, tolerance: float, backend: Backend) -> None:
         self.best, self.tolerance, self.backend = first, CLOSER * tolerance, backend.near()
+        self.first = first.found
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
         self._refine()
 
-    @property
     def met(self) -> bool:
         """Whether the best solution meets the tolerance."""
         return self.best.miss <= self.tolerance
 
     def _refine(self) -> None:
-        if self.met:
+        if self.met():
             return
         first = self.best
         if self.meshes[0].form.control != "polynomial":
             self._rounds(first, ROUNDS, ITERATIONS)
             return
         self._rounds(first, POLYNOMIAL_ROUNDS, POLYNOMIAL_ITERATIONS)
-        if self.met:
+        if self.met():
             return
         following = self._solved(held(self.meshes[0]), first.found)
         if following is not None:
@@ -102,7 +102,7 @@ class Refinement:
     def _rounds(self, current: Checked, most: int, iterations: int) -> None:
         """From a solution to finer ones."""
         for _ in range(most):
-            if self.met or self.iterations > iterations:
+            if self.met() or self.iterations > iterations:
                 return
             mesh = current.found.program.mesh
             following = None

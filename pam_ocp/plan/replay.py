@@ -17,7 +17,7 @@ from ..integrate import Integration
 from ..plant.plant import Plant
 from ..simulate import simulate
 from ..trajectory import Trajectory
-from .mesh import Form, Mesh
+from .mesh import Mesh
 from .problem import Budget, Condition, Leg, Problem
 from .solution import Solution
 from .stage import nominals
@@ -132,7 +132,7 @@ class _Check:
         at, inputs, found = 0, self.solution.inputs, []
         for k, interval in enumerate(self.mesh.intervals):
             end = at + self.per * len(self.mesh.form.state_taus(interval.degree))
-            powers = np.arange(inputs.degree + 1)[:, None]
+            powers = np.arange(inputs.degree + 1.0)[:, None]
 
             def u(t: Array, k: int = k, powers: Array = powers) -> Array:
                 return np.asarray(inputs.coefficients[k].T @ (t - inputs.breaks[k]) ** powers)

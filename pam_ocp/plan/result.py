@@ -222,6 +222,12 @@ class Plan:
             f"mesh       {s['intervals']} intervals"
             + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
         ]
+        if len(s.get("starts", ())) > 1:
+            led = sum(end["solved"] for end in s["starts"])
+            lines.append(
+                f"starts     {len(s['starts'])}, of which {led} found a plan; these lay "
+                f"{100 * s['starts_apart']:.2g} % apart"
+            )
         if s.get("warning"):
             lines.append(f"note       {s['warning']}")
         lines[4:4] = [

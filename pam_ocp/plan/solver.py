@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -92,6 +92,15 @@ class Outcome:
     warning: str = ""
     """What did not go as asked."""
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, Array], stats: Mapping[str, Any], seconds: float) -> Outcome:
+        """From what CasADi's interface to IPOPT gives."""
+        return cls(
+            arrays["x"], float(arrays["f"][0]), str(stats["return_status"]), bool(stats["success"]),
+            int(stats["iter_count"]), seconds, arrays["lam_g"], arrays["lam_x"],
+            _log(stats.get("iterations") or {}),
+        )  # fmt: skip
+
     @property
     def stopped(self) -> bool:
         """Whether the solver was stopped, rather than failed."""
@@ -135,16 +144,19 @@ class Ipopt:
             self._solvers.clear()
         self._first = self._solver("cold")
 
-    def _solver(self, name: str, ipopt: Mapping[str, Any] | None = None) -> ca.Function:
+    def _options(self, name: Start) -> dict[str, Any]:
+        """Of the solver of this name, but for its functions."""
+        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], **self._given}
+        goal = self.program.problem.objective
+        if name == "cold" and goal.only_time and "mu_init" not in self._given:
+            chosen["mu_init"] = BARRIER_OF_TIME * goal.time
+        # multipliers of the parameters: duals.py finds them when somebody asks
+        return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
+
+    def _solver(self, name: Start) -> ca.Function:
         """The solver of this name, made at its first use; all share the same functions."""
         if name not in self._solvers:
-            chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **(ipopt or {}), **self._given}
-            goal = self.program.problem.objective
-            if name == "cold" and goal.only_time and "mu_init" not in self._given:
-                chosen["mu_init"] = BARRIER_OF_TIME * goal.time
-            # multipliers of the parameters: duals.py finds them when somebody asks
-            options: dict[str, Any] = {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
-            options["iteration_callback"] = self._watch
+            options = {**self._options(name), "iteration_callback": self._watch}
             if self._library is None:
                 options |= self._derivatives
             problem = self._library or self.program.nlp
@@ -189,21 +201,27 @@ class Ipopt:
         or "warm" (from the multipliers of the outcome ``warm`` too).
         """
         begin = time.perf_counter()
-        solver = self._solver(start, STARTS[start])
-        (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
-        given = {"x0": np.clip(guess, lbx, ubx)}
+        solver = self._solver(start)
+        given = self.arguments(program, guess)
         if warm is not None:
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        self._iteration, self._limits = 0, (lbg, ubg)
+        self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
         with self._watch.during():
-            result = solver(**given, p=program.parameters(), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
-        stats = solver.stats()
-        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "lam_g", "lam_x")}
-        return Outcome(
-            arrays["x"], float(result["f"]), str(stats["return_status"]), bool(stats["success"]),
-            int(stats["iter_count"]), time.perf_counter() - begin, arrays["lam_g"], arrays["lam_x"],
-            _log(stats.get("iterations") or {}),
-        )  # fmt: skip
+            result = solver(**given)
+        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
+        return Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
+
+    def arguments(self, program: Program, guess: Array) -> dict[str, Array]:
+        """Of a solve without multipliers."""
+        (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
+        bounds = {"lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
+        return {"x0": np.clip(guess, lbx, ubx), "p": program.parameters(), **bounds}
+
+    def portable(self, starts: Iterable[Start]) -> tuple[ca.Function, dict[str, dict[str, Any]]]:
+        """(the problem, options by start) for another process; all of it can be pickled."""
+        nlp = self.program.nlp
+        problem = ca.Function("problem", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
+        return problem, {name: {**self._options(name), **self._derivatives} for name in starts}
 
 
 def _log(iterations: Mapping[str, Any]) -> tuple[dict[str, float], ...]:

@@ -71,7 +71,7 @@ def statement_of(problem: Problem) -> dict[str, Any]:
     """A problem as numbers, texts and lists (as JSON takes them, with infinities)."""
     writer, goal = _Writer(problem), problem.objective
     said = {
-        "stops": [{n: v for n, v in stop.items()} for stop in problem.stops],
+        "stops": [dict(stop) for stop in problem.stops],
         "nodes": [[writer.limited(c) for c in node] for node in problem.nodes],
         "legs": [
             {"duration": leg.duration, "path": [writer.limited(c) for c in leg.path],
