@@ -97,6 +97,7 @@ from .plan.robust import RobustPlan, robust_plan
 from .plan.saved import load_plan
 from .plan.solve import Planner, plan
 from .plan.spread import Spread
+from .plan.verdict import Verdict
 from .plan.wording import Avoid, Constraint, Phase, Stop
 from .plant.actuator import IdealPressure, Regulator
 from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
@@ -225,6 +226,7 @@ __all__ = [
     "UnknownNameError",
     "ValidityWarning",
     "Variable",
+    "Verdict",
     "VibrationError",
     "Wall",
     "WithEstimate",
