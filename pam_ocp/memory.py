@@ -9,6 +9,7 @@ import numpy as np
 
 from .errors import InputError
 from .plant.plant import Plant
+from .plant.stillness import resting
 
 __all__ = ["Memory", "held", "held_names"]
 
@@ -53,10 +54,12 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
     for name, variable in variables.items():
         x[names.index(name)] = (variable.min + variable.max) / 2
     slopes = np.asarray(plant.jacobians(x, plant.vector("input"), plant.vector("parameter"))[0])
-    moving = np.zeros(len(names))
-    for velocity in plant.positions.values():
-        moving[names.index(velocity)] = SIDES[memory] * plant.variable(velocity).nominal
-    drives = slopes @ moving
+    positions = resting(plant)
+    places = [names.index(q.name) for q in positions]
+    velocities = sorted({names.index(v) for q in positions for v in q.velocities})
+    wanted = SIDES[memory] * np.array([plant.variable(q.name).nominal for q in positions])
+    way = np.linalg.pinv(slopes[np.ix_(places, velocities)]) @ wanted
+    drives = slopes[:, velocities] @ way
     for name, variable in variables.items():
         drive = drives[names.index(name)]
         if drive:

@@ -6,7 +6,7 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from ..muscle.losses import Loss
 from ..muscle.muscle import Muscle
 from ..variables import Causality, Variable
 from .actuator import AttachedMuscle, Feed, attach
+from .stillness import Position, resting
 
 if TYPE_CHECKING:
     import control
@@ -390,6 +391,13 @@ class Plant:
                 if ca.is_equal(self._expressions[name], self._symbols[other]):
                     pairs[name] = other
         return pairs
+
+    def resting(self, named: Collection[str] = ()) -> tuple[Position, ...]:
+        """The states whose rates and accelerations vanish where the plant rests, in any coordinates.
+
+        ``named`` states come first where the equations leave a choice; see :mod:`.stillness`.
+        """
+        return resting(self, named)
 
     @property
     def mirror_map(self) -> dict[str, tuple[float, str]]:
