@@ -18,9 +18,10 @@ from ..plant.plant import Plant, Values
 from ..simulate import evaluated
 from .backend import Backend, Solver, SolverName
 from .diagnosis import Conflict, elastic, explanation
-from .guess import by_stops, from_solution, idle_inputs
+from .guess import by_stops, from_solution, wants_balance
 from .mesh import Collocation, Mesh, Method, Shooting, guarded, refined
 from .pose import Cyclic, Wish, pose
+from .narrowing import has_kinks, narrowing
 from .problem import Budget, Condition, Problem
 from .replay import excesses, interval_errors, motion_error, replayed
 from .result import Plan, Solved
@@ -313,7 +314,7 @@ class _Run:
 
     def best(self, first: Solved, starts: int) -> tuple[Solved, list[float]]:
         """The best of the first start and further ones, and the objectives of all that led somewhere."""
-        own = idle_inputs(self.program.problem)
+        own = wants_balance(self.program.problem)
         tried = [first]
         for usual, stretch, start in STARTS[1:starts]:
             balanced = own if usual else not own
@@ -327,14 +328,14 @@ class _Run:
         """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
         program, problem, mesh = self.program, self.program.problem, self.program.mesh
         if previous is None:
-            found = self._from(by_stops(problem, mesh, balanced=idle_inputs(problem)))
+            found = self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
         else:
             if previous.program.nlp is program.nlp:
                 found = self._from(previous.outcome.w, "warm", previous.outcome)
             else:
                 found = self._from(from_solution(problem, mesh, previous.solution), "near")
             if not found.outcome.success:
-                found = self._from(by_stops(problem, mesh, balanced=idle_inputs(problem)))
+                found = self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
         if not found.outcome.success:
             balanced = by_stops(problem, mesh, balanced=True)
             again = self._from(balanced, "adaptive")
@@ -347,7 +348,10 @@ class _Run:
         return found
 
     def _from(self, guess: Array, start: Start = "cold", warm: Outcome | None = None) -> Solved:
-        outcome = self.solver(self.program, guess, start, warm)
+        if warm is None and has_kinks(self.program.problem.plant):
+            outcome = narrowing(self.solver, self.program, guess, start)
+        else:
+            outcome = self.solver(self.program, guess, start, warm)
         solution = unpack(self.program.problem, self.program.mesh, outcome.w)
         return Solved(self.program, outcome, solution)
 
