@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 INF = float("inf")
-BEYOND = 0.25
+BEYOND = 0.05
 """By which part of their range held memories may leave it in the discretised motion."""
 Side: TypeAlias = Literal["low", "high", "both"]
 
