@@ -43,6 +43,8 @@ class Variable:
     memory : for states: "held" keeps at rest whatever value in min .. max the past has left
         (hysteresis: rest is a continuum, and a point on it has to be chosen); "settling" forgets
         slowly and rests where its own equation says (creep).
+    widest : for parameters that round off a kink: the width at which planning a motion begins, to be
+        narrowed to the parameter's value; 0 for all others.
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
     """
 
@@ -58,6 +60,7 @@ class Variable:
     display_unit: str = ""
     disturbance: bool = False
     memory: Memory = ""
+    widest: float = 0.0
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.name):

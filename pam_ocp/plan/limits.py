@@ -28,6 +28,8 @@ __all__ = [
 ]
 
 INF = float("inf")
+BEYOND = 0.05
+"""By which part of their range held memories may leave it in the discretised motion."""
 Side: TypeAlias = Literal["low", "high", "both"]
 
 
@@ -47,10 +49,12 @@ def common_limits(plant: Plant, bounds: Mapping[str, Any], symbols: Symbols) -> 
     """The plant's own bounds and path constraints, narrowed by the user's."""
     variables: dict[str, Range] = {}
     for variable in (*plant.states, *plant.inputs):
-        held = (
-            (variable.start or 0.0,) * 2 if variable.disturbance else (variable.min, variable.max)
-        )
-        variables[variable.name] = held
+        if variable.disturbance:
+            variables[variable.name] = (variable.start or 0.0,) * 2
+        else:
+            # a memory keeps its range by itself; on a coarse mesh it may overshoot a little
+            beyond = BEYOND * (variable.max - variable.min) if variable.memory == "held" else 0.0
+            variables[variable.name] = variable.min - beyond, variable.max + beyond
     path = [
         Condition(v.name, plant.expression(v.name), v.min, v.max, v.nominal, v)
         for v in plant.constraints

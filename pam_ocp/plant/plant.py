@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -23,6 +23,7 @@ from ..muscle.muscle import Muscle
 from ..variables import Causality, Variable
 from .actuator import AttachedMuscle, Feed, attach
 from .opening import Opening, Way, checked_commands
+from .stillness import Position, resting
 
 if TYPE_CHECKING:
     import control
@@ -219,7 +220,8 @@ class Plant:
         self._openings += (opening,)
         symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(ways))]
         self._ways += tuple(
-            Way(s, ca.SX(way), ca.SX(of(symbol))) for s, (way, of) in zip(symbols, ways, strict=True)
+            Way(s, ca.SX(way), ca.SX(of(symbol)))
+            for s, (way, of) in zip(symbols, ways, strict=True)
         )
         return symbols
 
@@ -502,6 +504,13 @@ class Plant:
                 if ca.is_equal(self._expressions[name], self._symbols[other]):
                     pairs[name] = other
         return pairs
+
+    def resting(self, named: Collection[str] = ()) -> tuple[Position, ...]:
+        """The states whose rates and accelerations vanish where the plant rests, in any coordinates.
+
+        ``named`` states come first where the equations leave a choice; see :mod:`.stillness`.
+        """
+        return resting(self, named)
 
     @property
     def mirror_map(self) -> dict[str, tuple[float, str]]:
