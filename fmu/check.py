@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pam_ocp.errors import InputError, require_positive
 from pam_ocp.trajectory import Trajectory
 
+from .archive import printable
 from .isolation import run_alone
 
 __all__ = ["FmuCheck", "check_fmu"]
@@ -79,7 +80,7 @@ class FmuCheck:
                 for name in names
             ]
         lines += [f"- {finding}" for finding in self.findings]
-        return "\n".join(lines)
+        return "\n".join(map(printable, lines))
 
 
 def check_fmu(
@@ -147,7 +148,7 @@ def check_fmu(
     if told.refused:
         raise InputError(told.refused)
     if not ended.finished:
-        told.findings.append(f"the unit {ended}: it was not looked at any further")
+        told.findings.append(f"the unit {ended}; the check ended there")
     return FmuCheck(
         file,
         told.fmi,

@@ -28,6 +28,8 @@ from typing import Any, TypeAlias
 
 from pam_ocp.errors import SimulationError
 
+from .archive import printable
+
 __all__ = ["Ended", "Tell", "run_alone"]
 
 Tell: TypeAlias = Callable[..., None]
@@ -176,15 +178,15 @@ def _last_words(folder: Path) -> str:
         file.seek(max(0, file.seek(0, os.SEEK_END) - 1000))
         lines = file.read().decode("utf-8", "replace").strip().splitlines()
     last = lines[-1] if lines else ""
-    return "".join(c if c.isprintable() else "?" for c in last)[:200]
+    return printable(last)[:200]
 
 
 _SIGNALS = {
-    "SIGSEGV": "crashed by a segmentation fault",
-    "SIGBUS": "crashed by a bus error (a file that is cut?)",
+    "SIGSEGV": "crashed (segmentation fault)",
+    "SIGBUS": "crashed (bus error: is the library cut short?)",
     "SIGABRT": "aborted",
-    "SIGFPE": "crashed by an arithmetic exception",
-    "SIGILL": "crashed by an illegal instruction",
+    "SIGFPE": "crashed (arithmetic exception)",
+    "SIGILL": "crashed (illegal instruction)",
     "SIGKILL": "was killed (the system may be out of memory)",
     "SIGXCPU": "took more processor time than it may",
 }
@@ -194,7 +196,7 @@ def _how(code: int | None) -> str:
     if code is None:
         return "closed its connection and went on"
     if code >= 1 << 30:  # Windows' numbers of exceptions
-        return "crashed by an access violation" if code == 0xC0000005 else f"crashed ({code:#x})"
+        return "crashed (access violation)" if code == 0xC0000005 else f"crashed ({code:#x})"
     if code >= 0:
         return f"ended its process with exit code {code}"
     try:
