@@ -131,6 +131,8 @@ def check_fmu(
     require_positive("time_limit", time_limit, "s")
     if not file.is_file():
         raise InputError(f"{file}: no such file")
+    if not os.access(file, os.R_OK):
+        raise InputError(f"{file}: this file cannot be read as an FMU (no permission)")
     if not zipfile.is_zipfile(file):
         raise InputError(f"{file}: this file cannot be read as an FMU (it is no zip archive)")
     told = _Told()

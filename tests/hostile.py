@@ -43,11 +43,12 @@ static void harm(const char *place) {
     if (IS("exit0")) exit(0);
     if (IS("_exit0")) _Exit(0);
     if (IS("exit3")) exit(3);
-    if (IS("hang")) { tell_pid(getpid()); for (;;) zero = 0; }
+    if (IS("spin")) for (;;) zero = 0;
     if (IS("stack")) { char big[1 << 16]; memset(big, zero, sizeof big); harm(place); zero = big[9]; }
     if (IS("memory")) for (;;) { volatile char *p = malloc(1 << 26); p[0] = 1; }
     if (IS("print")) for (int i = 0; i < 2000; i++) { printf("{\"done\": true}\n"); fprintf(stderr, "noise\n"); }
 #ifndef _WIN32
+    if (IS("hang")) { tell_pid(getpid()); for (;;) pause(); }
     if (IS("killed")) kill(getpid(), SIGKILL);
     if (IS("close")) for (int i = 0; i < 64; i++) close(i);
     if (IS("fork")) { pid_t pid = fork(); if (pid == 0) for (;;) pause(); tell_pid(pid); }

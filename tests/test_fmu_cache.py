@@ -15,6 +15,7 @@ import pytest
 
 from pam_ocp.fmu import cache
 from pam_ocp.fmu.compile import _environment, compile_library, native
+from pam_ocp.plan.compiled import _stored
 
 SOURCES = {"own.c": '__attribute__((visibility("default"))) int own(void) { return 7; }\n'}
 STRANGER = 54321
@@ -91,6 +92,16 @@ def test_writers_side_by_side_leave_a_whole_library(folder: Path) -> None:
         thread.join()
     assert set(seen) == {content}
     assert sorted(p.name for p in path.parent.iterdir()) == ["some.so", "some.so.sha256"]
+
+
+def test_a_damaged_library_of_a_plan_is_written_again(folder: Path) -> None:
+    whole = os.urandom(1000)
+    path = cache.usable_folder("plan") / "some.so"
+    for there in (b"", whole[:500], b"other"):
+        path.write_bytes(there)
+        assert _stored(path, whole) == path
+        assert path.read_bytes() == whole
+    assert [p.name for p in path.parent.iterdir()] == ["some.so"]
 
 
 # ---- whose folder ---------------------------------------------------------------------------------
