@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import zipfile
@@ -13,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_ocp.errors import InputError, require_positive
+from pam_ocp.errors import InputError, SimulationError, require_positive
 from pam_ocp.trajectory import Trajectory
 
 from .archive import printable
@@ -143,10 +144,13 @@ def check_fmu(
         "tolerance": tolerance,
         "duration": duration,
     }
-    with tempfile.TemporaryDirectory(prefix="pam_ocp_", ignore_cleanup_errors=True) as name:
-        folder = Path(name)
-        ended = run_alone("pam_ocp.fmu.inspection:inspect", job, folder, time_limit, told.hear)
-        runs = told.runs(folder, against)
+    try:
+        with tempfile.TemporaryDirectory(prefix="pam_ocp_", ignore_cleanup_errors=True) as name:
+            folder = Path(name)
+            ended = run_alone("pam_ocp.fmu.inspection:inspect", job, folder, time_limit, told.hear)
+            runs = told.runs(folder, against)
+    except OSError as error:
+        raise SimulationError(f"{file}: there is no room to unpack it ({error})") from None
     if told.refused:
         raise InputError(told.refused)
     if not ended.finished:
@@ -184,8 +188,9 @@ class _Told:
             return {}
         found = {}
         for kind, file in self.played.items():
-            values = np.load(folder / file, allow_pickle=False)
-            found[kind] = _run(against, self.compared, values)
+            with contextlib.suppress(OSError, ValueError):  # the unit has touched the file
+                values = np.load(folder / file, allow_pickle=False)
+                found[kind] = _run(against, self.compared, values)
         return found
 
 

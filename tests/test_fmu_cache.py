@@ -237,11 +237,16 @@ import os, sys
 from pam_ocp.fmu import cache, compile
 os.setgroups([]); os.setgid(int(sys.argv[1])); os.setuid(int(sys.argv[1]))
 print(cache.usable_folder("fmu")); print(compile._environment()["ZIG_GLOBAL_CACHE_DIR"])
+if compile.shutil.which("cc"):  # zig may be where this user cannot look
+    compile.util.find_spec = lambda name: None
+    library = compile.compile_library({"a.c": "int a;"}, "a.c", compile.native(), "a")
+    (kept,) = cache.usable_folder("fmu").glob("*[!6]")
+    assert kept.read_bytes() == library
 """
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         place.chmod(0o1777)
-        surroundings = {"TMPDIR": name, "MPLCONFIGDIR": name}
+        surroundings = {"TMPDIR": name, "MPLCONFIGDIR": name, "PATH": os.environ["PATH"]}
         surroundings["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
         if home is not None:
             surroundings["HOME"] = home

@@ -234,6 +234,8 @@ def test_the_process_of_a_hanging_unit_ends_with_the_caller(
     script = f"import pam_ocp\npam_ocp.check_fmu({str(units['2.0'])!r})\n"
     environment = os.environ | {"HOSTILE": "hang DoStep", "HOSTILE_PID": str(tmp_path / "pid")}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    (tmp_path / "tmp").mkdir()
+    environment["TMPDIR"] = str(tmp_path / "tmp")
     caller = subprocess.Popen(
         [sys.executable, "-c", script], env=environment, stderr=subprocess.PIPE, text=True
     )
@@ -244,6 +246,32 @@ def test_the_process_of_a_hanging_unit_ends_with_the_caller(
     assert caller.returncode != 0
     assert ("KeyboardInterrupt" in words) == (end == signal.SIGINT)
     assert gone(unit)
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+@linux
+def test_a_caller_that_has_forked_is_missed_all_the_same(
+    units: dict[str, Path], tmp_path: Path
+) -> None:
+    """Its child holds copies of all pipes, and lives on."""
+    script = (
+        "import os, threading, time, pam_ocp\n"
+        f"check = lambda: pam_ocp.check_fmu({str(units['3.0'])!r})\n"
+        "threading.Thread(target=check).start()\n"
+        f"while not os.path.exists({str(tmp_path / 'pid')!r}): time.sleep(0.02)\n"
+        "child = os.fork()\n"
+        "time.sleep(0.2 if child else 20)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    environment = os.environ | {"HOSTILE": "hang DoStep", "HOSTILE_PID": str(tmp_path / "pid")}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    caller = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", script], env=environment, start_new_session=True
+    )
+    unit = pid_in(tmp_path / "pid")
+    assert caller.wait(timeout=10) == -signal.SIGKILL
+    assert gone(unit)
+    os.killpg(caller.pid, signal.SIGKILL)  # the fork
 
 
 def run_python(
