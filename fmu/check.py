@@ -14,7 +14,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_ocp.errors import InputError, SimulationError, require_positive
+from pam_ocp.errors import (
+    InputError,
+    SimulationError,
+    require_finite,
+    require_instance,
+    require_positive,
+)
 from pam_ocp.trajectory import Trajectory
 
 from .archive import printable
@@ -130,6 +136,8 @@ def check_fmu(
     require_positive("tolerance", tolerance)
     require_positive("duration", duration, "s")
     require_positive("time_limit", time_limit, "s")
+    require_instance("against", against, Trajectory, "give a Trajectory, or none", none=True)
+    values = {n: require_finite(f"parameters: {n}", v) for n, v in (parameters or {}).items()}
     if not file.is_file():
         raise InputError(f"{file}: no such file")
     if not os.access(file, os.R_OK):
@@ -140,7 +148,7 @@ def check_fmu(
     job = {
         "path": str(file.absolute()),
         "against": _plain(against),
-        "parameters": dict(parameters or {}),
+        "parameters": values,
         "tolerance": tolerance,
         "duration": duration,
     }

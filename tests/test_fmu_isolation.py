@@ -183,6 +183,10 @@ def test_the_figures_cross_the_border_unchanged(tmp_path: Path) -> None:
 def test_wrong_arguments_are_refused_here(units: dict[str, Path]) -> None:
     with pytest.raises(pam.InputError, match="time_limit"):
         check_fmu(units["2.0"], time_limit=0.0)
+    with pytest.raises(pam.InputError, match="against is a str"):
+        check_fmu(units["2.0"], "slide.npz")  # type: ignore[arg-type]
+    with pytest.raises(pam.InputError, match="mass"):
+        check_fmu(units["2.0"], parameters={"mass": float("nan")})
     with pytest.raises(pam.InputError, match="did you mean 'mass'"):
         check_fmu(units["2.0"], parameters={"masss": 1.0})
     with pytest.raises(pam.InputError, match="no column that is an output"):
