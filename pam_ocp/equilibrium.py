@@ -153,9 +153,7 @@ def why_not(search: Search, nearest: Array) -> str:
 
 def _kept(search: Search) -> list[str]:
     """What memories keep, as far as it is not what they start with."""
-    moved = {
-        n: v for n, v in search.pinned.items() if v != (search.plant.variable(n).start or 0.0)
-    }
+    moved = {n: v for n, v in search.pinned.items() if v != (search.plant.variable(n).start or 0.0)}
     if len(moved) > 3:
         return ["what its memories hold"]
     return [_said(search.plant, n, v) for n, v in moved.items()]
@@ -179,7 +177,7 @@ def _remedy(search: Search, name: str) -> str:
         point = search.relaxed(name, more_pressure)
         if point is None:
             continue
-        value = search.point(point)[name]
+        value = round(search.point(point)[name] / variable.nominal, 9) * variable.nominal
         if abs(value - given) <= ROUGH * variable.nominal:
             value = given
         told = _tried(search, name, value, point, high)

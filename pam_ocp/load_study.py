@@ -16,8 +16,9 @@ from .equilibrium import EquilibriumError, OperatingPoint
 from .errors import InputError, require_positive
 from .files import atomic_path
 from .linear import linearize, modes
+from .memory import Memory
 from .muscle.gas import AMBIENT_PRESSURE, GAS_CONSTANT, REFERENCE_TEMPERATURE, muscle_volume
-from .muscle.losses import Damping
+from .muscle.losses import Damping, Loss
 from .muscle.muscle import Muscle
 from .plant.actuator import Feed
 from .plant.plant import Plant
@@ -114,12 +115,16 @@ def load_study(
     step: float = 0.2e5,
     damping: Damping | None = None,
     feed: Feed | None = None,
+    losses: Sequence[Loss] = (),
+    memory: Memory = "virgin",
     duration: float = 4.0,
 ) -> LoadStudy:
     """A hanging load at rest, swinging and settling, for every mass [kg] and pressure [Pa].
 
     step : the load comes to each rest by a step of commanded pressure this high [Pa], from rest.
-    damping, feed : of the HangingLoad; duration : simulated after each step [s].
+    damping, feed, losses : of the HangingLoad; duration : simulated after each step [s].
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then ends where
+        friction holds the load: overshoot and settling are about that place.
 
     Raises InputError for masses, pressures or a step that are not positive.
     """
@@ -131,28 +136,36 @@ def load_study(
     require_positive("duration", duration, "s")
     if not masses or not pressures:
         raise InputError("masses and pressures must each hold at least one value")
-    plant = HangingLoad(muscle, damping=damping, feed=feed)
+    plant = HangingLoad(muscle, damping=damping, feed=feed, losses=losses)
     cases = [
-        _case(plant, muscle, float(m), float(p), step, duration) for m in masses for p in pressures
+        _case(plant, muscle, float(m), float(p), step, duration, memory)
+        for m in masses
+        for p in pressures
     ]
     return LoadStudy(muscle.name, step, tuple(cases))
 
 
 def _case(
-    plant: Plant, muscle: Muscle, mass: float, pressure: float, step: float, duration: float
+    plant: Plant,
+    muscle: Muscle,
+    mass: float,
+    pressure: float,
+    step: float,
+    duration: float,
+    memory: Memory,
 ) -> LoadCase:
     try:
-        rest = plant.equilibrium({"mass": mass, "muscle.command": pressure})
+        rest = plant.equilibrium({"mass": mass, "muscle.command": pressure}, memory=memory)
     except EquilibriumError:
         return LoadCase(mass, pressure)
-    swinging = modes(linearize(plant, rest))
+    swinging = modes(linearize(plant, rest, stuck=True))
     found: dict[str, Any] = {
         "position": rest["x"], "stiffness": rest["stiffness"],
         "frequency": swinging[0][0] if swinging else np.nan,
         "damping_ratio": swinging[0][1] if swinging else np.nan,
     }  # fmt: skip
     try:
-        before = plant.equilibrium({"mass": mass, "muscle.command": pressure - step})
+        before = plant.equilibrium({"mass": mass, "muscle.command": pressure - step}, memory=memory)
     except (EquilibriumError, InputError):  # nothing to step from
         return LoadCase(mass, pressure, **found)
     return LoadCase(mass, pressure, **found, **_step(muscle, before, rest, duration))
@@ -166,7 +179,8 @@ def _step(
     motion = simulate(
         rest.plant, {"muscle.command": rest["muscle.command"]}, t=t, start=start, rtol=1e-8
     )
-    progress = (motion["x"] - before["x"]) / (rest["x"] - before["x"])
+    goal = float(motion["x"][-1]) if rest.memory else rest["x"]
+    progress = (motion["x"] - before["x"]) / (goal - before["x"])
     outside = np.flatnonzero(np.abs(progress - 1) > SETTLED)
     last = int(outside[-1]) + 1 if outside.size else 0
     air = [
@@ -179,6 +193,6 @@ def _step(
     return {
         "overshoot": max(float(progress.max()) - 1.0, 0.0),
         "settling_time": float(t[last]) if last < len(t) else np.nan,
-        "work": mass * gravity * (rest["x"] - before["x"]),
+        "work": mass * gravity * (goal - before["x"]),
         "air": air[1] - air[0],
     }

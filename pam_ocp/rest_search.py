@@ -20,6 +20,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Largest residual of an equilibrium, in units of nominal (per second)."""
+TAUT = 3
+"""Starts under high pressures."""
 ROUGH = 1e-6
 """Largest residual from which Newton's method is asked for the rest."""
 
@@ -159,14 +161,14 @@ class Search:
         best, least = self.start, np.inf
         for start in self.starts():
             nearest = self.nearest(start)
-            for near in (nearest, self.newton(start, steps=20)):
+            for near in (nearest, self.newton(start, steps=20, inside=True)):
                 point = self.polished(near)
                 if point is not None:
                     return self.point(point), point
             miss = float(np.abs(self.residual(nearest)).max())
             if miss < least:
                 best, least = nearest, miss
-        for name in self.targets:  # by way of the equilibrium that lets go of one condition
+        for name in self.targets:  # by way of those that meet all conditions but one
             near = self.relaxed(name, more_pressure=False)
             point = None if near is None else self.polished(self.newton(near, steps=20))
             if point is not None:
@@ -204,7 +206,7 @@ class Search:
         return np.asarray(high, dtype=float)
 
     def starts(self, count: int = 5, seed: int = 0, reach: float = 1.0) -> list[Array]:
-        """Start values first, then points spread over the bounds (fixed seed: the same each time).
+        """Start values, points spread over the bounds (fixed seed: the same each time), taut ones.
 
         States and inputs that are conditions have their value.
 
@@ -215,13 +217,22 @@ class Search:
         high = np.where(np.isfinite(self.high), self.high, self.start + span)
         spread = np.random.default_rng(seed).uniform(0.1, 0.9, size=(count, len(low)))
         found = np.vstack([self.start, low + spread * (high - low)])
+        # under little pressure muscles may be slack, and a slack one gives no slope to leave by
+        taut = np.tile(self.start, (TAUT, 1))
+        for i, variable in enumerate((*self.plant.states, *self.plant.inputs)):
+            if variable.unit == "Pa" and np.isfinite(high[i]):
+                taut[:, i] = low[i] + np.linspace(0.6, 0.9, TAUT) * (high[i] - low[i])
+        found = np.vstack([found, taut])
         for i, variable in enumerate((*self.plant.states, *self.plant.inputs)):
             if variable.name in self.targets:
                 found[:, i] = self.values[variable.name]
         return list(found)
 
-    def newton(self, point: Array, steps: int = 4) -> Array:
-        """A few Newton steps to rounding; least squares where the Jacobian is singular."""
+    def newton(self, point: Array, steps: int = 4, inside: bool = False) -> Array:
+        """A few Newton steps to rounding; least squares where the Jacobian is singular.
+
+        inside : each step ends within the bounds.
+        """
         for _ in range(steps):
             residual, jacobian = (np.asarray(m, dtype=float) for m in self.function(point, self.p))
             if not np.all(np.isfinite(jacobian)):
@@ -229,6 +240,8 @@ class Search:
             # in units of nominal: else pressures alone would decide what is singular
             step = np.linalg.lstsq(jacobian * self.nominal, residual.ravel(), rcond=None)[0]
             point = point - step * self.nominal
+            if inside:
+                point = np.clip(point, self.low, self.high)
             if np.abs(step).max() < 1e-15:
                 break
         return point

@@ -178,13 +178,21 @@ class StateFeedback:
         return dict(zip(self.inputs, u.tolist(), strict=True))
 
     def _augmented(self) -> tuple[Array, Array, Array]:
-        """A, B with the integrals as last states, and all gains; continuous time."""
+        """A, B with the integrals as last states, and all gains; continuous time, all states."""
         a, b = np.asarray(self.system.A), np.asarray(self.system.B)
         labels = [n.replace(".", "_") for n in self.integrated]
         c = np.asarray(self.system.C)[[self.system.output_labels.index(n) for n in labels]]
         n, k = len(a), len(c)
         a = np.block([[a, np.zeros((n, k))], [c, np.zeros((k, k))]])
         return a, np.vstack([b, np.zeros((k, b.shape[1]))]), np.hstack([self.K, self.Ki])
+
+    def _stuck(
+        self, a: Array, b: Array, k: Array, nominal: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """A, B and gains without held memories, which stick to the other states."""
+        more = len(self.integrated)
+        lift, pick = self.point.stuck.lift(nominal, more), self.point.stuck.pick(more)
+        return pick @ a @ lift, pick @ b, k @ lift
 
     @property
     def loop(self) -> control.StateSpace:
@@ -200,6 +208,7 @@ class StateFeedback:
         )
         a, b = a * states / states[:, None], b * effort / states[:, None]
         k = k * states / effort[:, None]
+        a, b, k = self._stuck(a, b, k, self.point.plant.vector("state", attribute="nominal"))
         labels = [n.replace(".", "_") for n in self.inputs]
         return control.ss(
             a, b, k, np.zeros((len(k), len(k))), inputs=labels, outputs=[f"{n}_fed" for n in labels],
@@ -209,7 +218,7 @@ class StateFeedback:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Of the closed loop [1/s], sorted by falling real part."""
-        a, b, k = self._augmented()
+        a, b, k = self._stuck(*self._augmented())
         found = np.linalg.eigvals(a - b @ k)
         return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 
@@ -226,6 +235,8 @@ def lqr(
     sampled: bool = False,
 ) -> StateFeedback:
     """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
+
+    Held memories (hysteresis) stick to the motion about the point: K has zeros for them.
 
     at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
@@ -247,6 +258,13 @@ def lqr(
     a, b, q, r = weighting.scaled(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
+    # held memories stick: no input reaches them, and nothing is fed back from them
+    nominal = at.plant.vector("state", attribute="nominal")
+    lift, pick = (
+        at.stuck.lift(nominal, len(weighting.integrated)),
+        at.stuck.pick(len(weighting.integrated)),
+    )
+    a, b, q = pick @ a @ lift, pick @ b, lift.T @ q @ lift
     try:
         if sampled:
             zero = np.zeros((1, len(a))), np.zeros((1, b.shape[1]))
@@ -261,5 +279,5 @@ def lqr(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
-    gains = weighting.unscaled(np.asarray(k))
+    gains = weighting.unscaled(np.asarray(k) @ pick)
     return StateFeedback(at, weighting.inputs, *gains, weighting.integrated, dt, setpoint, system)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError, require_positive
 from ..linear import LinearAlong, linearize_along
 from ..plant.plant import Plant, require_plant
+from ..stuck import Stuck
 from ..trajectory import Trajectory
 from .closed_loop import Measured
 from .lqr import Integrals, Weighting, saturated
@@ -133,7 +134,10 @@ def tvlqr(
     along = linearize_along(plant, motion, t=t, inputs=weighting.inputs)
     a, b, q, r = _along(weighting, along, outputs)
     size, inverse = a.shape[-1], np.linalg.inv(r)
-    end = _final(final, a[-1], b[-1], q[-1], r)
+    follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)
+    nominal, more = along.plant.vector("state", attribute="nominal"), len(weighting.integrated)
+    lift = follow.lift(nominal, more), follow.pick(more)
+    end = _final(final, a[-1], b[-1], q[-1], r, lift)
 
     def riccati(time: float, flat: Any) -> Any:
         i = int(np.clip(np.searchsorted(along.t, time, side="right") - 1, 0, len(along.t) - 2))
@@ -175,7 +179,10 @@ def _along(
     return a, b, q, r[0]
 
 
-def _final(final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array) -> Array:
+def _final(
+    final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array, stuck: tuple[Array, Array]
+) -> Array:
+    """P at the end; ``stuck`` : (lift, pick) of Stuck, by which held memories are left out."""
     if final is not None:
         given = np.asarray(final, float)
         if given.shape != a.shape:
@@ -184,9 +191,10 @@ def _final(final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array) -> A
     import control
 
     try:
-        p = np.asarray(control.care(a, b, q, r)[0])
+        lift, pick = stuck
+        p = pick.T @ control.care(pick @ a @ lift, pick @ b, lift.T @ q @ lift, r)[0] @ pick
     except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
         ) from None
-    return p
+    return np.asarray(p)
