@@ -273,7 +273,30 @@ VIBRATION_AND_FMU = [
            "for (int i = 0; i < NX; i++) t.x[i] += seeds.x[i];", "", "tests/test_fmu_derivatives.py"),
 ]  # fmt: skip
 
-MUTANTS = [*REPORTED, *MUSCLE, *PLANT, *PLAN, *FIT, *DESIGN, *VIBRATION_AND_FMU]
+SHARE = "tests/test_plan_share.py -k 'not scipy and not never'"
+ROBUST = [
+    Mutant("spread of one side only", "pam_ocp/plan/share.py",
+           "excess = np.abs(deviation) /", "excess = deviation /", SHARE),
+    Mutant("one-sided interval of the share", "pam_ocp/plan/share.py",
+           "(1 - self.confidence) / 2", "(1 - self.confidence)", SHARE),
+    Mutant("interval of one plant more", "pam_ocp/plan/share.py",
+           "betaincinv(k + 1, n - k, 1 - tail)", "betaincinv(k + 1, n - k + 1, 1 - tail)", SHARE),
+    Mutant("limits along the way are not judged", "pam_ocp/plan/share.py",
+           "if demand.problem is not None:", "if demand.problem is not None and False:", SHARE),
+    Mutant("a plant that fails keeps all", "pam_ocp/plan/share.py",
+           "np.where(np.isnan(excess), np.inf, excess)", "np.where(np.isnan(excess), -1.0, excess)",
+           SHARE),
+    Mutant("every stop has the first spread", "pam_ocp/plan/robust.py",
+           "(int(np.argmin(np.abs(t - at))), i + 1, allowed[i])",
+           "(int(np.argmin(np.abs(t - at))), i + 1, next(filter(None, allowed)))", SHARE),
+    Mutant("the first sample again and again", "pam_ocp/plan/robust.py",
+           "self.last, self.next = self.next, self.next + 1", "self.last, self.next = self.next, self.next",
+           SHARE),
+    Mutant("any share is enough", "pam_ocp/plan/share.py",
+           "return self.value >= self.wanted", "return self.value >= 0.5 * self.wanted", SHARE),
+]  # fmt: skip
+
+MUTANTS = [*REPORTED, *MUSCLE, *PLANT, *PLAN, *FIT, *DESIGN, *VIBRATION_AND_FMU, *ROBUST]
 
 
 def scratch(folder: Path) -> Path:
