@@ -142,6 +142,20 @@ MUSCLE = [
            "tension = tension - lost", "tension = tension + lost", HAND),
     Mutant("power with the sign of stretching", "pam_ocp/plant/actuator.py",
            "force * rate, muscle.mass", "-force * rate, muscle.mass", HAND),
+    Mutant("geometric law with 2 for 3", "pam_ocp/muscle/braid.py",
+           "active = 3 * (1 - shortening)", "active = 2 * (1 - shortening)", "tests/test_laws.py"),
+    Mutant("corrected law without its correction", "pam_ocp/muscle/braid.py",
+           "_braid_force(p, eps * kappa,", "_braid_force(p, kappa,", "tests/test_laws.py"),
+    Mutant("area of the gain without its half", "pam_ocp/muscle/force.py",
+           "self.a4 * kappa**2 / 2", "self.a4 * kappa**2", HAND),
+    Mutant("braid volume by the sine", "pam_ocp/muscle/gas.py",
+           "(1 - ca.cos(angle) ** 2 * length**2)", "(1 - ca.sin(angle) ** 2 * length**2)",
+           "tests/test_gas.py"),
+    Mutant("catalogue flow per second", "pam_ocp/muscle/gas.py",
+           "return flow / 60e3 /", "return flow / 1e3 /", "tests/test_gas.py"),
+    Mutant("directional damping the other way round", "pam_ocp/muscle/losses.py",
+           "relaxing + (contracting - relaxing) * share", "contracting + (relaxing - contracting) * share",
+           "tests/test_losses.py"),
 ]  # fmt: skip
 
 PLANT = [
@@ -224,6 +238,15 @@ FIT = [
            "tests/test_fit_static.py tests/test_fit_shared.py"),
 ]  # fmt: skip
 
+TRAJECTORY = [
+    Mutant("rms without its root", "pam_ocp/trajectory.py",
+           "rms=float(np.sqrt(np.mean(difference**2)))", "rms=float(np.mean(difference**2))",
+           "tests/test_trajectory.py"),
+    Mutant("relative deviation times nominal", "pam_ocp/trajectory.py",
+           "return self.largest / self.variable.nominal", "return self.largest * self.variable.nominal",
+           "tests/test_trajectory.py"),
+]  # fmt: skip
+
 DESIGN = [
     Mutant("filtered slope of a PID the other way", "pam_ocp/design/pid.py",
            "share * self._slope + (1 - share) * (error - self._last) / dt",
@@ -296,7 +319,17 @@ ROBUST = [
            "return self.value >= self.wanted", "return self.value >= 0.5 * self.wanted", SHARE),
 ]  # fmt: skip
 
-MUTANTS = [*REPORTED, *MUSCLE, *PLANT, *PLAN, *FIT, *DESIGN, *VIBRATION_AND_FMU, *ROBUST]
+MUTANTS = [
+    *REPORTED,
+    *MUSCLE,
+    *PLANT,
+    *PLAN,
+    *FIT,
+    *TRAJECTORY,
+    *DESIGN,
+    *VIBRATION_AND_FMU,
+    *ROBUST,
+]
 
 
 def scratch(folder: Path) -> Path:
