@@ -18,6 +18,7 @@ import numpy as np
 from ..errors import InputError, require_count, require_finite, require_positive
 from ..plant.plant import Plant
 from ..trajectory import Trajectory
+from .between import decided, deviance
 from .estimate import ORDERS, Task, estimate, require_influence
 from .experiment import groups, measured_names, prepare
 from .outcome import outcome
@@ -50,8 +51,10 @@ def fit_plant(
     Parameters
     ----------
     plant : any Plant; its parameter values are where the fit starts (such as those of a static fit).
-    records : Trajectories with the measured inputs (held or joined by lines, as each says) and some
-        states or outputs; see :func:`read_record`. Their initial states are unknown and estimated.
+    records : Trajectories with the measured inputs and some states or outputs; see :func:`read_record`.
+        Inputs run between samples as each record says; where one does not, both are fitted (held,
+        joined by lines), the likelier counts, and the report says so. Initial states are unknown and
+        estimated.
     free : names of the parameters to fit. A tuple of names, or a pattern such as ``"muscle*.a1"``,
         is one unknown: these parameters are to be equal.
     outputs : the measured states and outputs to compare; by default all that the records hold.
@@ -92,21 +95,36 @@ def fit_plant(
     )  # fmt: skip
     if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
         raise InputError("free is empty: name at least one parameter of the plant")
-    task = _task(plant, chosen, unknowns, method, degree, step, high, inputs)
-    sigma = _noise(plant, task, noise)
+
+    def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
+        task = _task(plant, ran, unknowns, method, degree, step, high, inputs)
+        return _fitted(task, _noise(plant, task, noise), (low, high), noise is not None, degree)
+
+    fit, between, words = decided(plant, chosen, fitted)
+    seconds = time.perf_counter() - began
+    return replace(fit, seconds=seconds, interpolation=between, inputs_ran=words)
+
+
+def _fitted(
+    task: Task, sigma: Array, delays: tuple[float, float], known: bool, degree: int | None
+) -> tuple[PlantFit, float]:
+    """The fit, and its deviance. known : whether ``sigma`` was given."""
+    low, high = delays
+    process = bool(task.unknowns.process)
     require_influence(task, task.program(low, None), sigma)
-    found = estimate(task, sigma, (low, high), noise is not None)
+    found = estimate(task, sigma, delays, known)
     fit = outcome(task, found, high > low)
     for order in ORDERS[task.method][1:] if degree is None else ():
-        if fit.integration_error < ACCURATE and not process_noise:
+        if fit.integration_error < ACCURATE and not process:
             break
         before = found.solution.residuals
         task = task.refined(found, order)
-        found = estimate(task, found.sigma, (low, high), noise is not None, found.delay)
+        found = estimate(task, found.sigma, delays, known, found.delay)
         fit = outcome(task, found, high > low)
-        if process_noise and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
+        if process and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
             break
-    return replace(fit, seconds=time.perf_counter() - began)
+    jumps = float(np.sum(found.solution.jumps**2))
+    return fit, deviance(found.solution.residuals, sigma if known else None) + jumps
 
 
 # ---- arguments ----------------------------------------------------------------------------------

@@ -166,7 +166,8 @@ def prepare(
         raise InputError(
             f"a record of {record.duration:g} s is too short for delays of up to {longest_delay:g} s"
         )
-    u = signals(plant, inputs, record.t, record.interpolation)
+    exact = record.signals is not None and all(v.name in record for v in plant.inputs)
+    u = signals(plant, record if exact else inputs, record.t, record.interpolation)
     times = merged(np.concatenate([record.t, u.breaks]))
     if step is not None:
         parts = np.maximum(np.ceil(np.diff(times) / step * (1 - 1e-9)).astype(int), 1)

@@ -136,7 +136,8 @@ def replay(fit: PlantFit, record: Trajectory) -> Trajectory:
     corrected = {
         n: (record[n] - fit.offsets.get(n, 0.0)) / fit.gains.get(n, 1.0) for n in record.names
     }
-    clean = Trajectory(record.t, corrected, record.variables, record.interpolation)
+    between = record.interpolation if record.interpolation_known else fit.interpolation
+    clean = Trajectory(record.t, corrected, record.variables, between)
     experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs)
     task = Task(fit.plant, [experiment], Unknowns([], names), fit.method, fit.degree)
     nominal = np.array([fit.plant.variable(n).nominal for n in names])

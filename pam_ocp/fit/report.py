@@ -97,6 +97,7 @@ def plant_report(fit: PlantFit, level: float) -> str:
         f"    {fit.plant.name}: {fit.plant.description}",
         "[[Records]]",
         f"    {len(fit.records)} with {samples} samples of {', '.join(fit.measured)}",
+        *([f"    {fit.inputs_ran}"] if fit.inputs_ran else []),
         "[[Fit]]" + (" of the smoothed motion" if fit.process_noise else ""),
         *(
             f"    {n}: RMSE {fit.plant.variable(n).shown(e)}, fit {fit.fit_percent[n]:.2f} %"
