@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError, require_count, require_instance, require_positive
 from ..plant.plant import Plant
@@ -15,6 +16,9 @@ from .experiment import measured_names
 from .statistics import Array
 
 __all__ = ["FreeRun", "Runs", "runs_of"]
+
+FAR = 100.0
+"""Ranges of a measured variable by which a run must be off to count as diverged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +38,41 @@ class FreeRun:
 
     @property
     def rmse(self) -> dict[str, float]:
-        """Root of the mean squared error over all samples of all runs [unit of the variable]."""
-        squares = np.mean((self.predicted - self.measured) ** 2, axis=(0, 1))
+        """Root of the mean squared error over all samples of all runs [unit of the variable].
+
+        Infinite where a run went beyond all numbers.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.mean((self.predicted - self.measured) ** 2, axis=(0, 1))
+        squares = np.where(np.isfinite(squares), squares, np.inf)
         return dict(zip(self.names, np.sqrt(squares).tolist(), strict=True))
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """Which runs (n,) went beyond all numbers, or astray by more than 100 times what was measured spreads."""
+        flat = self.measured.reshape(-1, len(self.names))
+        size = np.maximum(np.ptp(flat, axis=0), 1e-12 * np.abs(flat).max(axis=0, initial=1e-300))
+        with np.errstate(over="ignore", invalid="ignore"):
+            far = np.abs(self.predicted - self.measured).max(axis=1) / size
+        return np.asarray(~(far <= FAR).all(axis=1))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """That runs diverged, and where; empty when none did."""
+        lost = np.nonzero(self.diverged)[0]
+        if not lost.size:
+            return ()
+        first = int(lost[0])
+        return (
+            f"{lost.size} of {len(self.start)} free runs diverge, the first from t = {self.start[first]:g} s of "
+            f"record {int(self.record[first]) + 1}: there the plant predicts nothing; fit on such records, "
+            "too, take a shorter horizon, or more steps where the integration is too coarse",
+        )
+
+    def __str__(self) -> str:
+        lines = [f"{len(self.start)} free runs of {self.t[-1]:g} s"]
+        lines += [f"    {n}: RMSE {e:.4g}" for n, e in self.rmse.items()]
+        return "\n".join([*lines, *(f"    warning: {w}" for w in self.warnings)])
 
 
 @dataclass(frozen=True, eq=False)
