@@ -45,6 +45,7 @@ def fit_plant(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     inputs: Mapping[str, float] | None = None,
     process_noise: Mapping[str, float] | None = None,
+    input_noise: Mapping[str, float] | None = None,
 ) -> PlantFit:
     """Fit parameters of a plant to measured records by least squares.
 
@@ -73,6 +74,10 @@ def fit_plant(
         states may jump where intervals begin, and jumps are weighed against the measurement noise,
         which must be given (the most probable parameters and motion together; A. Jazwinski,
         Stochastic Processes and Filtering Theory, 1970, 5.3). Not for single shooting.
+    input_noise : {measured input: standard deviation}: its samples have errors, which are estimated with all
+        else and weighed against those of the outputs, whose ``noise`` must be given. An input that is
+        measured with noise and taken as exact biases the parameters, damping above all (errors in
+        variables; W. Fuller, Measurement Error Models, 1987).
 
     Returns
     -------
@@ -88,6 +93,7 @@ def fit_plant(
     chosen = [records] if isinstance(records, Trajectory) else list(records)
     names = measured_names(plant, chosen, outputs)
     low, high = _delays(delay)
+    noisy = _input_noise(plant, input_noise, noise)
     unknowns = Unknowns(
         groups(plant, free, dict(bounds or {})), names,
         _places("offsets", offsets, plant, names), _places("gains", gains, plant, names), low,
@@ -97,7 +103,7 @@ def fit_plant(
         raise InputError("free is empty: name at least one parameter of the plant")
 
     def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
-        task = _task(plant, ran, unknowns, method, degree, step, high, inputs)
+        task = _task(plant, ran, unknowns, method, degree, step, high, inputs, noisy)
         return _fitted(task, _noise(plant, task, noise), (low, high), noise is not None, degree)
 
     fit, between, words = decided(plant, chosen, fitted)
@@ -184,6 +190,23 @@ def _process(
     return tuple(found)
 
 
+def _input_noise(
+    plant: Plant, given: Mapping[str, float] | None, noise: Mapping[str, float] | None
+) -> dict[str, float]:
+    if given and noise is None:
+        raise InputError(
+            "input_noise needs noise={measured variable: standard deviation}, too: the data alone do not "
+            "tell which of both scattered"
+        )
+    found = {}
+    for name, value in (given or {}).items():
+        variable = plant.variable(name)
+        if variable.causality != "input":
+            raise InputError(f"input_noise: {variable.name} is a {variable.causality}, not an input")
+        found[variable.name] = require_positive(f"input_noise[{name!r}]", value, variable.unit)
+    return found
+
+
 def _task(
     plant: Plant,
     records: Sequence[Trajectory],
@@ -193,6 +216,7 @@ def _task(
     step: float | None,
     longest_delay: float,
     inputs: Mapping[str, float] | None,
+    input_noise: Mapping[str, float],
 ) -> Task:
     if method not in METHODS:
         raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
@@ -206,9 +230,9 @@ def _task(
             raise InputError(f"inputs: {name} is a {plant.variable(name).causality}, not an input")
         constant[plant.variable(name).name] = require_finite(name, value)
     experiments = [
-        prepare(plant, r, unknowns.names, longest_delay, step, constant) for r in records
+        prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise) for r in records
     ]
-    return Task(plant, experiments, unknowns, method, order, step, constant)
+    return Task(plant, experiments, unknowns, method, order, step, constant, input_noise)
 
 
 def _noise(plant: Plant, task: Task, noise: Mapping[str, float] | None) -> Array:

@@ -64,6 +64,8 @@ class PlantFit:
     """Intensity of the noise that was allowed to disturb a state [unit/sqrt(s)]; ``simulated`` is then
     the smoothed motion."""
 
+    input_noise: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation of measured inputs whose errors were estimated; ``simulated`` ran without them."""
     interpolation: Interpolation = "linear"
     """How inputs count as having run between the samples of records that do not say it."""
     inputs_ran: str = ""

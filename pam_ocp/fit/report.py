@@ -110,6 +110,10 @@ def plant_report(fit: PlantFit, level: float) -> str:
             f"    process noise of {n}: {size:.4g} {fit.plant.variable(n).unit}/sqrt(s)"
             for n, size in fit.process_noise.items()
         ),
+        *(
+            f"    measured {n} with noise of {fit.plant.variable(n).shown(size)}: its errors are estimated, too"
+            for n, size in fit.input_noise.items()
+        ),
     ]
     if fit.warnings:
         lines += ["[[Warnings]]", *(f"    {text}" for text in fit.warnings)]

@@ -23,9 +23,10 @@ __all__ = ["load_plant_fit", "write_plant_fit"]
 FORMAT = "pam_ocp plant fit"
 _PLAIN = (
     "delay", "offsets", "gains", "noise", "descriptions", "method", "degree", "step", "inputs",
-    "status", "iterations", "seconds", "process_noise", "interpolation", "inputs_ran",
+    "status", "iterations", "seconds", "process_noise", "input_noise",
+    "interpolation", "inputs_ran",
 )  # fmt: skip
-_LATER = ("interpolation", "inputs_ran")
+_LATER = ("input_noise", "interpolation", "inputs_ran")
 """Not in older files."""
 _TUPLES = ("measured", "parameters", "starts", "at_bound")
 
