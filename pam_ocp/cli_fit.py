@@ -202,7 +202,10 @@ def _arguments(study: Mapping[str, Any], plant: Plant) -> dict[str, Any]:
         if name in study:
             found[name] = _list(name, study[name])
     for name, per in (
-        ("noise", ""), ("inputs", ""), ("input_noise", ""), ("process_noise", "/sqrt(s)"),
+        ("noise", ""),
+        ("inputs", ""),
+        ("input_noise", ""),
+        ("process_noise", "/sqrt(s)"),
     ):
         if name in study:
             found[name] = {

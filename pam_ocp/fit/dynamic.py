@@ -202,7 +202,9 @@ def _input_noise(
     for name, value in (given or {}).items():
         variable = plant.variable(name)
         if variable.causality != "input":
-            raise InputError(f"input_noise: {variable.name} is a {variable.causality}, not an input")
+            raise InputError(
+                f"input_noise: {variable.name} is a {variable.causality}, not an input"
+            )
         found[variable.name] = require_positive(f"input_noise[{name!r}]", value, variable.unit)
     return found
 
@@ -230,7 +232,8 @@ def _task(
             raise InputError(f"inputs: {name} is a {plant.variable(name).causality}, not an input")
         constant[plant.variable(name).name] = require_finite(name, value)
     experiments = [
-        prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise) for r in records
+        prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise)
+        for r in records
     ]
     return Task(plant, experiments, unknowns, method, order, step, constant, input_noise)
 

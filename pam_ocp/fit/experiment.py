@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import FitError, InputError, PamError, UnknownNameError
 from ..plant.plant import Plant
@@ -43,8 +44,8 @@ class InputErrors:
     values : factors [unit of the input]. count : of the errors.
     """
 
-    rows: Array
-    columns: Array
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
     values: Array
     count: int
 
@@ -55,7 +56,9 @@ class InputErrors:
         """Errors of every sample of the inputs in ``noise``, which run as the inputs themselves."""
         held, nu = record.interpolation == "previous", len(plant.inputs)
         degree = 0 if held else 1
-        sample = np.clip(np.searchsorted(record.t, mesh[:-1] + 1e-12, side="right") - 1, 0, len(record) - 2)
+        sample = np.clip(
+            np.searchsorted(record.t, mesh[:-1] + 1e-12, side="right") - 1, 0, len(record) - 2
+        )
         span, since = np.diff(record.t)[sample], mesh[:-1] - record.t[sample]
         rows, columns, values = [], [], []
         for number, (name, size) in enumerate(noise.items()):
@@ -79,7 +82,7 @@ class InputErrors:
         """The coefficients with these errors (count,)."""
         found = coefficients.ravel().copy()
         np.add.at(found, self.rows, self.values * errors[self.columns])
-        return found.reshape(coefficients.shape)
+        return np.asarray(found.reshape(coefficients.shape))
 
 
 @dataclass(frozen=True, eq=False)

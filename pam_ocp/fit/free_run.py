@@ -167,7 +167,9 @@ def fit_free_run(
     fit, between, words = decided(plant, chosen, fitted)
     for text in fit.training.warnings:
         warnings.warn(text, RuntimeWarning, stacklevel=2)
-    return replace(fit, interpolation=between, inputs_ran=words, seconds=time.perf_counter() - began)
+    return replace(
+        fit, interpolation=between, inputs_ran=words, seconds=time.perf_counter() - began
+    )
 
 
 def _fitted(

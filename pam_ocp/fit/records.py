@@ -111,7 +111,9 @@ def _between(inputs: Any, interpolation: Any) -> Interpolation | None:
         raise InputError(f"inputs = {inputs!r}: choose 'held' or 'linear'")
     said: Interpolation | None = {"held": "previous", "linear": "linear"}.get(inputs)  # type: ignore[assignment]
     if said and interpolation and said != interpolation:
-        raise InputError(f"inputs = {inputs!r} contradicts interpolation = {interpolation!r}; leave one")
+        raise InputError(
+            f"inputs = {inputs!r} contradicts interpolation = {interpolation!r}; leave one"
+        )
     return said or interpolation
 
 

@@ -35,6 +35,8 @@ class FreeRun:
     t: Array = field(repr=False)
     measured: Array = field(repr=False)
     predicted: Array = field(repr=False)
+    sizes: Array = field(repr=False)
+    """Range of each measured variable over the runs, at least its nominal."""
 
     @property
     def rmse(self) -> dict[str, float]:
@@ -49,11 +51,9 @@ class FreeRun:
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
-        """Which runs (n,) went beyond all numbers, or astray by more than 100 times what was measured spreads."""
-        flat = self.measured.reshape(-1, len(self.names))
-        size = np.maximum(np.ptp(flat, axis=0), 1e-12 * np.abs(flat).max(axis=0, initial=1e-300))
+        """Which runs (n,) went beyond all numbers, or astray by 100 ranges of what was measured."""
         with np.errstate(over="ignore", invalid="ignore"):
-            far = np.abs(self.predicted - self.measured).max(axis=1) / size
+            far = np.abs(self.predicted - self.measured).max(axis=1) / self.sizes
         return np.asarray(~(far <= FAR).all(axis=1))
 
     @property
@@ -93,9 +93,12 @@ class Runs:
     end: Array
     step: float
     steps: int
+    sizes: Array
 
     def result(self, predicted: Array) -> FreeRun:
-        return FreeRun(self.names, self.record, self.start, self.t, self.measured, predicted)
+        return FreeRun(
+            self.names, self.record, self.start, self.t, self.measured, predicted, self.sizes
+        )
 
 
 def runs_of(
@@ -140,7 +143,11 @@ def runs_of(
         )
     number, start, measured, x0, begin, end = (np.array(c, float) for c in zip(*parts, strict=True))
     t = np.asarray(sampling * np.arange(1, length + 1))
-    return Runs(tuple(names), number, start, t, measured, x0, begin, end, sampling / steps, steps)
+    nominal = np.array([plant.variable(n).nominal for n in names])
+    sizes = np.maximum(np.ptp(measured.reshape(-1, len(names)), axis=0), nominal)
+    return Runs(
+        tuple(names), number, start, t, measured, x0, begin, end, sampling / steps, steps, sizes
+    )
 
 
 def _sampling(records: Sequence[Trajectory]) -> float:

@@ -343,7 +343,14 @@ def _member(
         table=table,
         held=tuple(n for n in names if n not in free),
         weights=None if np.all(part.weights == 1) else part.weights,
-        solver=solver,
+        solver=replace(
+            solver,
+            at_bound=tuple(
+                own
+                for own, z in zip(free, place, strict=True)
+                if linear.names[z] in solver.at_bound
+            ),
+        ),
         terms=PLAIN,
         marginal=marginal,
     )

@@ -344,9 +344,7 @@ def _rolled(
     for r, e in enumerate(experiments):
         n = len(e.mesh) - 1
         span = slice(first, first + n)
-        parts.append(
-            step.mapaccum(n)(x0[:, r], mesh.h[span][None], u[:, span], ca.repmat(p, 1, n))
-        )
+        parts.append(step.mapaccum(n)(x0[:, r], mesh.h[span][None], u[:, span], ca.repmat(p, 1, n)))
         first += n
     return ca.horzcat(*parts)
 
