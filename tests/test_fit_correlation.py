@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import t as student
 
 import pam_ocp as pam
+from pam_ocp.errors import InputError, PamError
 from pam_ocp.fit import ForceTable, fit_force
 from pam_ocp.fit.correlation import Order, neighbours, sequences, serial_errors, widening
 from pam_ocp.fit.shared import fit_forces
@@ -136,6 +137,20 @@ def test_the_dynamic_and_the_static_report_widen_by_one_formula() -> None:
     assert means.std() * np.sqrt(1000) / e.std() == pytest.approx(widening(0.6), rel=0.15)
 
 
+def test_who_measured_in_random_order_may_say_so() -> None:
+    table = ramps(0.8, 3)
+    found, told = (
+        fit_force(table, "polynomial-1-1", errors=e) for e in ("as found", "independent")
+    )  # type: ignore[arg-type]
+    assert told.serial is None
+    assert "errors taken as independent" in told.report()
+    assert told.law == found.law
+    plain = found.linearisation.independent.stderr()
+    np.testing.assert_allclose(told.linearisation.stderr(), plain)
+    with pytest.raises(InputError, match="'as found' or 'independent'"):
+        fit_force(table, errors="none")  # type: ignore[arg-type]
+
+
 def test_residuals_of_rounding_say_nothing() -> None:
     exact = ramps(0.0, 1)
     exact = ForceTable(exact.pressure, exact.contraction, LINE.tension(exact.pressure, exact.contraction))  # fmt: skip
@@ -204,8 +219,6 @@ def test_random_tables_of_all_laws_are_fitted_and_cover() -> None:
 
 @pytest.mark.parametrize("loss", ["squares", "huber", "l1", "bisquare"])
 def test_odd_tables_get_an_answer_or_one_sentence(loss: str) -> None:
-    from pam_ocp.errors import PamError
-
     t = ramps(0.5, 4, law=TRUTH)
     p, k, force = t.pressure, t.contraction, t.force
     level = t.levels()

@@ -35,6 +35,10 @@ def force_report(fit: ForceFit, level: float) -> str:
         f"{fit.dof} degrees of freedom",
         f"    largest residual {fit.residuals[worst]:+.3g} N at {place}",
         f"    condition {fit.condition:.3g}, rank {fit.rank} of {len(fit.free)}",
+        "    errors taken as independent"
+        if fit.serial is None
+        else f"    errors follow each other {fit.serial.order} with probability "
+        f"{100 * fit.serial.probability:.3g} %, which intervals and bands count",
         f"    IPOPT: {solver.status}, {solver.iterations} iterations after a scan of "
         f"{solver.scanned} points, {1e3 * solver.seconds:.0f} ms",
         f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval"
