@@ -551,6 +551,7 @@ class Plant:
         """The plant's function; where it has openings with their ways and the ways' meaning."""
         if not self._openings:
             return self.function
+        self._finished()
         w = ca.vertcat(*(o.symbol for o in self._openings))
         ways = ca.vertcat(*(way.symbol for way in self._ways))
         results = [self._column(self._equations, c) for c in _DEFINED]
