@@ -75,7 +75,9 @@ def flow_by_hand(w: float, p: float) -> float:
     return w * C * RHO * up * math.sqrt(1 - ((ratio - B) / (1 - B)) ** 2)
 
 
-@pytest.mark.parametrize("feed", [pam.SpoolValve(overlap=0.1), pam.OnOffValves()], ids=["spool", "on/off"])
+@pytest.mark.parametrize(
+    "feed", [pam.SpoolValve(overlap=0.1), pam.OnOffValves()], ids=["spool", "on/off"]
+)
 def test_the_flow_is_that_of_the_opening(feed):
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=feed)
     inversion, names = pam.Inversion(plant), [v.name for v in plant.outputs]
@@ -104,7 +106,9 @@ def test_the_slope_of_a_closed_valve_is_the_mean_of_filling_and_venting():
 
 
 def test_openings_travel_with_a_plant():
-    plant = pickle.loads(pickle.dumps(pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.SpoolValve())))
+    plant = pickle.loads(
+        pickle.dumps(pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.SpoolValve()))
+    )
     inner = plant.in_openings()
     assert [v.name for v in inner.inputs] == ["muscle1.opening", "muscle2.opening"]
     assert inner.mirror_map["muscle1.opening"] == (1.0, "muscle2.opening")
@@ -164,7 +168,9 @@ def test_lqr_and_tvlqr_reach_the_set_point_from_closed_rest(kind, overlap):
 
 @pytest.mark.parametrize(("kind", "overlap"), FEEDS)
 def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
-    feed = pam.OnOffValves() if overlap == 0.1 and kind == "joint" else pam.SpoolValve(overlap=overlap)
+    feed = (
+        pam.OnOffValves() if overlap == 0.1 and kind == "joint" else pam.SpoolValve(overlap=overlap)
+    )
     plant, x, start, goal = case(kind, feed)
     track = {x: 1.0} | ({"stiffness": 0.05} if kind in ("slide", "joint") else {})
     mpc = pam.Mpc(
@@ -178,7 +184,9 @@ def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
 @pytest.mark.parametrize("solver", ["hpipm", "piqp", "ipopt"])
 def test_every_solver_moves_the_closed_hanging_load(solver):
     plant, x, start, goal = case("hanging load", pam.SpoolValve())
-    mpc = pam.Mpc(plant, horizon=15, step=0.02, track={x: 1.0}, rate={"muscle.command": 0.05}, solver=solver)
+    mpc = pam.Mpc(
+        plant, horizon=15, step=0.02, track={x: 1.0}, rate={"muscle.command": 0.05}, solver=solver
+    )
     loop = mpc.closed_loop(plant, {x: goal[x]}, 0.6, start=at_rest(plant, start))
     assert loop.trajectory["muscle.command"][0] > 0.3
     assert missed(loop.trajectory, x, start, goal) < 0.01
@@ -215,27 +223,40 @@ def test_a_kalman_filter_follows_the_pressure_from_the_commands():
     """LQG on a noisy position alone: the estimate of the pressure goes with the true one."""
     plant, x, start, goal = case("hanging load", pam.SpoolValve(overlap=0.1))
     feedback = pam.lqr(plant, goal, integral={x: 5.0}, dt=2e-3)
-    watch = pam.kalman(plant, goal, measured={x: 2e-5}, process={"v": 1.0, "muscle.pressure": 1.0}, dt=2e-3)
+    watch = pam.kalman(
+        plant, goal, measured={x: 2e-5}, process={"v": 1.0, "muscle.pressure": 1.0}, dt=2e-3
+    )
     begin = {**at_rest(plant, goal), x: goal[x]}
     run = closed_loop(
         plant, pam.WithEstimate(feedback, watch), duration=1.0, dt=2e-3, start=begin,
         noise={x: 2e-5}, rtol=1e-6,
     )  # fmt: skip
     assert missed(run, x, start, goal) < 0.01
-    assert watch.point.x[2] + watch.deviation[2] == pytest.approx(run["muscle.pressure"][-1], abs=0.03 * BAR)
+    assert watch.point.x[2] + watch.deviation[2] == pytest.approx(
+        run["muscle.pressure"][-1], abs=0.03 * BAR
+    )
 
 
 def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
     plant, x, start, goal = case("hanging load", pam.SpoolValve())
     loop = {"duration": 1.2, "dt": 4e-3, "rtol": 1e-6, "start": at_rest(plant, start)}
-    grid = pam.scheduled_lqr(plant, {x: [0.04, 0.065, 0.09]}, lambda t: {x: goal[x]}, dt=4e-3)
+    grid = pam.scheduled_lqr(plant, {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}, dt=4e-3)
     assert missed(closed_loop(plant, grid, **loop), x, start, goal) < 0.01
     watch = pam.kalman(
-        plant, goal, measured={x: 1e-5}, disturbances={"muscle.command": 0.1}, dt=4e-3
+        plant,
+        goal,
+        measured={x: 1e-5, "muscle.pressure": 500.0},
+        disturbances={"muscle.command": 0.1},
+        dt=4e-3,
     )
     free = pam.OffsetFree(pam.lqr(plant, goal, dt=4e-3), watch, hold=[x])
     loop["start"] = at_rest(plant, plant.equilibrium(x=goal[x] - 0.004))
-    assert missed(closed_loop(plant, free, parameters={"muscle.gas.leak": 1e-10}, **loop), x, start, goal) < 0.01
+    assert (
+        missed(
+            closed_loop(plant, free, parameters={"muscle.gas.leak": 1e-10}, **loop), x, start, goal
+        )
+        < 0.01
+    )
 
 
 def test_as_nlsys_gives_a_linear_model_that_can_be_controlled():
@@ -253,7 +274,7 @@ def test_the_pressure_loop_leaves_no_error_in_the_dead_zone():
     plant = hanging(0.2)
     left = []
     for model in (plant, plant.in_commands()):
-        inner = PressureLoop(model, gain=2e-5)
+        inner = PressureLoop(model, gain=5e-6)
         run = closed_loop(
             plant, lambda t, y, inner=inner: inner({"muscle": 3.0 * BAR}, y), duration=0.8, dt=2e-3,
             rtol=1e-6, start={"x": 0.06, "muscle.pressure": 2.9 * BAR},
@@ -274,7 +295,9 @@ def test_an_lqr_of_a_pair_is_stable_in_all_its_motions():
 
 
 # ---- in the C code of a controller -----------------------------------------------------------------------
-def answers(path: Any, inputs: list[dict[str, float]], outputs: list[str], folder: Any) -> list[Any]:
+def answers(
+    path: Any, inputs: list[dict[str, float]], outputs: list[str], folder: Any
+) -> list[Any]:
     from pam_ocp.fmu.runner import Runner, UnpackedFmu
 
     with Runner(UnpackedFmu(path, folder), "ModelExchange") as run:
@@ -373,7 +396,9 @@ def test_the_position_controller_does_not_wind_up_while_pressures_are_at_their_e
         assert held["muscle.pressure"] == pytest.approx(plant.variable("muscle.pressure").max)
     # the first sample counts, the other 49 were saturated; at no error the integral alone is left
     (expected,) = InverseDynamics(plant)(0.06, 0.0, ki * far * dt)
-    assert controller(0.5, {"x": 0.06, "v": 0.0})["muscle.pressure"] == pytest.approx(expected, rel=1e-9)
+    assert controller(0.5, {"x": 0.06, "v": 0.0})["muscle.pressure"] == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
 def test_the_kalman_filter_finds_the_disturbance_itself_not_its_deviation():
@@ -384,7 +409,9 @@ def test_the_kalman_filter_finds_the_disturbance_itself_not_its_deviation():
     plant.der(x, v)
     plant.der(v, u + d - 4 * x - v)
     point = pam.OperatingPoint(plant, np.array([1.25, 0.0]), np.array([2.0, 3.0]))
-    watch = pam.kalman(plant, point, measured={"x": 1e-3}, process=0.1, disturbances={"d": 1.0}, dt=0.02)
+    watch = pam.kalman(
+        plant, point, measured={"x": 1e-3}, process=0.1, disturbances={"d": 1.0}, dt=0.02
+    )
     for _ in range(3000):
         watch.correct({"x": 5.7 / 4})
         watch.predict({"u": 2.0})

@@ -33,6 +33,7 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 
+
 @dataclass(frozen=True)
 class Opening:
     """An input that stands in for commands of a plant; see :meth:`Plant.opening`.
@@ -165,7 +166,7 @@ class Inversion:
         sent = [n for n in named if n in self._for]
         found = {n: v for n, v in named.items() if n not in self._for}
         columns = [np.broadcast_to(np.asarray(named[n], dtype=float), (count,)) for n in sent]
-        rows = [self.openings(dict(zip(sent, row, strict=True))) for row in zip(*columns)]
+        rows = [self.openings(dict(zip(sent, row, strict=True))) for row in np.transpose(columns)]
         return found | {n: np.array([row[n] for row in rows]) for n in (rows[0] if rows else ())}
 
     def bounds(self, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
