@@ -1,8 +1,8 @@
 """Control by proportional valves: the dead zone inverted, from closed valves at rest.
 
-20 kg hang on a muscle behind a spool valve that stays closed over a tenth of its travel. An LQR and an
+20 kg hang on a muscle behind a spool valve that stays closed over 15 % of its travel to either side. An LQR and an
 Mpc lift them by 30 mm; both choose the valve's opening and send the command that gives it. Beside
-them the LQR's openings sent as if they were commands: they die away in the dead zone.
+them the LQR's openings sent as if they were commands: small ones are lost in the dead zone.
 
 Run:  python examples/control_valve.py [folder for the results]
 """
@@ -20,7 +20,7 @@ DT = 2e-3
 
 
 def main(folder: Path) -> None:
-    plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=SpoolValve(overlap=0.1))
+    plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=SpoolValve(overlap=0.3))
     low, high = plant.equilibrium(x=0.05), plant.equilibrium(x=0.08)
     start = {v.name: low[v.name] for v in plant.states}
     feedback = pam.lqr(plant, high, dt=DT)
@@ -44,7 +44,7 @@ def main(folder: Path) -> None:
         print(f"{label:<22} after 1 s {1e3 * abs(run['x'][-1] - 0.08):7.4f} mm from the set point")
     figure = plot_tracking(
         runs, ["x", "muscle.pressure", "muscle.command"], {"x": lambda t: 0.08},
-        "20 kg behind a valve with a dead zone of a tenth of its travel",
+        "20 kg behind a valve with a wide dead zone",
     )  # fmt: skip
     figure.savefig(folder / "control_valve.png", dpi=120)
     path = pam.export_fmu(
