@@ -19,6 +19,8 @@ from pam_ocp.design.inverse import InverseDynamics
 from pam_ocp.design.pid import PID, PositionController, PressureLoop
 from pam_ocp.fmu import export_fmu, pid_controller, state_feedback_controller
 from pam_ocp.muscle.force import clamp
+from pam_ocp.plan.opened import guess_in_openings
+from pam_ocp.plan.solve import _Run
 
 OVERLAPS = (0.0, 0.02, 0.1)
 AMBIENT, RHO, B = 1.01325e5, 1.185, 0.3
@@ -417,3 +419,31 @@ def test_the_kalman_filter_finds_the_disturbance_itself_not_its_deviation():
         watch.predict({"u": 2.0})
     assert watch.disturbance == {"d": pytest.approx(3.7, abs=1e-6)}
     assert watch.correct({"x": 5.7 / 4}) == pytest.approx([5.7 / 4, 0.0], abs=1e-6)
+
+
+# ---- plans -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("bounds", [None, {"muscle.command": (-0.5, 0.6)}], ids=["free", "bounded"])
+def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
+    plant = hanging(0.1)
+    planner = pam.Planner(
+        plant, [{"x": 0.05}, {"x": 0.075}], bounds=bounds, method=pam.Collocation(15, 3)
+    )
+    run = _Run(planner._program, planner._backend, planner._solver)
+    problem, mesh = planner._program.problem, planner._program.mesh
+    start = guess_in_openings(problem, mesh, planner._wish, planner._backend)
+    first, near = run.solve(None), run._from(start, "near")
+    assert near.outcome.success
+    assert near.outcome.iterations < first.outcome.iterations
+    assert near.outcome.objective < 1.01 * first.outcome.objective
+    low, high = (bounds or {"muscle.command": (-1.0, 1.0)})["muscle.command"]
+    sent = near.solution.inputs(np.linspace(0.0, near.solution.durations[0], 200))
+    assert low - 1e-6 <= sent.min() < -0.2 and 0.2 < sent.max() <= high + 1e-6
+
+
+def test_a_wish_about_commands_is_not_planned_in_openings():
+    plant = hanging(0.1)
+    planner = pam.Planner(
+        plant, [{"x": 0.05}, {"x": 0.06}], minimise={"time": 1.0, "square(muscle.command)": 0.1}
+    )
+    problem, mesh = planner._program.problem, planner._program.mesh
+    assert guess_in_openings(problem, mesh, planner._wish, planner._backend) is None
