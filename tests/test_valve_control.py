@@ -437,7 +437,8 @@ def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
     assert near.outcome.objective < 1.01 * first.outcome.objective
     low, high = (bounds or {"muscle.command": (-1.0, 1.0)})["muscle.command"]
     sent = near.solution.inputs(np.linspace(0.0, near.solution.durations[0], 200))
-    assert low - 1e-6 <= sent.min() < -0.2 and 0.2 < sent.max() <= high + 1e-6
+    assert low - 1e-6 <= sent.min() < -0.2
+    assert 0.2 < sent.max() <= high + 1e-6
 
 
 def test_a_wish_about_commands_is_not_planned_in_openings():
