@@ -126,6 +126,12 @@ def test_rest_with_on_off_valves_asks_one_condition_for_each_muscle():
     assert np.allclose(point.u, 0.0, atol=1e-9)
 
 
+def test_a_controller_of_valves_travels():
+    feedback = pam.lqr(hanging(0.1), {"x": 0.06})
+    seen = {"x": 0.055, "v": 0.01, "muscle.pressure": 2.4 * BAR}
+    assert pickle.loads(pickle.dumps(feedback))(0.0, seen) == feedback(0.0, seen)
+
+
 # ---- controllers from closed rest -----------------------------------------------------------------------
 def case(kind: str, feed: Any) -> tuple[pam.Plant, str, Any, Any]:
     """A plant, its position, a closed point of rest to start from, and one to reach."""

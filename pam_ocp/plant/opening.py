@@ -78,6 +78,9 @@ class Inversion:
         self._of = {o.name: o for o in self.plant.openings}
         self._for = {c: o for o in self.plant.openings for c in o.commands}
 
+    def __reduce__(self) -> tuple[Any, ...]:  # symbols do not travel; the plant makes them anew
+        return type(self), (self.plant,)
+
     @cached_property
     def _p(self) -> Array:
         return self.plant.vector("parameter")
