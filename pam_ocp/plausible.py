@@ -38,6 +38,8 @@ class Usual:
     most: float
     units: tuple[str, ...]
     typical: float
+    remedy: str = "check its unit"
+    """What to say where none of the units fits."""
 
 
 _USUAL: dict[str, Usual] = {
@@ -49,7 +51,9 @@ _USUAL: dict[str, Usual] = {
     "K": Usual(100.0, 2e3, ("degC",), 293.15),
     "rad": Usual(0.0, 2 * math.pi, ("deg",), 0.5),
     "m3": Usual(0.0, 0.5, ("l", "cm3", "mm3"), 1e-4),
-    "m3/(s.Pa)": Usual(0.0, 1e-3, ("l/(s.bar)",), 1e-8),
+    "m3/(s.Pa)": Usual(
+        0.0, 1e-3, (), 1e-8, "conductance_from_flow(...) makes it from a nominal flow in l/min"
+    ),
     "Hz": Usual(0.0, 1e5, (), 1.0),
 }
 _TIME_CONSTANT = Usual(0.0, 5.0, ("ms",), 0.05)
@@ -107,10 +111,11 @@ def doubt(argument: str, value: Any, unit: str, *, time_constant: bool = False) 
     else:
         numbers = np.atleast_1d(np.asarray(value, dtype=float))
         largest = float(numbers.flat[int(np.argmax(np.abs(numbers)))]) if numbers.size else 0.0
-    probable = meant(largest, unit, _TIME_CONSTANT if time_constant else None)
-    if probable is None:
+    usual = _TIME_CONSTANT if time_constant else _BY_KIND.get(unit_of(unit).exponents)
+    probable = meant(largest, unit, usual)
+    if usual is None or probable is None:
         return False
-    hint = f"did you mean {probable}?" if probable else "check its unit"
+    hint = f"did you mean {probable}?" if probable else usual.remedy
     warnings.warn(
         f"{argument} = {largest:g} {unit} is far from any usual value; {hint}",
         UnitWarning,

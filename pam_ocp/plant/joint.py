@@ -16,7 +16,7 @@ from .actuator import Feed
 from .components import as_damping, as_loads, as_muscle
 from .loads import Coordinate, Load, Wall, applied
 from .pair import mirrored_pair, reach
-from .plant import Plant
+from .plant import Plant, scalar_expression
 from .single import GRAVITY
 
 __all__ = ["AntagonisticJoint", "MomentArm"]
@@ -202,8 +202,15 @@ def _range(
 def _largest(arm: Callable[[ca.SX], ca.SX]) -> float:
     """The largest moment arm within a right angle to either side."""
     angle = ca.SX.sym("angle")
+    try:
+        expression = scalar_expression("moment_arm", arm(angle))
+    except RuntimeError as error:  # of CasADi: a symbol is neither true nor false
+        raise InputError(
+            f"moment_arm cannot be evaluated for a symbol ({error}); write casadi.if_else(a > 0, b, c) "
+            "instead of b if a > 0 else c"
+        ) from None
     values = np.asarray(
-        ca.Function("arm", [angle], [ca.SX(arm(angle))])(np.linspace(-1.6, 1.6, 65)[None, :])
+        ca.Function("arm", [angle], [expression])(np.linspace(-1.6, 1.6, 65)[None, :])
     )
     if not np.all(np.isfinite(values)) or values.max() <= 0:
         raise InputError("moment_arm: the function must give a finite length > 0 about theta = 0")
