@@ -18,6 +18,8 @@ from .units import unit as unit_of
 
 __all__ = ["UnitWarning", "Usual", "doubt", "meant", "meant_within"]
 
+FAR = 100.0
+"""What a variable calls its nominal size says what is usual for it: only so many times more is doubted."""
 DIGITS = 5
 """A number of more digits was computed, not typed, and is not doubted: a pressure may decay to 0.137 Pa."""
 ZERO_CELSIUS = 273.15
@@ -101,10 +103,13 @@ def meant_within(value: float, unit: str, low: float, high: float) -> str:
     return ""
 
 
-def doubt(argument: str, value: Any, unit: str, *, time_constant: bool = False) -> bool:
+def doubt(
+    argument: str, value: Any, unit: str, *, nominal: float = 0.0, time_constant: bool = False
+) -> bool:
     """Warn (UnitWarning) when the numbers ``value`` [unit] are far from any usual ones; True then.
 
-    Of arrays the largest number counts. time_constant : seconds of a lag, not of a duration.
+    Of arrays the largest number counts. nominal : a size at which large numbers are no wonder.
+    time_constant : seconds of a lag, not of a duration.
     """
     if isinstance(value, float):
         largest = value
@@ -113,7 +118,8 @@ def doubt(argument: str, value: Any, unit: str, *, time_constant: bool = False) 
         largest = float(numbers.flat[int(np.argmax(np.abs(numbers)))]) if numbers.size else 0.0
     usual = _TIME_CONSTANT if time_constant else _BY_KIND.get(unit_of(unit).exponents)
     probable = meant(largest, unit, usual)
-    if usual is None or probable is None:
+    large = usual is not None and abs(largest) > usual.most
+    if usual is None or probable is None or (large and abs(largest) < FAR * nominal):
         return False
     hint = f"did you mean {probable}?" if probable else usual.remedy
     warnings.warn(

@@ -125,7 +125,7 @@ def _samples(controller: Any, duration: float, dt: float, parts: int, delay: int
     require_count("parts", parts)
     require_count("delay", delay, 0)
     if samples < 1:
-        raise InputError(f"duration = {duration:g} s is not one sample of dt = {dt:g} s")
+        raise InputError(f"duration = {duration:g} s: give at least one sample of dt = {dt:g} s")
     return samples
 
 
