@@ -69,6 +69,10 @@ def posed(**options: Any) -> pam.Planner:
     return pam.Planner(slide(), **{"stops": [{"x": -0.01}, {"x": 0.01}], **options})
 
 
+def own_law(formula: Call) -> Any:
+    return pam.own_law("mine", formula, {"a": pam.coefficient("N/Pa", 1e-3, "gain")})
+
+
 class Flywheel:
     """A load of one's own whose inertia is a number."""
 
@@ -169,6 +173,9 @@ CALLS: dict[str, tuple[Call, str]] = {
     "der(v, column)": (lambda: own(lambda x, v: ca.vertcat(x, v)), "give a scalar"),
     "moment arm with math.cos": (lambda: pam.AntagonisticJoint(NAME, moment_arm=lambda a: 0.04 * math.cos(a)), "casadi.sin"),
     "moment arm with if": (lambda: pam.AntagonisticJoint(NAME, moment_arm=lambda a: 0.04 if a > 0 else 0.03), "casadi.if_else"),
+    "own_law with math.exp": (lambda: own_law(lambda p, kappa, a: a * p * math.exp(-kappa)), "casadi.sin"),
+    "own_law with if": (lambda: own_law(lambda p, kappa, a: a * p if kappa > 0 else p), "casadi.if_else"),
+    "own_law with casadi.exp": (lambda: own_law(lambda p, kappa, a: a * p * ca.exp(-kappa)), WORKS),
     "output of nan": (lambda: own(lambda x, v: v).output("y", math.nan), "holds the constant nan"),
     # ---- equilibrium ------------------------------------------------------------------------------
     "equilibrium(x='20 mm')": (lambda: plant().equilibrium(x="20 mm"), WORKS),

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, require_finite, require_positive
+from ..expressions import expression_of
 from ..muscle.losses import ConstantDamping, Damping, Loss
 from ..muscle.muscle import Muscle
 from ..plausible import meant_within
@@ -16,7 +17,7 @@ from .actuator import Feed
 from .components import as_damping, as_loads, as_muscle
 from .loads import Coordinate, Load, Wall, applied
 from .pair import mirrored_pair, reach
-from .plant import Plant, scalar_expression
+from .plant import Plant
 from .single import GRAVITY
 
 __all__ = ["AntagonisticJoint", "MomentArm"]
@@ -202,13 +203,7 @@ def _range(
 def _largest(arm: Callable[[ca.SX], ca.SX]) -> float:
     """The largest moment arm within a right angle to either side."""
     angle = ca.SX.sym("angle")
-    try:
-        expression = scalar_expression("moment_arm", arm(angle))
-    except RuntimeError as error:  # of CasADi: a symbol is neither true nor false
-        raise InputError(
-            f"moment_arm cannot be evaluated for a symbol ({error}); write casadi.if_else(a > 0, b, c) "
-            "instead of b if a > 0 else c"
-        ) from None
+    expression = expression_of("moment_arm", arm, angle)
     values = np.asarray(
         ca.Function("arm", [angle], [expression])(np.linspace(-1.6, 1.6, 65)[None, :])
     )
