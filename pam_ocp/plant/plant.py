@@ -5,7 +5,6 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 
 from __future__ import annotations
 
-import math
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, UnknownNameError
+from ..expressions import scalar_expression
 from ..muscle.dead_zone import dead_zone, dead_zone_inverse
 from ..muscle.losses import Loss
 from ..muscle.muscle import Muscle
@@ -101,32 +101,6 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
         f"{argument} is a {type(values).__name__}: give values by name, such as {{'x': 0.01}}, or an "
         "operating point"
     )
-
-
-def scalar_expression(name: str, value: Any) -> ca.SX:
-    """``value`` as a scalar expression; InputError when it is none, or holds NaN or an infinite number.
-
-    Python's own ``float``, and with it all of ``math``, silently make NaN of a CasADi symbol.
-    """
-    try:
-        expression = ca.SX(value)
-    except (TypeError, ValueError, NotImplementedError):
-        raise InputError(
-            f"{name}: {type(value).__name__} is no expression; give one of the plant's symbols or a number"
-        ) from None
-    if expression.shape != (1, 1):
-        raise InputError(f"{name}: the expression has shape {expression.shape}; give a scalar")
-    function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
-    for k in range(function.n_instructions()):
-        if function.instruction_id(k) == ca.OP_CONST:
-            constant = function.instruction_constant(k)
-            if not math.isfinite(constant):
-                raise InputError(
-                    f"{name}: the expression holds the constant {constant}; functions of Python's math "
-                    "make NaN of a symbol: write casadi.sin(x) or numpy.sin(x) instead of math.sin(x), "
-                    "and casadi.if_else(x > 0, a, b) instead of a if x > 0 else b"
-                )
-    return expression
 
 
 class Plant:
