@@ -108,6 +108,7 @@ from .plant.loads import Damper, DryFriction, ExternalForce, Inertia, Spring, Wa
 from .plant.plant import Plant
 from .plant.regulated import PositionFeedback, RegulatedLoad
 from .plant.single import HangingLoad
+from .plausible import UnitWarning
 from .plot_plan import plot_costates
 from .simulate import simulate
 from .trajectory import Comparison, Trajectory
@@ -124,6 +125,7 @@ from .vibration import (
     limit_cycle,
     stability_path,
 )
+from .work import StrokeWork, stroke_work
 
 __version__ = "0.1.0"
 
@@ -214,11 +216,13 @@ __all__ = [
     "SpringOverMuscle",
     "StiffnessDamping",
     "Stop",
+    "StrokeWork",
     "ThickWallLaw",
     "ThreeElementLaw",
     "Trajectory",
     "Tube",
     "TwoSlopeThreeElementLaw",
+    "UnitWarning",
     "UnknownNameError",
     "ValidityWarning",
     "Variable",
@@ -303,6 +307,7 @@ __all__ = [
     "spline_law",
     "stability_path",
     "state_feedback_controller",
+    "stroke_work",
     "sweep",
     "tvlqr",
 ]

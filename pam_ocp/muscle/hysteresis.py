@@ -24,13 +24,30 @@ __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 REST_RATE = 1e-4
 """Rate of contraction [1/s] at which its absolute value is rounded off.
 
-Faster motion is rate-independent; at rest a memory fades over yield/REST_RATE (some 50 s).
+Faster motion is rate-independent. At rest an element keeps its force, up to the last two hundredths
+before it slides fully: smooth derivatives, |z| <= 1 and dissipation in every motion leave no other way.
 """
+EDGE = 0.02
+"""Part of the full friction over which BoucWen's |z| <= 1 is kept also in motion below REST_RATE."""
 
 
-def _speed(rate: ca.SX) -> ca.SX:
+WIDEST_RATE = 0.3
+"""The same where planning a motion begins [1/s]."""
+
+
+def _speed(plant: Plant, name: str, key: str, rate: ca.SX) -> ca.SX:
+    width = plant.parameter(
+        f"{name}.{key}_rest_rate", REST_RATE, unit="1/s", min=1e-9, nominal=1e-3, widest=WIDEST_RATE,
+        description=f"rate of contraction of {name} at which its absolute value is rounded off",
+    )  # fmt: skip
     # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.
-    return ca.SX(ca.sqrt(rate**2 + REST_RATE**2))
+    return ca.SX(ca.sqrt(rate**2 + width**2))
+
+
+def _passage(towards: ca.SX, edge: float) -> ca.SX:
+    """1 while it sticks, falling to 0 where sliding begins: 1 - s^2, s from 0 to 1 at the edge."""
+    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), 1)
+    return ca.SX(1 - s**2)
 
 
 @dataclass(frozen=True)
@@ -88,8 +105,13 @@ class BoucWen:
         )
         size = (z**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
         signed = z * (z**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
-        rate = motion.rate
-        slipping = beta * _speed(rate) * signed + (1 - beta) * rate * size
+        rate, fast = motion.rate, _speed(plant, name, "hysteresis", motion.rate)
+        # Both vanish at rest like rate^2, so that a memory keeps; |onward| <= speed: it dissipates.
+        # At the edge they are those that keep |z| <= 1 however slow the motion.
+        keeps, moving = _passage(ca.sqrt(z**2 + 1e-12), EDGE), (rate / fast) ** 2
+        speed = fast * (1 - keeps * (1 - moving))
+        onward = rate * (1 - keeps * (1 - moving))
+        slipping = beta * speed * signed + (1 - beta) * onward * size
         plant.der(z, (rate - slipping) / width)
         return ca.SX(friction * z)
 
@@ -130,7 +152,11 @@ class MaxwellSlip:
 
     def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
-        rate, speed = motion.rate, _speed(motion.rate)
+        rate, speed = motion.rate, _speed(plant, name, "slip", motion.rate)
+        edge = plant.parameter(
+            f"{name}.slip_edge", self.edge, min=1e-6, max=1.0, nominal=0.1, widest=1.0,
+            description=f"Maxwell-slip of {name}: passage from sticking to sliding, as part of the force",
+        )  # fmt: skip
         total = ca.SX(0)
         for i, (force, width) in enumerate(
             zip(self.friction, self.yield_contraction, strict=True), start=1
@@ -151,14 +177,19 @@ class MaxwellSlip:
                 description=f"Maxwell-slip element {i} of {name}: force/friction",
             )
             up, down = (rate + speed) / 2, (rate - speed) / 2
-            plant.der(z, (up * self._sticking(z) + down * self._sticking(-z)) / yielding)
+            plant.der(z, (up * _sticking(z, edge) + down * _sticking(-z, edge)) / yielding)
             total += friction * z
         return total
 
-    def _sticking(self, towards: ca.SX) -> ca.SX:
-        """1 while it sticks, falling to 0 where sliding begins: 1 - s^2, s from 0 to 1 at the edge."""
-        s = ca.fmin(ca.fmax((towards - (1 - self.edge)) / self.edge, 0), 1)
-        return ca.SX(1 - s**2)
+
+def _sticking(towards: ca.SX, edge: ca.SX) -> ca.SX:
+    """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
+
+    Beyond (never in exact motion) it goes on below 0, which leads back: a coarse mesh that oversteps
+    the edge does not stay there.
+    """
+    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), 3)
+    return ca.SX(1 - s**3)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -12,6 +12,7 @@ import casadi as ca
 
 from ..errors import InputError
 from ..plant.plant import Plant
+from ..plant.stillness import Position
 from .wording import Avoid, Constraint, Phase, Stop
 
 __all__ = ["Ensemble"]
@@ -49,7 +50,7 @@ class Ensemble(Plant):
         self._symbols_of = {0: (ca.vertcat(*x), ca.vertcat(*p))}
         for k in range(1, len(draws) + 1):
             self._symbols_of[k] = self._copy(k, x, p, kept)
-        self._equations(kept)
+        self._write(kept)
         for name in watched:
             for k in range(1, len(draws) + 1):
                 if name in self.own:
@@ -72,7 +73,7 @@ class Ensemble(Plant):
                 parameters[i] = self._declare(named.with_start(drawn[v.name]))
         return ca.vertcat(*states), ca.vertcat(*parameters)
 
-    def _equations(self, kept: bool) -> None:
+    def _write(self, kept: bool) -> None:
         plant = self.nominal
         for k, (x, p) in self._symbols_of.items():
             xdot, y, c = plant.function(x, self._u, p)
@@ -103,6 +104,10 @@ class Ensemble(Plant):
     def positions(self) -> dict[str, str]:
         """The nominal plant's: rest at a stop is asked of it alone."""
         return {x: v for x, v in super().positions.items() if not _COPY.search(x)}
+
+    def resting(self, named: Collection[str] = ()) -> tuple[Position, ...]:
+        """The nominal plant's."""
+        return tuple(q for q in super().resting(named) if not _COPY.search(q.name))
 
     # ---- a wish about the plant, said of the ensemble ------------------------------------------
     def images(self, name: str) -> list[str]:

@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..plant.plant import Plant
 from .mesh import Mesh
+from .narrowing import has_kinks
 from .problem import Problem, limits
 from .solution import Solution
 from .stage import nominals
 from .wording import subject
 
-__all__ = ["by_stops", "from_solution", "idle_inputs"]
+__all__ = ["by_stops", "from_solution", "wants_balance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Signal: TypeAlias = Callable[[Array], Array]
@@ -66,9 +68,23 @@ def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: floa
     )  # fmt: skip
 
 
-def idle_inputs(problem: Problem) -> bool:
-    """Whether an input has no influence where it starts, as a closed valve: no place to begin at."""
+def wants_balance(problem: Problem) -> bool:
+    """Whether the plant's start values are no place to begin at.
+
+    So it is where the stops leave positions open (a tendon would hang slack), where hysteresis has to
+    be led, and where an input has no influence (a closed valve).
+    """
     plant = problem.plant
+    spoken = ca.vertcat(*(subject(plant, n)[1] for stop in problem.stops for n in stop))
+    open_ends = [
+        q for q in plant.resting()
+        if not q.driven and not ca.depends_on(spoken, plant.expression(q.name))
+    ]  # fmt: skip
+    return bool(open_ends) or has_kinks(plant) or _idle_inputs(plant)
+
+
+def _idle_inputs(plant: Plant) -> bool:
+    """Whether an input has no influence where it starts."""
     x, u = plant.vector("state"), plant.vector("input")
     free = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
     if not free:
@@ -108,12 +124,30 @@ class _Path:
         """(n, nx); velocities are those of the positions that move."""
         plant = self.problem.plant
         value, slope = self._between(t, 0)
-        names = [v.name for v in plant.states]
-        for position, velocity in plant.positions.items():
-            x, v = names.index(position), names.index(velocity)
-            if np.any(slope[:, x] != 0.0):
-                value[:, v] = slope[:, x]
+        self._move(value, slope, self.inputs(t))
         return value
+
+    def _move(self, value: Array, slope: Array, u: Array) -> None:
+        """Give the velocities the values with which the positions that move have their slopes."""
+        plant = self.problem.plant
+        names, p = [v.name for v in plant.states], plant.vector("parameter")
+        moving = [
+            q for q in plant.resting()
+            if not q.driven and np.any(slope[:, names.index(q.name)] != 0.0)
+        ]  # fmt: skip
+        if not moving:
+            return
+        rows = [names.index(q.name) for q in moving]
+        columns = sorted({names.index(v) for q in moving for v in q.velocities} - {*rows})
+        nominal = plant.vector("state", attribute="nominal")
+        for x, wanted, inputs in zip(value, slope, u, strict=True):
+            for _ in range(5):  # Gauss-Newton: rates are nearly linear in velocities
+                missed = wanted[rows] - np.asarray(plant.function(x, inputs, p)[0]).ravel()[rows]
+                if np.all(np.abs(missed) <= 1e-9 * (nominal[rows] + np.abs(wanted[rows]))):
+                    break
+                slopes = np.asarray(plant.jacobians(x, inputs, p)[0])[np.ix_(rows, columns)]
+                step = np.linalg.lstsq(slopes * nominal[columns], missed, rcond=1e-9)[0]
+                x[columns] += step * nominal[columns]
 
     def inputs(self, t: Array) -> Array:
         """(n, nu) between the nodes' own."""

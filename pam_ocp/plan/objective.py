@@ -48,10 +48,14 @@ class Symbols:
         self.q.append(ca.SX.sym(f"aim_{len(self.q)}"))
         return self.q[-1]
 
+    def unknown(self) -> ca.SX:
+        """The symbol of a further unknown of the motion, of order one."""
+        self.m.append(ca.SX.sym(f"unknown_{len(self.m)}"))
+        return self.m[-1]
+
     def peak(self, variable: Variable, expression: ca.SX, weight: float) -> None:
         """A new unknown that no value of the expression exceeds, in units of nominal."""
-        self.m.append(ca.SX.sym(f"peak_{len(self.m)}"))
-        excess = expression - variable.nominal * self.m[-1]
+        excess = expression - variable.nominal * self.unknown()
         label = f"peak of {variable.name}"
         self.peaks.append(
             (weight, Condition(label, excess, -float("inf"), 0.0, variable.nominal, variable))

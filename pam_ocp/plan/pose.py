@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
 from ..errors import InputError, require_instance, require_positive
+from ..memory import Memory, held
 from ..plant.plant import Plant, require_plant
+from ..plant.stillness import Position, rest_rows, settled_names, totals
+from ..variables import Variable
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
 from .problem import Condition, Leg, Problem, Range
-from .wording import Avoid, Constraint, Phase, Stop, subject
+from .wording import Avoid, Constraint, Phase, Stop, subject, times_seconds
 
 __all__ = ["Cyclic", "Wish", "pose"]
 
@@ -33,6 +36,9 @@ class Wish:
     minimise: str | Mapping[str, float] = "time"
     bounds: Mapping[str, Any] | None = None
     rest: bool = True
+    memory: Memory = "virgin"
+    jumps: bool = True
+    """Whether inputs may jump at the stops."""
     phases: Sequence[Phase | None] | None = None
     constraints: Sequence[Constraint | Avoid] = ()
     track: Mapping[str, Any] | None = None
@@ -73,12 +79,15 @@ def pose(plant: Plant, wish: Wish) -> Problem:
     common.path += [condition for _, condition in symbols.peaks]
     motions = _motions(plant, wish, len(route) - 1, common, symbols)
     closing = _closing(plant, wish.cyclic)
-    nodes, legs, values = _laid_out(plant, wish, route, motions, common.variables)
+    holding = _Holding(plant, common.variables, symbols, _inputs_jump(wish))
+    nodes, legs, values = _laid_out(plant, wish, route, motions, common.variables, holding)
+    nodes[0] += tuple(_past(plant, wish, stops[0], common.variables))
     if wish.cyclic is True:  # the last node is the first: its own conditions would stand twice
         nodes[-1] = ()
     elif wish.cyclic == "mirrored":
         nodes[-1] = _not_implied(plant, stops, nodes[-1], closing or {})
     _require_an_end(wish, legs)
+    goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
     return Problem(
         plant, tuple(values), tuple(nodes), tuple(legs), closing, goal,
         tuple(budget(plant, term, value) for term, value in (wish.budgets or {}).items()),
@@ -113,14 +122,19 @@ def _laid_out(
     route: Sequence[tuple[str, Stop]],
     motions: Sequence[Leg],
     bounds: Mapping[str, Range],
+    holding: _Holding,
 ) -> tuple[list[tuple[Condition, ...]], list[Leg], list[dict[str, Any]]]:
     """Nodes, legs and the nodes' values; a dwell adds a leg behind its stop."""
     nodes, legs, values = [], [], []
+    holding.positions = _positions(plant, [stop for _, stop in route])
     for i, (label, stop) in enumerate(route):
-        conditions = tuple(_conditions(plant, label, stop, bounds))
+        closes = bool(wish.cyclic) and i == len(route) - 1
+        # rest at the end of a cycle follows from that at its beginning
+        asked = replace(stop, rest=False) if closes else stop
+        conditions = tuple(_conditions(plant, label, asked, bounds, holding))
         nodes.append(conditions)
         values.append(dict(stop.values))
-        closes = wish.cyclic is True and i == len(route) - 1
+        closes = closes and wish.cyclic is True
         if stop.dwells and not closes:
             if wish.cyclic == "mirrored" and i == len(route) - 1:
                 raise InputError("cyclic = 'mirrored': give the dwell to stop 1, its image follows")
@@ -149,7 +163,11 @@ def _held(plant: Plant, conditions: Sequence[Condition], stop: Stop) -> list[Con
 
 
 def _conditions(
-    plant: Plant, label: str, stop: Stop, bounds: Mapping[str, Range]
+    plant: Plant,
+    label: str,
+    stop: Stop,
+    bounds: Mapping[str, Range],
+    holding: _Holding,
 ) -> list[Condition]:
     if not stop.values:
         raise InputError(f"{label} is empty; name at least one variable, as in {{'x': 0.01}}")
@@ -168,28 +186,143 @@ def _conditions(
         conditions.append(
             Condition(f"{label}: {name}", expression, low, high, variable.nominal, variable)
         )
-    return conditions + (_at_rest(plant, label, stop) if stop.rest else [])
+    return conditions + (_at_rest(plant, label, stop, holding) if stop.rest else [])
 
 
-def _at_rest(plant: Plant, label: str, stop: Stop) -> list[Condition]:
-    """Velocity and acceleration of every position are zero, where the stop says nothing else."""
-    conditions = []
-    for velocity in plant.positions.values():
-        for name in (velocity, f"der({velocity})"):
-            if name in stop.values:
+def _positions(plant: Plant, stops: Sequence[Stop]) -> tuple[Position, ...]:
+    """What stands still at the stops that are at rest; those the stops speak of come first."""
+    if not any(stop.rest for stop in stops):
+        return ()
+    expressions = [subject(plant, name)[1] for stop in stops for name in stop.values]
+    spoken = ca.which_depends(ca.vertcat(*expressions), plant.x, 1, False) if expressions else []
+    named = [v.name for v, is_named in zip(plant.states, spoken, strict=False) if is_named]
+    positions = plant.resting(named)
+    if not positions:
+        raise InputError(
+            f"rest = True: plant {plant.name!r} has no position that could stand still (a state whose "
+            "rate, where it vanishes, does not depend on the state itself); give rest=False, and what "
+            "shall vanish in the stops, such as {'der(NAME)': 0.0}"
+        )
+    return positions
+
+
+@dataclass
+class _Holding:
+    """How rest is asked for: what an input sets at once need not vanish before the stop.
+
+    There it is enough that admissible inputs would hold the plant: unknowns of their own, so that
+    the last interval of piecewise constant inputs is not spent on zero acceleration.
+    """
+
+    plant: Plant
+    bounds: Mapping[str, Range]
+    symbols: Symbols
+    jumps: bool
+    positions: tuple[Position, ...] = ()
+
+    def inputs(self, label: str, rows: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX, list[Condition]]:
+        """(inputs, what stands for them in the rows of rest, conditions on the latter)."""
+        plant = self.plant
+        values, conditions = [], []
+        asked = ca.vertcat(*rows) if rows else ca.SX(0, 1)
+        for i, variable in enumerate(plant.inputs):
+            jumping = self.jumps and not variable.disturbance and ca.depends_on(asked, plant.u[i])
+            if not jumping:
+                values.append(plant.u[i])
                 continue
-            variable, expression = subject(plant, name)
+            held = self.symbols.unknown() * variable.nominal
+            low, high = self.bounds[variable.name]
+            values.append(held)
             conditions.append(
-                Condition(f"{label}: {name} at rest", expression, 0.0, 0.0, variable.nominal, variable)
-            )  # fmt: skip
-    return conditions
+                Condition(
+                    f"{label}: {variable.name} that holds it",
+                    held,
+                    low,
+                    high,
+                    variable.nominal,
+                    variable,
+                )
+            )
+        return plant.u, ca.vertcat(*values), conditions
+
+
+def _inputs_jump(wish: Wish) -> bool:
+    """Whether inputs may jump: linear ones cannot, and where their rate costs they better do not."""
+    weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else wish.minimise
+    return wish.jumps and not weights.get("rate")
+
+
+def _at_rest(plant: Plant, label: str, stop: Stop, holding: _Holding) -> list[Condition]:
+    """Rate and acceleration of every position are zero, where the stop says nothing else."""
+    conditions = []
+    positions = holding.positions
+    for position, order, expression in plant.cached(
+        ("rest rows", positions), lambda: rest_rows(plant, positions)
+    ):
+        rate, velocities = f"der({position.name})", position.velocities
+        said = [f"der({v})" for v in velocities] if order == 2 else velocities
+        if (order == 1 and rate in stop.values) or (said and set(said) <= set(stop.values)):
+            continue
+        literal = len(velocities) == 1 and ca.is_equal(
+            plant.expression(rate), plant.expression(velocities[0])
+        )
+        if literal:
+            name = velocities[0] if order == 1 else f"der({velocities[0]})"
+            variable, expression = subject(plant, name)
+        else:
+            name = rate if order == 1 else f"der(der({position.name}))"
+            variable = _rate_of(plant, position.name, order)
+        conditions.append(
+            Condition(f"{label}: {name} at rest", expression, 0.0, 0.0, variable.nominal, variable)
+        )
+    u, held, beside = holding.inputs(label, [c.expression for c in conditions])
+    if not beside:
+        return conditions
+    return [
+        replace(c, expression=ca.substitute(c.expression, u, held)) for c in conditions
+    ] + beside
+
+
+def _rate_of(plant: Plant, name: str, order: int) -> Variable:
+    """What is shown of the ``order``-th derivative of a state."""
+    state = plant.variable(name)
+    unit = times_seconds(state.unit, -1)
+    if order == 2:
+        unit = times_seconds(unit, -1)
+    return Variable("rate", "constraint", unit=unit, nominal=10**order * state.nominal)
+
+
+def _past(plant: Plant, wish: Wish, first: Stop, bounds: Mapping[str, Range]) -> list[Condition]:
+    """What the past left at the first stop, of states that nobody could set: memories, lags, totals."""
+
+    def condition(name: str, words: str, low: float, high: float) -> Condition:
+        variable, expression = subject(plant, name)
+        return Condition(
+            f"stop 1: {name} {words}", expression, low, high, variable.nominal, variable
+        )
+
+    sums = [n for n in totals(plant) if n not in first.values]
+    starts = {n: float(plant.variable(n).start or 0.0) for n in sums}
+    conditions = [condition(n, "at its start", value, value) for n, value in starts.items()]
+    memory = {n: v for n, v in held(plant, wish.memory).items() if n not in first.values}
+    if wish.cyclic:  # the cycle itself says what they hold
+        if wish.memory != "virgin":
+            raise InputError(
+                f"memory = {wish.memory!r}: a cyclic motion closes its memories by itself; leave it out"
+            )
+        ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
+        return conditions + [condition(n, "in its range", *ends) for n, ends in ranges.items()]
+    conditions += [condition(n, "held", value, value) for n, value in memory.items()]
+    settled = [n for n in settled_names(plant) if n not in first.values]
+    return conditions + [condition(f"der({n})", "settled", 0.0, 0.0) for n in settled]
 
 
 def _closing(plant: Plant, cyclic: Cyclic) -> dict[str, tuple[float, str]] | None:
     if cyclic is False or cyclic is None:
         return None
+    sums = totals(plant)  # what only adds up never comes back
     if cyclic is True:
-        return {v.name: (1.0, v.name) for v in plant.states}
+        return {v.name: (1.0, v.name) for v in plant.states if v.name not in sums}
     if cyclic != "mirrored":
         raise InputError(f"cyclic = {cyclic!r}: choose True, False or 'mirrored'")
     mirror = plant.mirror_map
@@ -198,7 +331,7 @@ def _closing(plant: Plant, cyclic: Cyclic) -> dict[str, tuple[float, str]] | Non
             f"cyclic = 'mirrored': plant {plant.name!r} declares no mirror symmetry "
             "(unequal muscles have none); use cyclic=True"
         )
-    return {v.name: mirror.get(v.name, (1.0, v.name)) for v in plant.states}
+    return {v.name: mirror.get(v.name, (1.0, v.name)) for v in plant.states if v.name not in sums}
 
 
 def _not_implied(

@@ -73,13 +73,18 @@ class Objective:
     final: ca.SX
     """Cost of the last node."""
     peaks: tuple[float, ...]
-    """Weight of each peak."""
+    """Weight of each further unknown: of peaks; 0 for inputs that would hold the plant at a stop."""
 
     @property
     def only_time(self) -> bool:
         """Whether nothing but the duration counts."""
         rest = (self.integrand, self.final)
-        return self.time > 0 and not self.rate and not self.peaks and all(e.is_zero() for e in rest)
+        return (
+            self.time > 0
+            and not self.rate
+            and not any(self.peaks)
+            and all(e.is_zero() for e in rest)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +95,9 @@ class Problem:
     nodes : conditions at each node (stops, and rest there).
     closing : None, or {state: (sign, image)}: the last node's image is the first node.
     design : {parameter: (low, high)} to be chosen with the motion.
-    profiles, aims, peaks : what the symbols ``r``, ``q``, ``m`` stand for: values of time profiles,
-        constant aims, and largest values along the motion (in units of nominal).
+    profiles, aims : what the symbols ``r`` and ``q`` stand for: values of time profiles, constant aims.
+        ``m`` are further unknowns, in units of nominal: largest values along the motion, inputs that
+        would hold the plant at a stop.
     """
 
     plant: Plant

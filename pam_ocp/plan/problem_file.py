@@ -276,6 +276,12 @@ def _text(plant: Plant, where: str, value: Any) -> str:
     return value
 
 
+def _memory(plant: Plant, where: str, value: Any) -> str | dict[str, float]:
+    if isinstance(value, str):
+        return value
+    return {name: quantity(f"{where}.{name}", v) for name, v in table(where, value).items()}
+
+
 def _options(plant: Plant, where: str, value: Any) -> dict[str, Any]:
     return dict(table(where, value))
 
@@ -287,6 +293,7 @@ _READERS: dict[str, Callable[[Plant, str, Any], Any]] = {
     "minimise": _minimise,
     "bounds": _bounds,
     "rest": _flag,
+    "memory": _memory,
     "phases": _phases,
     "constraints": _constraints,
     "track": _track,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 
 from .backend import Backend, Solver
 from .diagnosis import Conflict, elastic
-from .guess import by_stops, from_solution, idle_inputs
+from .guess import by_stops, from_solution, wants_balance
+from .narrowing import has_kinks, narrowing, widened
 from .result import Solved
 from .side_by_side import solved_side_by_side
 from .solution import unpack
@@ -47,8 +49,9 @@ class Run:
 
     def several(self, starts: int) -> tuple[list[Solved], Ends]:
         """(solutions from different starts, the best first; where all of them ended)."""
-        program, mesh = self.program, self.program.mesh
-        own, *others = tasks(program.problem, mesh, starts)
+        kinks = has_kinks(self.program.problem.plant)
+        program = widened(self.program) if kinks else self.program
+        own, *others = tasks(program.problem, program.mesh, starts)
         begin = time.perf_counter()
         first = self.solver(program, own.guess, own.start)
         outcomes = [first]
@@ -59,8 +62,19 @@ class Run:
             else:
                 outcomes += [self.solver(program, task.guess, task.start) for task in others]
         ends = Ends(tuple(outcomes))
-        chosen = ends.solved or [0]
-        return [self._solution(outcomes[i]) for i in chosen], ends
+        chosen = [outcomes[i] for i in ends.solved or [0]]
+        if kinks and ends.solved:
+            chosen = self._narrowed(chosen)
+        return [self._solution(outcome) for outcome in chosen], ends
+
+    def _narrowed(self, wide: Sequence[Outcome]) -> list[Outcome]:
+        """The first of some solutions with wide roundings that leads to one of the plant's own."""
+        found = []
+        for outcome in wide:
+            found.append(narrowing(self.solver, self.program, outcome.w, "step"))
+            if found[-1].ended:
+                break
+        return found[-1:]
 
     def solve(self, previous: Solved | None) -> Solved:
         """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
@@ -93,9 +107,11 @@ class Run:
             if found.outcome.ended:
                 return found
         problem, mesh = self.program.problem, self.program.mesh
-        return self._from(by_stops(problem, mesh, balanced=idle_inputs(problem)))
+        return self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
 
     def _from(self, guess: Array, start: Start = "cold", warm: Outcome | None = None) -> Solved:
+        if warm is None and has_kinks(self.program.problem.plant):
+            return self._solution(narrowing(self.solver, self.program, guess, start))
         return self._solution(self.solver(self.program, guess, start, warm))
 
     def _solution(self, outcome: Outcome) -> Solved:

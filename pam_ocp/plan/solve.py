@@ -20,6 +20,7 @@ from ..errors import (
     require_instance,
     require_positive,
 )
+from ..memory import Memory
 from ..plant.plant import Plant, Values
 from ..simulate import evaluated
 from .backend import Backend, SolverName
@@ -53,6 +54,7 @@ def plan(
     minimise: str | Mapping[str, float] = "time",
     bounds: Mapping[str, Any] | None = None,
     rest: bool = True,
+    memory: Memory = "virgin",
     phases: Sequence[Phase | None] | None = None,
     constraints: Sequence[Constraint | Avoid] = (),
     track: Mapping[str, Any] | None = None,
@@ -87,7 +89,10 @@ def plan(
     bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end, a :class:`Profile`
         for a bound that changes with time; narrows the plant's own bounds. Path constraints of the
         plant (never slack, pressure rates) always hold.
-    rest : positions have zero velocity and acceleration at each stop.
+    rest : positions have zero velocity and acceleration at each stop, in whatever coordinates.
+    memory : what states with a held memory (hysteresis) hold at the first stop: "virgin" (their start
+        values), "above" or "below" (the side from which the plant came to rest there), or
+        {state: value}; a cyclic motion closes them. What settles (creep) has settled there.
     phases : one :class:`Phase` or None per leg, for what holds there only.
     constraints : :class:`Constraint` (any expression) and :class:`Avoid` (forbidden regions).
     track : {NAME: aim or (aim, weight)}, an aim being a number or a Profile: adds the integral of
@@ -123,7 +128,7 @@ def plan(
     """
     planner = Planner(
         plant, stops, cyclic=cyclic, duration=duration, minimise=minimise, bounds=bounds, rest=rest,
-        phases=phases, constraints=constraints, track=track, budgets=budgets, design=design,
+        memory=memory, phases=phases, constraints=constraints, track=track, budgets=budgets, design=design,
         integrand=integrand, final=final, method=method, progress=progress, solver=solver,
         compiled=compiled, options=options,
     )  # fmt: skip
@@ -159,7 +164,8 @@ class Planner:
         if method is not None and not isinstance(method, Collocation | Shooting):
             raise InputError(f"method = {method!r}: give Collocation(...) or Shooting(...)")
         self.plant = plant
-        self._wish = Wish(stops, **wish)
+        jumps = not (isinstance(method, Collocation) and method.control == "linear")
+        self._wish = Wish(stops, jumps=jumps, **wish)
         self._backend = Backend(solver, compiled, options, progress)
         problem = pose(plant, self._wish)
         mesh = (method or Collocation()).mesh(len(problem.legs))
@@ -181,7 +187,8 @@ class Planner:
         values : parameters (and start values) of the plant by name.
         guess : a plan to start from; one of this planner starts warm, with its multipliers.
         tolerance, starts : refine the mesh, try other starts; see :func:`plan`.
-        changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track`` of the same form.
+        changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track``, ``memory`` of the same
+            form.
 
         Raises InputError when a change would ask for another program, PlanError as plan does; warns
         as plan does.
@@ -264,7 +271,7 @@ class Planner:
         """The program with other numbers."""
         if not values and not changed:
             return self._program
-        allowed = ("stops", "duration", "bounds", "budgets", "track")
+        allowed = ("stops", "duration", "bounds", "budgets", "track", "memory")
         for name in changed:
             if name not in allowed:
                 raise InputError(

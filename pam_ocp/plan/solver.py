@@ -66,8 +66,13 @@ WARM: dict[str, Any] = {
 """From primal and dual values of the same program with other numbers."""
 
 
-Start: TypeAlias = Literal["cold", "adaptive", "near", "warm"]
-STARTS: dict[Start, dict[str, Any]] = {"cold": {}, "adaptive": ADAPTIVE, "near": NEAR, "warm": WARM}
+STEP: dict[str, Any] = {**NEAR, "max_iter": 100}
+"""From one place of a path to the next: what takes longer takes a shorter step."""
+
+Start: TypeAlias = Literal["cold", "adaptive", "near", "step", "warm"]
+STARTS: dict[Start, dict[str, Any]] = {
+    "cold": {}, "adaptive": ADAPTIVE, "near": NEAR, "step": STEP, "warm": WARM
+}  # fmt: skip
 
 
 STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")

@@ -235,10 +235,12 @@ class _Builder:
         if problem.closing is not None:
             x_nominal, _ = nominals(problem)
             names = [v.name for v in problem.plant.states]
-            images = [problem.closing[name] for name in names]
+            images = list(problem.closing.values())
+            closed = [names.index(name) for name in problem.closing]
             order = [names.index(other) for _, other in images]
-            factors = np.array([sign for sign, _ in images]) * x_nominal[order] / x_nominal
-            self.rows[-1].add(last.x - last.start[order] * factors, at["closing of the cycle"])
+            factors = np.array([sign for sign, _ in images]) * x_nominal[order] / x_nominal[closed]
+            missed = last.x[closed] - last.start[order] * factors
+            self.rows[-1].add(missed, at["closing of the cycle"])
         if problem.budgets:
             self.rows[-1].add(last.spent, at["budgets"])
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..plant.plant import Plant
-from .guess import by_stops, idle_inputs
+from .guess import by_stops, wants_balance
 from .mesh import Mesh
 from .problem import Problem
 from .solver import Outcome, Start
@@ -68,7 +68,10 @@ class Ends:
 
 def tasks(problem: Problem, mesh: Mesh, starts: int) -> list[Task]:
     """The first ``starts`` that differ, the planner's own guess first."""
-    own, free = idle_inputs(problem), any(leg.duration[0] < leg.duration[1] for leg in problem.legs)
+    own, free = (
+        wants_balance(problem),
+        any(leg.duration[0] < leg.duration[1] for leg in problem.legs),
+    )
     chosen = [s for s in STARTS if free or s[1] == 1.0][:starts]
     return [
         Task(by_stops(problem, mesh, own if usual else not own, stretch), start)

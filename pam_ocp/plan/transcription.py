@@ -271,12 +271,13 @@ def _nodes(
             pieces.append((values(*point), row))
     if problem.closing is not None:
         names = [v.name for v in problem.plant.states]
+        closed = [names.index(name) for name in problem.closing]
         image = ca.vertcat(
             *(sign * z.start[names.index(other)] * x_nominal[names.index(other)] / x_nominal[i]
-              for i, (sign, other) in enumerate(problem.closing[name] for name in names))
+              for i, (sign, other) in zip(closed, problem.closing.values(), strict=True))
         )  # fmt: skip
-        row = Row("closing of the cycle", "closing", len(names))
-        pieces.append((z.begin(count) - image, row))
+        row = Row("closing of the cycle", "closing", len(closed))
+        pieces.append((z.begin(count)[closed] - image, row))
     return pieces
 
 

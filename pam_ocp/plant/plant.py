@@ -5,30 +5,36 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, UnknownNameError
+from ..muscle.dead_zone import dead_zone, dead_zone_inverse
 from ..muscle.losses import Loss
 from ..muscle.muscle import Muscle
 from ..variables import Causality, Variable
 from .actuator import AttachedMuscle, Feed, attach
+from .opening import Opening, Way, checked_commands
+from .stillness import Position, resting
 
 if TYPE_CHECKING:
     import control
 
     from ..equilibrium import OperatingPoint
 
-__all__ = ["Plant", "Values", "require_plant"]
+__all__ = ["Given", "Plant", "Values", "by_name", "require_plant"]
 
 Values = Mapping[str, Any]
+Given: TypeAlias = "Values | OperatingPoint"
+"""Values by name, or those of a point."""
 
 # in the order of the plant's function: arguments, and results (a state's is its derivative)
 _CHANGEABLE: tuple[Causality, ...] = ("state", "input", "parameter")
@@ -81,6 +87,48 @@ def require_plant(value: Any) -> Plant:
     raise InputError(f"plant is a {type(value).__name__}, not a Plant{hint}")
 
 
+def by_name(argument: str, values: Any, causality: Causality | None = None) -> dict[str, Any]:
+    """Values by name: of a mapping (None: of none), or of an operating point those of a causality."""
+    if values is None:
+        return {}
+    if isinstance(values, Mapping):
+        return dict(values)
+    point = getattr(values, "values", None)
+    if isinstance(point, Mapping) and isinstance(getattr(values, "plant", None), Plant):
+        kinds = {v.name: v.causality for v in values.plant.variables}
+        return {n: v for n, v in point.items() if causality is None or kinds[n] == causality}
+    raise InputError(
+        f"{argument} is a {type(values).__name__}: give values by name, such as {{'x': 0.01}}, or an "
+        "operating point"
+    )
+
+
+def scalar_expression(name: str, value: Any) -> ca.SX:
+    """``value`` as a scalar expression; InputError when it is none, or holds NaN or an infinite number.
+
+    Python's own ``float``, and with it all of ``math``, silently make NaN of a CasADi symbol.
+    """
+    try:
+        expression = ca.SX(value)
+    except (TypeError, ValueError, NotImplementedError):
+        raise InputError(
+            f"{name}: {type(value).__name__} is no expression; give one of the plant's symbols or a number"
+        ) from None
+    if expression.shape != (1, 1):
+        raise InputError(f"{name}: the expression has shape {expression.shape}; give a scalar")
+    function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
+    for k in range(function.n_instructions()):
+        if function.instruction_id(k) == ca.OP_CONST:
+            constant = function.instruction_constant(k)
+            if not math.isfinite(constant):
+                raise InputError(
+                    f"{name}: the expression holds the constant {constant}; functions of Python's math "
+                    "make NaN of a symbol: write casadi.sin(x) or numpy.sin(x) instead of math.sin(x), "
+                    "and casadi.if_else(x > 0, a, b) instead of a if x > 0 else b"
+                )
+    return expression
+
+
 class Plant:
     """A system to move: states x, inputs u, parameters p; x' = f(x, u, p), y = g(x, u, p).
 
@@ -108,7 +156,10 @@ class Plant:
         self._variables: dict[str, Variable] = {}
         self._symbols: dict[str, ca.SX] = {}
         self._expressions: dict[str, ca.SX] = {}  # derivatives, outputs and constraints by name
+        self._equations: dict[str, ca.SX] = {}  # the same as declared, with symbols for openings
         self._mirror: dict[str, tuple[float, str]] = {}
+        self._openings: tuple[Opening, ...] = ()
+        self._ways: tuple[Way, ...] = ()
         self._system: _System | None = None
 
     # ---- declaring ----------------------------------------------------------------------------
@@ -132,7 +183,7 @@ class Plant:
             raise InputError(f"der({state}): the first argument must be the symbol of a state")
         if name in self._expressions:
             raise InputError(f"der({name}) is given twice")
-        self._expressions[name] = ca.SX(derivative)
+        self._expressions[name] = scalar_expression(f"der({name})", derivative)
 
     def output(self, name: str, expression: Any, **attributes: Any) -> ca.SX:
         """Declare an output and its expression in states, inputs and parameters."""
@@ -141,6 +192,62 @@ class Plant:
     def constraint(self, name: str, expression: Any, **attributes: Any) -> ca.SX:
         """Declare a path constraint min <= expression <= max, which plans keep."""
         return self._define(Variable(name, "constraint", **attributes), expression)
+
+    def opening(
+        self,
+        name: str,
+        commands: Sequence[ca.SX],
+        forward: ca.SX,
+        inverse: Callable[[ca.SX], Sequence[ca.SX]],
+        ways: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        **attributes: Any,
+    ) -> list[ca.SX]:
+        """Declare an input w that controllers choose in place of commands that have a dead zone.
+
+        commands : symbols of the inputs. forward : w as an expression of them and of parameters.
+        inverse : w -> the commands that give it. ways : what stands in the plant's equations, each as
+        (expression of the commands, w -> the same of w); returns their symbols, to be used there.
+        attributes : of the variable w; see :class:`Variable`. See :meth:`in_openings`.
+        """
+        self._open()
+        names = [next((n for n, s in self._symbols.items() if s is c), str(c)) for c in commands]
+        checked_commands(name, names, self._variables)
+        variable = Variable(name, "input", **{"start": 0.0, **attributes})
+        if name in self._variables or any(o.name == name for o in self._openings):
+            raise InputError(f"the name {name!r} is declared twice in plant {self.name!r}")
+        symbol = ca.SX.sym(name)
+        opening = Opening(variable, symbol, tuple(names), forward, tuple(inverse(symbol)))
+        self._openings += (opening,)
+        symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(ways))]
+        self._ways += tuple(
+            Way(s, ca.SX(way), ca.SX(of(symbol)))
+            for s, (way, of) in zip(symbols, ways, strict=True)
+        )
+        return symbols
+
+    def dead_zone(self, command: ca.SX, width: Any, name: str | None = None) -> ca.SX:
+        """What an input leaves beyond its dead zone of +-width/2 [its unit], declared with its inverse.
+
+        Smooth within ``width`` of zero, the command less width/2 beyond; ``width`` is a number or a
+        symbol, such as that of a parameter. Controllers then choose this effect itself, as the input
+        ``name`` (by default ``<command>_effect``), and send the command that gives it.
+        """
+        name_of = next((n for n, s in self._symbols.items() if s is command), str(command))
+        checked_commands("dead_zone", [name_of], self._variables)
+        variable, effect = self._variables[name_of], dead_zone(command, ca.SX(width))
+        known = [v for v in self._variables.values() if v.causality == "parameter"]
+        at = ca.Function("at", [command, *(self._symbols[v.name] for v in known)], [effect])
+        low, high = (
+            float(at(end, *(v.start for v in known))) if math.isfinite(end) else end
+            for end in (variable.min, variable.max)
+        )
+        (symbol,) = self.opening(
+            name or f"{name_of}_effect", [command], effect,
+            lambda w: [dead_zone_inverse(w, ca.SX(width))], [(effect, lambda w: w)],
+            unit=variable.unit, nominal=variable.nominal, min=low, max=high,
+            description=f"effect of {name_of} beyond its dead zone",
+        )  # fmt: skip
+        return symbol
 
     def mirror(self, mapping: Mapping[str, tuple[float, str]]) -> None:
         """Declare a symmetry: {name: (sign, name of its mirror image)}; others map to themselves.
@@ -155,13 +262,13 @@ class Plant:
     def add_muscle(
         self,
         name: str,
-        muscle: Muscle,
+        muscle: Muscle | str,
         *,
         shortening: Any,
         rate: Any,
         pre_contraction: Any = 0.0,
         feed: Feed | None = None,
-        losses: Sequence[Loss] = (),
+        losses: Loss | Sequence[Loss] = (),
     ) -> AttachedMuscle:
         """Attach a muscle: its constants as parameters, its feed, its losses, its outputs.
 
@@ -171,8 +278,8 @@ class Plant:
         feed : how its pressure comes about; by default a first-order ``Regulator()``.
         losses : friction, hysteresis, creep, such as ``CoulombFriction()``.
 
-        Adds the outputs ``<name>.force``, ``.contraction``, ``.stiffness`` and the path constraint
-        ``<name>.tension`` >= 0 (never slack). Returns expressions to use in the equation of motion.
+        Adds the outputs ``<name>.force``, ``.contraction``, ``.stiffness``, ``.power`` (mechanical) and
+        the path constraint ``<name>.tension`` >= 0 (never slack). Returns expressions to use in the equation of motion.
         """
         return attach(
             self, name, muscle, shortening=shortening, rate=rate,
@@ -200,11 +307,7 @@ class Plant:
         return self._symbols[variable.name]
 
     def _define(self, variable: Variable, expression: Any) -> ca.SX:
-        value = ca.SX(expression)
-        if value.shape != (1, 1):
-            raise InputError(
-                f"{variable.name}: the expression has shape {value.shape}; give a scalar"
-            )
+        value = scalar_expression(variable.name, expression)
         self._add(variable)
         self._expressions[variable.name] = value
         return value
@@ -250,14 +353,14 @@ class Plant:
                 return self._variables[known]
         raise UnknownNameError(f"variable of plant {self.name!r}", name, self._variables)
 
-    def with_values(self, values: Values | None = None, /, **more: Any) -> Plant:
+    def with_values(self, values: Given | None = None, /, **more: Any) -> Plant:
         """A copy with other parameter values and start values; expressions are shared.
 
         ``plant.with_values(mass=3.0)`` or ``plant.with_values({"muscle1.a3": -30.0})``.
         """
         self._finished()
         changed = dict(self._variables)
-        for name, value in {**(values or {}), **more}.items():
+        for name, value in {**by_name("values", values), **more}.items():
             variable = self.variable(name)
             if variable.causality in ("output", "constraint"):
                 raise InputError(
@@ -265,13 +368,12 @@ class Plant:
                     "set states, inputs or parameters"
                 )
             changed[variable.name] = variable.with_start(value)
-        other = object.__new__(type(self))  # copy.copy would make new symbols, as pickling does
-        other.__dict__.update(self.__dict__)
+        other = self._sharing(self)
         other._variables = changed
         return other
 
     def vector(
-        self, causality: Causality, values: Values | None = None, attribute: str = "start"
+        self, causality: Causality, values: Given | None = None, attribute: str = "start"
     ) -> NDArray[np.float64]:
         """``start`` (or ``min``, ``max``, ``nominal``) of all variables of a causality, as an array.
 
@@ -280,7 +382,7 @@ class Plant:
         variables = self._of(causality)
         array = np.array([getattr(v, attribute) for v in variables], dtype=float)
         position = {v.name: i for i, v in enumerate(variables)}
-        for name, value in (values or {}).items():
+        for name, value in by_name(causality, values, causality).items():
             variable = self.variable(name)
             if variable.name not in position:
                 raise InputError(f"{variable.name} is a {variable.causality}, not a {causality}")
@@ -312,6 +414,11 @@ class Plant:
             raise InputError(f"plant {self.name!r}: no equation der({', '.join(missing)}) is given")
         if not self.states:
             raise InputError(f"plant {self.name!r} has no state")
+        self._equations = dict(self._expressions)
+        if self._ways:
+            self._expressions = self._replaced(
+                [w.symbol for w in self._ways], [w.in_commands for w in self._ways]
+            )
         declared = {s.name() for s in self._symbols.values()}
         for name, expression in self._expressions.items():
             free = {s.name() for s in ca.symvar(expression)} - declared
@@ -323,6 +430,13 @@ class Plant:
         x, u, p = (self._column(self._symbols, c) for c in _CHANGEABLE)
         xdot, y, c = (self._column(self._expressions, c) for c in _DEFINED)
         return _System(x, u, p, xdot, y, c)
+
+    def _replaced(self, old: list[ca.SX], new: list[ca.SX]) -> dict[str, ca.SX]:
+        """The equations as they were declared, with other expressions for some symbols."""
+        names = list(self._equations)
+        given = [self._equations[n] for n in names]
+        column = ca.substitute(given, [ca.vertcat(*old)], [ca.vertcat(*new)])
+        return dict(zip(names, column, strict=True))
 
     def _column(self, table: Mapping[str, ca.SX], causality: Causality) -> ca.SX:
         return ca.SX(ca.vertcat(*(table[v.name] for v in self._of(causality))))
@@ -391,10 +505,85 @@ class Plant:
                     pairs[name] = other
         return pairs
 
+    def resting(self, named: Collection[str] = ()) -> tuple[Position, ...]:
+        """The states whose rates and accelerations vanish where the plant rests, in any coordinates.
+
+        ``named`` states come first where the equations leave a choice; see :mod:`.stillness`.
+        """
+        return resting(self, named)
+
     @property
     def mirror_map(self) -> dict[str, tuple[float, str]]:
         """The declared symmetry, or {} when the plant has none."""
         return dict(self._mirror)
+
+    # ---- openings in place of commands -----------------------------------------------------------
+    @property
+    def openings(self) -> tuple[Opening, ...]:
+        """What controllers choose in place of commands that have a dead zone."""
+        return self._openings
+
+    def in_openings(self) -> Plant:
+        """The same plant with openings as inputs, in place of the commands that they stand in for.
+
+        A valve-fed muscle has the input ``<name>.opening`` (-1 exhaust .. 1 supply), through whose
+        zero the flow goes with a slope: there a linear model and a solver see what the valve can do.
+        The plant itself where it declares no openings. Values, names and order are kept.
+        """
+        if not self._openings:
+            return self
+        template = self.cached("in openings", self._in_openings)
+        other = self._sharing(template)
+        other._variables = {n: self._variables.get(n, v) for n, v in template._variables.items()}
+        p = self.vector("parameter")
+        for opening in self._openings:
+            commands = ca.vertcat(*(self._symbols[c] for c in opening.commands))
+            start = ca.Function("start", [commands, self.p], [opening.forward])
+            value = float(start([self._variables[c].start or 0.0 for c in opening.commands], p))
+            variable = opening.variable
+            value = min(max(value, variable.min), variable.max)
+            other._variables[opening.name] = variable.with_start(value)
+        return other
+
+    def in_commands(self) -> Plant:
+        """The same plant without openings: controllers then choose its commands as they are."""
+        if not self._openings:
+            return self
+        self._finished()
+        other = self._sharing(self)
+        other._openings, other._ways, other._equations = (), (), other._expressions
+        return other
+
+    def _sharing(self, template: Plant) -> Plant:
+        other = object.__new__(type(self))  # copy.copy would make new symbols, as pickling does
+        other.__dict__.update(template.__dict__)
+        return other
+
+    def _in_openings(self) -> Plant:
+        other = self._sharing(self)
+        other.__dict__.pop("positions", None)
+        instead = {o.commands[0]: o for o in self._openings}
+        gone = {c: o for o in self._openings for c in o.commands}
+        other._variables, other._symbols = {}, {}
+        for name, variable in self._variables.items():
+            if name in instead:
+                opening = instead[name]
+                other._variables[opening.name] = opening.variable
+                other._symbols[opening.name] = opening.symbol
+            elif name not in gone:
+                other._variables[name] = variable
+                if name in self._symbols:
+                    other._symbols[name] = self._symbols[name]
+        commands = [self._symbols[c] for o in self._openings for c in o.commands]
+        inverse = [e for o in self._openings for e in o.inverse]
+        ways = [w.symbol for w in self._ways], [w.in_openings for w in self._ways]
+        other._expressions = self._replaced(ways[0] + commands, ways[1] + inverse)
+        other._mirror = {
+            gone[n].name if n in gone else n: (sign, gone[m].name if m in gone else m)
+            for n, (sign, m) in self._mirror.items()
+        }
+        other._openings, other._ways, other._system = (), (), None
+        return other
 
     # ---- pickling: CasADi functions travel, symbols are made anew ---------------------------------
     def __getstate__(self) -> dict[str, Any]:
@@ -403,8 +592,22 @@ class Plant:
             "description": self.description,
             "variables": list(self._variables.values()),
             "mirror": self._mirror,
-            "function": self.function,
+            "function": self._travelling(),
+            "openings": [(o.variable, o.commands) for o in self._openings],
         }
+
+    def _travelling(self) -> ca.Function:
+        """The plant's function; where it has openings with their ways and the ways' meaning."""
+        if not self._openings:
+            return self.function
+        w = ca.vertcat(*(o.symbol for o in self._openings))
+        ways = ca.vertcat(*(way.symbol for way in self._ways))
+        results = [self._column(self._equations, c) for c in _DEFINED]
+        results += [ca.vertcat(*(way.in_commands for way in self._ways))]
+        results += [ca.vertcat(*(way.in_openings for way in self._ways))]
+        results += [ca.vertcat(*(o.forward for o in self._openings))]
+        results += [ca.vertcat(*(e for o in self._openings for e in o.inverse))]
+        return ca.Function("plant", [self.x, self.u, self.p, w, ways], results)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Plant.__init__(self, state["name"], state["description"])
@@ -412,10 +615,31 @@ class Plant:
         self._mirror = state["mirror"]
         symbols = {v.name: ca.SX.sym(v.name) for v in state["variables"]}
         self._symbols = {v.name: symbols[v.name] for c in _CHANGEABLE for v in self._of(c)}
-        values = state["function"](*(self._column(self._symbols, c) for c in _CHANGEABLE))
+        known = [self._column(self._symbols, c) for c in _CHANGEABLE]
+        if not state.get("openings"):
+            values = state["function"](*known)
+        else:
+            values = self._with_openings(state["function"], known, state["openings"])
         for kind, column in zip(_DEFINED, values, strict=True):
             for i, variable in enumerate(self._of(kind)):
                 self._expressions[variable.name] = column[i]
+
+    def _with_openings(
+        self, function: ca.Function, known: list[ca.SX], openings: list[Any]
+    ) -> tuple[ca.SX, ...]:
+        """Openings and ways from what has travelled; gives the columns of the equations."""
+        symbols = [ca.SX.sym(v.name) for v, _ in openings]
+        ways = [ca.SX.sym(f"way{i}") for i in range(function.numel_in(4))]
+        *columns, in_commands, in_openings, forward, inverse = function(
+            *known, ca.vertcat(*symbols), ca.vertcat(*ways)
+        )
+        self._ways = tuple(Way(s, in_commands[i], in_openings[i]) for i, s in enumerate(ways))
+        parts = iter(ca.vertsplit(inverse))
+        self._openings = tuple(
+            Opening(v, symbols[i], commands, forward[i], tuple(next(parts) for _ in commands))
+            for i, (v, commands) in enumerate(openings)
+        )
+        return tuple(columns)
 
     def __repr__(self) -> str:
         kinds: tuple[Causality, ...] = ("state", "input", "parameter", "output")
