@@ -211,9 +211,10 @@ class _Check:
         names = [v.name for v in self.plant.states]
         nominal = nominals(self.problem)[0]
         found = {}
-        for i, (sign, image) in enumerate((self.problem.closing or {}).values()):
+        for name, (sign, image) in (self.problem.closing or {}).items():
+            i = names.index(name)
             gap = self.x[i, -1] - sign * self.x[names.index(image), 0]
-            found[f"closing of the cycle: {names[i]}"] = _finite(abs(gap) / nominal[i])
+            found[f"closing of the cycle: {name}"] = _finite(abs(gap) / nominal[i])
         return found
 
     def _integral(self, expressions: Sequence[object]) -> Array:
