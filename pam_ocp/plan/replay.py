@@ -201,8 +201,8 @@ class _Check:
         t, x, u = self._gaps
         last_gap, end = len(t) - 1, t.shape[1] - 1
         gap, place = (last_gap, end) if first == last else (self._interval.searchsorted(first), 0)
-        here = (slice(gap, gap + 1), place)
-        return self._arguments(t[here], x[(slice(None), *here)], u[(slice(None), *here)])
+        one = slice(gap, gap + 1)
+        return self._arguments(t[one, place], x[:, one, place], u[:, one, place])
 
     def at_stops(self) -> dict[str, float]:
         """{condition at a stop: by how much it is missed} in nominals."""
