@@ -68,6 +68,9 @@ come first:
   [disturbances]                          # not told to the controller: value, or [value, from when on]
   push = ["40 N", "1 s"]
 
+The report says how often the controller found no solution ("failed"), how often it applied one that
+had not converged, and how far its predictions are from a finer integration of its own model.
+
 Exit code: 0, or 1 when the controller found no solution at some step, 2 for a file or an option that
 cannot be meant.
 """
@@ -324,6 +327,9 @@ def _report(study: Mapping[str, Any], loop: ClosedLoop) -> str:
     lines = [f"{_title(study)} against {study['against']}, {loop.trajectory.duration:g} s"]
     lines += [f"real side: {n} = {v}" for n, v in study["real"].items()]
     lines.append(f"controller: {loop.statistics}")
+    lines.append(
+        f"predictions: within {loop.prediction_error:.1e} of nominal of a finer integration"
+    )
     for name in loop.reference.names:
         variable = loop.trajectory.variable(name)
         error = variable.shown(loop.steady_error(name, window))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import InputError, PlanError
+from .errors import InputError, PlanError, PlanWarning
 
 if TYPE_CHECKING:
     from .plan.result import Plan
@@ -20,8 +21,8 @@ A problem file (TOML). Values are numbers in SI, or texts with a unit; plain key
   cyclic = true                     # or false, or "mirrored" (second half by symmetry)
   minimise = { time = 1.0, effort = 1e-4 }   # or one term, as "time"
   duration = { min = "20 ms", max = "1 s" }  # of each leg; or "0.2 s", "free", or a list
-  tolerance = 1e-6                  # refine the mesh until a tight integration agrees
-  starts = 1                        # how many starts to try; more of them where valves feed
+  tolerance = 1e-6                  # of the verdict (1e-3): the mesh is refined until it is met
+  starts = 1                        # how many starts to try (4 with valves or a tendon, else 1)
 
   [plant]
   arrangement = "AntagonisticSlide" # HangingLoad, AntagonisticJoint, ..., or FILE.py:NAME
@@ -43,8 +44,10 @@ A problem file (TOML). Values are numbers in SI, or texts with a unit; plain key
 Further keys: rest, phases, constraints, track, budgets, design, integrand, final, method, options;
 docs/planning.md tells all of them.
 
-Exit code: 0 a plan was found, 1 none exists (the message names the constraints in conflict), 2 the
-file says something that cannot be meant.
+Exit code: 0 a verified plan was found (the solver converged, an independent integration agrees, and all
+limits hold between the points too), 1 none was found (the message names the constraints in conflict), 2
+the file says something that cannot be meant, 3 a plan was found but is not verified (its first line says
+which figure failed; the files asked for are written).
 """
 
 
@@ -81,7 +84,9 @@ def _plan(options: argparse.Namespace) -> int:
     _check_endings(options)
     plant, arguments = load_problem(options.problem)
     try:
-        found = plan(plant, **arguments, progress=options.progress)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PlanWarning)  # said below
+            found = plan(plant, **arguments, progress=options.progress)
     except InputError as error:
         raise InputError(f"{options.problem}: {error}") from error
     except PlanError as error:
@@ -94,8 +99,14 @@ def _plan(options: argparse.Namespace) -> int:
     print(found)
     for written in _written(found, options):
         print(f"-> {written}")
+    if not found.verified:
+        print(f"pam-ocp plan: {options.problem}: the plan is {found.verdict}", file=sys.stderr)
+        return NOT_VERIFIED
     return 0
 
+
+NOT_VERIFIED = 3
+"""Exit code."""
 
 ENDINGS = {"out": (".npz",), "csv": (".csv",), "plot": (".png", ".pdf", ".svg"),
            "animate": (".gif",), "fmu_inputs": (".csv",)}  # fmt: skip

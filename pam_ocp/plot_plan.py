@@ -90,7 +90,8 @@ def plot_plan(plan: Plan) -> Figure:
     for ax in axes[:, 0]:
         _phases(ax, plan)
     axes[0, 0].set_title(
-        f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error {plan.replay_error:.1e} of nominal",
+        ("" if plan.verified else "NOT VERIFIED: ")
+        + f"{plan.plant.name}: {plan.duration * 1e3:.2f} ms, replay error {plan.replay_error:.1e} of nominal",
         loc="left", fontsize="medium",
     )  # fmt: skip
     axes[-1, 0].set_xlabel("time [s]")
@@ -252,7 +253,7 @@ def plot_costates(plan: Plan) -> Figure:
 
 
 def plot_pareto(front: Pareto) -> Figure:
-    """The second objective over the first, with the knee."""
+    """The second objective over the first, with the knee; plans that are not verified crossed out."""
     figure, axes = _figure(1, size=(6.5, 4.5))
     ax = axes[0, 0]
     x, y = (
@@ -262,6 +263,10 @@ def plot_pareto(front: Pareto) -> Figure:
     ax.plot(x[front.knee], y[front.knee], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.8)
     ax.annotate("knee", (x[front.knee], y[front.knee]), (10, 10), textcoords="offset points",
                 color=COLOURS[1])  # fmt: skip
+    wrong = list(front.unverified)
+    if wrong:
+        ax.plot(x[wrong], y[wrong], "x", ms=11, mew=2.2, color="k", label="not verified")
+        ax.legend(frameon=False)
     if y.min() > 0 and y.max() > 30 * y.min():
         ax.set_yscale("log")
     ax.set_xlabel(front.first.label)

@@ -320,3 +320,33 @@ def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
         closed_loop(mpc, real, {"x": 1.0}, 1.0, estimator=slow)
     with pytest.raises(InputError, match=r"controller is a Mpc.*mpc\.closed_loop"):
         pam.closed_loop(real, mpc, duration=1.0)
+
+
+# ---- what its statistics say ------------------------------------------------------------------------
+def test_steps_that_are_applied_before_they_converged_are_counted():
+    """A jump of the reference with one SQP step per call: not converged; at rest it is again."""
+    mpc = slide_mpc(iterations=1, tolerance=1e-4)
+    loop = mpc.closed_loop(benchmark_slide(), {"x": lambda t: 0.01 if t >= 0.1 else 0.0}, 0.2)
+    steps = loop.statistics.steps
+    expected = sum(s.last_step > 1e-4 for s in steps)
+    assert 0 < expected < len(steps)
+    assert loop.statistics.unconverged == expected
+    assert f"not converged {expected} times" in str(loop)
+
+
+def test_the_error_of_a_prediction_is_that_of_a_tight_integration():
+    """One RK4 step of 50 ms on a regulator's lag of 50 ms: by SciPy, from node to node."""
+    from conftest import scipy_states
+
+    mpc = slide_mpc(step=0.05, substeps=1, horizon=8)
+    mpc.control(mpc.plant.vector("state"), {"x": 0.01})
+    motion, plant = mpc.prediction(), mpc.plant
+    states = motion.array(motion.named("state"))
+    inputs = motion.array(motion.named("input"))
+    nominal = plant.vector("state", attribute="nominal")
+    misses = [
+        np.abs(scipy_states(plant, lambda _, u=u: u, [0.0, 0.05], x)[-1] - after) / nominal
+        for x, u, after in zip(states[:-1], inputs[:-1], states[1:], strict=True)
+    ]
+    assert np.max(misses) > 1e-4  # a rough step
+    assert mpc.prediction_error() == pytest.approx(np.max(misses), rel=1e-2)

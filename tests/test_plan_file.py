@@ -338,3 +338,18 @@ def test_the_example_runs(capsys, tmp_path):
     assert code == 0
     assert "0.05 +" in out
     assert (tmp_path / "slide.gif").stat().st_size > 100_000
+
+
+def test_a_plan_that_is_not_verified_has_exit_code_3_and_is_written_all_the_same(capsys, tmp_path):
+    problem = """
+    tolerance = 1e-13
+    method = { intervals = 4, degree = 2 }
+    options = { max_iter = 60 }
+    """
+    file = written(tmp_path, problem, PLANT, STOPS)
+    code, out, err = run(capsys, "plan", file, "--out", tmp_path / "plan.npz")
+    assert code == 3
+    assert out.startswith("NOT VERIFIED: ")
+    assert "is not verified: " in err
+    assert "PlanWarning" not in err
+    assert (tmp_path / "plan.npz").exists()

@@ -1,5 +1,7 @@
 """pareto: the front of two objectives against known optima."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -129,3 +131,21 @@ def test_phases_with_limits_of_their_own_keep_them_between_polynomial_points():
     )  # fmt: skip
     slow, quick = (2 * np.sqrt(DISTANCE / limit) for limit in (10.0, LIMIT))
     assert plan.durations == pytest.approx((slow, quick), rel=1e-5)
+
+
+def test_plans_of_a_front_that_are_not_verified_are_marked(slide):
+    stops = [{"x": -0.01}, {"x": 0.01}]
+    front = pam.pareto(slide, stops, points=3, method=pam.Collocation(10, 3))
+    assert front.unverified == ()
+    assert "NOT VERIFIED" not in str(front)
+    off = replace(front.plans[1].replay, error=0.5, state="v")
+    wrong = replace(
+        front, plans=(front.plans[0], replace(front.plans[1], replay=off), front.plans[2])
+    )
+    assert wrong.unverified == (1,)
+    lines = str(wrong).splitlines()
+    assert lines[0].startswith("NOT VERIFIED: 1 of 3 plans")
+    assert "deviates by 0.5 of nominal in v" in lines[3]
+    (axes,) = wrong.plot().axes
+    (cross,) = (line for line in axes.lines if line.get_marker() == "x")
+    assert len(cross.get_xdata()) == 1

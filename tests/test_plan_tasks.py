@@ -20,8 +20,7 @@ def test_a_random_feasible_task_is_solved_and_verified(seed):
     task = study.random_task(np.random.default_rng([5, seed]))
     plan, error = study.solve(task)
     assert error is None, task.words
-    assert plan.replay_error < 10 * study.TOLERANCE
-    assert plan.replay.violation < 0.05
+    assert plan.verified, plan.verdict
 
 
 @pytest.mark.filterwarnings("ignore::pam_ocp.ValidityWarning")

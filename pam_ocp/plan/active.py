@@ -47,7 +47,7 @@ def limits_along(plan: Plan) -> list[Limit]:
     """Finite limits of each leg: bounds of states and inputs, and path conditions.
 
     Equalities (a disturbance held at its value, a path to follow) and the hold of a dwell are left
-    out. Of a plan that was loaded from a file, the plant's own limits.
+    out. Of a copy in another process that lost its problem, the plant's own limits.
     """
     assert plan.replay is not None  # of a plan that succeeded
     motion = plan.replay.trajectory

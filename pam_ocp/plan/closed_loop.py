@@ -31,6 +31,9 @@ __all__ = ["ClosedLoop", "closed_loop"]
 Array: TypeAlias = NDArray[np.float64]
 Real: TypeAlias = "Plant | str | os.PathLike[str]"
 
+LOOKS = 10
+"""Steps, evenly spread, whose prediction is compared with a finer integration."""
+
 
 @dataclass(frozen=True)
 class ClosedLoop:
@@ -43,7 +46,9 @@ class ClosedLoop:
     estimate: Trajectory | None
     """Estimated states and unknowns, and their ``deviation.NAME``; None without an estimator."""
     statistics: MpcStatistics
-    """Times and iterations of the controller, and how often it failed."""
+    """Times and iterations of the controller, how often it failed, and how often it did not converge."""
+    prediction_error: float
+    """Largest :meth:`Mpc.prediction_error` of the steps looked at, ``LOOKS`` of them at most."""
 
     def steady_error(self, name: str, window: float) -> float:
         """Largest |real - reference| of a variable over the last ``window`` seconds [its unit]."""
@@ -59,7 +64,10 @@ class ClosedLoop:
         return plot_closed_loop(self, title)
 
     def __str__(self) -> str:
-        return f"closed loop over {self.trajectory.duration:g} s; controller: {self.statistics}"
+        return (
+            f"closed loop over {self.trajectory.duration:g} s; controller: {self.statistics}; its "
+            f"predictions are within {self.prediction_error:.1e} of nominal of a finer integration"
+        )
 
 
 def closed_loop(
@@ -127,6 +135,8 @@ def closed_loop(
         run.applied = {n: v for n, v in side.inputs.items() if n in controls}
         for k in range(steps + 1):
             run.sample(k)
+            if k % max(1, steps // LOOKS) == 0:
+                run.predicted.append(controller.prediction_error())
             if k < steps:
                 side.step(k * controller.step, controller.step)
         return run.result()
@@ -245,6 +255,7 @@ class _Run:
         self.rows: list[dict[str, float]] = []
         self.wanted: list[dict[str, float]] = []
         self.known: list[Estimate] = []
+        self.predicted: list[float] = []
         self._names = [v.name for v in controller.plant.states]
 
     def sample(self, k: int) -> None:
@@ -293,6 +304,7 @@ class _Run:
             Trajectory(t, wanted, kinds, "previous"),
             self._estimates(t) if self.known else None,
             self.controller.statistics,
+            max(self.predicted),
         )
 
     def _estimates(self, t: Array) -> Trajectory:

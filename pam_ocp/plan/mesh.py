@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, require_count
 
 __all__ = [
-    "Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "held", "refined", "watched",
+    "Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "halved", "held", "refined", "watched",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
@@ -25,7 +25,9 @@ Scheme: TypeAlias = Literal["radau", "gauss", "shooting"]
 HIGHEST_DEGREE = 9
 """CasADi's collocation points end here."""
 SPLIT_DEGREE = 5
-"""Degree of the two halves of an interval that was split."""
+"""Degree of the parts of an interval that was split."""
+HELD_SPLIT_DEGREE = 7
+"""The same where inputs are constant or linear inside: states are smooth there."""
 MOST_STEPS = 64
 """RK4 steps in an interval of multiple shooting, before it is split."""
 GUARDS = 3
@@ -267,6 +269,18 @@ def watched(mesh: Mesh, beyond: Sequence[Mapping[str, float]], tolerance: float)
     return Mesh(tuple(intervals), mesh.form)
 
 
+def halved(mesh: Mesh) -> Mesh:
+    """The mesh with all intervals split, of a high degree where inputs are simple."""
+    shooting, simple = mesh.form.scheme == "shooting", mesh.form.control != "polynomial"
+    intervals: list[Interval] = []
+    for interval in mesh.intervals:
+        degree = interval.degree
+        if simple and not shooting:
+            degree = max(degree, HELD_SPLIT_DEGREE)
+        intervals += replace(interval, watched=()).split(2, degree)
+    return Mesh(tuple(intervals), mesh.form)
+
+
 def held(mesh: Mesh) -> Mesh:
     """A mesh with constant inputs in place of polynomial ones: an interval for each of their values."""
     intervals: list[Interval] = []
@@ -280,9 +294,9 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
     """The mesh with more points where the error of an interval exceeds the tolerance.
 
     The degree is raised first (by 1 for each two decades, at least 1; the steps of RK4 by its fourth
-    order), then the interval is split. A polynomial input that switches inside an interval is not
-    helped by degrees: where one rise was not enough, such an interval is split, into as many parts
-    as there are decades to go (2 to 4).
+    order), then the interval is split, into as many parts as there are decades to go (2 to 4). A
+    polynomial input that switches inside an interval is not helped by degrees: where one rise was not
+    enough, such an interval is split.
     """
     shooting = mesh.form.scheme == "shooting"
     intervals: list[Interval] = []
@@ -299,7 +313,8 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
         if degree <= (MOST_STEPS if shooting else HIGHEST_DEGREE) and not rough:
             intervals.append(replace(interval, degree=degree, raised=True))
         else:
-            parts = min(max(2, int(np.ceil(decades))), 4) if rough else 2
-            halves = interval.split(parts, interval.degree if shooting else SPLIT_DEGREE)
-            intervals += [replace(h, raised=interval.raised) for h in halves]
+            parts = min(max(2, int(np.ceil(decades))), 4)
+            low = SPLIT_DEGREE if mesh.form.control == "polynomial" else HELD_SPLIT_DEGREE
+            parted = interval.split(parts, interval.degree if shooting else low)
+            intervals += [replace(part, raised=interval.raised) for part in parted]
     return Mesh(tuple(intervals), mesh.form)

@@ -6,6 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -34,6 +35,9 @@ Array: TypeAlias = NDArray[np.float64]
 
 FIRST_ITERATIONS = 30
 """Of the first solve, which has no solution to start from."""
+
+FINER = 8
+"""How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
 
 class Mpc:
@@ -71,7 +75,9 @@ class Mpc:
     tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
 
     Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
-    When the SQP fails, IPOPT is asked; :attr:`statistics` says how often.
+    When the SQP fails, IPOPT is asked; :attr:`statistics` says how often, how often that failed too, and
+    how often the solution applied had not converged. No step is replayed: :meth:`prediction_error` does
+    that of the last one.
 
     Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for names. The
     first call warns of an input that has no influence where the plant stands (a dead zone that is not
@@ -127,7 +133,8 @@ class Mpc:
         self._only_ipopt = solver == "ipopt"
         self._sqp = Sqp(self.program, "hpipm" if solver == "ipopt" else solver, tolerance)
         self._ipopt: Ipopt | None = None
-        self._advance = self._predictor(how)
+        self._how, self._advance = how, self._predictor(how)
+        self._fine: ca.Function | None = None
         self.reset()
 
     def reset(self, inputs: Values | None = None) -> None:
@@ -236,6 +243,25 @@ class Mpc:
             {v.name: point.given[i] for i, v in enumerate(self.plant.parameters)}
         )
         return evaluated(model, t, states, held)
+
+    def prediction_error(self) -> float:
+        """How far the last call's prediction is from its own model's motion, in units of nominal.
+
+        The largest difference, over the steps of the horizon, between the next node and the step from
+        the node before with substeps ``FINER`` times finer: the error of the integration, and what an
+        SQP that was not run to its end leaves of defects. Takes some milliseconds; a controller does
+        not do it by itself.
+        """
+        p, point = self.program, self._sqp.point
+        if self._fine is None:
+            how = replace(self._how, substeps=FINER * self._how.substeps)
+            self._fine = self._predictor(how)
+        nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
+        states: Array = np.column_stack([nodes[: p.nx], end[: p.nx]])
+        begin = p.nx + len(p.rated)
+        exact = self._fine(states[:, :-1], nodes[begin : begin + p.nu], point.given)
+        worst = float(np.max(np.abs(np.asarray(exact, float) - states[:, 1:])))
+        return worst if np.isfinite(worst) else math.inf
 
     # ---- inside ---------------------------------------------------------------------------------
     def _predictor(self, how: Step) -> ca.Function:

@@ -64,10 +64,17 @@ class MpcStatistics:
         """How often there was no solution at all."""
         return sum(s.failed for s in self.steps)
 
+    @property
+    def unconverged(self) -> int:
+        """How often a solution was applied whose last change was above the controller's tolerance: its
+        iterations were used up, or its ``work`` was."""
+        return sum(not s.converged and not s.failed for s in self.steps)
+
     def __str__(self) -> str:
         iterations = [s.iterations for s in self.steps[1:]] or [0]
         return (
             f"{len(self.steps)} steps: median {1e3 * self.median:.2f} ms, worst "
             f"{1e3 * self.worst:.2f} ms, iterations {np.median(iterations):.0f} (at most "
-            f"{max(iterations)}), IPOPT asked {self.fallbacks} times, failed {self.failures} times"
+            f"{max(iterations)}), IPOPT asked {self.fallbacks} times, failed {self.failures} times, "
+            f"not converged {self.unconverged} times"
         )

@@ -57,17 +57,24 @@ class Pareto:
         scaled = (self.values - self.values.min(axis=0)) / np.where(span > 0, span, 1.0)
         return int(np.argmin(scaled.sum(axis=1)))
 
+    @property
+    def unverified(self) -> tuple[int, ...]:
+        """The plans that are not verified; ``plans[i].verdict`` says why."""
+        return tuple(i for i, plan in enumerate(self.plans) if not plan.verified)
+
     def __len__(self) -> int:
         return len(self.plans)
 
     def plot(self) -> Figure:
-        """The front, its ends and its knee."""
+        """The front, its ends and its knee; plans that are not verified crossed out."""
         from ..plot_plan import plot_pareto
 
         return plot_pareto(self)
 
     def __str__(self) -> str:
-        lines = [
+        wrong = self.unverified
+        lines = [f"NOT VERIFIED: {len(wrong)} of {len(self)} plans, marked below"] if wrong else []
+        lines += [
             f"{self.first.name:>18}{self.second.name:>18}{'replay error':>15}{'iterations':>12}"
         ]
         for i, (plan, row) in enumerate(zip(self.plans, self.values, strict=True)):
@@ -76,6 +83,7 @@ class Pareto:
                 for v, x in zip((self.first, self.second), row, strict=True)
             )
             mark = "  knee" if i == self.knee else ""
+            mark += "" if plan.verified else f"  {plan.verdict}"
             lines.append(
                 f"{cells}{plan.replay_error:>15.1e}{plan.statistics['iterations']:>12}{mark}"
             )

@@ -12,7 +12,7 @@ from ..plant.plant import Plant
 from ..simulate import evaluated
 from ..trajectory import Trajectory
 from .backend import Backend
-from .mesh import Mesh, held, refined, watched
+from .mesh import Mesh, halved, held, refined, watched
 from .replay import Replay, interval_errors, replayed
 from .result import Solved
 from .run import Run
@@ -22,10 +22,13 @@ __all__ = ["Checked", "Refinement", "checked"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-ROUNDS = 10
+ROUNDS = 12
 """Of refinement, at most."""
 POLYNOMIAL_ROUNDS = 5
 """Before polynomial inputs are held constant instead: refinement may chase their switches for ever."""
+EVERYWHERE = 3
+"""Each so many rounds all intervals are split: where only some are, held inputs move about there the
+more, and what swings behind them with them."""
 ITERATIONS = 1500
 """Of the solver in all rounds."""
 POLYNOMIAL_ITERATIONS = 300
@@ -101,12 +104,13 @@ class Refinement:
 
     def _rounds(self, current: Checked, most: int, iterations: int) -> None:
         """From a solution to finer ones."""
-        for _ in range(most):
+        for i in range(1, most + 1):
             if self.met() or self.iterations > iterations:
                 return
             mesh = current.found.program.mesh
             following = None
-            for finer in self._finer(current):
+            everywhere = [halved(mesh)] if i % EVERYWHERE == 0 else []
+            for finer in (*everywhere, *self._finer(current)):
                 if finer == mesh or len(finer.intervals) > len(mesh.intervals) + MORE_INTERVALS:
                     continue
                 following = self._solved(finer, current.found)

@@ -10,7 +10,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from ..errors import SimulationError
 from ..integrate import Integration
@@ -29,11 +28,11 @@ Array: TypeAlias = NDArray[np.float64]
 TOLERANCE = 1e-11
 """Relative tolerance of the integrator that replays a plan."""
 OVERSAMPLING = 8
-"""Integrated times between two points of a plan (an even number)."""
+"""Integrated times between two points of a plan."""
 BY_SHOOTING = 32
 """The same where an interval has no point inside."""
-FINER = {"polynomial": 9}
-"""Places looked at between two of these, by how the inputs run. Not a divisor's multiple of the checks
+FINER = {"polynomial": 10}
+"""Parts of each of these that are looked at, by how the inputs run (even numbers). Others than the checks
 that the mesh itself makes there: those hold what they see."""
 USUALLY = 2
 
@@ -127,28 +126,35 @@ class _Check:
     per: int
 
     @cached_property
-    def _pieces(self) -> list[tuple[int, Array, Array, Array]]:
-        """(interval, times, states (nx, times), inputs (nu, times)) one by one."""
-        at, inputs, found = 0, self.solution.inputs, []
-        for k, interval in enumerate(self.mesh.intervals):
-            end = at + self.per * len(self.mesh.form.state_taus(interval.degree))
-            powers = np.arange(inputs.degree + 1.0)[:, None]
+    def _interval(self) -> NDArray[np.intp]:
+        """(gaps,) the interval in which each gap between two neighbouring times lies."""
+        form = self.mesh.form
+        counts = [self.per * len(form.state_taus(i.degree)) for i in self.mesh.intervals]
+        return np.repeat(np.arange(len(counts)), counts)
 
-            def u(t: Array, k: int = k, powers: Array = powers) -> Array:
-                return np.asarray(inputs.coefficients[k].T @ (t - inputs.breaks[k]) ** powers)
-
-            t, x = self.t[at : end + 1], self.x[:, at : end + 1]
-            dense = np.linspace(t[:-1], t[1:], self._finer, endpoint=False).T.ravel()
-            dense = np.append(dense, t[-1])
-            slopes = np.asarray(self.plant.function(x, u(t), self.plant.vector("parameter"))[0])
-            between = CubicHermiteSpline(t, x, slopes, axis=1)(dense)
-            found.append((k, dense, np.asarray(between), u(dense)))
-            at = end
-        return found
-
-    @property
-    def _finer(self) -> int:
-        return FINER.get(self.mesh.form.control, USUALLY)
+    @cached_property
+    def _gaps(self) -> tuple[Array, Array, Array]:
+        """Times (gaps, places), states (nx, gaps, places) and inputs (nu, gaps, places): each gap from
+        its start to its end, the states by cubic Hermite polynomials."""
+        finer = FINER.get(self.mesh.form.control, USUALLY)
+        s = np.linspace(0.0, 1.0, finer + 1)
+        h = np.diff(self.t)[:, None]
+        t = self.t[:-1, None] + h * s
+        inputs, k = self.solution.inputs, self._interval
+        since = (t - inputs.breaks[k][:, None])[..., None] ** np.arange(inputs.degree + 1)
+        u = np.einsum("gsj,gji->igs", since, inputs.coefficients[k])
+        ends = np.concatenate([self.x[:, :-1], self.x[:, 1:]], axis=1)
+        driven = np.concatenate([u[..., 0], u[..., -1]], axis=1)
+        slopes = np.asarray(
+            self.plant.function(ends, driven, self.plant.vector("parameter"))[0], float
+        )
+        left, right = (side[..., None] for side in np.split(ends, 2, axis=1))
+        rising, falling = (h * side[..., None] for side in np.split(slopes, 2, axis=1))
+        x = (
+            left * ((1 + 2 * s) * (1 - s) ** 2) + rising * (s * (1 - s) ** 2)
+            + right * (s**2 * (3 - 2 * s)) + falling * (s**2 * (s - 1))
+        )  # fmt: skip
+        return t, x, u
 
     def _arguments(self, t: Array, x: Array, u: Array) -> tuple[Array, ...]:
         """Of a Problem's function, at columns of times, states and inputs."""
@@ -157,15 +163,15 @@ class _Check:
         p = self.plant.vector("parameter")
         return x, u, p, t[None], r, np.array(self.problem.aims), self.solution.peaks
 
-    def _legs(self) -> Iterator[tuple[Leg, Array, Array, Array, Array]]:
-        """(leg, interval of each point, times, states, inputs), intervals end to end."""
+    def _legs(self) -> Iterator[tuple[Leg, NDArray[np.intp], Array, Array, Array]]:
+        """(leg, interval of each point, times, states, inputs)."""
+        t, x, u = self._gaps
+        of_leg = np.array([interval.leg for interval in self.mesh.intervals])[self._interval]
         for i, leg in enumerate(self.problem.legs):
-            own = [piece for piece in self._pieces if self.mesh.intervals[piece[0]].leg == i]
-            if own:
-                numbers, *columns = zip(*own, strict=True)
-                of = np.repeat(numbers, [len(t) for t in columns[0]])
-                t, x, u = (np.concatenate(c, axis=-1) for c in columns)
-                yield leg, of, t, x, u
+            own = of_leg == i
+            if own.any():
+                columns = (part[:, own].reshape(len(part), -1) for part in (x, u))
+                yield leg, np.repeat(self._interval[own], t.shape[1]), t[own].ravel(), *columns
 
     def along(self) -> tuple[dict[str, float], ...]:
         """For each interval {bound or path condition: by how much it is exceeded} in nominals."""
@@ -192,9 +198,11 @@ class _Check:
     def _node(self, i: int) -> tuple[Array, ...]:
         """Arguments at a node: at the start of the interval behind it, or at the end of the motion."""
         first, last = self.mesh.first(i), len(self.mesh.intervals)
-        _, t, x, u = self._pieces[min(first, last - 1)]
-        j = -1 if first == last else 0
-        return self._arguments(t[[j]], x[:, [j]], u[:, [j]])
+        t, x, u = self._gaps
+        last_gap, end = len(t) - 1, t.shape[1] - 1
+        gap, place = (last_gap, end) if first == last else (self._interval.searchsorted(first), 0)
+        one = slice(gap, gap + 1)
+        return self._arguments(t[one, place], x[:, one, place], u[:, one, place])
 
     def at_stops(self) -> dict[str, float]:
         """{condition at a stop: by how much it is missed} in nominals."""
@@ -211,22 +219,23 @@ class _Check:
         names = [v.name for v in self.plant.states]
         nominal = nominals(self.problem)[0]
         found = {}
-        for i, (sign, image) in enumerate((self.problem.closing or {}).values()):
+        for name, (sign, image) in (self.problem.closing or {}).items():
+            i = names.index(name)
             gap = self.x[i, -1] - sign * self.x[names.index(image), 0]
-            found[f"closing of the cycle: {names[i]}"] = _finite(abs(gap) / nominal[i])
+            found[f"closing of the cycle: {name}"] = _finite(abs(gap) / nominal[i])
         return found
 
     def _integral(self, expressions: Sequence[object]) -> Array:
-        """Of expressions over the whole motion, by Simpson's rule on the pieces."""
+        """Of expressions over the whole motion, by Simpson's rule on each gap."""
         function = self.problem.function("integrands", expressions)  # type: ignore[arg-type]
-        total = np.zeros(len(expressions))
-        for _, t, x, u in self._pieces:
-            values = np.asarray(function(*self._arguments(t, x, u)), float)
-            weights = np.zeros(len(t))
-            for at in range(0, len(t) - 1, 2):
-                weights[at : at + 3] += (t[at + 2] - t[at]) / 6 * np.array([1.0, 4.0, 1.0])
-            total += values @ weights
-        return total
+        t, x, u = self._gaps
+        columns = (part.reshape(len(part), -1) for part in (x, u))
+        values = np.asarray(function(*self._arguments(t.ravel(), *columns)), float)
+        places = t.shape[1]
+        simpson = np.where(np.arange(places) % 2, 4.0, 2.0)
+        simpson[[0, -1]] = 1.0
+        weights = np.diff(self.t)[:, None] * simpson / (3 * (places - 1))
+        return np.asarray(values @ weights.ravel())
 
     def budgets(self) -> dict[str, float]:
         """{budget: by how much it is missed} in nominals."""

@@ -53,7 +53,8 @@ def solved_side_by_side(
             try:
                 i = queue.popleft()
             except IndexError:  # what a process that died gave back comes last
-                if not any(worker.thread.is_alive() for worker in workers):
+                alive = any(worker.thread.is_alive() for worker in workers)
+                if not alive and not queue:
                     break
                 time.sleep(0.01)
                 continue

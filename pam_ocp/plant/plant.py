@@ -5,6 +5,7 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
