@@ -19,6 +19,8 @@ from pathlib import Path
 
 from pam_ocp.errors import ExportError, UnknownNameError
 
+from .cache import cache_folder, home_folder, keep, kept, usable_folder
+
 __all__ = [
     "PLATFORMS",
     "Platform",
@@ -150,16 +152,7 @@ def _command(compiler: _Compiler, platform: Platform, output: str, source: str) 
     return command
 
 
-# ---- cache --------------------------------------------------------------------------------------
-
-
-def cache_folder() -> Path:
-    """Where compiled libraries are kept: $PAM_OCP_CACHE, else the user's cache folder."""
-    chosen = os.environ.get("PAM_OCP_CACHE")
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("LOCALAPPDATA") or os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "pam_ocp"
+# ---- compiling, what is in the cache comes from there -------------------------------------------
 
 
 def _key(sources: Mapping[str, str], command: Iterable[str], version: str) -> str:
@@ -183,12 +176,11 @@ def compile_library(
         runtime = resources.files("pam_ocp.fmu") / "c" / _WINDOWS_SOURCE
         sources = {**sources, _WINDOWS_SOURCE: runtime.read_text(encoding="utf-8")}
     shown = command[len(compiler.command) :]
-    stored = cache_folder() / "fmu" / f"{_key(sources, shown, compiler.version)}{platform.suffix}"
-    try:
-        return stored.read_bytes()
-    except OSError:
+    stored = usable_folder("fmu") / f"{_key(sources, shown, compiler.version)}{platform.suffix}"
+    library = kept(stored)
+    if library is None:
         library = _compile(sources, command + _headers(command), output, platform)
-    _store(stored, library)
+        keep(stored, library)
     return library
 
 
@@ -220,34 +212,14 @@ def _compile(
 def _environment() -> dict[str, str]:
     """This process's environment; zig's cache beside ours where that is chosen, or needed."""
     environment = dict(os.environ)
+    home, base = home_folder(), environment.get("XDG_CACHE_HOME") or "/"
+    at_home = home is not None and os.access(home, os.W_OK) and Path(base).is_absolute()
     if "ZIG_GLOBAL_CACHE_DIR" not in environment and (
-        "PAM_OCP_CACHE" in environment or not os.access(Path.home(), os.W_OK)
+        environment.get("PAM_OCP_CACHE") or not at_home
     ):
-        environment["ZIG_GLOBAL_CACHE_DIR"] = str(_writable(cache_folder() / "zig"))
+        environment["ZIG_GLOBAL_CACHE_DIR"] = str(usable_folder("zig"))
         environment.setdefault("ZIG_LOCAL_CACHE_DIR", environment["ZIG_GLOBAL_CACHE_DIR"])
     return environment
-
-
-def _writable(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            return folder
-    except OSError:
-        pass
-    return Path(tempfile.gettempdir()) / "pam_ocp_zig"
-
-
-def _store(path: Path, content: bytes) -> None:
-    """Put a library into the cache; another process sees all of it or nothing."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        Path(name).replace(path)
-    except OSError:
-        pass  # a cache that cannot be written costs time only
 
 
 def compile_all(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
@@ -11,6 +11,7 @@ import numpy as np
 
 from pam_ocp.design.lqr import StateFeedback
 from pam_ocp.errors import InputError, require_positive
+from pam_ocp.plant.opening import Inversion, Opening
 from pam_ocp.plant.plant import Plant
 from pam_ocp.variables import Variable
 
@@ -44,15 +45,25 @@ def pid_controller(
     filter_time : time constant of the derivative's low-pass filter [s].
     windup_time : time constant with which the integral runs back while a command is held [s].
 
+    A command of a spool valve is inverted: the feed-forward's opening plus weight (P e + I + D) is the
+    opening, held in -1 .. 1, and ``<command>`` is what gives it; gains then count in openings. The
+    dead zone is the tunable parameter ``<name>.valve.overlap``, and on/off valves may be named
+    together, as ``muscle.opening``.
+
     Inputs ``reference``, ``position`` and ``feedforward.<command>``; outputs ``<command>``.
     """
     require_positive("filter_time", filter_time, "s")
     require_positive("windup_time", windup_time, "s")
     measured = plant.variable(position)
-    commands = [plant.variable(n) for n in weights]
+    inversion = Inversion(plant)
+    doors = {inversion.opening_of(n) or plant.variable(n).name: w for n, w in weights.items()}
+    doors = {inversion.alone(n): w for n, w in doors.items()}
+    commands = [inversion.variable(n) for n in doors]
     wrong = [v.name for v in commands if v.causality != "input"]
     if wrong or not commands:
         raise InputError(f"weights: give inputs of the plant, not {', '.join(wrong) or 'nothing'}")
+    if len(doors) < len(weights):
+        raise InputError(f"weights: {', '.join(weights)} name an opening twice")
     if 0.0 in weights.values():
         raise InputError("weights: a command of weight 0 takes no part; leave it out")
     pid = Plant(name, f"PID with feed-forward for {measured.name} of {plant.name}")
@@ -82,14 +93,18 @@ def pid_controller(
     rate = (error - smooth) / tau
     action = kp * error + total + kd * rate
     excess: ca.SX = ca.SX(0)
+    valves = _Valves(pid, inversion)
     for command in commands:
-        weight = float(weights[command.name])
-        forward = pid.input(
-            f"feedforward.{command.name}", unit=command.unit, start=command.start or 0.0,
-            nominal=command.nominal, description=f"feed-forward of {command.name}",
+        weight = float(doors[command.name])
+        forward = valves.entered(
+            command,
+            lambda v: pid.input(
+                f"feedforward.{v.name}", unit=v.unit, start=v.start or 0.0, nominal=v.nominal,
+                description=f"feed-forward of {v.name}",
+            ),
         )  # fmt: skip
         wanted = forward + weight * action
-        held = _command(pid, command, wanted)
+        held = valves.sent(command, wanted)
         excess += (held - wanted) / (weight * len(commands))
     pid.der(smooth, rate)
     pid.der(total, ki * error + (excess / windup if integral else 0.0))
@@ -119,6 +134,10 @@ def state_feedback_controller(
     windup_time : T, time constant with which the integrals run back [s].
     name : of the plant.
 
+    Of a plant fed by valves u are the openings: each ``<command>`` is what gives its opening (the dead
+    zone is the tunable parameter ``<name>.valve.overlap``), gains are ``gain.<name>.opening.<state>``,
+    and feed-forwards are commands, of which the openings are taken.
+
     Inputs: every state of the plant, and what else is integrated (all measured), and
     ``reference.<output>`` for what is integrated. Outputs ``<command>``. All gains are tunable
     parameters ``gain.<command>.<state>`` and ``integral_gain.<command>.<output>``.
@@ -146,16 +165,24 @@ def state_feedback_controller(
         for n in feedback.integrated
     }
     totals = _integrals(built, feedback, commands)
+    inversion = feedback.inversion or Inversion(plant.in_commands())
+    valves = _Valves(built, inversion)
+    at_rest = inversion.commands({v.name: point[v.name] for v in commands})
     deviation = ca.vertcat(*(seen[n] - origin[n] for n in states))
     forward = [
-        from_outside(f"feedforward.{v.name}", **_shown(v, point[v.name], "feed-forward of"))
+        valves.entered(
+            v,
+            lambda c: from_outside(
+                f"feedforward.{c.name}", **_shown(c, at_rest[c.name], "feed-forward of")
+            ),
+        )
         for v in commands
     ]
     asked = ca.vertcat(*forward) - _gains(built, "gain", commands, states, feedback.K) @ deviation
     if totals:
         gains = _gains(built, "integral_gain", commands, feedback.integrated, feedback.Ki)
         asked -= gains @ ca.vertcat(*totals)
-    held = ca.vertcat(*(_command(built, v, asked[i]) for i, v in enumerate(commands)))
+    held = ca.vertcat(*(valves.sent(v, asked[i]) for i, v in enumerate(commands)))
     if totals:
         back = ca.DM(np.linalg.pinv(feedback.Ki)) @ (asked - held) / windup_time
         for i, n in enumerate(feedback.integrated):
@@ -215,11 +242,55 @@ def _integrals(built: Plant, feedback: StateFeedback, commands: list[Variable]) 
     return totals
 
 
-def _command(built: Plant, command: Variable, wanted: ca.SX) -> ca.SX:
-    """Declare a command as an output, held inside its range; returns what is held."""
-    held = wanted if math.isinf(command.min) else ca.fmax(wanted, command.min)
-    held = held if math.isinf(command.max) else ca.fmin(held, command.max)
-    return built.output(
-        command.name, held, unit=command.unit, nominal=command.nominal,
-        description=command.description,
-    )  # fmt: skip
+class _Valves:
+    """The inversion of valves' dead zones inside a controller, with their widths as parameters."""
+
+    def __init__(self, built: Plant, inversion: Inversion) -> None:
+        self.built, self.plant = built, inversion.plant
+        self._openings = {o.name: o for o in inversion.plant.openings}
+        self._own: dict[str, ca.SX] = {}
+
+    def entered(self, door: Variable, declare: Callable[[Variable], ca.SX]) -> ca.SX:
+        """What ``declare`` gives for a command; for an opening that of the commands declared."""
+        opening = self._openings.get(door.name)
+        if opening is None:
+            return declare(door)
+        commands = [declare(self.plant.variable(c)) for c in opening.commands]
+        known = {c: s for c, s in zip(opening.commands, commands, strict=True)}
+        return self._here([opening.forward], known)[0]
+
+    def sent(self, door: Variable, wanted: ca.SX) -> ca.SX:
+        """Declare the command, or the commands of an opening, as outputs; returns what is held."""
+        held = wanted if math.isinf(door.min) else ca.fmax(wanted, door.min)
+        held = held if math.isinf(door.max) else ca.fmin(held, door.max)
+        opening = self._openings.get(door.name)
+        if opening is None:
+            self._output(door, held)
+            return held
+        for name, command in zip(opening.commands, self._inverse(opening, held), strict=True):
+            self._output(self.plant.variable(name), command)
+        return held
+
+    def _output(self, command: Variable, value: ca.SX) -> None:
+        self.built.output(
+            command.name, value, unit=command.unit, nominal=command.nominal,
+            description=command.description,
+        )  # fmt: skip
+
+    def _inverse(self, opening: Opening, held: ca.SX) -> list[ca.SX]:
+        return self._here(ca.substitute(list(opening.inverse), [opening.symbol], [held]), {})
+
+    def _here(self, expressions: list[ca.SX], known: Mapping[str, ca.SX]) -> list[ca.SX]:
+        """Expressions of the plant with this controller's symbols: parameters are declared."""
+        parameters = {v.name: v for v in self.plant.parameters}
+        used = {s.name() for s in ca.symvar(ca.vertcat(*expressions))}
+        for name, variable in parameters.items():
+            if name in used and name not in self._own:
+                self._own[name] = self.built.parameter(
+                    name, float(variable.start or 0.0), unit=variable.unit, min=variable.min,
+                    max=variable.max, nominal=variable.nominal, tunable=True,
+                    description=variable.description,
+                )  # fmt: skip
+        new = {**{n: s for n, s in self._own.items() if n in used}, **known}
+        old = [self.plant.expression(n) for n in new]
+        return list(ca.substitute(expressions, old, list(new.values())))

@@ -19,6 +19,7 @@ GENERATED = "2000-01-01T00:00:00Z"
 _LOG_CATEGORIES = {
     "logStatusError": "refused calls",
     "logStatusDiscard": "steps and evaluations without a finite result",
+    "logStatusWarning": "inputs outside their min and max, each once until the next reset",
     "logSteps": "work of the solver in each communication step",
     "logAll": "all messages",
 }

@@ -15,27 +15,41 @@ from numpy.typing import NDArray
 
 from pam_ocp.errors import InputError, SimulationError, UnknownNameError
 
+from .archive import UnsafeFileError, require_safe
+
 if TYPE_CHECKING:
     from fmpy.sundials import CVodeSolver
 
-__all__ = ["Kind", "Runner", "UnpackedFmu"]
+__all__ = ["Kind", "Runner", "UnpackedFmu", "note_calls"]
 
 Kind: TypeAlias = Literal["CoSimulation", "ModelExchange"]
 Array: TypeAlias = NDArray[np.float64]
 
 
+_note: Callable[[str], None] | None = None
+
+
+def note_calls(note: Callable[[str], None] | None) -> None:
+    """Let ``note`` hear the name of each call into a unit before it is made, and "" behind it."""
+    global _note
+    _note = note
+
+
 class UnpackedFmu:
     """An FMU unpacked into a folder, with its description read.
 
-    Raises InputError when the file is no FMU.
+    Raises InputError when the file is no FMU, or not safe to unpack (names, sizes, entities).
     """
 
     def __init__(self, path: Path, folder: Path) -> None:
         import fmpy  # loaded when an FMU is opened: `import pam_ocp` stays quick
 
         try:
+            require_safe(path)
             self.description: Any = fmpy.read_model_description(str(path), validate=False)
             fmpy.extract(str(path), str(folder))
+        except UnsafeFileError as error:
+            raise UnsafeFileError(f"{path}: this file cannot be read as an FMU: {error}") from None
         except Exception as error:  # FMPy raises plain Exceptions
             raise InputError(f"{path}: this file cannot be read as an FMU ({error})") from None
         self.folder = folder
@@ -43,6 +57,7 @@ class UnpackedFmu:
         variables = self.description.modelVariables
         self.references = {v.name: int(v.valueReference) for v in variables}
         self.variables: dict[str, Any] = {v.name: v for v in variables}
+        self.derivatives = [d.variable.name for d in self.description.derivatives]
         self.states = [d.variable.derivative.name for d in self.description.derivatives]
 
     @property
@@ -62,7 +77,9 @@ class UnpackedFmu:
 
 
 class Runner:
-    """One instance of an FMU; a context manager that frees it.
+    """One instance of an FMU in this process; a context manager that frees it.
+
+    A unit that crashes takes the process with it: for units of others see :func:`check_fmu`.
 
     ``log`` collects the messages of the FMU as (status, text).
     """
@@ -78,6 +95,7 @@ class Runner:
         module = fmpy.fmi2 if two else fmpy.fmi3
         name = f"FMU{fmu.fmi[0]}{'Model' if exchange else 'Slave'}"
         here = os.getcwd()
+        self._noted("the loading of its library")
         try:
             self.inner: Any = getattr(module, name)(
                 guid=fmu.description.guid if token is None else token,
@@ -89,10 +107,31 @@ class Runner:
             )
         finally:
             os.chdir(here)  # FMPy stays in the library's folder when it cannot load the library
+        self._watch_calls()
         try:
             self._instantiate(two)
         except Exception as error:  # FMPy raises plain Exceptions
             raise self.failure(error) from None
+
+    def _noted(self, call: str) -> None:
+        if _note is not None:
+            _note(f"{call} ({self.kind})" if call else "")
+
+    def _watch_calls(self) -> None:
+        self._noted("")
+        call = getattr(self.inner, "_call", None)
+        if _note is None or call is None:
+            return
+
+        def noted(function: str, *arguments: Any) -> Any:
+            self._noted(function)
+            try:
+                return call(function, *arguments)
+            finally:
+                unloads = function.endswith("FreeInstance")
+                self._noted("the unloading of its library" if unloads else "")
+
+        self.inner._call = noted
 
     def _instantiate(self, two: bool) -> None:
         if not two:
@@ -120,6 +159,7 @@ class Runner:
         trace: TracebackType | None,
     ) -> None:
         self.inner.freeInstance()
+        self._noted("")
 
     # ---- values -----------------------------------------------------------------------------
     def references(self, names: Sequence[str]) -> list[int]:
@@ -229,7 +269,8 @@ class Runner:
 
     def failure(self, error: BaseException) -> SimulationError:
         """What went wrong, in the words of the FMU where it has some."""
-        words = self.log[-1][1] if self.log else str(error)
+        refusals = [text for status, text in self.log if status > 1]  # neither OK nor a warning
+        words = refusals[-1] if refusals else str(error)
         return SimulationError(f"{self.kind} of the FMU failed: {words}")
 
 

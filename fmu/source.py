@@ -146,6 +146,8 @@ _VECTORS: tuple[tuple[str, Causality, str], ...] = (
     ("X_START", "state", "start"),
     ("X_NOMINAL", "state", "nominal"),
     ("U_START", "input", "start"),
+    ("U_MIN", "input", "min"),
+    ("U_MAX", "input", "max"),
     ("P_START", "parameter", "start"),
     ("P_MIN", "parameter", "min"),
     ("P_MAX", "parameter", "max"),

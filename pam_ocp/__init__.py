@@ -26,6 +26,7 @@ from .errors import (
     InputError,
     PamError,
     PlanError,
+    PlanWarning,
     SimulationError,
     UnknownNameError,
 )
@@ -188,6 +189,7 @@ __all__ = [
     "Phase",
     "Plan",
     "PlanError",
+    "PlanWarning",
     "Planner",
     "Plant",
     "PlantFit",

@@ -17,6 +17,7 @@ __all__ = [
     "InputError",
     "PamError",
     "PlanError",
+    "PlanWarning",
     "SimulationError",
     "UnknownNameError",
     "require_count",
@@ -73,6 +74,10 @@ class PlanError(PamError):
     def __init__(self, message: str, plan: Any = None) -> None:
         super().__init__(message)
         self.plan = plan
+
+
+class PlanWarning(UserWarning):
+    """A plan was found, but not verified: its verdict says which figure failed."""
 
 
 class ExportError(PamError):

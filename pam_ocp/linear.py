@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from .errors import InputError, require_instance, require_positive
+from .plant.opening import Inversion, in_dead_zone
 from .plant.plant import Plant, Values, require_plant
 from .trajectory import Trajectory
 
@@ -52,6 +53,45 @@ def point_of(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Plant, A
     given = {plant.variable(n).name: v for n, v in (at or {}).items()}
     moved = plant.with_values(given)
     return moved, moved.vector("state"), moved.vector("input")
+
+
+def inside(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Inversion, OperatingPoint]:
+    """The plant's inversion, and a point of rest of the plant in openings.
+
+    at : a point (with commands or openings), or conditions of rest.
+    """
+    inversion = Inversion(require_plant(plant))
+    if isinstance(at, OperatingPoint):
+        point_of(plant, at)
+        at = inversion.entered(at)
+    else:
+        at = inversion.inner.equilibrium(inversion.conditions(at))
+    return Inversion(inversion.carrying(at)), at
+
+
+def no_influence(verb: str, plant: Plant, b: Array, inputs: Sequence[str]) -> None:
+    """InputError when no input moves the state: B (..., states, inputs) is zero."""
+    scale = plant.vector("state", attribute="nominal")[:, None]
+    effect = np.abs(b) / scale * np.array([plant.variable(n).nominal for n in inputs])
+    if np.max(effect, initial=0.0) > 1e-12:
+        return
+    names = ", ".join(inputs)
+    raise InputError(
+        f"{verb}: {names or 'no input'} has no influence on {plant.name!r} here: its slope is 0, as in a "
+        "dead zone or at a closed valve. Declare the dead zone (plant.dead_zone(command, width)), so that "
+        "its inverse is used, or take a point at which the input acts"
+    )
+
+
+def _seen(plant: Plant, u: Array, inputs: Sequence[str] | None) -> tuple[Plant, Array]:
+    """The plant and its inputs (n, nu), in openings where they are named or commands have no slope."""
+    inversion = Inversion(plant)
+    names = [inputs] if isinstance(inputs, str) else inputs
+    if names is None:
+        inner = in_dead_zone(plant, u)
+    else:
+        inner = any(inversion.opening_of(n) is not None for n in names)
+    return (inversion.inner, inversion.rows(u)) if inner else (plant, u)
 
 
 @dataclass(frozen=True)
@@ -135,7 +175,9 @@ def linearize(
     """The plant near a point as python-control's StateSpace: x' = A x + B u, y = C x + D u.
 
     at : an OperatingPoint (of :func:`equilibrium`) or values by name; by default the start values.
-    inputs, outputs : names to keep; by default all inputs, and all states and outputs.
+    inputs, outputs : names to keep; by default all inputs, and all states and outputs. At a valve that
+        stands in its dead zone the command has no slope: by default the opening stands in for it
+        (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named.
     dt : sampling time [s] for a discrete system x[k+1] = A x[k] + B u[k], exact for inputs held
         over each sample; None for a continuous one.
 
@@ -144,8 +186,9 @@ def linearize(
     (python-control itself has none, so systems that it computes from this one lack it).
     """
     plant, x, u = point_of(plant, at)
+    plant, rows = _seen(plant, u[None, :], inputs)
     chosen = _Selection.of(plant, inputs, outputs)
-    a, b, c, d = chosen.matrices(x[None, :], u[None, :])
+    a, b, c, d = chosen.matrices(x[None, :], rows)
     step = 0.0 if dt is None else require_positive("dt", dt, "s")
     return chosen.system((a[0], b[0], c[0], d[0]), step)
 
@@ -195,6 +238,8 @@ def linearize_along(
 
     t : times [s]; by default those of the motion. Between the samples of the motion its states
     are joined by straight lines: give a finely sampled one (``plan.replay.trajectory``).
+    inputs : as in :func:`linearize`: where a valve's command is in its dead zone anywhere on the way,
+        the default are openings.
     Raises InputError when the motion lacks a state or an input of the plant.
     """
     missing = [v.name for v in (*plant.states, *plant.inputs) if v.name not in motion]
@@ -202,11 +247,13 @@ def linearize_along(
         raise InputError(f"the motion holds no column {missing[0]!r} of plant {plant.name!r}")
     if t is not None:
         motion = motion.at(t)
-    chosen = _Selection.of(plant, inputs, outputs)
     x = motion.array([v.name for v in plant.states])
-    matrices = chosen.matrices(x, motion.array([v.name for v in plant.inputs]))
+    plant, u = _seen(plant, motion.array([v.name for v in plant.inputs]), inputs)
+    chosen = _Selection.of(plant, inputs, outputs)
+    matrices = chosen.matrices(x, u)
+    kept = [[v.name for v in plant.inputs].index(n) for n in chosen.inputs]
     return LinearAlong(
-        plant, motion.t, x, motion.array(chosen.inputs), *matrices,
+        plant, motion.t, x, u[:, kept], *matrices,
         tuple(chosen.inputs), tuple(chosen.outputs),
     )  # fmt: skip
 
@@ -310,9 +357,14 @@ def linearize_grid(
     axes : {name: at least two rising values} of states, inputs, outputs or parameters, as conditions
         of :func:`equilibrium`: ``{"x": [-0.01, 0, 0.01], "stiffness": [1.8e4, 2.4e4]}``.
     conditions : further ones, the same everywhere.
+    inputs : as in :func:`linearize`; of a plant fed by valves the default are openings.
 
     Raises InputError for bad axes, EquilibriumError naming the first place without equilibrium.
     """
+    inversion = Inversion(require_plant(plant))
+    if inputs is None or any(inversion.opening_of(n) for n in inputs):
+        # at rest valves are closed, or nearly so
+        plant, conditions = inversion.inner, inversion.conditions(conditions)
     grid: dict[str, Array] = {}
     for name, values in axes.items():
         axis = np.asarray(values, float)

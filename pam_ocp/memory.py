@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, TypeAlias
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import InputError
 from .plant.plant import Plant
-from .plant.stillness import resting
 
 __all__ = ["Memory", "held", "held_names"]
 
+Array: TypeAlias = NDArray[np.float64]
 Memory: TypeAlias = 'Literal["virgin", "above", "below"] | Mapping[str, float]'
 
 SIDES = {"above": -1.0, "below": 1.0}
 """Way in which the positions moved before they came to rest."""
+NOTHING = 1e-9
+"""A slope below this part of the largest one of its row counts as zero."""
 
 
 def held_names(plant: Plant) -> tuple[str, ...]:
@@ -29,7 +33,8 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
 
     memory : "virgin" (start values: nothing has slid yet), "above" or "below" (the side from which
         all positions came, from afar: every element has slid fully), or {state: value}, the rest
-        virgin. The way in which a position drives a memory is read off the plant's Jacobian.
+        virgin. The way in which a position drives a memory is read off the plant's Jacobian at its
+        start values, whatever coordinates it is written in.
 
     Raises InputError for another word, a name that is no held memory, or a value out of its range.
     """
@@ -49,19 +54,51 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
         )
     if memory == "virgin" or not found:
         return found
-    names = [v.name for v in plant.states]
-    x = plant.vector("state")
-    for name, variable in variables.items():
-        x[names.index(name)] = (variable.min + variable.max) / 2
-    slopes = np.asarray(plant.jacobians(x, plant.vector("input"), plant.vector("parameter"))[0])
-    positions = resting(plant)
-    places = [names.index(q.name) for q in positions]
-    velocities = sorted({names.index(v) for q in positions for v in q.velocities})
-    wanted = SIDES[memory] * np.array([plant.variable(q.name).nominal for q in positions])
-    way = np.linalg.pinv(slopes[np.ix_(places, velocities)]) @ wanted
-    drives = slopes[:, velocities] @ way
-    for name, variable in variables.items():
-        drive = drives[names.index(name)]
+    for name, drive in zip(found, _drives(plant) * SIDES[memory], strict=True):
         if drive:
-            found[name] = variable.max if drive > 0 else variable.min
+            found[name] = variables[name].max if drive > 0 else variables[name].min
+    return found
+
+
+def _drives(plant: Plant) -> Array:
+    """Sign of the rate of each held memory while all positions rise; 0 for one that they leave.
+
+    A memory moves with velocities; a position is a state whose rate depends on these (and on itself)
+    alone. So x' = v/2 or a momentum in place of the velocity do as well as x' = v.
+    """
+    names = [v.name for v in plant.states]
+    memories = np.array([names.index(n) for n in held_names(plant)])
+    x = plant.vector("state")
+    for i in memories:
+        x[i] = (plant.states[i].min + plant.states[i].max) / 2
+    a, b = plant.jacobians(x, plant.vector("input"), plant.vector("parameter"))[:2]
+    sizes = np.array([v.nominal for v in (*plant.states, *plant.inputs)])
+    slopes = np.hstack([np.asarray(a), np.asarray(b)]) * sizes
+    slopes[:, memories] = 0.0
+    rates = np.abs(slopes[memories])
+    velocities = np.flatnonzero(
+        (rates > NOTHING * rates.max(axis=1, initial=0.0)[:, None]).any(axis=0)
+    )
+    positions = [
+        i
+        for i, depends in enumerate(_dependence(plant))
+        if i not in {*velocities, *memories} and depends - {i} and depends <= {*velocities, i}
+    ]
+    if positions:
+        rising = sizes[positions]
+        moving = np.linalg.lstsq(slopes[positions][:, velocities], rising, rcond=None)[0]
+    else:  # no position is a state: the velocities themselves say the way
+        moving = np.ones(len(velocities))
+    drives = slopes[memories][:, velocities] @ moving
+    return np.where(np.abs(drives) > NOTHING * np.abs(drives).max(initial=0.0), drives, 0.0)
+
+
+def _dependence(plant: Plant) -> list[set[int]]:
+    """For each state, the states and inputs (counted on) on which its rate depends."""
+    xdot = ca.vertcat(*(plant.expression(f"der({v.name})") for v in plant.states))
+    pattern = ca.jacobian(xdot, ca.vertcat(plant.x, plant.u)).sparsity()
+    rows, columns = pattern.get_triplet()
+    found: list[set[int]] = [set() for _ in plant.states]
+    for row, column in zip(rows, columns, strict=True):
+        found[row].add(column)
     return found

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from .equilibrium import OperatingPoint
 from .errors import require_positive
 from .linear import chosen_signals, point_of
+from .plant.opening import Inversion
 from .plant.plant import Plant, Values
 
 if TYPE_CHECKING:
@@ -28,7 +29,9 @@ def as_nlsys(
 
     at : an OperatingPoint, or values by name (also of parameters); by default the start values.
         Inputs left out of ``inputs`` are held at its values.
-    inputs, outputs : names to keep; by default all inputs, and all states and outputs.
+    inputs, outputs : names to keep; by default all inputs, and all states and outputs. Of a plant fed
+        by valves the inputs are the openings (``muscle_opening``), which have a slope through zero,
+        unless commands are named; ``pam.Inversion(plant).commands(...)`` gives the commands.
         ``inputs=[]`` gives an autonomous system, as ``phase_plane_plot`` wants it.
 
     Signals and parameters keep the plant's names with ``_`` for ``.`` (python-control reads a dot as
@@ -55,6 +58,9 @@ def as_nlsys(
     from .design.plant_system import PlantSystem
 
     plant, x, u = point_of(plant, at)
+    inversion = Inversion(plant)
+    if inversion and (inputs is None or any(inversion.opening_of(n) for n in inputs)):
+        plant, u = inversion.inner, inversion.rows(u[None, :])[0]
     return PlantSystem(
         plant, x, u,
         chosen_signals("inputs", plant, inputs, ("input",)),

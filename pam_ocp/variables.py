@@ -15,6 +15,9 @@ __all__ = ["Causality", "Memory", "Variable"]
 Causality = Literal["state", "input", "parameter", "output", "constraint"]
 Memory = Literal["", "held", "settling"]
 
+ROUNDING = 1e-6
+"""A value of a state so little outside its range, in units of nominal, is the end of the range."""
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
 
 
@@ -85,13 +88,21 @@ class Variable:
             self.check(self.start, "start")
 
     def check(self, value: Any, argument: str = "value") -> float:
-        """``value`` as a float; InputError when it is no finite number in [min, max]."""
+        """``value`` as a float; InputError when it is no finite number in [min, max].
+
+        A state may lie outside by the rounding of an integrator or a solver, ROUNDING nominals: then
+        it is the end of its range.
+        """
         try:
             number = float(value)
         except (TypeError, ValueError):
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
         if not math.isfinite(number):
             raise InputError(f"{self.name}: {argument} = {number} must be finite")
+        if self.causality == "state":
+            nearest = min(max(number, self.min), self.max)
+            if abs(number - nearest) <= ROUNDING * self.nominal:
+                return nearest
         if not self.min <= number <= self.max:
             raise InputError(
                 f"{self.name}: {argument} = {self.shown(number)} is outside "
@@ -110,7 +121,7 @@ class Variable:
 
     def shown(self, value: float) -> str:
         """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``."""
-        text = f"{value / self.display_factor:.6g}"
+        text = f"{value / self.display_factor + 0.0:.6g}"
         return text if self.display_unit == "1" else f"{text} {self.display_unit}"
 
     @property

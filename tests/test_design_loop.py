@@ -174,6 +174,24 @@ def test_a_saturated_pid_does_not_wind_up():
     assert pid(-1.0, 0.01, saturated=True) < before - 2.0
 
 
+def test_a_position_controller_does_not_wind_up_however_long_it_is_out_of_reach(long_muscle):
+    """A load held below its reference for 0.2 s or 4 s: once free, the same pressures follow."""
+    plant = pam.HangingLoad(long_muscle, 20.0)
+    after = []
+    for samples in (100, 2000):
+        pid = PID(2000.0, ki=4000.0)
+        controller = PositionController(plant, hold(0.06), pid, dt=2e-3)
+        at = {"v": 0.0, "muscle.pressure": 6 * BAR}
+        for i in range(samples):
+            held = controller(i * 2e-3, {"x": 0.0, **at})
+            assert i == 0 or held["muscle.command"] == pytest.approx(6 * BAR)
+        after.append(
+            [controller(1.0, {"x": 0.06 + e, **at})["muscle.command"] for e in (0.01, 0.005, 0.0)]
+        )
+    assert after[1] == pytest.approx(after[0], rel=1e-9)
+    assert after[0][0] < 5.9 * BAR
+
+
 def test_the_pressure_loop_closes_with_its_time_constant(hanging):
     loop = PressureLoop(hanging, time_constant=0.01)
 

@@ -384,7 +384,7 @@ def test_lifting_a_load_costs_more_exergy_than_the_work_it_gives(fluidic):
     [
         ({"conductance": 0.0}, "SpoolValve.conductance = 0"),
         ({"critical_ratio": 1.0}, "critical_ratio = 1 must lie in 0"),
-        ({"overlap": 0.0}, "overlap = 0 must lie in 0"),
+        ({"overlap": -0.01}, "overlap = -0.01 must lie in 0"),
         ({"supply": -1e5}, "SpoolValve.supply = -100000 Pa must be > 0"),
     ],
 )

@@ -39,6 +39,27 @@ def test_the_estimate_is_the_torque_that_acts(pushed):
     assert filter_.disturbance["external_force"] == pytest.approx(torque, rel=0.02)
 
 
+def test_the_disturbance_is_told_from_an_input_that_feeds_through():
+    """x' = -2 x + 3 u + d, y = x + u/2 + d/5 about d = 5: the true d = 8 by formulas alone."""
+    plant = pam.Plant("fed_through")
+    x, u, d = plant.state("x"), plant.input("u"), plant.input("d", disturbance=True)
+    plant.der(x, -2 * x + 3 * u + d)
+    plant.output("y", x + u / 2 + d / 5)
+    point = plant.equilibrium(u=1.0, d=5.0)
+    assert point["x"] == pytest.approx(4.0)
+    filter_ = kalman(plant, point, measured={"y": 1e-3}, disturbances={"d": 10.0}, dt=0.05)
+    rng, true, keep = np.random.default_rng(4), 3.0, np.exp(-0.1)
+    command = 1.0
+    for _ in range(300):
+        seen = true + command / 2 + 8.0 / 5
+        estimate = filter_.correct({"y": seen})
+        last, command = true, float(rng.normal(1.0, 2.0))
+        filter_.predict({"u": command})
+        true = keep * true + (1 - keep) / 2 * (3 * command + 8.0)
+    assert filter_.disturbance == {"d": pytest.approx(8.0, rel=1e-6)}
+    assert estimate == pytest.approx([last], rel=1e-6)
+
+
 def test_nothing_is_left_of_an_unknown_torque_load_and_weak_muscle(pushed):
     plant, point = pushed
     feedback = lqr(plant, point, dt=2e-3)

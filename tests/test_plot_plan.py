@@ -114,7 +114,8 @@ def test_dwells_and_a_plan_from_a_file_are_drawn(slide_plan, tmp_path):
         "position", "velocity", "pressure", "force", "stiffness",
     ]  # fmt: skip
     (shade,) = (p for p in figure.axes[0].patches if p.get_alpha() == 0.05)
-    assert shade.get_width() == pytest.approx(slide_plan.durations[1])
+    drawn = shade.get_path().get_extents(shade.get_patch_transform())
+    assert drawn.width == pytest.approx(slide_plan.durations[1])
     assert "muscle1.pressure_rate max" in [t.get_text() for t in figure.axes[-1].get_yticklabels()]
     stored = pam.load_plan(slide_plan.save(tmp_path / "plan.npz"), slide_plan.plant)
     assert len(stored.plot().axes) == len(figure.axes)

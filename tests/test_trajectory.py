@@ -58,6 +58,17 @@ def test_comparison_finds_the_largest_deviation_and_its_time():
     assert "x" in str(comparison)
 
 
+def test_a_deviation_counts_whichever_way_it_goes():
+    other = record()
+    other["x"][1] -= 5e-3
+    other["x"][2] += 1e-3
+    found = record().compare(other)["x"]
+    assert (found.largest, found.time) == (pytest.approx(5e-3), 0.1)
+    assert found.relative == pytest.approx(0.5)
+    assert found.rms == pytest.approx(np.sqrt((25e-6 + 1e-6) / 3))
+    assert record().compare(other).largest == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize(
     ("t", "columns", "message"),
     [

@@ -21,11 +21,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
                               fmi2String fmuResourceLocation,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible,
                               fmi2Boolean loggingOn) {
-    (void)fmuResourceLocation, (void)visible;
+    (void)fmuResourceLocation, (void)visible, (void)loggingOn; /* see instance_new */
     if (functions == NULL || (fmuType != fmi2ModelExchange && fmuType != fmi2CoSimulation))
         return NULL;
     return instance_new(fmuType == fmi2CoSimulation ? CO_SIMULATION : MODEL_EXCHANGE, instanceName,
-                        fmuGUID, loggingOn, log_fmi2, (void (*)(void))functions->logger,
+                        fmuGUID, log_fmi2, (void (*)(void))functions->logger,
                         functions->componentEnvironment);
 }
 

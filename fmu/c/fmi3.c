@@ -38,8 +38,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3Boolean loggingOn,
                                           fmi3InstanceEnvironment instanceEnvironment,
                                           fmi3LogMessageCallback logMessage) {
-    (void)resourcePath, (void)visible;
-    return instance_new(MODEL_EXCHANGE, instanceName, instantiationToken, loggingOn, log_fmi3,
+    (void)resourcePath, (void)visible, (void)loggingOn; /* see instance_new */
+    return instance_new(MODEL_EXCHANGE, instanceName, instantiationToken, log_fmi3,
                         (void (*)(void))logMessage, instanceEnvironment);
 }
 
@@ -49,9 +49,10 @@ fmi3Instance fmi3InstantiateCoSimulation(
     fmi3Boolean earlyReturnAllowed, const fmi3ValueReference requiredIntermediateVariables[],
     size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
     fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate) {
-    (void)resourcePath, (void)visible, (void)eventModeUsed; /* without events no event mode */
+    (void)resourcePath, (void)visible, (void)loggingOn; /* see instance_new */
+    (void)eventModeUsed;                                /* without events no event mode */
     (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables; /* all can be read */
-    Instance *s = instance_new(CO_SIMULATION, instanceName, instantiationToken, loggingOn, log_fmi3,
+    Instance *s = instance_new(CO_SIMULATION, instanceName, instantiationToken, log_fmi3,
                                (void (*)(void))logMessage, instanceEnvironment);
     if (s == NULL) return NULL;
     s->early_return_allowed = earlyReturnAllowed;

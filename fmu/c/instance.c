@@ -13,6 +13,7 @@ static const struct {
 } LOG_CATEGORIES[] = {
     {"logStatusError", LOG_ERROR},
     {"logStatusDiscard", LOG_DISCARD},
+    {"logStatusWarning", LOG_WARNING},
     {"logSteps", LOG_STEPS},
     {"logAll", LOG_EVERYTHING},
 };
@@ -26,7 +27,8 @@ __attribute__((format(printf, 4, 5)))
 /* Log a message for the importer and answer with the status, so that a refusal is one line. */
 static Status report(const Instance *s, Status status, const char *function, const char *format,
                      ...) {
-    unsigned mask = status == ERROR ? LOG_ERROR : status == DISCARD ? LOG_DISCARD : LOG_STEPS;
+    static const unsigned MASKS[] = {LOG_STEPS, LOG_WARNING, LOG_DISCARD, LOG_ERROR};
+    const unsigned mask = MASKS[status];
     if ((s->log_mask & mask) == 0 || s->log_callback == NULL) return status;
     char message[512];
     int length = snprintf(message, sizeof message, "%s: ", function);
@@ -45,7 +47,8 @@ static Status report(const Instance *s, Status status, const char *function, con
 static Status set_debug_logging(Instance *s, const char *function, int on, size_t n,
                                 const char *const categories[]) {
     if (s == NULL) return ERROR;
-    unsigned mask = n == 0 ? (on ? LOG_EVERYTHING : LOG_STEPS) : 0;
+    /* a refused call is always in the log, unless its category is named here */
+    unsigned mask = n == 0 ? (on ? LOG_EVERYTHING : LOG_STEPS | LOG_WARNING) : 0;
     for (size_t i = 0; i < n; i++) {
         size_t c = 0;
         const char *name = categories == NULL || categories[i] == NULL ? "" : categories[i];
@@ -123,16 +126,18 @@ static void set_start_values(Instance *s) {
     for (int i = 0; i < NX; i++) m->x[i] = X_START[i];
     for (int i = 0; i < NU; i++) m->u[i] = U_START[i];
     for (int i = 0; i < NP; i++) m->p[i] = P_START[i];
+    memset(s->warned, 0, sizeof s->warned);
     invalidate(s);
 }
 
-static Instance *instance_new(Kind kind, const char *name, const char *token, int logging,
-                              LogFunction *log, void (*log_callback)(void), void *environment) {
+static Instance *instance_new(Kind kind, const char *name, const char *token, LogFunction *log,
+                              void (*log_callback)(void), void *environment) {
     /* never the importer's own allocator: some of them cut the pointer to 32 bits */
     Instance *s = calloc(1, sizeof *s);
     if (s == NULL) return NULL;
     snprintf(s->name, sizeof s->name, "%s", name == NULL || *name == '\0' ? MODEL_NAME : name);
-    s->log_mask = LOG_ERROR | LOG_DISCARD | (logging ? LOG_STEPS : 0u);
+    /* a line for each step that went well only when logSteps or logAll is asked for */
+    s->log_mask = LOG_ERROR | LOG_DISCARD | LOG_WARNING;
     s->log = log;
     s->log_callback = log_callback;
     s->environment = environment;

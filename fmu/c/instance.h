@@ -19,7 +19,7 @@
 #endif
 
 /* The numbers are those of fmi2Status and fmi3Status. */
-typedef enum { OK = 0, DISCARD = 2, ERROR = 3 } Status;
+typedef enum { OK = 0, WARNING = 1, DISCARD = 2, ERROR = 3 } Status;
 
 typedef enum { MODEL_EXCHANGE = 0, CO_SIMULATION = 1 } Kind;
 
@@ -36,7 +36,13 @@ typedef enum {
 #define INITIALIZED (EVENT | CONTINUOUS | STEP | TERMINATED)
 #define ANY_MODE (INSTANTIATED | INITIALIZATION | INITIALIZED)
 
-typedef enum { LOG_ERROR = 1, LOG_DISCARD = 2, LOG_STEPS = 4, LOG_EVERYTHING = 7 } LogMask;
+typedef enum {
+    LOG_ERROR = 1,
+    LOG_DISCARD = 2,
+    LOG_STEPS = 4,
+    LOG_WARNING = 8,
+    LOG_EVERYTHING = 15
+} LogMask;
 
 /* All that a saved state holds; plain data of the same layout on every 64-bit platform. */
 typedef struct {
@@ -71,6 +77,7 @@ struct Instance {
     /* ways to the importer, opaque here */
     char name[128];
     unsigned log_mask;
+    char warned[LENGTH(NU)]; /* inputs whose value outside their range is in the log */
     LogFunction *log;
     StepFunction *after_step; /* NULL: not wanted */
     void *environment;
@@ -80,8 +87,8 @@ struct Instance {
 };
 
 /* ---- life ---- */
-static Instance *instance_new(Kind kind, const char *name, const char *token, int logging,
-                              LogFunction *log, void (*log_callback)(void), void *environment);
+static Instance *instance_new(Kind kind, const char *name, const char *token, LogFunction *log,
+                              void (*log_callback)(void), void *environment);
 static void instance_free(Instance *s);
 static Status set_debug_logging(Instance *s, const char *function, int on, size_t n,
                                 const char *const categories[]);
@@ -110,6 +117,8 @@ static Status get_states(Instance *s, const char *function, double *x, size_t n)
 static Status get_state_derivatives(Instance *s, const char *function, double *xdot, size_t n);
 static Status get_nominals(Instance *s, const char *function, double *nominals, size_t n);
 static Status get_count(Instance *s, const char *function, size_t value, size_t *count);
+/* Log inputs outside their min and max, each once until the next reset; they are used as given. */
+static void warn_of_inputs(Instance *s, const char *function);
 
 /* ---- derivatives ---- */
 static Status directional_derivative(Instance *s, const char *function, const unsigned *unknowns,

@@ -185,9 +185,10 @@ static void linearize(const SolverProblem *problem, SolverWork *w, double s, con
 }
 
 /* Steps of equal length and no error control: the work per call is known beforehand. */
-static SolverStatus advance_fixed(const SolverProblem *problem, double fixed_step, SolverWork *w,
-                                  double span, double *x, SolverReport *report) {
-    double count = ceil(span / fixed_step * (1.0 - 1e-9));
+static SolverStatus advance_fixed(const SolverProblem *problem, const SolverOptions *options,
+                                  SolverWork *w, double span, double *x, SolverReport *report) {
+    double count = ceil(span / options->fixed_step * (1.0 - 1e-9));
+    if (!(count <= (double)options->max_steps)) return SOLVER_TOO_MANY_STEPS;
     long steps = count < 1.0 ? 1 : (long)count;
     double h = span / (double)steps;
     for (long i = 0; i < steps; i++) {
@@ -249,7 +250,7 @@ static SolverStatus solver_advance(const SolverProblem *problem, const SolverOpt
                                    SolverReport *report) {
     *report = (SolverReport){.reached = 0.0, .step = step, .steps = 0, .rejected = 0};
     if (options->fixed_step > 0.0)
-        return advance_fixed(problem, options->fixed_step, work, span, x, report);
+        return advance_fixed(problem, options, work, span, x, report);
     return advance_controlled(problem, options, work, span, x, observer, observer_context, report);
 }
 

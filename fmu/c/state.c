@@ -11,6 +11,7 @@ typedef struct {
 } Header;
 
 static const char STATE_MAGIC[8] = {'P', 'A', 'M', 'S', 'T', 'A', 'T', 'E'};
+static const char STATE_TOKEN[48] = MODEL_TOKEN; /* filled up with zeros */
 enum { STATE_VERSION = 1 };
 
 struct SavedState {
@@ -26,24 +27,57 @@ static uint64_t checksum(const void *data, size_t size) {
     return hash;
 }
 
+/* Whether a state is one of this FMU; what lies behind the header is not looked at. */
+static Status check_header(const Instance *s, const char *function, const Header *h) {
+    static const uint8_t zero[8] = {0};
+    if (memcmp(h->zero, zero, sizeof zero) != 0 ||
+        memcmp(h->magic, STATE_MAGIC, sizeof STATE_MAGIC) != 0)
+        return report(s, ERROR, function, "this is no saved state");
+    if (h->version != STATE_VERSION)
+        return report(s, ERROR, function, "the state has version %u, this FMU reads version %d",
+                      (unsigned)h->version, STATE_VERSION);
+    if (h->size != sizeof(Memory) || memcmp(h->token, STATE_TOKEN, sizeof STATE_TOKEN) != 0)
+        return report(s, ERROR, function, "the state belongs to another FMU");
+    return OK;
+}
+
 static Status check_state(const Instance *s, const char *function, const SavedState *state) {
     if (check_mode(s, function, ANY_MODE) != OK) return ERROR;
     if (state == NULL) return report(s, ERROR, function, "no state is given");
-    if (memcmp(state->header.magic, STATE_MAGIC, sizeof STATE_MAGIC) != 0)
-        return report(s, ERROR, function, "this is no saved state");
-    return OK;
+    return check_header(s, function, &state->header);
+}
+
+/* What no instance of this FMU can have in its memory; NULL when all is as it may be. */
+static const char *impossible(const Memory *m) {
+    const int simulated = m->kind == CO_SIMULATION;
+    const int modes = INSTANTIATED | INITIALIZATION | TERMINATED |
+                      (simulated ? STEP : EVENT | CONTINUOUS);
+    if (!simulated && m->kind != MODEL_EXCHANGE) return "its kind";
+    if (m->mode <= 0 || (m->mode & (m->mode - 1)) != 0 || (m->mode & modes) == 0) return "its mode";
+    if (!isfinite(m->time) || isnan(m->stop_time) || m->stop_time == -INFINITY) return "its time";
+    if (!(m->tolerance > 0.0 && m->tolerance <= MODEL_TOLERANCE)) return "its tolerance";
+    if (!(m->step >= 0.0 && isfinite(m->step))) return "its step length";
+    if (!all_finite(m->x, NX)) return "a state";
+    if (!all_finite(m->u, NU)) return "an input";
+    for (int i = 0; i < NP; i++)
+        if (!isfinite(m->p[i]) || m->p[i] < P_MIN[i] || m->p[i] > P_MAX[i]) return "a parameter";
+    if (!all_finite(m->slope, NU) || !all_finite(m->last_slope, NU)) return "a slope of an input";
+    for (int i = 0; !simulated && i < NU; i++)
+        if (m->slope[i] != 0.0 || m->last_slope[i] != 0.0) return "a slope of an input";
+    return NULL;
 }
 
 static Status get_state(Instance *s, const char *function, SavedState **state) {
     if (check_mode(s, function, ANY_MODE) != OK) return ERROR;
     if (state == NULL) return report(s, ERROR, function, "the place for the state is missing");
+    if (*state != NULL && check_header(s, function, &(*state)->header) != OK) return ERROR;
     if (*state == NULL) *state = calloc(1, sizeof **state);
     if (*state == NULL) return report(s, ERROR, function, "out of memory");
     Header *h = &(*state)->header;
     memcpy(h->magic, STATE_MAGIC, sizeof h->magic);
     h->version = STATE_VERSION;
     h->size = (uint32_t)sizeof(Memory);
-    strncpy(h->token, MODEL_TOKEN, sizeof h->token - 1);
+    memcpy(h->token, STATE_TOKEN, sizeof h->token);
     memcpy(&(*state)->memory, &s->memory, sizeof(Memory));
     return OK;
 }
@@ -88,22 +122,19 @@ static Status serialize(Instance *s, const char *function, const SavedState *sta
 
 static Status check_bytes(const Instance *s, const char *function, const uint8_t *bytes,
                           size_t size) {
-    static const uint8_t zero[8] = {0};
     Header h;
+    Memory memory;
     if (bytes == NULL || size < sizeof(SavedState))
         return report(s, ERROR, function, "%zu bytes are given, a state has %zu", size,
                       sizeof(SavedState));
     memcpy(&h, bytes, sizeof h);
-    if (memcmp(h.zero, zero, sizeof zero) != 0 ||
-        memcmp(h.magic, STATE_MAGIC, sizeof STATE_MAGIC) != 0)
-        return report(s, ERROR, function, "these bytes are no saved state");
-    if (h.version != STATE_VERSION)
-        return report(s, ERROR, function, "the state has version %u, this FMU reads version %d",
-                      (unsigned)h.version, STATE_VERSION);
-    if (h.size != sizeof(Memory) || strncmp(h.token, MODEL_TOKEN, sizeof h.token) != 0)
-        return report(s, ERROR, function, "the state belongs to another FMU");
+    if (check_header(s, function, &h) != OK) return ERROR;
     if (h.checksum != checksum(bytes + sizeof h, sizeof(Memory)))
         return report(s, ERROR, function, "the state is damaged: its checksum is wrong");
+    memcpy(&memory, bytes + offsetof(SavedState, memory), sizeof memory);
+    const char *wrong = impossible(&memory);
+    if (wrong != NULL)
+        return report(s, ERROR, function, "no instance can be in this state: %s", wrong);
     return OK;
 }
 
@@ -111,6 +142,7 @@ static Status deserialize(Instance *s, const char *function, const uint8_t *byte
                           SavedState **state) {
     if (check_mode(s, function, ANY_MODE) != OK) return ERROR;
     if (state == NULL) return report(s, ERROR, function, "the place for the state is missing");
+    if (*state != NULL && check_header(s, function, &(*state)->header) != OK) return ERROR;
     if (check_bytes(s, function, bytes, size) != OK) return ERROR;
     if (*state == NULL) *state = calloc(1, sizeof **state);
     if (*state == NULL) return report(s, ERROR, function, "out of memory");

@@ -77,6 +77,9 @@ static Status check_step(const Instance *s, const char *function, double point, 
     if (!isfinite(point) || !isfinite(size) || !(size > 0.0))
         return report(s, ERROR, function, "communication point %g, step %g: the step must be > 0",
                       point, size);
+    if (!(point + size > point) || !isfinite(point + size))
+        return report(s, ERROR, function, "a step of %g is lost in rounding at time %.12g", size,
+                      point);
     /* the importer's sum of steps drifts from ours; only a real gap is an error */
     double slack = 1e-3 * size + 1e-9 * (1.0 + fabs(m->time));
     if (fabs(point - m->time) > slack)
@@ -126,6 +129,7 @@ static Status do_step(Instance *s, const char *function, double point, double si
     s->memory.time = point + (*early ? context.offset : size);
     s->memory.step = solver.step;
     *reached = s->memory.time;
+    warn_of_inputs(s, function); /* where a slope has led them */
     if (s->log_mask & LOG_STEPS)
         report(s, OK, function, "to time %.12g, internal steps: %ld, rejected: %ld", *reached,
                steps, rejected);

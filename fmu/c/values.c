@@ -110,7 +110,26 @@ static Status set_values(Instance *s, const char *function, const unsigned *vr, 
         *target = values[i];
     }
     invalidate(s);
+    warn_of_inputs(s, function);
     return OK;
+}
+
+/* A plan or a change of units may pass a bound by rounding, which is not worth a word. */
+static int is_outside(double value, double low, double high) {
+    const double a = isfinite(low) ? fabs(low) : 0.0, b = isfinite(high) ? fabs(high) : 0.0;
+    const double slack = 1e-6 * (a > b ? a : b);
+    return value < low - slack || value > high + slack;
+}
+
+static void warn_of_inputs(Instance *s, const char *function) {
+    if ((s->log_mask & LOG_WARNING) == 0) return;
+    for (int i = 0; i < NU; i++) {
+        const double value = s->memory.u[i];
+        if (s->warned[i] || !is_outside(value, U_MIN[i], U_MAX[i])) continue;
+        s->warned[i] = 1;
+        report(s, WARNING, function, "%s = %g is outside %g .. %g; it is used as it is",
+               NAMES[VR_U + i], value, U_MIN[i], U_MAX[i]);
+    }
 }
 
 /* ---- Model Exchange ---- */

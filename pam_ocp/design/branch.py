@@ -104,12 +104,8 @@ class _Curve:
     def __init__(self, plant: Plant, name: str, given: Values, free: Sequence[str]) -> None:
         variable = plant.variable(name)
         self.name = variable.name
-        search, targets = posed(plant, given, free)
-        loose = list(search.free)
-        if variable.causality == "parameter":
-            loose.append(self.name)
-        kept = {n: v for n, v in targets.items() if n != self.name}
-        self.search = type(search)(search.plant, kept, loose, {})
+        self.search = posed(plant, given, free).along(self.name)
+        loose = self.search.free
         plant, self.scale = self.search.plant, self.search.nominal
         value = plant.expression(self.name) / variable.nominal
         extra = ca.SX.sym("extra", len(loose))
@@ -117,6 +113,7 @@ class _Curve:
         if loose:
             value = ca.substitute(value, ca.vertcat(*(plant.expression(n) for n in loose)), extra)
         self._value = ca.Function("value", [z, plant.p], [value, ca.jacobian(value, z)])
+        self._p = plant.vector("parameter")
         self._nominal = variable.nominal
         self._names = [v.name for v in (*plant.states, *plant.inputs)] + loose
 
@@ -128,11 +125,11 @@ class _Curve:
 
     def value(self, w: Array) -> float:
         """Of the variable [SI]."""
-        return float(self._value(w * self.scale, self.search.p)[0]) * self._nominal
+        return float(self._value(w * self.scale, self._p)[0]) * self._nominal
 
     def rate(self, w: Array, tangent: Array) -> float:
         """Change of the variable along the branch, in units of nominal."""
-        gradient = np.asarray(self._value(w * self.scale, self.search.p)[1], dtype=float).ravel()
+        gradient = np.asarray(self._value(w * self.scale, self._p)[1], dtype=float).ravel()
         return float(gradient @ (tangent * self.scale))
 
     def leaves(self, w: Array) -> str:

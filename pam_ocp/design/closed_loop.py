@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError, require_positive
+from ..plant.opening import Inversion
 from ..plant.plant import Plant, Values, require_plant
 from ..signals import PiecewisePolynomial
 from ..simulate import evaluated
@@ -35,6 +36,7 @@ class Controller(Protocol):
 
     def __call__(self, t: float, measured: Measured) -> Mapping[str, float]:
         """Inputs by name [SI] to hold from t [s] on; those left out stay at their start value.
+        Openings of valves (``muscle.opening``) may be answered in place of their commands.
 
         ``measured`` gives every state and output of the plant by name, with noise where asked for.
         """
@@ -150,6 +152,7 @@ class _Inputs:
             plant.vector("input", attribute=a) for a in ("start", "min", "max")
         )
         self.index = {v.name: i for i, v in enumerate(plant.inputs)}
+        self.inversion = Inversion(plant)
         self.disturbances = [(self._position(n), v) for n, v in disturbances.items()]
 
     def _position(self, name: str) -> int:
@@ -163,6 +166,8 @@ class _Inputs:
 
     def __call__(self, t: float, answer: Mapping[str, float]) -> Array:
         u = self.start.copy()
+        if self.inversion:
+            answer = self.inversion.commands(answer)
         for name, value in answer.items():
             i = self.index[name] if name in self.index else self._position(name)
             u[i] = value

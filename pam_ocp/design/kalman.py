@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..equilibrium import OperatingPoint
 from ..errors import InputError, require_positive
-from ..linear import linearize
+from ..linear import inside, linearize
+from ..plant.opening import Inversion
 from ..plant.plant import Plant, Values, require_plant
 from .closed_loop import Controller, Measured
 
@@ -26,6 +27,8 @@ class KalmanFilter:
 
     gain : (states and disturbances, measured), stationary. In each sample: ``correct(measured)``,
     then ``predict(inputs)`` to the next one. ``disturbance`` : {input: estimate} of those estimated.
+    inversion : for a plant fed by valves, whose openings are the linear model's inputs: ``predict``
+    takes commands (or openings), and an estimated offset is one of the opening.
     """
 
     point: OperatingPoint
@@ -35,6 +38,7 @@ class KalmanFilter:
     system: Any = field(repr=False)
     """python-control's sampled system, x[k+1] = A x[k] + B u[k]; disturbances are its last states."""
     disturbances: list[str] = field(default_factory=list)
+    inversion: Inversion | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         self._a, self._b, self._c, self._d = (
@@ -64,6 +68,8 @@ class KalmanFilter:
     def predict(self, inputs: Mapping[str, float]) -> None:
         """Go on to the next sample under inputs by name (kept within the plant's range)."""
         variables = self.point.plant.inputs
+        if self.inversion:
+            inputs = self.inversion.openings(inputs)
         u = np.array([np.clip(inputs.get(v.name, v.start or 0.0), v.min, v.max) for v in variables])
         self._u = u - self.point.u
         self._u[[v.name in self.disturbances for v in variables]] = 0.0  # they are states here
@@ -92,11 +98,11 @@ def kalman(
     Raises InputError when the states cannot be told from what is measured.
     """
     require_plant(plant)
-    if not isinstance(at, OperatingPoint):
-        at = plant.equilibrium(at)
+    inversion, at = inside(plant, at)
+    plant = at.plant
     names = [plant.variable(n).name for n in measured]
     noise = np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
-    unknown = {plant.variable(n).name: v for n, v in (disturbances or {}).items()}
+    unknown = inversion.names(disturbances or {})
     system = _with_disturbances(plant, linearize(plant, at, outputs=names, dt=dt), list(unknown))
     states = plant.vector("state", attribute="nominal")
     sizes = [plant.variable(n).nominal for n in unknown]
@@ -111,7 +117,9 @@ def kalman(
     ]
     nominal = np.concatenate([states, sizes])
     gain = _stationary(system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * dt)
-    return KalmanFilter(at, names, gain, dt, system, list(unknown))
+    return KalmanFilter(
+        at, names, gain, dt, system, list(unknown), inversion if inversion else None
+    )
 
 
 def _with_disturbances(plant: Plant, system: Any, disturbances: list[str]) -> Any:

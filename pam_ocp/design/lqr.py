@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..equilibrium import OperatingPoint
 from ..errors import InputError, require_positive
-from ..linear import linearize
+from ..linear import inside, linearize, no_influence
+from ..plant.opening import Inversion
 from ..plant.plant import Plant, Values, require_plant
 from .closed_loop import Measured
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 __all__ = ["StateFeedback", "Weighting", "lqr"]
 
 Array: TypeAlias = NDArray[np.float64]
+LEAST_WEIGHT = 0.3
+"""Of each state [per nominal] where the weights given leave a motion without cost and decay."""
+DECAY = 1e-8
+"""A pole of the closed loop slower than this part of the fastest rate counts as none."""
 Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
 
 
@@ -28,7 +33,9 @@ Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, floa
 class Weighting:
     """The cost: the sum of (weight value / nominal)^2 over states, outputs and inputs, per second.
 
-    weights : {state or output: weight}; by default 10 for each position, 1 for each velocity.
+    weights : {state or output: weight}; by default 10 for each position, 1 for each velocity. Where
+        these leave a motion that neither decays nor costs anything (the co-contraction of a pair on
+        closed valves), every state gets ``LEAST_WEIGHT`` besides.
     effort : weight of each input, a number or {input: weight}.
     integral : {state or output: weight of its integrated error [per s]}.
     """
@@ -129,12 +136,20 @@ def saturated(u: Array, low: Array, high: Array) -> bool:
     return bool(np.any((u < low) | (u > high)))
 
 
+def sent(inversion: Inversion | None, inputs: list[str], u: Array) -> dict[str, float]:
+    """A controller's answer by name: openings become the commands that give them."""
+    answer = dict(zip(inputs, u.tolist(), strict=True))
+    return inversion.commands(answer) if inversion else answer
+
+
 @dataclass
 class StateFeedback:
     """u = u0 - K (x - x0) - Ki integral(y - wanted): a Controller for :func:`closed_loop`.
 
     K : (inputs, states), Ki : (inputs, integrated outputs), SI units. ``closed`` : python-control's
     system of the closed loop (linear), ``loop`` : the loop broken at the inputs, for margins.
+    inversion : for a plant fed by valves, whose openings are u (then ``point`` and ``inputs`` speak of
+    them): the commands that give these openings are sent.
     """
 
     point: OperatingPoint
@@ -145,6 +160,7 @@ class StateFeedback:
     dt: float
     setpoint: Setpoint = None
     system: Any = field(default=None, repr=False)
+    inversion: Inversion | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         plant = self.point.plant
@@ -175,7 +191,7 @@ class StateFeedback:
             goal = self.wanted(t)
             error = np.array([measured[n] - goal[n] for n in self.integrated])
             self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
-        return dict(zip(self.inputs, u.tolist(), strict=True))
+        return sent(self.inversion, self.inputs, u)
 
     def _augmented(self) -> tuple[Array, Array, Array]:
         """A, B with the integrals as last states, and all gains; continuous time."""
@@ -214,6 +230,38 @@ class StateFeedback:
         return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 
 
+def stationary(
+    a: Array, b: Array, q: Array, r: Array, states: int, dt: float | None = None
+) -> tuple[Array, Array, Array]:
+    """Gains, solution P of the Riccati equation and Q of a feedback that is seen to stabilise.
+
+    The first ``states`` get the least weight where without it none is found. dt : sampled, inputs held.
+    Raises ValueError when none is found.
+    """
+    import control
+
+    least = np.zeros_like(q)
+    least[:states, :states] = LEAST_WEIGHT**2 * np.eye(states)
+    reason: object = "a pole stays on the imaginary axis"
+    for used in (q, q + least):
+        try:
+            if dt is None:
+                k, p, poles = control.lqr(a, b, used, r)
+                decay = -np.real(poles)
+            else:
+                held = control.ss(a, b, np.zeros((1, len(a))), np.zeros((1, b.shape[1]))).sample(dt)
+                k, p, poles = control.dlqr(held.A, held.B, used * dt, r * dt)
+                decay = -np.log(np.maximum(np.abs(poles), 1e-300)) / dt
+        except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+            reason = error
+            continue
+        # the solver's own residual is not looked at by python-control: its poles tell
+        fastest = max(float(np.abs(decay).max()), float(np.abs(a).max()))
+        if np.all(np.isfinite(k)) and decay.min() > DECAY * fastest:
+            return np.asarray(k), np.asarray(p), used
+    raise ValueError(reason)
+
+
 def lqr(
     plant: Plant,
     at: OperatingPoint | Values | None = None,
@@ -227,39 +275,39 @@ def lqr(
 ) -> StateFeedback:
     """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
 
+    A plant fed by valves is controlled by its openings (``plant.in_openings()``), from closed rest too;
+    the commands that give them are sent. ``effort`` may name either.
+
     at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
     dt : sampling time [s] of the controller. sampled : design for inputs held over dt
         (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
 
-    Raises InputError when no stabilising feedback exists (a state that is a pure integral, such as
+    Raises InputError when no input has an influence at the point, or when no stabilising feedback exists (a state that is a pure integral, such as
     the totals of a gas feed, or an integrated output that the inputs cannot move).
     """
-    import control
-
     require_plant(plant)
     require_positive("dt", dt, "s")
-    if at is None or not isinstance(at, OperatingPoint):
-        at = plant.equilibrium(at)
-    weighting = Weighting(at.plant, weights, effort, integral or {})
+    inversion, at = inside(plant, at)
+    plant = at.plant
+    if isinstance(effort, Mapping):
+        effort = inversion.names(effort)
+    weighting = Weighting(plant, weights, effort, integral or {})
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
     system = linearize(plant, at, inputs=weighting.inputs)
+    no_influence("lqr", plant, np.asarray(system.B), weighting.inputs)
     a, b, q, r = weighting.scaled(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
     try:
-        if sampled:
-            zero = np.zeros((1, len(a))), np.zeros((1, b.shape[1]))
-            held = control.ss(a, b, *zero).sample(dt)
-            k = control.dlqr(held.A, held.B, q * dt, r * dt)[0]
-        else:
-            k = control.lqr(a, b, q, r)[0]
-        if not np.all(np.isfinite(k)):
-            raise ValueError("gains are not finite")
-    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+        k = stationary(a, b, q, r, len(plant.states), dt if sampled else None)[0]
+    except ValueError as error:
         raise InputError(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
-    gains = weighting.unscaled(np.asarray(k))
-    return StateFeedback(at, weighting.inputs, *gains, weighting.integrated, dt, setpoint, system)
+    gains = weighting.unscaled(k)
+    return StateFeedback(
+        at, weighting.inputs, *gains, weighting.integrated, dt, setpoint, system,
+        inversion if inversion else None,
+    )  # fmt: skip

@@ -13,7 +13,7 @@ from ..errors import InputError, require_instance
 from ..linear import chosen_signals, linearize
 from .closed_loop import Measured
 from .kalman import KalmanFilter
-from .lqr import StateFeedback
+from .lqr import StateFeedback, sent
 
 __all__ = ["OffsetFree"]
 
@@ -117,6 +117,5 @@ class OffsetFree:
         n = len(self._states)
         u = point.u[self._chosen] + rest[n:] - feedback.K @ (estimate - point.x - rest[:n])
         u = np.clip(u, self._low, self._high)
-        inputs = dict(zip(feedback.inputs, u.tolist(), strict=True))
-        self.filter.predict(inputs)
-        return inputs
+        self.filter.predict(dict(zip(feedback.inputs, u.tolist(), strict=True)))
+        return sent(feedback.inversion, feedback.inputs, u)

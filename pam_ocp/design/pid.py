@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, require_positive
+from ..plant.opening import Inversion
 from ..plant.plant import Plant
 from .closed_loop import Measured
 from .inverse import InverseDynamics
@@ -67,13 +68,15 @@ class PressureLoop:
     time_constant : of the closed pressure loop [s]. A ``Regulator`` gets the command
         p + lag/time_constant (p_wanted - p), which makes it as quick as that (None: p_wanted itself);
         pressures that are inputs are simply set.
-    gain : opening of a valve per pressure error [1/Pa], for spool and on/off valves.
+    gain : opening of a valve per pressure error [1/Pa], for spool and on/off valves; the command that
+        gives this opening is sent, so that the dead zone of a spool leaves no error.
     """
 
     def __init__(
         self, plant: Plant, time_constant: float | None = None, gain: float = 2e-5
     ) -> None:
         self.gain = require_positive("gain", gain, "1/Pa")
+        self.inversion = Inversion(plant)
         names = {v.name: v for v in plant.variables}
         self._rules: list[Callable[[Mapping[str, float], Measured], dict[str, float]]] = []
         muscles = [n.removesuffix(".pressure") for n in names if n.endswith(".pressure")]
@@ -107,7 +110,8 @@ class PressureLoop:
         return rule
 
     def _spool(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
-        return lambda p, y: {f"{m}.command": self._opening(p[m] - y[f"{m}.pressure"])}
+        name = self.inversion.name(f"{m}.command")  # the opening where the plant declares one
+        return lambda p, y: {name: self._opening(p[m] - y[f"{m}.pressure"])}
 
     def _on_off(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
         def rule(p: Mapping[str, float], y: Measured) -> dict[str, float]:
@@ -124,7 +128,7 @@ class PressureLoop:
         inputs: dict[str, float] = {}
         for rule in self._rules:
             inputs.update(rule(wanted, measured))
-        return inputs
+        return self.inversion.commands(inputs)
 
 
 class PositionController:

@@ -38,7 +38,7 @@ def equilibria(
     ``point.stability`` and ``point.poles``. A search by samples: it can miss one with a small basin.
     Raises InputError for bad conditions, EquilibriumError when there is none.
     """
-    search, targets = posed(plant, {**(conditions or {}), **more}, free)
+    search = posed(plant, {**(conditions or {}), **more}, free)
     if starts < 1:
         raise InputError(f"starts = {starts} must be >= 1")
     found: list[Array] = []
@@ -51,7 +51,7 @@ def equilibria(
                 found.append(point)
             break
     if not found:
-        raise EquilibriumError(why_not(search, targets, search.nearest(search.start)))
+        raise EquilibriumError(why_not(search, search.nearest(search.start)))
     return [search.point(z) for z in sorted(found, key=lambda z: tuple(z / search.nominal))]
 
 
@@ -101,7 +101,7 @@ def equilibrium_path(
             points.append(equilibrium(plant, given, free=free))
         else:
             try:
-                search, _ = posed(plant, given, free)
+                search = posed(plant, given, free)
             except InputError as error:  # the value itself leaves its range
                 end = str(error)
                 break

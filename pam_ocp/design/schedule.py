@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import require_positive
 from ..linear import LinearGrid, linearize_grid
-from ..plant.plant import Plant, Values
+from ..plant.opening import Inversion
+from ..plant.plant import Plant, Values, require_plant
 from .closed_loop import Measured
-from .lqr import Integrals, lqr, saturated
+from .lqr import Integrals, lqr, saturated, sent
 
 __all__ = ["ScheduledFeedback", "scheduled_lqr"]
 
@@ -25,7 +26,8 @@ class ScheduledFeedback:
     """u = u0(s) - K(s) (x - x0(s)) - Ki(s) integral(y - y(s)): a Controller, s the place in the grid.
 
     place : t -> {axis: value}, where the plant is to be (position and stiffness, say): it chooses the
-    point of rest and the gains. Values beyond the grid are taken at its border.
+    point of rest and the gains. Values beyond the grid are taken at its border. For a plant fed by
+    valves u stands for the openings; the commands that give them are sent.
     """
 
     family: LinearGrid
@@ -34,6 +36,7 @@ class ScheduledFeedback:
     integrated: list[str]
     place: Callable[[float], Mapping[str, float]]
     dt: float
+    inversion: Inversion | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         plant = self.family.plant
@@ -73,7 +76,7 @@ class ScheduledFeedback:
         if self.integrated:
             error = np.array([measured[n] for n in self.integrated]) - goals
             self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
-        return dict(zip(self.family.inputs, u.tolist(), strict=True))
+        return sent(self.inversion, list(self.family.inputs), u)
 
 
 def scheduled_lqr(
@@ -93,8 +96,12 @@ def scheduled_lqr(
     place : t [s] -> {axis: value}. weights, effort, integral : see :class:`Weighting`.
     dt : sampling time [s] of the controller.
     """
-    inputs = [v.name for v in plant.inputs if not v.disturbance]
-    family = linearize_grid(plant, axes, conditions, inputs=inputs)
+    inversion = Inversion(require_plant(plant))
+    inner = inversion.inner
+    if isinstance(effort, Mapping):
+        effort = inversion.names(effort)
+    inputs = [v.name for v in inner.inputs if not v.disturbance]
+    family = linearize_grid(inner, axes, inversion.conditions(conditions), inputs=inputs)
     designs = [
         lqr(p.plant, p, weights=weights, effort=effort, integral=integral, dt=dt)
         for p in family.points.ravel()
@@ -103,5 +110,6 @@ def scheduled_lqr(
     k = np.array([d.K for d in designs]).reshape(*shape, *designs[0].K.shape)
     ki = np.array([d.Ki for d in designs]).reshape(*shape, *designs[0].Ki.shape)
     return ScheduledFeedback(
-        family, k, ki, designs[0].integrated, place, require_positive("dt", dt, "s")
-    )
+        family, k, ki, designs[0].integrated, place, require_positive("dt", dt, "s"),
+        inversion if inversion else None,
+    )  # fmt: skip

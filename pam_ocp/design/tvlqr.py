@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, require_positive
-from ..linear import LinearAlong, linearize_along
+from ..linear import LinearAlong, linearize_along, no_influence
+from ..plant.opening import Inversion
 from ..plant.plant import Plant, require_plant
 from ..trajectory import Trajectory
 from .closed_loop import Measured
-from .lqr import Integrals, Weighting, saturated
+from .lqr import Integrals, Weighting, saturated, sent, stationary
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
 
@@ -51,6 +52,7 @@ class TrajectoryFeedback:
 
     t : (n,) [s]; K : (n, inputs, states), Ki : (n, inputs, integrated), SI units; P : (n, N, N), the
     solution of the Riccati equation in units of nominal (cost to go = z' P z, z in nominals).
+    For a plant fed by valves u stands for the openings (``inputs``); commands are sent.
     """
 
     plant: Plant
@@ -64,10 +66,13 @@ class TrajectoryFeedback:
 
     def __post_init__(self) -> None:
         self._open = OpenLoop(self.plant, self.motion, self.dt)
+        self._inversion = Inversion(self.plant)
+        inner = self._inversion.inner
+        self.inputs = [v.name for v in inner.inputs if not v.disturbance]
         self._states = [v.name for v in self.plant.states]
         self._x = self.motion.array(self._states)
         self._y = self.motion.array(self.integrated)
-        chosen = [self.plant.variable(n) for n in self._open.inputs]
+        chosen = [inner.variable(n) for n in self.inputs]
         self._low, self._high = (np.array([getattr(v, a) for v in chosen]) for a in ("min", "max"))
         self._integrals = Integrals(self.integrated)
 
@@ -83,15 +88,23 @@ class TrajectoryFeedback:
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         x = np.array([measured[n] for n in self._states])
-        u = self._open.planned(t) - self._row(t, self.K, self.t) @ (
-            x - self._row(t, self._x, self.motion.t)
-        )
+        planned = self._planned(t)
+        u = planned - self._row(t, self.K, self.t) @ (x - self._row(t, self._x, self.motion.t))
         u = u - self._row(t, self.Ki, self.t) @ self._integrals.values
         if self.integrated:
             y = np.array([measured[n] for n in self.integrated])
             error = y - self._row(t, self._y, self.motion.t)
             self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
-        return dict(zip(self._open.inputs, u.tolist(), strict=True))
+        return sent(self._inversion, self.inputs, u)
+
+    def _planned(self, t: float) -> Array:
+        """The motion's inputs, commands as the openings that they give."""
+        planned = self._open.planned(t)
+        if not self._inversion:
+            return planned
+        named = dict(zip(self._open.inputs, planned.tolist(), strict=True))
+        inner = self._inversion.openings(named)
+        return np.array([inner[n] for n in self.inputs])
 
 
 def tvlqr(
@@ -114,6 +127,9 @@ def tvlqr(
     weights, effort, integral : see :class:`Weighting`, in units of nominal.
     final : P at the end (in units of nominal); by default that of the stationary LQR there, so that
         the plant can be held where the motion ends.
+    A plant fed by valves is controlled by its openings, which leave no stretch without influence; the
+    motion holds its commands, as a plan does.
+
     t : times at which A, B and K are taken; by default the motion's samples.
     dt : sampling time [s] of the controller.
 
@@ -128,12 +144,20 @@ def tvlqr(
             f"motion is a {type(motion).__name__}, not a Trajectory of the plant, such as "
             "plan.trajectory"
         )
-    weighting = Weighting(plant, weights, effort, integral or {})
+    inversion = Inversion(plant)
+    if isinstance(effort, Mapping):
+        effort = inversion.names(effort)
+    weighting = Weighting(inversion.inner, weights, effort, integral or {})
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
-    along = linearize_along(plant, motion, t=t, inputs=weighting.inputs)
+    sampled = motion if t is None else motion.at(t)
+    if inversion:
+        sampled = in_openings(inversion, sampled)
+    along = linearize_along(inversion.inner, sampled, inputs=weighting.inputs)
+    no_influence("tvlqr", inversion.inner, along.B, weighting.inputs)
     a, b, q, r = _along(weighting, along, outputs)
     size, inverse = a.shape[-1], np.linalg.inv(r)
-    end = _final(final, a[-1], b[-1], q[-1], r)
+    end, least = _final(final, a[-1], b[-1], q[-1], r, len(plant.states))
+    q = q + least
 
     def riccati(time: float, flat: Any) -> Any:
         i = int(np.clip(np.searchsorted(along.t, time, side="right") - 1, 0, len(along.t) - 2))
@@ -163,6 +187,21 @@ def tvlqr(
     )  # fmt: skip
 
 
+def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
+    """A motion with the openings that its commands give, in place of the commands."""
+    names = [v.name for v in inversion.plant.inputs]
+    missing = [n for n in names if n not in motion]
+    if missing:
+        raise InputError(
+            f"the motion holds no column {missing[0]!r} of plant {inversion.plant.name!r}"
+        )
+    rows = inversion.rows(motion.array(names))
+    states = [v.name for v in inversion.plant.states if v.name in motion]
+    columns = {n: motion[n] for n in states}
+    columns |= {v.name: rows[:, i] for i, v in enumerate(inversion.inner.inputs)}
+    return Trajectory(motion.t, columns, [inversion.inner.variable(n) for n in columns])
+
+
 def _along(
     weighting: Weighting, along: LinearAlong, outputs: list[str]
 ) -> tuple[Array, Array, Array, Array]:
@@ -175,18 +214,19 @@ def _along(
     return a, b, q, r[0]
 
 
-def _final(final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array) -> Array:
+def _final(
+    final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array, states: int
+) -> tuple[Array, Array]:
+    """P at the end, and what the stationary LQR there needed of weight besides Q."""
     if final is not None:
         given = np.asarray(final, float)
         if given.shape != a.shape:
             raise InputError(f"final has shape {given.shape}; the Riccati matrix has {a.shape}")
-        return given
-    import control
-
+        return given, np.zeros_like(q)
     try:
-        p = np.asarray(control.care(a, b, q, r)[0])
-    except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+        _, p, used = stationary(a, b, q, r, states)
+    except ValueError as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
         ) from None
-    return p
+    return p, used - q

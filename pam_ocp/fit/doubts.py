@@ -9,16 +9,22 @@ import numpy as np
 
 if TYPE_CHECKING:
     from .force_fit import ForceFit
+    from .statistics import Linearisation
 
-__all__ = ["at_edge", "force_warnings", "unseen"]
+__all__ = ["at_edge", "following", "force_warnings", "unseen"]
 
 MOST_SHOWN = 3
 """Combinations that are spelled out."""
 
 
+LIKELY = 0.95
+"""Probability from which a correlation is stated as a fact."""
+
+
 def force_warnings(fit: ForceFit) -> tuple[str, ...]:
     """See :attr:`ForceFit.warnings`."""
-    found = [*unseen(fit), *_saturated(fit)]
+    found = [fit.solver.doubt] if fit.solver.doubt else []
+    found += [*unseen(fit), *_saturated(fit), *following(fit.linearisation)]
     if fit.dof == 0:
         found.append("as many coefficients as taut cells: no error can be estimated")
     return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
@@ -48,6 +54,22 @@ def at_edge(names: Iterable[str], values: Mapping[str, float]) -> list[str]:
         f"{name} = {values[name]:g} ended at the edge of its range: its interval means "
         "nothing; hold it with fixed=... or take another law"
         for name in names
+    ]
+
+
+def following(linear: Linearisation) -> list[str]:
+    """That errors follow each other, and what that does to intervals."""
+    serial = linear.serial
+    if serial is None:
+        return []
+    plain, wide = linear.independent.stderr(), linear.stderr()
+    seen = np.isfinite(plain) & (plain > 0)
+    reach = linear.reach(0.95) / linear.independent.reach(0.95)
+    factor = reach * float(np.median(wide[seen] / plain[seen])) if seen.any() else reach
+    return [
+        f"errors {'' if serial.probability > LIKELY else 'may '}follow each other {serial.order} "
+        f"(probability {100 * serial.probability:.3g} %, correlation of neighbours about "
+        f"{serial.correlation:.2g}): intervals and bands are widened for it, by a factor of about {factor:.2g}"
     ]
 
 

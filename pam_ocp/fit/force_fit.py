@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike
 from ..errors import InputError, UnknownNameError
 from ..muscle.force import ForceLaw
 from ..muscle.muscle import Muscle
+from .correlation import sequences, serial_errors
 from .polish import SLACK_TOLERANCE
 from .problem import PLAIN, Problem, Terms
-from .robust import BISQUARE, robust_scale, spread
+from .robust import BISQUARE, HUBER, robust_scale, spread
 from .statistics import (
     Array,
     Coefficient,
@@ -26,15 +27,20 @@ from .statistics import (
     Prediction,
     SolverStatistics,
     sensitivity,
-    student_t,
 )
 from .tables import ForceTable
 
 if TYPE_CHECKING:
     from .bootstrap import Bootstrap, Resampling
     from .branches import LackOfFit
+    from .correlation import SerialErrors
+    from .profile import Ends
 
 __all__ = ["ForceFit"]
+
+STRAIGHT = 0.2
+"""By this part of its half width the profile interval of a coefficient may differ from value ± t errors
+for the law to count as nearly linear in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,15 +156,35 @@ class ForceFit:
     def linearisation(self) -> Linearisation:
         """The weighted least-squares problem near its optimum."""
         variables = {v.name: v for v in self.law.coefficient_variables()}
+        jacobian = self.problem.with_priors(self._vector)[1][0][:, list(self.problem.free)]
         return Linearisation(
             self.free,
             np.array([float(self.law.values[n]) for n in self.free]),
             [variables[n].unit for n in self.free],
-            self.problem.with_priors(self._vector)[1][0][:, list(self.problem.free)],
+            jacobian,
             self._scale,
             self.dof,
             self._active,
+            serial_errors(jacobian, self._influential, sequences(self.cells)),
         )
+
+    @property
+    def _influential(self) -> Array:
+        """Weighted residuals as they count: cells far off do not after a robust fit."""
+        residuals = self.root_weights * self.residuals
+        if np.linalg.norm(residuals) <= 1e-9 * np.linalg.norm(self.root_weights * self.cells.force):
+            return np.zeros(self.n)  # rounding errors follow each other, too
+        if self.terms.loss == "squares":
+            return residuals
+        if self.terms.loss == "l1":
+            edge = HUBER * spread(residuals, len(self.free))
+            return np.clip(residuals, -edge, edge)
+        return residuals * self.terms.reweighting(residuals, 0.0) ** 2
+
+    @property
+    def serial(self) -> SerialErrors | None:
+        """How errors follow each other along a ramp, which widens all intervals; None where they do not."""
+        return self.linearisation.serial
 
     @property
     def _vector(self) -> Array:
@@ -231,9 +257,19 @@ class ForceFit:
 
         By profile likelihood, as :meth:`profile_interval`, wherever it is defined: after least
         squares without inequalities. Else, and with ``linearised``, value ± t standard errors, which
-        is short on one side for a coefficient in which the law bends.
+        is short on one side for a coefficient in which the law bends. An end may be infinite: see
+        :meth:`open_ends`.
         """
         return self._intervals(self.free, level, linearised)
+
+    def open_ends(self, level: float = 0.95) -> dict[str, str]:
+        """Why an interval of :meth:`intervals` has an infinite end, by coefficient."""
+        found = {
+            n: "the data do not see it alone"
+            for n in self.free
+            if not np.isfinite(self.coefficients[n].stderr)
+        }
+        return found | {n: e.reason for n, e in self._profiled(level).items() if e.reason}
 
     @property
     def has_profile(self) -> bool:
@@ -243,18 +279,25 @@ class ForceFit:
     def _intervals(
         self, names: Sequence[str], level: float, linearised: bool
     ) -> dict[str, tuple[float, float]]:
-        from .profile import profile_ends
-
-        reach = student_t(level, self.dof)
+        reach = self.linearisation.reach(level)
         found = {}
         for name in names:
             c = self.coefficients[name]
             found[name] = (c.value - reach * c.stderr, c.value + reach * c.stderr)
-        bent = [n for n in names if np.isfinite(self.coefficients[n].stderr)]
-        trusted = self.has_profile and not self.solver.at_bound and self.sigma > 0
-        if trusted and not linearised and bent and self.problem.nonlinear:
-            found |= profile_ends(self, bent, reach)
+        if not linearised and self.has_profile and self.sigma > 0:
+            found |= {n: (e.low, e.high) for n, e in self._profiled(level).items() if n in names}
         return found
+
+    def _profiled(self, level: float) -> Mapping[str, Ends]:
+        """Ends of the profile intervals of the coefficients for which there is one."""
+        known: dict[float, Mapping[str, Ends]] = self.__dict__.setdefault("_profiles", {})
+        if level not in known:
+            from .profile import profile_ends
+
+            names = [n for n in self.free if np.isfinite(self.coefficients[n].stderr)]
+            wanted = self.has_profile and self.sigma > 0 and self.problem.nonlinear
+            known[level] = profile_ends(self, names, self.linearisation.reach(level)) if wanted else {}
+        return known[level]
 
     def _entry(self, name: str) -> Coefficient:
         if name not in self.coefficients:
@@ -268,6 +311,8 @@ class ForceFit:
 
         All other coefficients are fitted anew at each value, so the interval may be lopsided; an
         end that the data leave open is infinite. (Bates, Watts, Nonlinear Regression, 1988, 6.1.)
+        Where errors follow each other, the excess is larger in the ratio of the variances with and
+        without that (R. Chandler, S. Bate, Biometrika 94 (2007) 167-183).
         """
         from .profile import profile_ends
 
@@ -280,12 +325,15 @@ class ForceFit:
             raise InputError(
                 "profile_interval needs loss='squares'; after a robust fit use bootstrap()"
             )
-        return profile_ends(self, (name,), student_t(level, self.dof))[name]
+        ends = profile_ends(self, (name,), self.linearisation.reach(level))[name]
+        return ends.low, ends.high
 
     def predict(self, p: ArrayLike, kappa: ArrayLike, level: float = 0.95) -> Prediction:
         """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
 
-        ``prediction`` is for a measurement of weight 1.
+        ``prediction`` is for a measurement of weight 1. Where the one nonlinear coefficient of a law is
+        hardly known, the bands are those of the profile likelihood: all that laws reach which fit as
+        well as its interval allows, no narrower than ``stderr`` says.
         """
         pressure, contraction = np.broadcast_arrays(np.asarray(p, float), np.asarray(kappa, float))
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
@@ -293,13 +341,52 @@ class ForceFit:
             force.reshape(pressure.shape),
             self.linearisation.stderr(gradient).reshape(pressure.shape),
         )
-        t = student_t(level, self.dof)
-        new = np.hypot(error, self.sigma) if self.dof else np.full_like(error, np.inf)
+        t = self.linearisation.reach(level)
         with np.errstate(invalid="ignore"):
-            half, wide = (np.where(e > 0, t * e, 0.0) for e in (error, new))
+            half = np.where(error > 0, t * error, 0.0)
+        low, high = force - half, force + half
+        if self._bends:
+            low, high = self._swept_band(pressure, contraction, level, low, high)
+        new = t * self._new_error if self.dof else np.inf
         return Prediction(
-            force, error, (force - half, force + half), (force - wide, force + wide), level
-        )
+            force, error, (low, high),
+            (force - np.hypot(force - low, new), force + np.hypot(high - force, new)), level,
+        )  # fmt: skip
+
+    @cached_property
+    def _bends(self) -> bool:
+        """Whether a band by linearisation would mislead: the one nonlinear coefficient is hardly known."""
+        if len(self.problem.nonlinear) != 1 or not self.has_profile or not self.sigma > 0:
+            return False
+        c = self.coefficients[self.problem.names[self.problem.nonlinear[0]]]
+        if not np.isfinite(c.stderr):
+            return True
+        half = self.linearisation.reach(0.95) * c.stderr
+        ends = np.abs(np.array(self.interval(c.name)) - c.value)
+        return bool(np.any(np.abs(ends / half - 1) > STRAIGHT))
+
+    def _swept_band(
+        self, p: Array, kappa: Array, level: float, low: Array, high: Array
+    ) -> tuple[Array, Array]:
+        """The band by profile likelihood, no narrower than the linearised one (low, high)."""
+        from .sweep import Sweep
+
+        sweep, linear = Sweep.of(self), self.linearisation
+        if sweep is None or not p.size:
+            return low, high
+        gradient = self._sensitivity(p.ravel(), kappa.ravel())[1]
+        plain, wide = linear.independent.stderr(gradient), linear.stderr(gradient)
+        with np.errstate(invalid="ignore"):
+            ratio = np.where(np.isfinite(plain) & (plain > 0), wide / plain, 1.0)
+        limits = self.cost + (linear.reach(level) * ratio * self.sigma) ** 2
+        ends = (e.reshape(p.shape) for e in sweep.band(p.ravel(), kappa.ravel(), limits))
+        return np.minimum(low, next(ends)), np.maximum(high, next(ends))
+
+    @property
+    def _new_error(self) -> float:
+        """Standard deviation of a new measurement of weight 1 [N]."""
+        serial = self.linearisation.serial
+        return self.sigma * (1.0 if serial is None else serial.spread)
 
     def bootstrap(
         self, n: int = 500, seed: int = 0, *, method: Resampling = "residuals"

@@ -14,6 +14,7 @@ from ..errors import UnknownNameError
 from ..plant.plant import Plant
 from ..trajectory import Trajectory
 from ..validation import RecordComparison, compare_with_record
+from .correlation import neighbours, widening
 from .statistics import Array, Coefficient, Linearisation, student_t
 from .transcribe import FitMethod
 
@@ -157,12 +158,10 @@ class PlantFit:
     @property
     def autocorrelation(self) -> dict[str, float]:
         """Correlation of neighbouring residuals of each measured variable."""
-        found = {}
-        for i, name in enumerate(self.measured):
-            products = sum(float(r[1:, i] @ r[:-1, i]) for r in self.residuals)
-            squares = sum(float(r[:, i] @ r[:, i]) for r in self.residuals)
-            found[name] = products / squares if squares else 0.0
-        return found
+        return {
+            name: neighbours([r[:, i] for r in self.residuals])
+            for i, name in enumerate(self.measured)
+        }
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -187,10 +186,9 @@ class PlantFit:
             )
         coloured = {n: r for n, r in self.autocorrelation.items() if r > COLOURED}
         for name, r in coloured.items():
-            wide = np.sqrt((1 + r) / (1 - min(r, 0.999)))
             found.append(
                 f"residuals of {name} follow each other (correlation {r:.2f}): the model leaves something "
-                f"out, and intervals are too narrow by a factor of about {wide:.1f}"
+                f"out, and intervals are too narrow by a factor of about {widening(r):.1f}"
             )
         return tuple(found)
 

@@ -1,22 +1,33 @@
-"""Profile likelihood: how far one coefficient goes until the others cannot make up for it."""
+"""Profile likelihood: how far one coefficient goes until the others cannot make up for it.
+
+Three ways, each for what the one before leaves over. Along each profile tau(value) = sign
+sqrt(cost - least)/s is nearly straight (D. Bates, D. Watts, Nonlinear Regression Analysis, 1988, 6.1),
+so secant steps find tau = reach, the others following by Gauss-Newton (:func:`_together`). With one
+nonlinear coefficient q the cost is for each q a parabola in every other one, so the ends of all
+intervals are the extremes over q of ends in closed form: global, and a sweep over q sees where
+nothing ends (:func:`swept`). Else the coefficient walks outwards, the others fitted anew from
+step to step (:func:`profile_end`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .descent import descend
 from .problem import DECADES, Problem
 from .search import minimise
 from .statistics import Array
+from .sweep import Sweep
 
 if TYPE_CHECKING:
     from .force_fit import ForceFit
 
-__all__ = ["profile_end", "profile_ends", "profile_squares"]
+__all__ = ["Ends", "profile_end", "profile_ends", "profile_squares"]
 
 ROUNDS = 12
 """Secant steps along a profile; 3 or 4 are usual, for the root of its cost is nearly straight."""
@@ -24,38 +35,56 @@ STEPS = 1
 """Gauss-Newton steps of the other coefficients after each: the rounds go on together with them."""
 SETTLED = 1e-5
 """Relative error of the cost at which an end counts as found: 5e-6 of the interval's half width."""
+FARTHEST = 1e4
+"""Standard errors (or, if more, values of the coefficient) within which an end is sought by walking."""
 
 
-def profile_ends(
-    fit: ForceFit, names: Sequence[str], reach: float
-) -> dict[str, tuple[float, float]]:
+@dataclass(frozen=True)
+class Ends:
+    """An interval; ``reason`` says in words why an end is infinite."""
+
+    low: float
+    high: float
+    reason: str = ""
+
+
+def profile_ends(fit: ForceFit, names: Sequence[str], reach: float) -> dict[str, Ends]:
     """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
 
-    All ends at once: along each profile tau(value) = sign sqrt(cost - least)/s is nearly straight
-    (D. Bates, D. Watts, Nonlinear Regression Analysis, 1988, 6.1), so secant steps find tau = reach,
-    the others following by Gauss-Newton. What does not come to rest is sought by :func:`profile_end`.
+    A standard error that is larger than that of independent errors widens the interval as much.
     """
-    limit = fit.cost + (reach * fit.sigma) ** 2
-    steps = {n: (-fit.coefficients[n].stderr, fit.coefficients[n].stderr) for n in names}
+    if not names:
+        return {}
+    plain = dict(zip(fit.free, fit.linearisation.independent.stderr().tolist(), strict=True))
+    reaches = np.array([reach * fit.coefficients[n].stderr / plain[n] for n in names])
     found = np.full((len(names), 2), np.nan)
     simple = fit.problem.plain or (fit.terms.loss == "squares" and not fit.problem.censored)
-    if simple and len(fit.free) > 1:
-        found = _together(fit, names, reach, limit - (reach * fit.sigma) ** 2)
+    edge = bool(fit.solver.at_bound)
+    if simple and len(fit.free) > 1 and not edge:
+        found = _together(fit, names, reaches)
+    limits = fit.cost + (reaches * fit.sigma) ** 2
+    sweep = Sweep.of(fit) if simple and not np.all(np.isfinite(found)) else None
     ends = {}
-    for row, name in zip(found, names, strict=True):
-        low, high = (
-            float(end) if np.isfinite(end) else profile_end(fit, name, step, limit)
-            for end, step in zip(row, steps[name], strict=True)
-        )
-        ends[name] = (low, high)
+    for row, name, limit in zip(found, names, limits, strict=True):
+        both, reasons = [], []
+        for end, side in zip(row, (-1.0, 1.0), strict=True):
+            why = ""
+            if not np.isfinite(end) and sweep is not None:
+                end, why = sweep.end(fit.free.index(name), side, float(limit))
+            elif not np.isfinite(end):
+                end, why = profile_end(fit, name, side * fit.coefficients[name].stderr, float(limit))
+            both.append(float(end))
+            reasons.append(why)
+        ends[name] = Ends(*both, "; ".join(dict.fromkeys(r for r in reasons if r)))
     return ends
 
 
-def _together(fit: ForceFit, names: Sequence[str], reach: float, least: float) -> Array:
+def _together(fit: ForceFit, names: Sequence[str], reaches: Array) -> Array:
     """(names, 2) ends; NaN where the iteration did not settle, or met a bound."""
     problem, free, sigma = fit.problem, list(fit.problem.free), fit.sigma
+    least, reach = fit.cost, np.repeat(reaches, 2)
     above = (reach * sigma) ** 2
-    k, covariance = len(free), fit.covariance
+    k, covariance = len(free), fit.linearisation.independent.covariance
     place = np.repeat([fit.free.index(n) for n in names], 2)
     sign = np.tile([-1.0, 1.0], len(names))
     best = np.array([float(v) for v in fit.law.values.values()])
@@ -84,7 +113,11 @@ def _together(fit: ForceFit, names: Sequence[str], reach: float, least: float) -
         )
         z = z + (step / stderr[place])[:, None] * direction
     inside = np.all((z > low) & (z < high), axis=1)
-    settled = done & inside & np.isfinite(cost)
+    # the others are where they belong only if another step of theirs changes nothing
+    again = _follow(problem, best, free, z, others)[1]
+    with np.errstate(invalid="ignore"):
+        still = np.abs(again - cost) <= 10 * SETTLED * above
+    settled = done & still & inside & np.isfinite(cost)
     return np.where(settled, z[rows, place], np.nan).reshape(-1, 2)
 
 
@@ -108,7 +141,11 @@ def _follow(
         norms = np.maximum(np.linalg.norm(inner, axis=1), 1e-300)
         inner = inner / norms[:, None, :]
         normal = np.einsum("mni,mnj->mij", inner, inner) + 1e-14 * np.eye(others.shape[1])
-        step = np.linalg.solve(normal, np.einsum("mni,mn->mi", inner, rest)[:, :, None])[:, :, 0]
+        right = np.einsum("mni,mn->mi", inner, rest)[:, :, None]
+        try:
+            step = np.linalg.solve(normal, right)[:, :, 0]
+        except np.linalg.LinAlgError:  # somewhere the others are not determined
+            step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
         z = z.copy()
         np.put_along_axis(z, others, np.take_along_axis(z, others, 1) + step / norms, axis=1)
     raise AssertionError("the loop returns")
@@ -125,28 +162,40 @@ def profile_squares(fit: ForceFit, name: str, value: float) -> float:
     return minimise(problem).cost
 
 
-def profile_end(fit: ForceFit, name: str, step: float, limit: float) -> float:
-    """Value of ``name``, on the side of ``step``, at which the profiled squares reach ``limit``.
+def profile_end(fit: ForceFit, name: str, step: float, limit: float) -> tuple[float, str]:
+    """Value of ``name``, on the side of ``step``, at which the profiled cost reaches ``limit``.
 
-    Infinite (or the law's bound) when they stay below it: the data leave this side open.
+    Infinite, with the reason, where the cost stays below it or cannot be computed. The law's bound
+    where that comes first.
     """
-    variable = {v.name: v for v in fit.law.coefficient_variables()}[name]
-    best = float(fit.law.values[name])
-    inside = value = best
+    place, problem = list(fit.law.values).index(name), fit.problem
+    variable, best = problem.variables[place], float(fit.law.values[name])
+    others = [i for i in problem.free if i != place]
     bound = variable.max if step > 0 else variable.min
-    reach = max(abs(best), variable.nominal) * 10.0 ** DECADES[1]
+    reach = max(FARTHEST * abs(step), max(abs(best), variable.nominal) * 10.0 ** DECADES[1])
+    inside = start = np.array([float(v) for v in fit.law.values.values()])
     while True:
-        value = float(np.clip(value + step, variable.min, variable.max))
-        if profile_squares(fit, name, value) > limit:
+        start = inside.copy()
+        start[place] = np.clip(inside[place] + step, variable.min, variable.max)
+        outside, cost = descend(problem, start, others)
+        if not np.isfinite(cost):
+            return float(np.copysign(np.inf, step)), "the law gives no finite force further out"
+        if cost > limit:
             break
-        if value == bound or abs(value - best) > reach:
-            return bound
-        inside, step = value, 1.6 * step
-    outside = value
-    while abs(outside - inside) > 1e-6 * max(abs(outside - best), 1e-12 * variable.nominal):
-        middle = (inside + outside) / 2
-        if profile_squares(fit, name, middle) > limit:
-            outside = middle
+        if start[place] == bound:
+            return float(bound), "" if np.isfinite(bound) else "the others make up for it"
+        if abs(start[place] - best) > reach:
+            return float(np.copysign(np.inf, step)), (
+                f"at {name} = {start[place]:.3g} the other coefficients still make up for it"
+            )
+        inside, step = outside, 1.6 * step
+    far = outside[place]
+    while abs(far - inside[place]) > 1e-6 * max(abs(far - best), 1e-12 * variable.nominal):
+        start = inside.copy()
+        start[place] = middle = (inside[place] + far) / 2
+        found, cost = descend(problem, start, others)
+        if cost > limit:
+            far = middle
         else:
-            inside = middle
-    return (inside + outside) / 2
+            inside = found
+    return float((inside[place] + far) / 2), ""

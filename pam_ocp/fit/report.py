@@ -20,7 +20,7 @@ __all__ = ["coefficient_line", "correlation_lines", "force_report", "plant_repor
 def force_report(fit: ForceFit, level: float) -> str:
     """See :meth:`ForceFit.report`."""
     data, solver = fit.table, fit.solver
-    intervals = fit.intervals(level)
+    intervals, opened = fit.intervals(level), fit.open_ends(level)
     worst = int(np.argmax(np.abs(fit.residuals)))
     place = f"{fit.cells.pressure[worst] / 1e5:.3g} bar, {100 * fit.cells.contraction[worst]:.3g} %"
     length = "" if data.rest_length is None else f", rest length {data.rest_length:g} m"
@@ -40,7 +40,7 @@ def force_report(fit: ForceFit, level: float) -> str:
         f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval"
         f"{' (profile likelihood)' if fit.has_profile else ''}; SI",
         *(
-            coefficient_line(c, intervals.get(c.name, (c.value,) * 2))
+            coefficient_line(c, intervals.get(c.name, (c.value,) * 2), opened.get(c.name, ""))
             for c in fit.coefficients.values()
         ),
         *_published_lines(fit),
@@ -52,8 +52,8 @@ def force_report(fit: ForceFit, level: float) -> str:
     return "\n".join(lines)
 
 
-def coefficient_line(c: Coefficient, interval: tuple[float, float]) -> str:
-    """``a3: -56.66 ± 4.5 (8 %), -65.8 .. -47.6``."""
+def coefficient_line(c: Coefficient, interval: tuple[float, float], reason: str = "") -> str:
+    """``a3: -56.66 ± 4.5 (8 %), -65.8 .. -47.6``; ``reason`` why an end is open."""
     unit = "" if c.unit == "1" else f" {c.unit}"
     if c.held:
         return f"    {c.name}: {c.value:.6g}{unit} (held)"
@@ -61,6 +61,7 @@ def coefficient_line(c: Coefficient, interval: tuple[float, float]) -> str:
     relative = f"{100 * c.stderr / abs(c.value):.2g} %" if c.value else "-"
     return (
         f"    {c.name}: {c.value:.6g} ± {c.stderr:.2g}{unit} ({relative}), {low:.5g} .. {high:.5g}"
+        + (f" (open: {reason})" if reason else "")
     )
 
 

@@ -35,6 +35,10 @@ def write_fit(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
         "coefficients": {n: float(v) for n, v in fit.law.values.items()},
         "held": list(fit.held),
         "stderr": {n: c.stderr for n, c in fit.coefficients.items() if np.isfinite(c.stderr)},
+        "intervals": {n: [_finite(e) for e in pair] for n, pair in fit.intervals().items()},
+        "open": fit.open_ends(),
+        "correlation": None if fit.serial is None
+        else {"along": fit.serial.order, "neighbours": fit.serial.correlation},
         "rmse": fit.rmse,
         "r2": fit.r2 if np.isfinite(fit.r2) else None,
         "warnings": list(fit.warnings),
@@ -72,6 +76,11 @@ def read_fit(path: str | os.PathLike[str], law: type[ForceLaw] | None = None) ->
         ) from None
     except (KeyError, TypeError) as error:
         raise InputError(f"{os.fspath(path)} is damaged or of another law: {error}") from None
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no infinity: null for an open end."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _written(terms: Terms) -> dict[str, Any]:

@@ -6,9 +6,12 @@ projected out. IPOPT, with exact derivatives, takes the best over all coefficien
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..errors import FitError
+from .descent import descend
 from .high_breakdown import SUBSETS, robust_start
 from .polish import Optimum, polish
 from .problem import Problem, sizes
@@ -20,6 +23,12 @@ RANDOM_STARTS = 400
 """Scan points for laws with two or more nonlinear coefficients (always the same ones)."""
 POLISHED = {1: 3, 2: 16}
 """How many local minima of the scan are followed up: one nonlinear coefficient, or more."""
+FLAT = 1e-7
+"""Part of the cost by which a point that is not stationary must be better to be looked at at all."""
+DOUBT = (
+    "the optimum is so flat, or so near to where the law degenerates, that the solver came to no "
+    "stationary point: other coefficients may fit as well (see condition and rank)"
+)
 STATIONARY = 1e-6
 """Largest cosine between the residual and a column of the Jacobian at an optimum."""
 
@@ -38,21 +47,39 @@ def minimise(problem: Problem, start: Array | None = None, begin: Array | None =
         starts, scanned = begin[None], SUBSETS
     else:
         starts, scanned = _scan(problem, start)
-    found = [polish(problem, c, scanned) for c in starts]
-    stationary = [o for o in found if o.solver.gradient <= STATIONARY]
-    if not stationary:
-        best = min(found, key=lambda o: o.cost)
+    found = [o for c in starts if np.isfinite((o := polish(problem, c, scanned)).cost)]
+    if not found:
         raise FitError(
-            f"the fit of the {problem.law.name} law came to no stationary point "
-            f"({best.solver.status} after {best.solver.iterations} iterations); hold the "
+            f"the {problem.law.name} law gives no finite force near any point of the scan; hold the "
             f"nonlinear coefficients with fixed=... "
             f"({', '.join(problem.names[i] for i in problem.nonlinear)}) and look at the residuals"
         )
-    least = min(o.cost for o in stationary)
     floor = 1e-20 * float(np.sum((problem.weights * problem.cells.force) ** 2))
+    best = min(found, key=lambda o: o.cost)
+    stationary = [o for o in found if o.solver.gradient <= STATIONARY]
+    least = min((o.cost for o in stationary), default=np.inf)
+    if least > best.cost * (1 + FLAT) + floor:
+        settled = _settled(problem, best)
+        if settled.solver.gradient > STATIONARY:
+            return settled
+        stationary.append(settled)
+        least = min(least, settled.cost)
     equal = [o for o in stationary if o.cost <= least * (1 + 1e-9) + floor]
     # A law may have mirror optima (alpha0 and -alpha0): take the one with fewest negative signs
     return min(equal, key=lambda o: int(np.sum(o.coefficients[list(problem.nonlinear)] < 0)))
+
+
+def _settled(problem: Problem, found: Optimum) -> Optimum:
+    """A point at which IPOPT did not end, followed by damped steps; accepted with a doubt, if need be."""
+    if problem.terms.loss == "squares" and not problem.censored:
+        moved = [i for i in problem.free if problem.names[i] not in found.solver.at_bound]
+        c, cost = descend(problem, found.coefficients, moved)
+        if cost <= found.cost:
+            again = polish(problem, c, found.solver.scanned)
+            found = again if again.cost <= cost else replace(found, coefficients=c, cost=cost)
+            if again.cost <= cost and again.solver.gradient <= STATIONARY:
+                return again
+    return replace(found, solver=replace(found.solver, doubt=DOUBT))
 
 
 def _scan(problem: Problem, start: Array | None) -> tuple[Array, int]:

@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike
 
 from ..errors import FitError, InputError, UnknownNameError
 from ..muscle.force import ForceLaw
-from .doubts import at_edge
+from .correlation import SerialErrors, sequences, serial_errors
+from .doubts import at_edge, following
 from .member_fit import MemberFit, marginal_root
 from .problem import PLAIN, Problem, Terms
 from .report import coefficient_line, correlation_lines
 from .shared_problem import JointOptimum, JointProblem
 from .static import cell_weights, checked_pairs, held_coefficients, law_class
-from .statistics import Array, Coefficient, Linearisation, SolverStatistics, student_t
+from .statistics import Array, Coefficient, Linearisation, SolverStatistics
 from .tables import ForceTable
 
 __all__ = ["JointForceFit", "MemberFit", "fit_forces"]
@@ -89,7 +90,7 @@ class JointForceFit:
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Linearised confidence interval of an unknown [its unit]."""
         c = self.coefficients[self.names[self._place(name)]]
-        half = student_t(level, self.dof) * c.stderr
+        half = self.linearisation.reach(level) * c.stderr
         return c.value - half, c.value + half
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
@@ -104,8 +105,9 @@ class JointForceFit:
         i, linear = self._place(name), self.linearisation
         if not np.isfinite(self.coefficients[name].stderr):
             return -np.inf, np.inf
-        limit = self.cost + student_t(level, self.dof) ** 2 * linear.scale**2
         step = self.coefficients[name].stderr
+        widened = step / float(linear.independent.stderr()[i])
+        limit = self.cost + (linear.reach(level) * widened * linear.scale) ** 2
         return self._end(i, -step, limit), self._end(i, step, limit)
 
     def _end(self, i: int, step: float, limit: float) -> float:
@@ -145,7 +147,7 @@ class JointForceFit:
             for lost, _, words in self.linearisation.hardly_seen()
         ]
         values = {n: c.value for n, c in self.coefficients.items()}
-        return (*found, *at_edge(self.solver.at_bound, values))
+        return (*found, *following(self.linearisation), *at_edge(self.solver.at_bound, values))
 
     def report(self, level: float = 0.95) -> str:
         """The fit as text: muscles, shared and own coefficients with intervals, warnings."""
@@ -315,7 +317,12 @@ def _linearised(
     jacobian = problem.evaluate(optimum.z[None])[1][0]
     dof = problem.cells - problem.size
     scale = float(np.sqrt(problem.cost(optimum.z) / dof)) if dof else float("nan")
-    return Linearisation(names, optimum.z, units, jacobian, scale, dof)
+    residuals = problem.evaluate(optimum.z[None])[0][0]
+    size = float(np.sqrt(sum(np.sum((p.weights * p.cells.force) ** 2) for p in problem.parts)))
+    rounding = np.linalg.norm(residuals) <= 1e-9 * size
+    orders = sequences(*(p.cells for p in problem.parts))
+    serial = None if rounding else serial_errors(jacobian, residuals, orders)
+    return Linearisation(names, optimum.z, units, jacobian, scale, dof, serial=serial)
 
 
 def _member(
@@ -326,9 +333,10 @@ def _member(
     c = problem.coefficients(optimum.z[None])[i][0]
     names = part.names
     free = tuple(names[j] for j in part.free)
+    root = marginal_root(linear.jacobian, place)
     marginal = Linearisation(
-        free, linear.values[place], [linear.units[j] for j in place],
-        marginal_root(linear.jacobian, place) / factor, linear.scale / factor, linear.dof,
+        free, linear.values[place], [linear.units[j] for j in place], root / factor,
+        linear.scale / factor, linear.dof, serial=_marginal_serial(linear, root / factor, place, factor),
     )  # fmt: skip
     return MemberFit(
         law=part.law(**dict(zip(names, c.tolist(), strict=True))),
@@ -339,6 +347,17 @@ def _member(
         terms=PLAIN,
         marginal=marginal,
     )
+
+
+def _marginal_serial(
+    linear: Linearisation, root: Array, place: Any, factor: float
+) -> SerialErrors | None:
+    """The errors that follow each other, such that the covariance is that of the joint fit."""
+    if linear.serial is None or not linear.scale > 0:
+        return None
+    normal = root.T @ root
+    block = linear.covariance[np.ix_(place, place)] / (linear.scale / factor) ** 2
+    return replace(linear.serial, meat=normal @ block @ normal)
 
 
 # ---- arguments --------------------------------------------------------------------------------------

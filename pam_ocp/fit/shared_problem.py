@@ -117,7 +117,7 @@ class JointProblem:
         """The best of many scan points (and of ``starts``, values of the nonlinear unknowns), polished."""
         points = self._scan_points()
         if len(starts):
-            points = np.concatenate([points, np.array(starts).reshape(-1, points.shape[1])])
+            points = np.concatenate([points, np.array(starts).reshape(len(starts), -1)])
         costs, z = self.project(points)
         if not np.any(np.isfinite(costs)):
             raise FitError("the law gives no finite force anywhere in the scan; check the tables")

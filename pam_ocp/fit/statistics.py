@@ -9,9 +9,9 @@ to unit length before its rank is judged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, require_finite
 from ..muscle.force import ForceLaw
+
+if TYPE_CHECKING:
+    from .correlation import SerialErrors
 
 __all__ = [
     "Coefficient",
@@ -89,6 +92,7 @@ class SolverStatistics:
 
     gradient : largest cosine between the residual and a column of the Jacobian, 0 at an optimum.
     scanned : points of the global scan. at_bound : coefficients that ended at a bound.
+    doubt : why the optimum is in doubt, in words; empty when it is not.
     """
 
     status: str
@@ -97,6 +101,7 @@ class SolverStatistics:
     scanned: int
     at_bound: tuple[str, ...] = ()
     seconds: float = 0.0
+    doubt: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +111,7 @@ class Linearisation:
     names, values, units : of the k fitted parameters. jacobian : weighted derivatives (n, k).
     scale : standard deviation of a residual. dof : degrees of freedom.
     active : gradients (m, k) of constraints that hold as equalities at the optimum.
+    serial : errors that follow each other, which widen the covariance; None for independent ones.
     """
 
     names: Sequence[str]
@@ -115,6 +121,7 @@ class Linearisation:
     scale: float
     dof: int
     active: Array | None = None
+    serial: SerialErrors | None = None
 
     @cached_property
     def decomposition(self) -> tuple[Array, Array, Array]:
@@ -148,18 +155,34 @@ class Linearisation:
         return np.asarray(vt[: self.rank].T / s[: self.rank] / norms[:, None])
 
     @cached_property
+    def _factor(self) -> Array:
+        """Covariance for errors of variance 1."""
+        inverse = self._root @ self._root.T
+        return np.asarray(inverse if self.serial is None else inverse @ self.serial.meat @ inverse)
+
+    @cached_property
     def covariance(self) -> Array:
         """Covariance of the parameters; of what the data determine where rank is lacking."""
         scale = self.scale if self.dof else float("inf")
         with np.errstate(invalid="ignore"):
-            return np.asarray(scale**2 * (self._root @ self._root.T))
+            return np.asarray(scale**2 * self._factor)
 
     @property
     def correlation(self) -> Array:
         """Correlation matrix of the parameters."""
-        root = self._root
-        root = root / np.maximum(np.linalg.norm(root, axis=1, keepdims=True), 1e-300)
-        return np.asarray(root @ root.T)
+        size = np.sqrt(np.maximum(np.diag(self._factor), 1e-300))
+        return np.asarray(self._factor / np.outer(size, size))
+
+    def reach(self, level: float) -> float:
+        """Half width of a two-sided interval in standard errors."""
+        if self.serial is None:
+            return student_t(level, self.dof)
+        return self.serial.reach(level)
+
+    @cached_property
+    def independent(self) -> Linearisation:
+        """The same, were the errors independent."""
+        return self if self.serial is None else replace(self, serial=None)
 
     def blind(self, directions: Array) -> NDArray[np.bool_]:
         """Whether a direction (rows, in parameters) has a part that the data do not see."""

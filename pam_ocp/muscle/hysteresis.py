@@ -24,8 +24,11 @@ __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 REST_RATE = 1e-4
 """Rate of contraction [1/s] at which its absolute value is rounded off.
 
-Faster motion is rate-independent; at rest a memory fades over yield/REST_RATE (some 50 s).
+Faster motion is rate-independent. At rest an element keeps its force, up to the last two hundredths
+before it slides fully: smooth derivatives, |z| <= 1 and dissipation in every motion leave no other way.
 """
+EDGE = 0.02
+"""Part of the full friction over which BoucWen's |z| <= 1 is kept also in motion below REST_RATE."""
 
 
 WIDEST_RATE = 0.3
@@ -39,6 +42,16 @@ def _speed(plant: Plant, name: str, key: str, rate: ca.SX) -> ca.SX:
     )  # fmt: skip
     # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.
     return ca.SX(ca.sqrt(rate**2 + width**2))
+
+
+def _passage(towards: ca.SX, edge: float | ca.SX, most: float = 1.0) -> ca.SX:
+    """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
+
+    With ``most`` > 1 it goes on below 0 from there, which leads back: exact motion never comes there,
+    and on a coarse mesh what oversteps the edge does not stay beyond.
+    """
+    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), most)
+    return ca.SX(1 - s**3)
 
 
 @dataclass(frozen=True)
@@ -96,8 +109,13 @@ class BoucWen:
         )
         size = (z**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
         signed = z * (z**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
-        rate = motion.rate
-        slipping = beta * _speed(plant, name, "hysteresis", rate) * signed + (1 - beta) * rate * size
+        rate, fast = motion.rate, _speed(plant, name, "hysteresis", motion.rate)
+        # Both vanish at rest like rate^2, so that a memory keeps; |onward| <= speed: it dissipates.
+        # At the edge they are those that keep |z| <= 1 however slow the motion.
+        keeps, moving = _passage(ca.sqrt(z**2 + 1e-12), EDGE), (rate / fast) ** 2
+        speed = fast * (1 - keeps * (1 - moving))
+        onward = rate * (1 - keeps * (1 - moving))
+        slipping = beta * speed * signed + (1 - beta) * onward * size
         plant.der(z, (rate - slipping) / width)
         return ca.SX(friction * z)
 
@@ -163,19 +181,10 @@ class MaxwellSlip:
                 description=f"Maxwell-slip element {i} of {name}: force/friction",
             )
             up, down = (rate + speed) / 2, (rate - speed) / 2
-            plant.der(z, (up * _sticking(z, edge) + down * _sticking(-z, edge)) / yielding)
+            plant.der(z, (up * _passage(z, edge, 3.0) + down * _passage(-z, edge, 3.0)) / yielding)
             total += friction * z
         return total
 
-
-def _sticking(towards: ca.SX, edge: ca.SX) -> ca.SX:
-    """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
-
-    Beyond (never in exact motion) it goes on below 0, which leads back: a coarse mesh that oversteps
-    the edge does not stay there.
-    """
-    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), 3)
-    return ca.SX(1 - s**3)
 
 
 @dataclass(frozen=True)

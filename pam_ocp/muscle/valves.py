@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 
 from ..errors import InputError, require_finite, require_positive
-from .force import clamp
+from .dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse, two_ways
 from .gas import Chamber, Gas, conductance_from_flow, iso6358, specific_exergy
 from .muscle import Muscle
 
@@ -263,13 +263,19 @@ class SpoolValve(GasFeed):
     The spool is closed at 0 and opens smoothly within ``overlap`` of its travel to either side,
     linearly beyond; so the opening has three continuous derivatives, and vanishing slope at 0.
     The spool's own motion (some 5 ms) is left out.
+
+    overlap : part of the travel, 0 .. 0.5; the parameter ``<name>.valve.overlap`` of the plant. A
+        critically lapped valve (0) is rounded over 1e-4.
+
+    Controllers choose ``<name>.opening`` instead, how far the way from the supply (> 0) or to ambient
+    (< 0) is open, and send the command that gives exactly that; see :meth:`Plant.in_openings`.
     """
 
     overlap: float = 0.02
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < require_finite("SpoolValve.overlap", self.overlap) < 0.5:
+        if not 0 <= require_finite("SpoolValve.overlap", self.overlap) < 0.5:
             raise InputError(f"SpoolValve.overlap = {self.overlap:g} must lie in 0 .. 0.5")
 
     def openings(self, plant: Plant, name: str) -> tuple[ca.SX, ca.SX]:
@@ -278,10 +284,26 @@ class SpoolValve(GasFeed):
             f"{name}.command", min=-1.0, max=1.0, nominal=0.1,
             description=f"spool of the valve of {name}: -1 exhaust, 0 closed, 1 supply",
         )  # fmt: skip
-        half = self.overlap / 2
-        return tuple(  # type: ignore[return-value]
-            clamp(sign * command - half, half) / (1 - half) for sign in (1, -1)
-        )
+        overlap = plant.parameter(
+            f"{name}.valve.overlap", self.overlap, min=0.0, max=0.5, nominal=0.1, tunable=True,
+            description=f"travel over which the valve of {name} stays closed and begins to open",
+        )  # fmt: skip
+        travel = 1 - ca.fmax(overlap, LEAST_OVERLAP) / 2  # of the spool beyond its dead zone
+        supply, exhaust = (part / travel for part in beyond_dead_zone(command, overlap))
+        filling, venting = plant.opening(
+            f"{name}.opening", [command], supply - exhaust,
+            lambda w: [dead_zone_inverse(travel * w, overlap)],
+            [(supply, lambda w: two_ways(w)[0]), (exhaust, lambda w: two_ways(w)[1])],
+            **_opening(name),
+        )  # fmt: skip
+        return filling, venting
+
+
+def _opening(name: str) -> dict[str, Any]:
+    return {
+        "min": -1.0, "max": 1.0, "nominal": 0.1,
+        "description": f"opening of the valve of {name}: to ambient (-1) or from the supply (1)",
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,12 +313,15 @@ class OnOffValves(GasFeed):
     Averaged over the PWM period: the flow is duty times that of the open valve. So the ripple of
     the pressure is not there, and the model holds while the period is short against the filling
     time (some 0.1 s) and long against the valves' switching time.
+
+    Controllers choose ``<name>.opening`` instead, the duty of filling (> 0) or of venting (< 0): never
+    are both open. See :meth:`Plant.in_openings`.
     """
 
     def openings(self, plant: Plant, name: str) -> tuple[ca.SX, ca.SX]:
         """See :meth:`GasFeed.openings`."""
         words = {"fill": "from the supply", "vent": "to ambient"}
-        return tuple(  # type: ignore[return-value]
+        fill, vent = (
             plant.input(
                 f"{name}.{way}",
                 min=0.0,
@@ -305,3 +330,9 @@ class OnOffValves(GasFeed):
             )
             for way, where in words.items()
         )
+        filling, venting = plant.opening(
+            f"{name}.opening", [fill, vent], fill - vent,
+            lambda w: [ca.fmax(w, 0), ca.fmax(-w, 0)],
+            [(fill, lambda w: two_ways(w)[0]), (vent, lambda w: two_ways(w)[1])], **_opening(name),
+        )  # fmt: skip
+        return filling, venting

@@ -122,7 +122,7 @@ def closed_loop(
         run = _Run(controller, estimator, side, sources, disturbances or {}, preview)
         run.noise = _noise(plant, estimator, noise)
         run.random = np.random.default_rng(seed)
-        controls = {v.name for v in controller.given.controls}
+        controls = set(controller.commands)
         controller.reset({n: v for n, v in side.inputs.items() if n in controls})
         run.applied = {n: v for n, v in side.inputs.items() if n in controls}
         for k in range(steps + 1):

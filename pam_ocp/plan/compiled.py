@@ -7,14 +7,12 @@ the time; for collocation 0.7 to 0.9. The compiler takes a few seconds, once.
 
 from __future__ import annotations
 
-import hashlib
-import tempfile
+import contextlib
 from pathlib import Path
 
 import casadi as ca
 
 from ..errors import ExportError, InputError
-from ..files import atomic_path
 
 __all__ = ["compiled"]
 
@@ -32,7 +30,8 @@ def compiled(solver: ca.Function) -> str:
 
     Raises InputError where there is no C compiler.
     """
-    from ..fmu.compile import cache_folder, compile_library, native
+    from ..fmu.cache import digest, usable_folder
+    from ..fmu.compile import compile_library, native
 
     generator = ca.CodeGenerator(f"{NAME}.c")
     generator.add(solver.oracle())
@@ -44,22 +43,19 @@ def compiled(solver: ca.Function) -> str:
         library = compile_library({source: HEAD + generator.dump()}, source, platform, NAME)
     except ExportError as error:
         raise InputError(f"compiled = True: {error}; or leave compiled out") from None
-    name = f"{hashlib.sha256(library).hexdigest()}{platform.suffix}"
-    return str(_stored(cache_folder() / "plan" / name, library))
+    path = usable_folder("plan") / f"{digest(library)}{platform.suffix}"
+    return str(_stored(path, library))
 
 
 def _stored(path: Path, library: bytes) -> Path:
-    """The library as a file: in the cache, else in a folder of its own."""
-    try:
+    """The library as a whole file in the cache."""
+    from ..fmu.cache import write_whole
+
+    with contextlib.suppress(OSError):  # not there yet
         if path.read_bytes() == library:
             return path
-    except OSError:
-        pass  # not there yet
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_path(path) as part:
-            part.write_bytes(library)
-    except OSError:
-        path = Path(tempfile.mkdtemp(prefix="pam_ocp_")) / path.name
-        path.write_bytes(library)
+        write_whole(path, library)
+    except OSError as error:
+        raise InputError(f"compiled = True: {path} cannot be written ({error.strerror})") from None
     return path

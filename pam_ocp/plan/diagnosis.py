@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .problem import Budget, Condition
-from .solver import DEFAULTS
+from .solver import DEFAULTS, Outcome
 from .transcription import Program
 
 __all__ = ["Conflict", "elastic", "explanation"]
@@ -95,9 +95,11 @@ def _conflicts(program: Program, slack: Array) -> tuple[Conflict, ...]:
     return tuple(sorted(worst.values(), key=lambda c: -c.excess))
 
 
-def explanation(plant: str, status: str, conflicts: tuple[Conflict, ...]) -> str:
+def explanation(plant: str, outcome: Outcome, conflicts: tuple[Conflict, ...]) -> str:
     """The message of a plan that was not found."""
-    opening = f"no plan found for {plant} ({status}). "
+    if outcome.stopped:
+        return f"the solver was stopped before it found a plan for {plant} ({outcome.status})"
+    opening = f"no plan found for {plant} ({outcome.status}). "
     if not conflicts:
         return opening + (
             "A motion that meets all constraints seems to exist, but the solver did not converge; "

@@ -80,7 +80,7 @@ def wants_balance(problem: Problem) -> bool:
         q for q in plant.resting()
         if not q.driven and not ca.depends_on(spoken, plant.expression(q.name))
     ]  # fmt: skip
-    return bool(open_ends) or has_kinks(plant) or _idle_inputs(plant)
+    return bool(open_ends) or has_kinks(problem) or _idle_inputs(plant)
 
 
 def _idle_inputs(plant: Plant) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal, TypeAlias
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, require_count
 
 __all__ = [
-    "Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "guarded", "refined",
+    "Collocation", "Control", "Form", "Interval", "Mesh", "Method", "Shooting", "held", "refined", "watched",
 ]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
@@ -30,11 +30,18 @@ MOST_STEPS = 64
 """RK4 steps in an interval of multiple shooting, before it is split."""
 GUARDS = 3
 """Checks of a polynomial input's bounds between each two of its points."""
-MOST_GUARDS = 15
-"""The same where an input is seen beyond its bounds between those: it may then be so by 0.5 %, instead
-of 8 % (Ehlich and Zeller, Math. Z. 86, 1964: 1 / cos(pi / 2 m) with m checks per degree)."""
-MOST_EXCESS = 1e-2
-"""Of an input beyond its bounds between its points, in units of nominal."""
+WATCHES = {"polynomial": 15}
+"""Checks between each two points of what was seen beyond its limit there. A polynomial input may then
+be so by 0.5 % of its range, instead of 8 % (Ehlich and Zeller, Math. Z. 86, 1964: 1 / cos(pi / 2 m)
+with m checks per degree); a margin does the rest."""
+FEW_WATCHES = 5
+"""The same where inputs are constant or linear: states are smooth."""
+MARGIN = 1.2
+"""By how much of what is still seen beyond a limit it is then held back."""
+MOST_MARGIN = 0.05
+"""The sum of a limit's margins, in units of nominal, before the interval is split instead."""
+HELD_DEGREE = 3
+"""Degree of the states where inputs are held constant in place of polynomials."""
 CONTROLS = ("constant", "linear", "polynomial")
 
 
@@ -56,6 +63,14 @@ def _lagrange(nodes: tuple[float, ...], tau: float) -> tuple[float, ...]:
 def _weights(values: Sequence[float]) -> ca.DM:
     """A sparse column: at a node all weights but one are zero."""
     return ca.sparsify(ca.DM(values))
+
+
+def _between(taus: Array, count: int) -> Array:
+    """tau = 0, and ``count`` places between each two of (0, taus, 1)."""
+    nodes = np.concatenate([[0.0], taus, [1.0]])
+    shares = np.arange(1, count + 1) / (count + 1)
+    inside = nodes[:-1, None] + np.diff(nodes)[:, None] * shares
+    return np.append(0.0, inside[np.diff(nodes) > 1e-9].ravel())
 
 
 @dataclass(frozen=True)
@@ -91,15 +106,16 @@ class Form:
             return self.collocated(degree)
         return np.array([0.0]) if self.control == "constant" else np.array([0.0, 1.0])
 
-    def guard_taus(self, degree: int, guards: int) -> Array:
-        """Where inputs are checked between their points (``guards`` times between each two), the start
-        of the interval among them."""
+    def guard_taus(self, degree: int) -> Array:
+        """Where polynomial inputs are always checked between their points, the start of the interval
+        among them."""
         if not self.guarded or self.control != "polynomial":
             return np.zeros(0)
-        nodes = np.concatenate([[0.0], self.input_taus(degree), [1.0]])
-        shares = np.arange(1, guards + 1) / (guards + 1)
-        inside = nodes[:-1, None] + np.diff(nodes)[:, None] * shares
-        return np.append(0.0, inside[np.diff(nodes) > 1e-9].ravel())
+        return _between(self.input_taus(degree), GUARDS)
+
+    def watch_taus(self, degree: int) -> Array:
+        """Where is checked what was seen beyond its limit between the points."""
+        return _between(self.state_taus(degree), WATCHES.get(self.control, FEW_WATCHES))
 
     def weights(self, degree: int, tau: float) -> ca.DM:
         """Weights of these values that give the input at ``tau`` (Lagrange)."""
@@ -121,14 +137,20 @@ class Interval:
     """A part of a leg, ``fraction`` of its duration long; ``degree`` of its polynomials.
 
     For shooting, ``degree`` is the number of RK4 steps. raised : whether refinement has tried a
-    higher degree here already. guards : see :meth:`Form.guard_taus`.
+    higher degree here already. watched : (bound or path condition, margin in nominals) of what was
+    seen beyond its limit between the points; see :meth:`Form.watch_taus`.
     """
 
     leg: int
     fraction: float
     degree: int
     raised: bool = False
-    guards: int = GUARDS
+    watched: tuple[tuple[str, float], ...] = ()
+
+    def split(self, parts: int, degree: int) -> list[Interval]:
+        """Equal parts of this degree."""
+        part = replace(self, fraction=self.fraction / parts, degree=degree, raised=False)
+        return [part] * parts
 
 
 @dataclass(frozen=True)
@@ -221,13 +243,37 @@ class Shooting:
 Method: TypeAlias = Collocation | Shooting
 
 
-def guarded(mesh: Mesh, excesses: Sequence[float]) -> Mesh:
-    """The mesh with more checks where an input exceeds its bounds between them by ``MOST_EXCESS``."""
-    intervals = (
-        replace(interval, guards=MOST_GUARDS) if excess > MOST_EXCESS else interval
-        for interval, excess in zip(mesh.intervals, excesses, strict=True)
-    )
+def watched(mesh: Mesh, beyond: Sequence[Mapping[str, float]], tolerance: float) -> Mesh:
+    """The mesh with checks between the points where a limit is exceeded there by the tolerance.
+
+    beyond : for each interval {bound or path condition: by how much}, in units of nominal. First the
+    limit is checked there; then, with a margin; where that does not do, or inside an interval of
+    shooting nothing is known, the interval is split.
+    """
+    intervals: list[Interval] = []
+    for interval, excess in zip(mesh.intervals, beyond, strict=True):
+        seen = {label: value for label, value in excess.items() if value > tolerance}
+        known = dict(interval.watched)
+        margins = {n: known[n] + MARGIN * value if n in known else 0.0 for n, value in seen.items()}
+        finite = all(margin <= MOST_MARGIN for margin in margins.values())
+        if not seen:
+            intervals.append(interval)
+        elif mesh.form.scheme == "shooting":
+            intervals += interval.split(2, interval.degree)
+        elif finite:
+            intervals.append(replace(interval, watched=tuple({**known, **margins}.items())))
+        else:
+            intervals += replace(interval, watched=()).split(2, min(interval.degree, SPLIT_DEGREE))
     return Mesh(tuple(intervals), mesh.form)
+
+
+def held(mesh: Mesh) -> Mesh:
+    """A mesh with constant inputs in place of polynomial ones: an interval for each of their values."""
+    intervals: list[Interval] = []
+    for interval in mesh.intervals:
+        parts = replace(interval, watched=()).split(interval.degree, HELD_DEGREE)
+        intervals += parts
+    return Mesh(tuple(intervals), replace(mesh.form, control="constant"))
 
 
 def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
@@ -254,8 +300,6 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
             intervals.append(replace(interval, degree=degree, raised=True))
         else:
             parts = min(max(2, int(np.ceil(decades))), 4) if rough else 2
-            each = interval.degree if shooting else SPLIT_DEGREE
-            intervals += [
-                replace(interval, fraction=interval.fraction / parts, degree=each)
-            ] * parts
+            halves = interval.split(parts, interval.degree if shooting else SPLIT_DEGREE)
+            intervals += [replace(h, raised=interval.raised) for h in halves]
     return Mesh(tuple(intervals), mesh.form)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, UnknownNameError, require_count, require_finite, require_positive
+from ..plant.opening import Inversion
 from ..plant.plant import Plant, Values
 from ..signals import PiecewisePolynomial
 from ..simulate import evaluated
@@ -41,7 +43,10 @@ class Mpc:
 
     Parameters
     ----------
-    plant : the model. Inputs marked as disturbances are not for the controller to choose.
+    plant : the model. Inputs marked as disturbances are not for the controller to choose. Of muscles
+        fed by valves it chooses the openings (``plant.in_openings()``), which move the flow through
+        zero, where commands have a dead zone, and gives the commands that make exactly these;
+        weights and bounds may name either. ``plant.in_commands()`` leaves commands as they are.
     horizon : number of steps looked ahead, of ``step`` seconds each.
     track : {state, output or input: weight w >= 0}.
     rate : {input: weight r >= 0} on its change from step to step. Weights on changes leave no steady
@@ -68,7 +73,9 @@ class Mpc:
     Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
     When the SQP fails, IPOPT is asked; :attr:`statistics` says how often.
 
-    Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for names.
+    Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for names. The
+    first call warns of an input that has no influence where the plant stands (a dead zone that is not
+    declared): no solver of this kind finds out of it.
     """
 
     def __init__(
@@ -102,13 +109,17 @@ class Mpc:
         require_positive("tolerance", tolerance)
         self.plant, self.horizon, self.step, self.delay = plant, horizon, float(step), delay
         self.iterations, self.work = iterations, math.inf if work is None else work
-        self.given = Givens(plant)
+        self.inversion = inversion = Inversion(plant)
+        self.model = inversion.inner
+        """The plant as the program sees it: with openings in place of the commands of valves."""
+        self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
         how = Step(step, method, substeps)
-        penalties = _penalties(plant, track, terminal)
-        rated = _weights(plant, rate or {}, "rate", ("input",))
-        limits = _limits(plant, self.given, bounds or {}, soft)
+        track, terminal = inversion.names(track), terminal and inversion.names(terminal)
+        penalties = _penalties(self.model, track, terminal)
+        rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
+        limits = _limits(self.model, self.given, inversion.bounds(_pairs(plant, bounds)), soft)
         self.program = Shooting(
             self.given, how, horizon, penalties, {n: w for n, w in rated.items() if w > 0},
             limits, (penalty, penalty),
@@ -122,11 +133,17 @@ class Mpc:
     def reset(self, inputs: Values | None = None) -> None:
         """Forget solutions and statistics; ``inputs`` are those applied now (start values if None)."""
         values = self.plant.vector("input", inputs)
-        names = [v.name for v in self.plant.inputs]
+        values = self.inversion.rows(values[None, :])[0]
+        names = [v.name for v in self.model.inputs]
         chosen = [names.index(v.name) for v in self.given.controls]
         self._applied: Array = values[chosen] / self.program.u_nominal
         self._warm = False
         self._steps: list[MpcStep] = []
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Names of the plant's inputs that :meth:`control` answers."""
+        return tuple(v.name for v in self.plant.inputs if not v.disturbance)
 
     @property
     def statistics(self) -> MpcStatistics:
@@ -172,6 +189,8 @@ class Mpc:
         self._references(reference or {})
         point.set_given(q)
         self._guess(x)
+        if not self._steps:
+            self._warn_of_dead_inputs(x, q)
         limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
         kept = point.w.copy()
         fallback = failed = False
@@ -193,7 +212,8 @@ class Mpc:
                     outcome.work, outcome.step, outcome.converged, fallback, failed)
         )  # fmt: skip
         si = self._applied * self.program.u_nominal
-        return {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
+        chosen = {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
+        return self.inversion.commands(chosen, q[: len(self.plant.parameters)])
 
     def prediction(self) -> Trajectory:
         """The planned motion of the last call, from the moment on at which the inputs take effect."""
@@ -207,7 +227,9 @@ class Mpc:
         columns = dict(zip((v.name for v in self.given.controls), chosen.T, strict=True))
         for i, v in enumerate(self.given.disturbances):
             columns[v.name] = np.full(len(chosen), point.given[n + i])
-        inputs = np.column_stack([columns[v.name] for v in self.plant.inputs])
+        inputs = np.column_stack([columns[v.name] for v in self.model.inputs])
+        if self.inversion:
+            inputs = self.inversion.sent(inputs, point.given[:n])
         t: Array = self.step * np.arange(self.horizon + 1.0)
         held = PiecewisePolynomial(t, inputs[:-1, None, :])
         model = self.plant.with_values(
@@ -221,6 +243,20 @@ class Mpc:
         return ca.Function(
             "predict", [p.x, p.u, p.q], [how.expression(self.given, p.x, p.u, p.q)]
         )  # fmt: skip
+
+    def _warn_of_dead_inputs(self, x: Array, q: Array) -> None:
+        p = self.program
+        step = self._advance(p.x, p.u, p.q)
+        slopes = ca.Function("slopes", [p.x, p.u, p.q], [ca.densify(ca.jacobian(step, p.u))])
+        effect = np.abs(np.asarray(slopes(x, self._applied, q))).max(axis=0, initial=0.0)
+        for variable, size in zip(self.given.controls, effect, strict=True):
+            if size <= 1e-12:
+                warnings.warn(
+                    f"Mpc: {variable.name} has no influence where the plant stands: its slope is 0, as "
+                    "in a dead zone, and it will hardly be moved. Declare the dead zone "
+                    "(plant.dead_zone(command, width)), so that its inverse is used",
+                    stacklevel=3,
+                )
 
     def _by_ipopt(self) -> Outcome:
         if self._ipopt is None:
@@ -243,7 +279,7 @@ class Mpc:
         return values
 
     def _references(self, reference: Mapping[str, Any]) -> None:
-        given = {self.plant.variable(n).name: v for n, v in reference.items()}
+        given = self.inversion.references(reference, self.horizon + 1)
         tracked = {p.variable.name: i for i, p in enumerate(self.program.penalties)}
         for i, penalty in enumerate(self.program.penalties):
             self._sqp.point.references[:, i] = penalty.variable.start or 0.0
@@ -323,9 +359,11 @@ def _penalties(
     ]
 
 
-def _limits(plant: Plant, given: Givens, bounds: Mapping[str, Any], soft: bool) -> list[Limit]:
+def _limits(
+    plant: Plant, given: Givens, bounds: Mapping[str, tuple[float, float]], soft: bool
+) -> list[Limit]:
     """The plant's bounds and path constraints, narrowed by ``bounds``."""
-    narrowed = {plant.variable(n).name: _pair(plant.variable(n), v) for n, v in bounds.items()}
+    narrowed = dict(bounds)
     limits = []
     for variable in (*plant.states, *given.controls, *plant.constraints, *plant.outputs):
         low, high = narrowed.pop(variable.name, (-math.inf, math.inf))
@@ -342,6 +380,16 @@ def _limits(plant: Plant, given: Givens, bounds: Mapping[str, Any], soft: bool) 
         name = next(iter(narrowed))
         raise InputError(f"bounds: {name} is a parameter or a disturbance and cannot be bounded")
     return limits
+
+
+def _pairs(plant: Plant, bounds: Mapping[str, Any] | None) -> dict[str, tuple[float, float]]:
+    inner = plant.in_openings()
+    found = {}
+    for name, value in (bounds or {}).items():
+        opening = Inversion(plant).opening_of(name)
+        variable = inner.variable(opening) if opening else plant.variable(name)
+        found[variable.name] = _pair(variable, value)
+    return found
 
 
 def _pair(variable: Variable, value: Any) -> tuple[float, float]:

@@ -88,11 +88,11 @@ def pose(plant: Plant, wish: Wish) -> Problem:
         nodes[-1] = _not_implied(plant, stops, nodes[-1], closing or {})
     _require_an_end(wish, legs)
     goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
+    budgets = [budget(plant, term, value, symbols) for term, value in (wish.budgets or {}).items()]
     return Problem(
-        plant, tuple(values), tuple(nodes), tuple(legs), closing, goal,
-        tuple(budget(plant, term, value) for term, value in (wish.budgets or {}).items()),
+        plant, tuple(values), tuple(nodes), tuple(legs), closing, goal, tuple(budgets),
         design_ranges(plant, wish.design or {}),
-        tuple(symbols.profiles), tuple(symbols.aims),
+        tuple(symbols.profiles), tuple(symbols.aims), dict(symbols.widths),
         *(ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m)),
     )  # fmt: skip
 

@@ -91,6 +91,7 @@ class Problem:
     closing : None, or {state: (sign, image)}: the last node's image is the first node.
     design : {parameter: (low, high)} to be chosen with the motion.
     profiles, aims : what the symbols ``r`` and ``q`` stand for: values of time profiles, constant aims.
+        widths : {place among the aims: widest} of roundings of costs, for which a solver begins wide.
         ``m`` are further unknowns, in units of nominal: largest values along the motion, inputs that
         would hold the plant at a stop.
     """
@@ -105,6 +106,7 @@ class Problem:
     design: dict[str, Range] = field(default_factory=dict)
     profiles: tuple[Profile, ...] = ()
     aims: tuple[float, ...] = ()
+    widths: dict[int, float] = field(default_factory=dict)
     r: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     q: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     m: ca.SX = field(default_factory=lambda: ca.SX(0, 1))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,21 +15,22 @@ from ..integrate import Integration
 from ..plant.plant import Plant
 from ..simulate import simulate
 from ..trajectory import Trajectory
-from .mesh import Mesh
-from .problem import Problem, limits
+from .mesh import Form, Mesh
+from .problem import Budget, Condition, Leg, Problem
 from .solution import Solution
-from .stage import Stage
+from .stage import nominals
 
-__all__ = ["Replay", "excesses", "interval_errors", "motion_error", "replayed"]
+__all__ = ["Replay", "interval_errors", "replayed"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-11
 """Relative tolerance of the integrator that replays a plan."""
-DENSE = 31
-"""Places between two points of a polynomial input where it is looked at."""
-OVERSAMPLING = 8
-"""Checked times between two samples of a plan."""
+OVERSAMPLING = {"polynomial": 16}
+"""Checked times between two points of a plan by how its inputs run (even numbers)."""
+USUALLY = 8
+BY_SHOOTING = 32
+"""The same where an interval has no point inside."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,18 @@ class Replay:
     state: str
     """The state that deviates most."""
     violation: float
-    """Largest violation of a bound or path constraint, between samples too, in units of nominal."""
+    """Largest violation of a bound or path constraint (between the samples too, and on both sides of
+    jumps of the inputs), of a condition at a stop, of the closing of a cycle, or of a budget, in
+    units of nominal."""
     constraint: str
-    """The bound that is violated most ("" when none is)."""
+    """What is violated most ("" when nothing is)."""
     trajectory: Trajectory = field(repr=False)
+    objective: float = float("nan")
+    """Of the replayed motion."""
+    beyond: tuple[dict[str, float], ...] = field(default=(), repr=False)
+    """For each interval of the mesh {bound or path condition: by how much it is exceeded}."""
+    missed: float = 0.0
+    """Largest violation of what is no bound: at the stops, of the closing, of a budget."""
 
 
 def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]:
@@ -66,93 +75,201 @@ def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]
     return errors
 
 
-def motion_error(plant: Plant, solution: Solution) -> float:
-    """How far a tight integration of the whole motion leaves its planned points, in nominals."""
-    nominal = plant.vector("state", attribute="nominal")
-    run = Integration.over(plant, solution.inputs, solution.t, solution.states[0], rtol=TOLERANCE)
-    found = run()
-    if found is None:
-        return float("inf")
-    return float(np.max(np.abs(run.at(solution.t, found) - solution.states) / nominal))
-
-
-def excesses(problem: Problem, mesh: Mesh, solution: Solution) -> list[float]:
-    """For each interval: by how much polynomial inputs, and what depends on them, exceed their limits
-    between the points, in units of nominal."""
-    found = [0.0] * len(mesh.intervals)
-    if not mesh.form.guarded or mesh.form.control != "polynomial":
-        return found
-    begins, h = solution.inputs.breaks[:-1], np.diff(solution.inputs.breaks)
-    p, at = problem.plant.vector("parameter"), 0
-    rest = (np.zeros(problem.r.numel()), np.array(problem.aims), solution.peaks)
-    stages = [Stage(problem, leg, mesh.form, 1, DENSE) for leg in problem.legs]
-    values_of = [problem.conditions("guarded", stage.guarded) for stage in stages]
-    for k, interval in enumerate(mesh.intervals):
-        taus = mesh.form.guard_taus(interval.degree, DENSE)
-        points = solution.states[at : at + 1 + len(mesh.form.state_taus(interval.degree))]
-        weights = [mesh.form.state_weights(interval.degree, tau) for tau in taus]
-        x = points.T @ np.asarray(ca.horzcat(*weights))
-        powers = (taus * h[k]) ** np.arange(solution.inputs.coefficients.shape[1])[:, None]
-        u = solution.inputs.coefficients[k].T @ powers
-        values = np.asarray(
-            values_of[interval.leg](x, u, p, begins[k] + h[k] * taus[None, :], *rest)
-        )
-        low, high = (np.array(e)[:, None] for e in limits(stages[interval.leg].guarded))
-        beyond = np.maximum(low - values, values - high)
-        found[k] = float(np.max(beyond, initial=0.0))
-        at += len(points) - 1
-    return found
-
-
-def replayed(problem: Problem, plant: Plant, samples: Trajectory, solution: Solution) -> Replay:
-    """Integrate the planned inputs tightly, and look at the bounds between the samples too."""
-    fine = np.linspace(samples.t[:-1], samples.t[1:], OVERSAMPLING, endpoint=False).T.ravel()
+def replayed(
+    problem: Problem, plant: Plant, mesh: Mesh, samples: Trajectory, solution: Solution
+) -> Replay:
+    """Integrate the planned inputs tightly, and look at all that was asked for, between the samples too."""
+    per = _between(mesh.form)
+    fine = np.linspace(samples.t[:-1], samples.t[1:], per, endpoint=False).T.ravel()
     fine = np.append(fine, samples.t[-1])
     try:
         motion = simulate(plant, samples, t=fine, rtol=TOLERANCE)
     except SimulationError as error:
         part = error.trajectory or samples
-        return Replay(
-            float("inf"), f"the replay stops at t = {error.time:g} s", float("inf"), "", part
-        )
+        stopped, inf = f"the replay stops at t = {error.time:g} s", float("inf")
+        return Replay(inf, stopped, inf, "everything behind", part)
     names = samples.named("state")
     nominal = plant.vector("state", attribute="nominal")
-    deviation = np.abs(motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal
-    violation, constraint = _violation(problem, plant, motion, solution)
+    deviation = np.abs(motion.array(names)[::per] - samples.array(names)) / nominal
     worst = names[int(np.argmax(deviation.max(axis=0)))]
-    return Replay(float(deviation.max()), worst, violation, constraint, motion)
+    check = _Check(problem, plant, mesh, solution, motion.t, motion.array(names).T, per)
+    beyond = check.along()
+    others = {**check.at_stops(), **check.closing(), **check.budgets()}
+    every = [*(pair for each in beyond for pair in each.items()), *others.items()]
+    label, violation = max(every, key=lambda pair: pair[1], default=("", 0.0))
+    return Replay(
+        float(deviation.max()), worst, violation, label, motion, check.objective(), beyond,
+        max(others.values(), default=0.0),
+    )  # fmt: skip
 
 
-def _violation(
-    problem: Problem, plant: Plant, motion: Trajectory, solution: Solution
-) -> tuple[float, str]:
-    """Largest violation of bounds and path conditions along a motion, in units of nominal."""
-    x, u = (motion.array(motion.named(c)).T for c in ("state", "input"))
-    profiles = [profile(motion.t) for profile in problem.profiles]
-    r = np.vstack(profiles) if profiles else np.zeros((0, len(motion.t)))
-    ends = np.concatenate([[0.0], np.cumsum(solution.durations)])
-    found = [(0.0, "")]
-    for i, leg in enumerate(problem.legs):
-        inside = (motion.t >= ends[i] - 1e-12) & (motion.t <= ends[i + 1] + 1e-12)
-        if not inside.any():
-            continue
-        for name, (low, high) in leg.bounds.items():
-            values, nominal = motion[name][inside], plant.variable(name).nominal
-            found.append((float(np.max(np.maximum(low - values, values - high))) / nominal, name))
-        if leg.path:
-            function = problem.conditions("path", leg.path)
-            arguments = (
-                x[:, inside], u[:, inside], plant.vector("parameter"), motion.t[None, inside],
-                r[:, inside], np.array(problem.aims), solution.peaks,
-            )  # fmt: skip
-            found += _excess(leg.path, function, arguments)
-    return max(found, key=lambda pair: pair[0])
+def _between(form: Form) -> int:
+    """How many times are looked at from one sample to the next."""
+    return BY_SHOOTING if form.scheme == "shooting" else OVERSAMPLING.get(form.control, USUALLY)
 
 
-def _excess(path: tuple, function: ca.Function, arguments: tuple) -> list[tuple[float, str]]:  # type: ignore[type-arg]
-    """(largest violation in nominals, label) of each condition."""
-    values = np.asarray(function(*arguments), float)
-    return [
-        (float(np.max(np.maximum(c.low / c.nominal - row, row - c.high / c.nominal))), c.label)
-        for c, row in zip(path, values, strict=True)
-    ]
+@dataclass(frozen=True)
+class _Check:
+    """All that was asked for, looked at along a motion.
+
+    Each interval is looked at from its start to its end with its own inputs, so a jump of the inputs
+    is seen from both sides.
+
+    t, x : (n,) and (nx, n) the motion, ``per`` times from one sample to the next.
+    """
+
+    problem: Problem
+    plant: Plant
+    mesh: Mesh
+    solution: Solution
+    t: Array
+    x: Array
+    per: int
+
+    def _pieces(self) -> Iterator[tuple[int, slice, Array]]:
+        """(interval, its times, inputs (nu, times)) one by one."""
+        at, inputs = 0, self.solution.inputs
+        for k, interval in enumerate(self.mesh.intervals):
+            end = at + self.per * len(self.mesh.form.state_taus(interval.degree))
+            inside = slice(at, end + 1)
+            powers = (self.t[inside] - inputs.breaks[k]) ** np.arange(inputs.degree + 1)[:, None]
+            yield k, inside, inputs.coefficients[k].T @ powers
+            at = end
+
+    def _arguments(self, t: Array, x: Array, u: Array) -> tuple[Array, ...]:
+        """Of a Problem's function, at columns of times, states and inputs."""
+        profiles = [profile(t) for profile in self.problem.profiles]
+        r = np.vstack(profiles) if profiles else np.zeros((0, len(t)))
+        p = self.plant.vector("parameter")
+        return x, u, p, t[None], r, np.array(self.problem.aims), self.solution.peaks
+
+    def _legs(self) -> Iterator[tuple[Leg, Array, Array, Array, Array]]:
+        """(leg, interval of each point, times, states, inputs), intervals end to end."""
+        pieces = list(self._pieces())
+        for i, leg in enumerate(self.problem.legs):
+            own = [(k, s, u) for k, s, u in pieces if self.mesh.intervals[k].leg == i]
+            if own:
+                of = np.concatenate([np.full(u.shape[1], k) for k, _, u in own])
+                t = np.concatenate([self.t[s] for _, s, _ in own])
+                x = np.concatenate([self.x[:, s] for _, s, _ in own], axis=1)
+                yield leg, of, t, x, np.concatenate([u for *_, u in own], axis=1)
+
+    def along(self) -> tuple[dict[str, float], ...]:
+        """For each interval {bound or path condition: by how much it is exceeded} in nominals."""
+        found: list[dict[str, float]] = [{} for _ in self.mesh.intervals]
+        for leg, of, t, x, u in self._legs():
+            variables = (*self.plant.states, *self.plant.inputs)
+            labels = [v.name for v in variables] + [c.label for c in leg.path]
+            scale = np.array([v.nominal for v in variables])[:, None]
+            values = np.vstack([x, u]) / scale
+            pairs = [(np.array(leg.bounds[v.name]) / v.nominal) for v in variables]
+            pairs += [np.array([c.low, c.high]) / c.nominal for c in leg.path]
+            if leg.path:
+                function = self.problem.conditions("path", leg.path)
+                path = np.asarray(function(*self._arguments(t, x, u)), float)
+                values = np.vstack([values, path])
+            for label, row, (low, high) in zip(labels, values, pairs, strict=True):
+                excess = _excess(row, low, high)
+                for k in np.unique(of[excess > 0]):
+                    worst = float(np.max(excess[of == k]))
+                    # two conditions may bear one name
+                    found[k][label] = max(worst, found[k].get(label, 0.0))
+        return tuple(found)
+
+    def _node(self, i: int) -> tuple[Array, ...]:
+        """Arguments at a node: at the start of the interval behind it, or at the end of the motion."""
+        first, last = self.mesh.first(i), len(self.mesh.intervals)
+        for k, inside, u in self._pieces():
+            if k == min(first, last - 1):
+                j = -1 if first == last else 0
+                t, x = self.t[inside], self.x[:, inside]
+                return self._arguments(t[[j]], x[:, [j]], u[:, [j]])
+        raise AssertionError("a node is behind the mesh")
+
+    def at_stops(self) -> dict[str, float]:
+        """{condition at a stop: by how much it is missed} in nominals."""
+        found: dict[str, float] = {}
+        for i, conditions in enumerate(self.problem.nodes):
+            if conditions:
+                function = self.problem.conditions("stop", conditions)
+                values = np.asarray(function(*self._node(i)), float).ravel()
+                found |= _missed(conditions, values)
+        return found
+
+    def closing(self) -> dict[str, float]:
+        """{"closing of the cycle: state": by how much the cycle is open} in nominals."""
+        names = [v.name for v in self.plant.states]
+        nominal = nominals(self.problem)[0]
+        found = {}
+        for i, (sign, image) in enumerate((self.problem.closing or {}).values()):
+            gap = self.x[i, -1] - sign * self.x[names.index(image), 0]
+            found[f"closing of the cycle: {names[i]}"] = _finite(abs(gap) / nominal[i])
+        return found
+
+    def _integral(self, expressions: Sequence[object]) -> Array:
+        """Of expressions over the whole motion, by Simpson's rule on the pieces."""
+        function = self.problem.function("integrands", expressions)  # type: ignore[arg-type]
+        total = np.zeros(len(expressions))
+        for _, inside, u in self._pieces():
+            t = self.t[inside]
+            values = np.asarray(function(*self._arguments(t, self.x[:, inside], u)), float)
+            weights = np.zeros(len(t))
+            for at in range(0, len(t) - 1, 2):
+                weights[at : at + 3] += (t[at + 2] - t[at]) / 6 * np.array([1.0, 4.0, 1.0])
+            total += values @ weights
+        return total
+
+    def budgets(self) -> dict[str, float]:
+        """{budget: by how much it is missed} in nominals."""
+        budgets = self.problem.budgets
+        if not budgets:
+            return {}
+        spent = self._integral([b.integrand / b.nominal for b in budgets])
+        return _missed(budgets, spent)
+
+    def objective(self) -> float:
+        """Of the motion; the rate of the inputs and peaks as planned."""
+        goal, total = self.problem.objective, 0.0
+        total += goal.time * float(sum(self.solution.durations))
+        if not goal.integrand.is_zero():
+            total += float(self._integral([goal.integrand])[0])
+        if not goal.final.is_zero():
+            last = self._node(len(self.problem.legs))
+            total += float(self.problem.function("final", [goal.final])(*last))
+        total += float(np.dot(goal.peaks, self.solution.peaks)) if goal.peaks else 0.0
+        return total + goal.rate * self._rate() if goal.rate else total
+
+    def _rate(self) -> float:
+        """Integral of the squared rate of the inputs in nominals; of held ones, that of the joined."""
+        inputs, u_nominal = self.solution.inputs, nominals(self.problem)[1]
+        h = np.diff(inputs.breaks)
+        c = inputs.coefficients / u_nominal
+        if self.mesh.form.control == "constant":
+            jumps = np.sum(np.diff(c[:, 0], axis=0) ** 2, axis=1)
+            return float(np.sum(jumps / ((h[:-1] + h[1:]) / 2)))
+        taus, weights = np.polynomial.legendre.leggauss(inputs.degree + 1)
+        total, j = 0.0, np.arange(1, inputs.degree + 1)
+        for tau, weight in zip((taus + 1) / 2, weights / 2, strict=True):
+            slopes = np.einsum("kj,kji->ki", j * (tau * h)[:, None] ** (j - 1), c[:, 1:])
+            total += weight * float(np.sum(h * np.sum(slopes**2, axis=1)))
+        return total
+
+
+def _excess(values: Array, low: float, high: float) -> Array:
+    """By how much values are outside; infinite where they are no numbers."""
+    beyond = np.maximum(np.maximum(low - values, values - high), 0.0)
+    return np.where(np.isnan(beyond), np.inf, beyond)
+
+
+def _finite(value: float) -> float:
+    return float("inf") if np.isnan(value) else float(value)
+
+
+def _missed(conditions: Sequence[Condition | Budget], values: Array) -> dict[str, float]:
+    """{label: by how much a value is outside its limits} of those that are, in nominals."""
+    found: dict[str, float] = {}
+    for c, value in zip(conditions, values, strict=True):
+        by = float(_excess(np.array([value]), c.low / c.nominal, c.high / c.nominal)[0])
+        if by > 0:
+            found[c.label] = max(by, found.get(c.label, 0.0))
+    return found

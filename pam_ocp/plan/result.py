@@ -22,6 +22,7 @@ from .replay import Replay
 from .solution import Solution
 from .solver import Outcome
 from .transcription import Program
+from .verdict import TOLERANCE, Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +43,7 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A planned motion, or a failed attempt at one.
+    """A planned motion, or a failed attempt at one; :attr:`verdict` says whether to trust it.
 
     A failed plan is sealed: ``trajectory`` raises PlanError; what the solver left is reached only
     by :meth:`unverified`.
@@ -50,7 +51,8 @@ class Plan:
 
     plant: Plant
     """With the values that the plan chose for its ``design`` parameters."""
-    success: bool
+    solved: bool
+    """Whether the solver converged: then there is a :attr:`trajectory`."""
     status: str
     """The solver's return status."""
     objective: float
@@ -68,9 +70,37 @@ class Plan:
     iteration."""
     conflicts: tuple[Conflict, ...] = ()
     """Of a failed plan: the constraints that cannot hold together, the worst first."""
+    tolerance: float = TOLERANCE
+    """What the plan is judged by, in units of nominal."""
     _samples: Trajectory = field(repr=False, default=None)  # type: ignore[assignment]
     _problem: Problem | None = field(repr=False, default=None)
     _solved: Solved | None = field(repr=False, default=None)
+    _coarse: Solved | None = field(repr=False, default=None)
+    """The solution on the first mesh."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the plan can be trusted, with all figures; ``print(plan.verdict)`` is a sentence."""
+        nan, r = float("nan"), self.replay
+        figures = (r.error, r.state, r.violation, r.constraint) if r else (nan, "", nan, "")
+        return Verdict(self.status, self.solved, *figures, self.tolerance)
+
+    @property
+    def verified(self) -> bool:
+        """Whether the solver converged, an independent replay agrees, and all limits hold between the
+        points too, to the plan's :attr:`tolerance`."""
+        return self.verdict.verified
+
+    @property
+    def success(self) -> bool:
+        """The same as :attr:`verified`."""
+        return self.verified
+
+    def _near(self, program: Program) -> Solved | None:
+        """Where a solve of ``program`` may start from this plan: warm, if it solved the same one."""
+        if self._coarse is not None and self._coarse.program.nlp is program.nlp:
+            return self._coarse
+        return self._solved
 
     @property
     def duration(self) -> float:
@@ -80,7 +110,7 @@ class Plan:
     @property
     def trajectory(self) -> Trajectory:
         """The planned motion. Raises PlanError when the plan failed."""
-        if not self.success:
+        if not self.solved:
             raise PlanError(
                 f"this plan failed ({self.status}) and holds no solution; "
                 "unverified() gives what the solver left",
@@ -99,7 +129,7 @@ class Plan:
 
     # ---- duals --------------------------------------------------------------------------------
     def _duals(self) -> Solved:
-        if not self.success or self._solved is None:
+        if not self.solved or self._solved is None:
             raise PlanError(
                 "this plan holds no multipliers: it failed, or was loaded from a file; plan it anew",
                 self,
@@ -148,9 +178,9 @@ class Plan:
 
     def __getstate__(self) -> dict[str, Any]:
         """Symbols do not travel between processes: a copy there knows no multipliers."""
-        lost = ("_problem", "_solved", "costates", "sensitivities", "stop_sensitivities")
+        lost = ("_problem", "_solved", "_coarse", "costates", "sensitivities", "stop_sensitivities")
         return {**{k: v for k, v in self.__dict__.items() if k not in lost},
-                "_problem": None, "_solved": None, "conflicts": ()}  # fmt: skip
+                "_problem": None, "_solved": None, "_coarse": None, "conflicts": ()}  # fmt: skip
 
     # ---- files and figures ----------------------------------------------------------------------
     def save(self, path: str | Path) -> Path:
@@ -167,7 +197,9 @@ class Plan:
 
     def __str__(self) -> str:
         s = self.statistics
+        verdict = str(self.verdict)
         lines = [
+            f"{verdict if self.verified else verdict.upper()[:12] + verdict[12:]}",
             f"plan of {self.plant.name}: {self.status}",
             f"duration   {self.duration:.6g} s ({' + '.join(f'{d:.6g}' for d in self.durations)})",
             f"objective  {self.objective:.6g}",
@@ -175,10 +207,11 @@ class Plan:
             f"{s['solve_seconds']:.3f} s (built in {s['build_seconds']:.3f} s; {s['variables']} "
             f"variables, {s['constraints']} constraints)",
             f"mesh       {s['intervals']} intervals"
-            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else "")
-            + ("" if s.get("tolerance_met", True) else ", tolerance not met"),
+            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
         ]
-        lines[3:3] = [
+        if s.get("warning"):
+            lines.append(f"note       {s['warning']}")
+        lines[4:4] = [
             f"design     {name} = {self.plant.variable(name).shown(value)}"
             for name, value in self.design.items()
         ]

@@ -3,44 +3,42 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, PlanError, require_count, require_instance, require_positive
+from ..errors import (
+    InputError,
+    PlanError,
+    PlanWarning,
+    require_count,
+    require_instance,
+    require_positive,
+)
 from ..memory import Memory
 from ..plant.plant import Plant, Values
 from ..simulate import evaluated
-from .backend import Backend, Solver, SolverName
-from .diagnosis import Conflict, elastic, explanation
-from .guess import by_stops, from_solution, wants_balance
-from .mesh import Collocation, Mesh, Method, Shooting, guarded, refined
+from .backend import Backend, SolverName
+from .diagnosis import Conflict, explanation
+from .mesh import Collocation, Mesh, Method, Shooting
 from .pose import Cyclic, Wish, pose
-from .narrowing import has_kinks, narrowing
 from .problem import Budget, Condition, Problem
-from .replay import excesses, interval_errors, motion_error, replayed
+from .refine import Checked, Refinement, checked
 from .result import Plan, Solved
-from .solution import unpack
-from .solver import Outcome, Progress, Start
+from .run import STARTS, Run
+from .solver import Progress
 from .transcription import Program, Row, transcribe
+from .verdict import TOLERANCE
 from .wording import Avoid, Constraint, Phase, Stop
 
 __all__ = ["Planner", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
-
-MAX_REFINEMENTS = 10
-MORE_INTERVALS = 300
-"""Refinement ends before it adds more: a mesh that grows so is chasing switches, and slow to solve."""
-
-_STRATEGIES: tuple[Start, ...] = ("cold", "adaptive")
-STARTS = tuple(product((True, False), (1.0, 0.3, 3.0), _STRATEGIES))
-"""(whether states run as in the planner's own guess, its durations, barrier strategy)."""
 
 
 def plan(
@@ -61,7 +59,7 @@ def plan(
     integrand: ca.SX | None = None,
     final: ca.SX | None = None,
     method: Method | None = None,
-    tolerance: float | None = None,
+    tolerance: float | None = TOLERANCE,
     guess: Plan | None = None,
     starts: int = 1,
     progress: Progress = False,
@@ -102,8 +100,10 @@ def plan(
         symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
     method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
         ``Shooting(intervals=50, steps=4)``.
-    tolerance : refine the mesh (degrees first, then intervals) until the whole motion, integrated
-        tightly, meets its planned points to this part of nominal; None for one mesh only.
+    tolerance : of the plan's verdict, in units of nominal: how far a tight integration of the planned
+        inputs may leave the planned motion, and exceed limits, stops and budgets, between the points
+        of the mesh too. The mesh is refined until it is met; polynomial inputs that cannot meet it
+        are held constant instead. None for one mesh only, judged by 1e-3.
     guess : another plan to start from.
     starts : 1 to 12: how many starts are tried (other durations, states and barrier strategies of the
         first guess); the best plan is kept. Of use with valves, where there are many local optima.
@@ -117,7 +117,8 @@ def plan(
     options : of the solver, over its defaults here.
 
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
-    message names the constraints in conflict, ``error.plan`` is the sealed plan.
+    message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns (PlanWarning) when
+    the plan is not verified: ``plan.verdict`` says why.
     """
     planner = Planner(
         plant, stops, cyclic=cyclic, duration=duration, minimise=minimise, bounds=bounds, rest=rest,
@@ -125,7 +126,7 @@ def plan(
         integrand=integrand, final=final, method=method, progress=progress, solver=solver,
         compiled=compiled, options=options,
     )  # fmt: skip
-    return planner(guess=guess, tolerance=tolerance, starts=starts)
+    return planner._solve(None, guess, tolerance, starts, {}, stacklevel=3)
 
 
 class Planner:
@@ -171,7 +172,7 @@ class Planner:
         values: Values | None = None,
         *,
         guess: Plan | None = None,
-        tolerance: float | None = None,
+        tolerance: float | None = TOLERANCE,
         starts: int = 1,
         **changed: Any,
     ) -> Plan:
@@ -183,53 +184,48 @@ class Planner:
         changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track``, ``memory`` of the same
             form.
 
-        Raises InputError when a change would ask for another program, PlanError as plan does.
+        Raises InputError when a change would ask for another program, PlanError as plan does; warns
+        as plan does.
         """
+        return self._solve(values, guess, tolerance, starts, changed, stacklevel=3)
+
+    def _solve(
+        self,
+        values: Values | None,
+        guess: Plan | None,
+        tolerance: float | None,
+        starts: int,
+        changed: Mapping[str, Any],
+        stacklevel: int,
+    ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
             require_positive("tolerance", tolerance)
         require_instance("guess", guess, Plan, "give what plan() returned", none=True)
         require_count("starts", starts, 1, len(STARTS))
         program = self._with(values, changed)
-        run = _Run(program, self._backend, self._solver)
-        found = run.solve(guess._solved if guess is not None else None)
-        meshes = [program.mesh]
+        run = Run(program, self._backend, self._solver)
+        found = run.solve(guess._near(program) if guess is not None else None)
         figures: dict[str, Any] = {}
-        if starts > 1:
+        if starts > 1 and not found.outcome.stopped:
             found, figures["starts"] = run.best(found, starts)
         figures["iterations"] = found.outcome.iterations
-        if tolerance is not None and found.outcome.success:
-            found = self._refined(found, tolerance, meshes, figures)
+        if not found.outcome.success:
+            figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
+            failed = _plan(found, figures, conflicts=run.conflicts)
+            raise PlanError(explanation(failed.plant.name, found.outcome, run.conflicts), failed)
+        refinement = Refinement(checked(found), tolerance or float("inf"), self._backend)
+        figures["iterations"] += refinement.iterations
+        if refinement.warning:
+            figures["warning"] = refinement.warning
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
-        return _plan(found, () if found.outcome.success else run.conflicts, meshes, figures)
-
-    def _refined(
-        self, found: Solved, tolerance: float, meshes: list[Mesh], figures: dict[str, Any]
-    ) -> Solved:
-        """Solve on finer meshes until a tight integration agrees, or as far as it goes."""
-        while True:
-            problem, mesh = found.program.problem, meshes[-1]
-            plant = _designed(problem, found)
-            error = motion_error(plant, found.solution)
-            met = figures["tolerance_met"] = error <= tolerance
-            if met:
-                beyond = excesses(replace(problem, plant=plant), mesh, found.solution)
-                finer = guarded(mesh, beyond)
-            else:
-                errors = interval_errors(plant, mesh, found.solution)
-                # errors of intervals add up, and may grow along the motion
-                growth = max(1.0, error / sum(errors)) if np.isfinite(error) else 1.0
-                finer = refined(mesh, errors, tolerance / len(errors) / growth)
-            if finer == mesh or len(meshes) > MAX_REFINEMENTS:
-                return found
-            if len(finer.intervals) > len(meshes[0].intervals) + MORE_INTERVALS:
-                return found
-            following = _Run(transcribe(problem, finer), self._backend.near()).refined(found)
-            figures["iterations"] += following.outcome.iterations
-            if not following.outcome.success:  # the coarser plan stands, with its replay error
-                return found
-            found = following
-            meshes.append(finer)
+        result = _plan(
+            refinement.best.found, figures, refinement.best, tuple(refinement.meshes), found, tolerance
+        )
+        if not result.verified:
+            message = f"the plan of {result.plant.name} is {result.verdict}"
+            warnings.warn(message, PlanWarning, stacklevel=stacklevel)
+        return result
 
     def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
         """The program with other numbers."""
@@ -296,101 +292,36 @@ def _renewed(program: Program, problem: Problem) -> tuple[Row, ...]:
     )
 
 
-class _Run:
-    """One program: from a guess, or from all guesses there are, to a solution or a diagnosis."""
-
-    def __init__(self, program: Program, backend: Backend, solver: Solver | None = None) -> None:
-        begin = time.perf_counter()
-        self.program, self.options = program, backend.ipopt_options
-        self.solver = solver or backend.build(program)
-        self.build_seconds = time.perf_counter() - begin
-        self.conflicts: tuple[Conflict, ...] = ()
-
-    def refined(self, coarse: Solved) -> Solved:
-        """From the solution on a coarser mesh; no other guess would be better."""
-        guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
-        found = self._from(guess, "near")
-        return found if found.outcome.success else self._from(guess)
-
-    def best(self, first: Solved, starts: int) -> tuple[Solved, list[float]]:
-        """The best of the first start and further ones, and the objectives of all that led somewhere."""
-        own = wants_balance(self.program.problem)
-        tried = [first]
-        for usual, stretch, start in STARTS[1:starts]:
-            balanced = own if usual else not own
-            guess = by_stops(self.program.problem, self.program.mesh, balanced, stretch)
-            tried.append(self._from(guess, start))
-        solved = [s for s in tried if s.outcome.success]
-        objectives = [s.outcome.objective for s in solved]
-        return (solved[int(np.argmin(objectives))] if solved else first), objectives
-
-    def solve(self, previous: Solved | None) -> Solved:
-        """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
-        program, problem, mesh = self.program, self.program.problem, self.program.mesh
-        if previous is None:
-            found = self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
-        else:
-            if previous.program.nlp is program.nlp:
-                found = self._from(previous.outcome.w, "warm", previous.outcome)
-            else:
-                found = self._from(from_solution(problem, mesh, previous.solution), "near")
-            if not found.outcome.success:
-                found = self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
-        if not found.outcome.success:
-            balanced = by_stops(problem, mesh, balanced=True)
-            again = self._from(balanced, "adaptive")
-            if again.outcome.success:
-                return again
-            self.conflicts, feasible = elastic(program, balanced, self.options)
-            if not self.conflicts:
-                again = self._from(feasible, "adaptive")
-            return again if again.outcome.success else found
-        return found
-
-    def _from(self, guess: Array, start: Start = "cold", warm: Outcome | None = None) -> Solved:
-        if warm is None and has_kinks(self.program.problem.plant):
-            outcome = narrowing(self.solver, self.program, guess, start)
-        else:
-            outcome = self.solver(self.program, guess, start, warm)
-        solution = unpack(self.program.problem, self.program.mesh, outcome.w)
-        return Solved(self.program, outcome, solution)
-
-
-def _designed(problem: Problem, found: Solved) -> Plant:
-    """The plant with the values that were chosen for its design."""
-    chosen = dict(zip(problem.design, map(float, found.solution.design), strict=True))
-    return problem.plant.with_values(
-        {n: float(np.clip(v, *problem.design[n])) for n, v in chosen.items()}
-    )
-
-
 def _plan(
     found: Solved,
-    conflicts: tuple[Conflict, ...],
-    meshes: Sequence[Mesh],
     figures: Mapping[str, Any],
+    check: Checked | None = None,
+    meshes: tuple[Mesh, ...] = (),
+    coarse: Solved | None = None,
+    tolerance: float | None = TOLERANCE,
+    conflicts: tuple[Conflict, ...] = (),
 ) -> Plan:
-    """The Plan of a solution; raises PlanError when it failed."""
+    """The Plan of a solution that was checked, or of what a solver left that failed."""
     program, outcome, solution = found.program, found.outcome, found.solution
     problem = program.problem
-    plant = _designed(problem, found)
-    samples = evaluated(plant, solution.t, solution.states, solution.inputs)
+    plant = check.plant if check else problem.plant
+    samples = (
+        check.samples if check
+        else evaluated(plant, solution.t, solution.states, solution.inputs)
+    )  # fmt: skip
     statistics = {
+        **({"warning": outcome.warning} if outcome.warning else {}),
         **figures,
         "solver": outcome.solver,
-        **({"warning": outcome.warning} if outcome.warning else {}),
         "solve_seconds": outcome.seconds,
         "variables": len(outcome.w),
         "constraints": len(outcome.lam_g),
         "intervals": len(program.mesh.intervals),
     }
     design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
-    result = Plan(
+    return Plan(
         plant, outcome.success, outcome.status, outcome.objective,
         tuple(float(d) for d in solution.durations), design, statistics,
-        replayed(problem, plant, samples, solution) if outcome.success else None,
-        tuple(meshes), outcome.log, conflicts, samples, problem, found,
+        check.replay if check else None, meshes or (program.mesh,), outcome.log, conflicts,
+        tolerance or TOLERANCE, samples, problem, found, coarse,
     )  # fmt: skip
-    if not outcome.success:
-        raise PlanError(explanation(plant.name, outcome.status, conflicts), result)
-    return result

@@ -74,6 +74,10 @@ STARTS: dict[Start, dict[str, Any]] = {
 }  # fmt: skip
 
 
+STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
+"""IPOPT's return status when somebody stopped it."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a solver made of a program."""
@@ -91,6 +95,16 @@ class Outcome:
     solver: str = "IPOPT"
     warning: str = ""
     """What did not go as asked."""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the solver was stopped, rather than failed."""
+        return self.status in STOPPED
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing else should be tried."""
+        return self.success or self.stopped
 
 
 class _Watch(ca.Callback):

@@ -8,7 +8,7 @@ States, inputs and defects are in units of nominal.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..variables import Variable
 from .mesh import Form
 from .problem import Condition, Leg, Problem
 
@@ -30,6 +31,18 @@ def nominals(problem: Problem) -> tuple[Array, Array]:
     return plant.vector("state", attribute="nominal"), plant.vector("input", attribute="nominal")
 
 
+def _limited(condition: Condition) -> bool:
+    """Whether there is a limit, and room for it to be exceeded."""
+    low, high = condition.low, condition.high
+    return bool(np.isfinite([low, high]).any() and low < high)
+
+
+def _held_back(condition: Condition, margin: float) -> Condition:
+    """With limits narrower by a margin [nominals], as far as there is room."""
+    by = min(margin * condition.nominal, (condition.high - condition.low) / 4)
+    return replace(condition, low=condition.low + by, high=condition.high - by)
+
+
 @dataclass(frozen=True)
 class Stage:
     """An interval of ``degree`` on a leg, for :attr:`function`."""
@@ -38,35 +51,57 @@ class Stage:
     leg: Leg
     form: Form
     degree: int
-    guards: int
-    """Checks between the points; see :meth:`Form.guard_taus`."""
+    watched: tuple[tuple[str, float], ...] = ()
+    """See :class:`Interval`."""
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
         """Of the rows of path values: at each point, at the start, then between the points."""
         points = len(self.form.state_taus(self.degree))
-        guards = self.guarded * len(self._guard_taus)
-        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *guards)
+        between = (c for conditions, taus in self._between for c in conditions * len(taus))
+        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *between)
 
     @property
-    def _guard_taus(self) -> Array:
-        return self.form.guard_taus(self.degree, self.guards)
+    def profile_taus(self) -> Array:
+        """Where functions of time are evaluated: at the points, then between them."""
+        between = (taus for _, taus in self._between)
+        return np.concatenate([self.form.profile_taus(self.degree), *between])
+
+    @property
+    def _between(self) -> list[tuple[tuple[Condition, ...], Array]]:
+        """(conditions, where they are checked) between the points."""
+        u, taus = self.problem.plant.u, self.form.watch_taus(self.degree)
+        driven = tuple(c for c in self._watched if u.numel() and ca.depends_on(c.expression, u))
+        smooth = tuple(c for c in self._watched if c not in driven)
+        found = [
+            (self.guarded, self.form.guard_taus(self.degree)),
+            (driven, taus),
+            (smooth, taus[1:]),  # the start is a point itself
+        ]
+        return [(conditions, taus) for conditions, taus in found if conditions and len(taus)]
 
     @property
     def guarded(self) -> tuple[Condition, ...]:
         """What a polynomial input might break between its points: its bounds, and path conditions
-        that depend on it (but for those with profiles, which are known at the points only)."""
-        plant, problem = self.problem.plant, self.problem
-        bounds = [(v, *self.leg.bounds[v.name]) for v in plant.inputs]
-        inputs = tuple(
-            Condition(v.name, plant.expression(v.name), low, high, v.nominal, v)
-            for v, low, high in bounds
-            if np.isfinite([low, high]).any() and low < high
-        )
-        path = problem.depends_on_inputs(self.leg)
-        if problem.profiles:
-            path = tuple(c for c in path if not ca.depends_on(c.expression, problem.r))
-        return (*inputs, *path)
+        that depend on it."""
+        inputs = [self._bound(v) for v in self.problem.plant.inputs]
+        path = self.problem.depends_on_inputs(self.leg)
+        names = dict(self.watched)
+        return tuple(c for c in (*inputs, *path) if _limited(c) and c.label not in names)
+
+    @property
+    def _watched(self) -> tuple[Condition, ...]:
+        """What was seen beyond its limits between the points, held back by its margin."""
+        plant = self.problem.plant
+        known = {c.label: c for c in self.leg.path}
+        known |= {v.name: self._bound(v) for v in (*plant.states, *plant.inputs)}
+        return tuple(_held_back(known[n], margin) for n, margin in self.watched if n in known)
+
+    def _bound(self, variable: Variable) -> Condition:
+        """The bounds of a state or an input as a condition."""
+        low, high = self.leg.bounds[variable.name]
+        expression = self.problem.plant.expression(variable.name)
+        return Condition(variable.name, expression, low, high, variable.nominal, variable)
 
     @cached_property
     def function(self) -> ca.Function:
@@ -82,7 +117,7 @@ class Stage:
         inputs = ca.SX.sym("inputs", nu, len(f.input_taus(d)))
         h, t = ca.SX.sym("h"), ca.SX.sym("t")
         p = ca.SX.sym("p", len(problem.plant.parameters))
-        r = ca.SX.sym("r", problem.r.numel(), len(f.profile_taus(d)))
+        r = ca.SX.sym("r", problem.r.numel(), len(self.profile_taus))
         q, m = ca.SX.sym("q", problem.q.numel()), ca.SX.sym("m", problem.m.numel())
         x_nominal, u_nominal = nominals(problem)
 
@@ -105,11 +140,14 @@ class Stage:
         # an input may jump at the start of the interval: what depends on it is checked there too
         jumping = problem.conditions("jumping", problem.depends_on_inputs(self.leg))
         values.append(jumping(*point(0.0, start, 0)))
-        guarded = problem.conditions("guarded", self.guarded)
         through = ca.horzcat(start, states)
-        values += [
-            guarded(*point(tau, through @ f.state_weights(d, tau), 0)) for tau in self._guard_taus
-        ]
+        profile = len(f.profile_taus(d))
+        for conditions, taus in self._between:
+            between = problem.conditions("between", conditions)
+            for tau in taus:
+                state = through @ f.state_weights(d, tau)
+                values.append(between(*point(tau, state, profile)))
+                profile += 1
         return ca.Function(
             "stage",
             [start, ca.vec(states), ca.vec(inputs), h, t, p, ca.vec(r), q, m],

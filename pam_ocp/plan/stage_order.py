@@ -182,7 +182,7 @@ class _Builder:
             states = self._columns(members, lambda s: s.states)
             if self.shooting:
                 states = ca.MX(self.nx, n)  # the defect from zero is the end state
-            taus = self.mesh.form.profile_taus(stage.degree)
+            taus = stage.profile_taus
             defects, path, cost, budgets = stage.function.map(n)(
                 self._columns(members, lambda s: s.x), states,
                 self._columns(members, lambda s: s.inputs), h, t, self._parameters(members),

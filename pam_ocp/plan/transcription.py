@@ -206,7 +206,7 @@ def _stages(
     at = 0
     for stage, members in _alike(problem, mesh):
         mapped = stage.function.map(len(members))
-        taus = mesh.form.profile_taus(stage.degree)
+        taus = stage.profile_taus
         h, t = (ca.horzcat(*(each[k] for k in members)) for each in (clock.lengths, clock.starts))
         defects, path, cost, budgets = mapped(
             ca.horzcat(*(z.begin(k) for k in members)),
@@ -233,14 +233,15 @@ def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
     guarded = [v.name for v in problem.plant.inputs] if mesh.form.guarded else []
     for k, interval in enumerate(mesh.intervals):
         leg = problem.legs[interval.leg]
+        bounded = [*guarded, *(n for n, _ in interval.watched if n in leg.bounds)]
         for stage, members in found:
-            same = (stage.degree, stage.guards) == (interval.degree, interval.guards)
-            bounds = all(stage.leg.bounds[n] == leg.bounds[n] for n in guarded)
+            same = (stage.degree, stage.watched) == (interval.degree, interval.watched)
+            bounds = all(stage.leg.bounds[n] == leg.bounds[n] for n in bounded)
             if same and bounds and stage.leg.path == leg.path:
                 members.append(k)
                 break
         else:
-            found.append((Stage(problem, leg, mesh.form, interval.degree, interval.guards), [k]))
+            found.append((Stage(problem, leg, mesh.form, interval.degree, interval.watched), [k]))
     return found
 
 

@@ -5,6 +5,7 @@ Every verb (simulate, fit, plan, linearize, export) takes a Plant, also one that
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, UnknownNameError
+from ..muscle.dead_zone import dead_zone, dead_zone_inverse
 from ..muscle.losses import Loss
 from ..muscle.muscle import Muscle
 from ..variables import Causality, Variable
 from .actuator import AttachedMuscle, Feed, attach
+from .opening import Opening, Way, checked_commands
 from .stillness import Position, resting
 
 if TYPE_CHECKING:
@@ -109,7 +112,10 @@ class Plant:
         self._variables: dict[str, Variable] = {}
         self._symbols: dict[str, ca.SX] = {}
         self._expressions: dict[str, ca.SX] = {}  # derivatives, outputs and constraints by name
+        self._equations: dict[str, ca.SX] = {}  # the same as declared, with symbols for openings
         self._mirror: dict[str, tuple[float, str]] = {}
+        self._openings: tuple[Opening, ...] = ()
+        self._ways: tuple[Way, ...] = ()
         self._system: _System | None = None
 
     # ---- declaring ----------------------------------------------------------------------------
@@ -142,6 +148,61 @@ class Plant:
     def constraint(self, name: str, expression: Any, **attributes: Any) -> ca.SX:
         """Declare a path constraint min <= expression <= max, which plans keep."""
         return self._define(Variable(name, "constraint", **attributes), expression)
+
+    def opening(
+        self,
+        name: str,
+        commands: Sequence[ca.SX],
+        forward: ca.SX,
+        inverse: Callable[[ca.SX], Sequence[ca.SX]],
+        ways: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        **attributes: Any,
+    ) -> list[ca.SX]:
+        """Declare an input w that controllers choose in place of commands that have a dead zone.
+
+        commands : symbols of the inputs. forward : w as an expression of them and of parameters.
+        inverse : w -> the commands that give it. ways : what stands in the plant's equations, each as
+        (expression of the commands, w -> the same of w); returns their symbols, to be used there.
+        attributes : of the variable w; see :class:`Variable`. See :meth:`in_openings`.
+        """
+        self._open()
+        names = [next((n for n, s in self._symbols.items() if s is c), str(c)) for c in commands]
+        checked_commands(name, names, self._variables)
+        variable = Variable(name, "input", **{"start": 0.0, **attributes})
+        if name in self._variables or any(o.name == name for o in self._openings):
+            raise InputError(f"the name {name!r} is declared twice in plant {self.name!r}")
+        symbol = ca.SX.sym(name)
+        opening = Opening(variable, symbol, tuple(names), forward, tuple(inverse(symbol)))
+        self._openings += (opening,)
+        symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(ways))]
+        self._ways += tuple(
+            Way(s, ca.SX(way), ca.SX(of(symbol))) for s, (way, of) in zip(symbols, ways, strict=True)
+        )
+        return symbols
+
+    def dead_zone(self, command: ca.SX, width: Any, name: str | None = None) -> ca.SX:
+        """What an input leaves beyond its dead zone of +-width/2 [its unit], declared with its inverse.
+
+        Smooth within ``width`` of zero, the command less width/2 beyond; ``width`` is a number or a
+        symbol, such as that of a parameter. Controllers then choose this effect itself, as the input
+        ``name`` (by default ``<command>_effect``), and send the command that gives it.
+        """
+        name_of = next((n for n, s in self._symbols.items() if s is command), str(command))
+        checked_commands("dead_zone", [name_of], self._variables)
+        variable, effect = self._variables[name_of], dead_zone(command, ca.SX(width))
+        known = [v for v in self._variables.values() if v.causality == "parameter"]
+        at = ca.Function("at", [command, *(self._symbols[v.name] for v in known)], [effect])
+        low, high = (
+            float(at(end, *(v.start for v in known))) if math.isfinite(end) else end
+            for end in (variable.min, variable.max)
+        )
+        (symbol,) = self.opening(
+            name or f"{name_of}_effect", [command], effect,
+            lambda w: [dead_zone_inverse(w, ca.SX(width))], [(effect, lambda w: w)],
+            unit=variable.unit, nominal=variable.nominal, min=low, max=high,
+            description=f"effect of {name_of} beyond its dead zone",
+        )  # fmt: skip
+        return symbol
 
     def mirror(self, mapping: Mapping[str, tuple[float, str]]) -> None:
         """Declare a symmetry: {name: (sign, name of its mirror image)}; others map to themselves.
@@ -266,8 +327,7 @@ class Plant:
                     "set states, inputs or parameters"
                 )
             changed[variable.name] = variable.with_start(value)
-        other = object.__new__(type(self))  # copy.copy would make new symbols, as pickling does
-        other.__dict__.update(self.__dict__)
+        other = self._sharing(self)
         other._variables = changed
         return other
 
@@ -313,6 +373,11 @@ class Plant:
             raise InputError(f"plant {self.name!r}: no equation der({', '.join(missing)}) is given")
         if not self.states:
             raise InputError(f"plant {self.name!r} has no state")
+        self._equations = dict(self._expressions)
+        if self._ways:
+            self._expressions = self._replaced(
+                [w.symbol for w in self._ways], [w.in_commands for w in self._ways]
+            )
         declared = {s.name() for s in self._symbols.values()}
         for name, expression in self._expressions.items():
             free = {s.name() for s in ca.symvar(expression)} - declared
@@ -324,6 +389,13 @@ class Plant:
         x, u, p = (self._column(self._symbols, c) for c in _CHANGEABLE)
         xdot, y, c = (self._column(self._expressions, c) for c in _DEFINED)
         return _System(x, u, p, xdot, y, c)
+
+    def _replaced(self, old: list[ca.SX], new: list[ca.SX]) -> dict[str, ca.SX]:
+        """The equations as they were declared, with other expressions for some symbols."""
+        names = list(self._equations)
+        given = [self._equations[n] for n in names]
+        column = ca.substitute(given, [ca.vertcat(*old)], [ca.vertcat(*new)])
+        return dict(zip(names, column, strict=True))
 
     def _column(self, table: Mapping[str, ca.SX], causality: Causality) -> ca.SX:
         return ca.SX(ca.vertcat(*(table[v.name] for v in self._of(causality))))
@@ -404,6 +476,74 @@ class Plant:
         """The declared symmetry, or {} when the plant has none."""
         return dict(self._mirror)
 
+    # ---- openings in place of commands -----------------------------------------------------------
+    @property
+    def openings(self) -> tuple[Opening, ...]:
+        """What controllers choose in place of commands that have a dead zone."""
+        return self._openings
+
+    def in_openings(self) -> Plant:
+        """The same plant with openings as inputs, in place of the commands that they stand in for.
+
+        A valve-fed muscle has the input ``<name>.opening`` (-1 exhaust .. 1 supply), through whose
+        zero the flow goes with a slope: there a linear model and a solver see what the valve can do.
+        The plant itself where it declares no openings. Values, names and order are kept.
+        """
+        if not self._openings:
+            return self
+        template = self.cached("in openings", self._in_openings)
+        other = self._sharing(template)
+        other._variables = {n: self._variables.get(n, v) for n, v in template._variables.items()}
+        p = self.vector("parameter")
+        for opening in self._openings:
+            commands = ca.vertcat(*(self._symbols[c] for c in opening.commands))
+            start = ca.Function("start", [commands, self.p], [opening.forward])
+            value = float(start([self._variables[c].start or 0.0 for c in opening.commands], p))
+            variable = opening.variable
+            value = min(max(value, variable.min), variable.max)
+            other._variables[opening.name] = variable.with_start(value)
+        return other
+
+    def in_commands(self) -> Plant:
+        """The same plant without openings: controllers then choose its commands as they are."""
+        if not self._openings:
+            return self
+        self._finished()
+        other = self._sharing(self)
+        other._openings, other._ways, other._equations = (), (), other._expressions
+        return other
+
+    def _sharing(self, template: Plant) -> Plant:
+        other = object.__new__(type(self))  # copy.copy would make new symbols, as pickling does
+        other.__dict__.update(template.__dict__)
+        return other
+
+    def _in_openings(self) -> Plant:
+        other = self._sharing(self)
+        other.__dict__.pop("positions", None)
+        instead = {o.commands[0]: o for o in self._openings}
+        gone = {c: o for o in self._openings for c in o.commands}
+        other._variables, other._symbols = {}, {}
+        for name, variable in self._variables.items():
+            if name in instead:
+                opening = instead[name]
+                other._variables[opening.name] = opening.variable
+                other._symbols[opening.name] = opening.symbol
+            elif name not in gone:
+                other._variables[name] = variable
+                if name in self._symbols:
+                    other._symbols[name] = self._symbols[name]
+        commands = [self._symbols[c] for o in self._openings for c in o.commands]
+        inverse = [e for o in self._openings for e in o.inverse]
+        ways = [w.symbol for w in self._ways], [w.in_openings for w in self._ways]
+        other._expressions = self._replaced(ways[0] + commands, ways[1] + inverse)
+        other._mirror = {
+            gone[n].name if n in gone else n: (sign, gone[m].name if m in gone else m)
+            for n, (sign, m) in self._mirror.items()
+        }
+        other._openings, other._ways, other._system = (), (), None
+        return other
+
     # ---- pickling: CasADi functions travel, symbols are made anew ---------------------------------
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -411,8 +551,22 @@ class Plant:
             "description": self.description,
             "variables": list(self._variables.values()),
             "mirror": self._mirror,
-            "function": self.function,
+            "function": self._travelling(),
+            "openings": [(o.variable, o.commands) for o in self._openings],
         }
+
+    def _travelling(self) -> ca.Function:
+        """The plant's function; where it has openings with their ways and the ways' meaning."""
+        if not self._openings:
+            return self.function
+        w = ca.vertcat(*(o.symbol for o in self._openings))
+        ways = ca.vertcat(*(way.symbol for way in self._ways))
+        results = [self._column(self._equations, c) for c in _DEFINED]
+        results += [ca.vertcat(*(way.in_commands for way in self._ways))]
+        results += [ca.vertcat(*(way.in_openings for way in self._ways))]
+        results += [ca.vertcat(*(o.forward for o in self._openings))]
+        results += [ca.vertcat(*(e for o in self._openings for e in o.inverse))]
+        return ca.Function("plant", [self.x, self.u, self.p, w, ways], results)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Plant.__init__(self, state["name"], state["description"])
@@ -420,10 +574,31 @@ class Plant:
         self._mirror = state["mirror"]
         symbols = {v.name: ca.SX.sym(v.name) for v in state["variables"]}
         self._symbols = {v.name: symbols[v.name] for c in _CHANGEABLE for v in self._of(c)}
-        values = state["function"](*(self._column(self._symbols, c) for c in _CHANGEABLE))
+        known = [self._column(self._symbols, c) for c in _CHANGEABLE]
+        if not state.get("openings"):
+            values = state["function"](*known)
+        else:
+            values = self._with_openings(state["function"], known, state["openings"])
         for kind, column in zip(_DEFINED, values, strict=True):
             for i, variable in enumerate(self._of(kind)):
                 self._expressions[variable.name] = column[i]
+
+    def _with_openings(
+        self, function: ca.Function, known: list[ca.SX], openings: list[Any]
+    ) -> tuple[ca.SX, ...]:
+        """Openings and ways from what has travelled; gives the columns of the equations."""
+        symbols = [ca.SX.sym(v.name) for v, _ in openings]
+        ways = [ca.SX.sym(f"way{i}") for i in range(function.numel_in(4))]
+        *columns, in_commands, in_openings, forward, inverse = function(
+            *known, ca.vertcat(*symbols), ca.vertcat(*ways)
+        )
+        self._ways = tuple(Way(s, in_commands[i], in_openings[i]) for i, s in enumerate(ways))
+        parts = iter(ca.vertsplit(inverse))
+        self._openings = tuple(
+            Opening(v, symbols[i], commands, forward[i], tuple(next(parts) for _ in commands))
+            for i, (v, commands) in enumerate(openings)
+        )
+        return tuple(columns)
 
     def __repr__(self) -> str:
         kinds: tuple[Causality, ...] = ("state", "input", "parameter", "output")

@@ -1,0 +1,56 @@
+"""What a communication step of an exported FMU costs, in units of one step of Rodas4 (six right-hand
+sides and one Jacobian): at rest, with jumps 100 and 10 steps apart, with jumps in each step.
+
+    python benchmarks/fmu_step.py [runs]
+
+The least of several runs counts: other work on the machine only ever slows one down.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+import pam_ocp as pam
+from pam_ocp.fmu.compile import native
+
+PROGRAM = Path(__file__).with_name("step_cost.c")
+CASES = ("at rest", "jumps 100 steps apart", "jumps 10 steps apart", "jumps in each step")
+
+
+def built(folder: Path) -> Path:
+    """step_cost.c together with the sources of the FMU of a slide."""
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"))
+    fmu = pam.export_fmu(plant, folder / "slide.fmu", fmi="2.0", platforms="native")
+    with zipfile.ZipFile(fmu) as archive:
+        archive.extractall(folder / "fmu")
+    target = folder / "step_cost"
+    subprocess.run(
+        [sys.executable, "-m", "ziglang", "cc", "-target", native().target, "-std=c11", "-O2",
+         "-ffp-contract=off", "-I", str(folder / "fmu" / "sources"), str(PROGRAM), "-o", str(target),
+         "-lm"],
+        check=True,
+    )  # fmt: skip
+    return target
+
+
+def main(runs: int) -> None:
+    costs = np.full(len(CASES), np.inf)
+    with tempfile.TemporaryDirectory() as folder:
+        program = built(Path(folder))
+        for _ in range(runs):
+            done = subprocess.run([str(program)], capture_output=True, text=True, check=True)
+            found = re.findall(r"= +([\d.]+) units", done.stdout)
+            costs = np.minimum(costs, [float(c) for c in found])
+    for case, cost in zip(CASES, costs, strict=True):
+        print(f"{case:<24}{cost:6.2f} units")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 3)

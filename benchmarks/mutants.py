@@ -1,0 +1,346 @@
+"""Which faults would the tests see? Each mutant changes one place of the source in a scratch copy.
+
+A mutant is a file, the text to be replaced (it must stand there once), the new text, and the tests of
+its room, which are run until the first failure. Killed: a test failed. Survived: none did, so one is
+missing. Stale: the source has changed, so the mutant must. The tree itself is never touched.
+
+Run:  nice -n 5 python benchmarks/mutants.py [parts of names or files to run ...]
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+LIMIT = 300.0
+"""Seconds after which a mutant counts as killed: it made the tests hang."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One fault."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: str
+    """Test files, and options of pytest, joined by blanks."""
+
+
+HAND = "tests/test_hand_equations.py"
+FIGURES = "tests/test_plan_figures.py"
+
+REPORTED = [  # those that survived once
+    Mutant("work without the rest length", "pam_ocp/plan/objective.py",
+           "* rate * length, WORK_WIDTH", "* rate, WORK_WIDTH", FIGURES),
+    Mutant("exergy doubled", "pam_ocp/plan/objective.py",
+           'total = _total(plant, "exergy_flow", term)',
+           'total = 2 * _total(plant, "exergy_flow", term)', FIGURES),
+    Mutant("air as net flow", "pam_ocp/plan/objective.py",
+           '_total(plant, "supply_flow", term)', '_total(plant, "mass_flow", term)', FIGURES),
+    Mutant("replay ignores path constraints", "pam_ocp/plan/replay.py",
+           "found += _excess(leg.path, function, arguments)", "pass", FIGURES),
+    Mutant("signed largest deviation", "pam_ocp/trajectory.py",
+           "largest=float(np.max(np.abs(difference)))", "largest=float(np.max(difference))",
+           "tests/test_trajectory.py"),
+    Mutant("damping of the tendon reversed", "pam_ocp/plant/elastic.py",
+           "c_t * (w - v)", "c_t * (v - w)", HAND),
+    Mutant("stroke of a pair by the larger", "pam_ocp/plant/pair.py",
+           "min(pre_contraction - low, high - pre_contraction)",
+           "max(pre_contraction - low, high - pre_contraction)", HAND),
+    Mutant("stroke of a slide by the longer muscle", "pam_ocp/plant/antagonist.py",
+           "farthest = min(reach", "farthest = max(reach", HAND),
+    Mutant("range of a joint by the larger", "pam_ocp/plant/joint.py",
+           "largest = min(", "largest = max(", HAND),
+    Mutant("allocation ignores the second arm", "pam_ocp/plant/allocation.py",
+           "- arms[1] * tensions[1]", "- arms[0] * tensions[1]", HAND),
+    Mutant("allocation ignores both arms", "pam_ocp/plant/allocation.py",
+           "effort = arms[0] * tensions[0] - arms[1] * tensions[1]",
+           "effort = tensions[0] - tensions[1]", HAND),
+    Mutant("rate of the second moment arm", "pam_ocp/plant/joint.py",
+           "rate=sign * radius * omega", "rate=radius * omega", HAND),
+    Mutant("rate of the second muscle of a slide", "pam_ocp/plant/antagonist.py",
+           "rate=sign * v", "rate=v", HAND),
+    Mutant("wall that pulls back", "pam_ocp/plant/loads.py",
+           "factor = clamp(1 + c * speed / (elastic + width), FACTOR_WIDTH)",
+           "factor = 1 + c * speed / (elastic + width)", HAND),
+    Mutant("output slopes without inputs", "fmu/c/derivatives.c",
+           "model_forward(m->x, m->u, m->p, s->xdot, m->last_slope, t.p, t.xdot, t.y);",
+           "model_forward(m->x, m->u, m->p, s->xdot, t.u, t.p, t.xdot, t.y);",
+           "tests/test_fmu_derivatives.py -k slopes"),
+    Mutant("unit of der(v)", "fmu/layout.py",
+           'return f"{numerator}/s2"', 'return f"{numerator}/s"',
+           "tests/test_fmu_export.py -k unit"),
+    Mutant("unit of the derivative of a compound", "fmu/layout.py",
+           ".strip('()')}.s)", ".strip('()')})", "tests/test_fmu_export.py -k unit"),
+    Mutant("wind-up of PositionController", "pam_ocp/design/pid.py",
+           "self.pid(error, self.dt, self._saturated)", "self.pid(error, self.dt)",
+           "tests/test_design_loop.py -k wind"),
+    Mutant("air mass from gauge pressure", "pam_ocp/muscle/valves.py",
+           "chamber.pressure_rate(pressure + chamber.ambient, net, rate)",
+           "chamber.pressure_rate(pressure, net, rate)", HAND),
+    Mutant("Kalman disturbance from zero", "pam_ocp/design/kalman.py",
+           "return {n: self.point[n] + float(d)", "return {n: float(d)", "tests/test_offset_free.py"),
+    Mutant("Kalman disturbance counted twice", "pam_ocp/design/kalman.py",
+           "self._u[[v.name in self.disturbances for v in variables]] = 0.0", "pass;",
+           "tests/test_offset_free.py"),
+    Mutant("Kalman disturbance without feed-through", "pam_ocp/design/kalman.py",
+           "np.hstack([c, d[:, columns]])", "np.hstack([c, 0 * d[:, columns]])",
+           "tests/test_offset_free.py"),
+]  # fmt: skip
+
+MUSCLE = [
+    Mutant("exponent of the six-parameter law", "pam_ocp/muscle/force.py",
+           "(self.a1 * p + self.a2) * ca.exp(self.a3 * kappa)\n",
+           "(self.a1 * p + self.a2) * ca.exp(-self.a3 * kappa)\n", "tests/test_force.py"),
+    Mutant("stiffness without its minus", "pam_ocp/muscle/muscle.py",
+           "stiffness = -ca.jacobian(force, kappa)", "stiffness = ca.jacobian(force, kappa)", HAND),
+    Mutant("consistent volume without the rest length", "pam_ocp/muscle/gas.py",
+           "rest + muscle.rest_length * muscle.law.gain_area(kappa)",
+           "rest + muscle.law.gain_area(kappa)", HAND),
+    Mutant("dead volume forgotten", "pam_ocp/muscle/gas.py",
+           "for e in (filled + dead, slope)", "for e in (filled, slope)", HAND),
+    Mutant("exponent on the flow alone", "pam_ocp/muscle/gas.py",
+           "self.exponent * (supplied - absolute * self.slope * rate) / self.volume",
+           "(self.exponent * supplied - absolute * self.slope * rate) / self.volume", HAND),
+    Mutant("warm air flows more", "pam_ocp/muscle/gas.py",
+           "cooling = ca.sqrt(REFERENCE_TEMPERATURE / temperature)",
+           "cooling = ca.sqrt(temperature / REFERENCE_TEMPERATURE)", HAND),
+    Mutant("exergy by the decimal logarithm", "pam_ocp/muscle/gas.py",
+           "ca.log(absolute / ambient)", "ca.log10(absolute / ambient)", HAND),
+    Mutant("closed stiffness without gauge to absolute", "pam_ocp/muscle/gas.py",
+           "absolute = pressure + chamber.ambient", "absolute = pressure", "tests/test_gas.py"),
+    Mutant("supply as if absolute", "pam_ocp/muscle/valves.py",
+           "supply = chamber.ambient + declare(", "supply = 0 * chamber.ambient + declare(", HAND),
+    Mutant("leak after the valve's node", "pam_ocp/muscle/valves.py",
+           "iso6358(inside, ambient, leak, b, t)", "iso6358(node, ambient, leak, b, t)", HAND),
+    Mutant("exhaust through the inlet's conductance", "pam_ocp/muscle/valves.py",
+           "venting * iso6358(node, ambient, outlet, b, t)",
+           "venting * iso6358(node, ambient, inlet, b, t)", HAND),
+    Mutant("tube takes what leaves", "pam_ocp/muscle/valves.py",
+           "per_flow * (entering - leaving)", "per_flow * (entering + leaving)", HAND),
+    Mutant("damping ratio without its 2", "pam_ocp/muscle/losses.py",
+           "return 2 * ratio * ca.sqrt", "return ratio * ca.sqrt", HAND),
+    Mutant("Stribeck rises with speed", "pam_ocp/muscle/losses.py",
+           "ca.exp(-((v / stribeck) ** 2))", "ca.exp(-(v / stribeck))", HAND),
+    Mutant("Bouc-Wen shares swapped", "pam_ocp/muscle/hysteresis.py",
+           "beta * _speed(rate) * signed + (1 - beta) * rate * size",
+           "(1 - beta) * _speed(rate) * signed + beta * rate * size", HAND),
+    Mutant("Maxwell slip yields the other way", "pam_ocp/muscle/hysteresis.py",
+           "down * self._sticking(-z)", "down * self._sticking(z)", HAND),
+    Mutant("creep without its own time", "pam_ocp/muscle/hysteresis.py",
+           "(motion.contraction - settled) / tau)", "(motion.contraction - settled))", HAND),
+    Mutant("losses pull", "pam_ocp/plant/actuator.py",
+           "tension = tension - lost", "tension = tension + lost", HAND),
+    Mutant("power with the sign of stretching", "pam_ocp/plant/actuator.py",
+           "force * rate, muscle.mass", "-force * rate, muscle.mass", HAND),
+]  # fmt: skip
+
+PLANT = [
+    Mutant("weight by the cosine", "pam_ocp/plant/single.py",
+           "mass * g * ca.sin(angle)", "mass * g * ca.cos(angle)", HAND),
+    Mutant("added inertia forgotten", "pam_ocp/plant/elastic.py",
+           "self.der(v, (pull - weight(self, m) + outside) / (m + added))",
+           "self.der(v, (pull - weight(self, m) + outside) / m)", HAND),
+    Mutant("load mass in the fitting's damping", "pam_ocp/plant/elastic.py",
+           ".coefficient(self, end, attached.stiffness)", ".coefficient(self, m, attached.stiffness)",
+           HAND),
+    Mutant("spring damped without its stiffness", "pam_ocp/plant/elastic.py",
+           ".coefficient(self, m, stiffness)", ".coefficient(self, m, attached.stiffness)", HAND),
+    Mutant("link's weight upwards", "pam_ocp/plant/joint.py",
+           "(torque - weight - c * omega + outside)", "(torque + weight - c * omega + outside)", HAND),
+    Mutant("second arm as the first", "pam_ocp/plant/joint.py",
+           "moment_arm if moment_arm2 is None else moment_arm2", "moment_arm", HAND),
+    Mutant("spring of a load from zero", "pam_ocp/plant/loads.py",
+           "-k * (at.position - rest)", "-k * at.position", HAND),
+    Mutant("feedback of velocity reversed", "pam_ocp/plant/regulated.py",
+           "- derivative_gain * rate * length", "+ derivative_gain * rate * length", HAND),
+    Mutant("feedback of contraction, not shortening", "pam_ocp/plant/regulated.py",
+           "reference - contraction * length", "reference - contraction", HAND),
+    Mutant("mirror without its sign", "pam_ocp/plant/antagonist.py",
+           '"v": (-1.0, "v")', '"v": (1.0, "v")', FIGURES),
+    Mutant("least effort from the wrong corner", "pam_ocp/plant/allocation.py",
+           "np.array([[low1, high1], [high2, low2]])", "np.array([[low1, high1], [low2, high2]])",
+           "tests/test_allocation.py"),
+    Mutant("feasible without the tensions", "pam_ocp/plant/allocation.py",
+           "good &= np.all(self._call(z.ravel(), p)[2] >= -1e-9, axis=0)", "pass",
+           "tests/test_allocation.py"),
+]  # fmt: skip
+
+PLAN = [
+    Mutant("replay looks at the first leg only", "pam_ocp/plan/replay.py",
+           "inside = (motion.t >= ends[i] - 1e-12)", "inside = (motion.t >= ends[i] + 1e9 * i)",
+           FIGURES),
+    Mutant("replay ignores lower bounds", "pam_ocp/plan/replay.py",
+           "np.max(np.maximum(low - values, values - high))) / nominal, name",
+           "np.max(values - high)) / nominal, name", FIGURES),
+    Mutant("replay's deviation signed", "pam_ocp/plan/replay.py",
+           "deviation = np.abs(motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal",
+           "deviation = (motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal",
+           "tests/test_plan_figures.py tests/test_plan.py"),
+    Mutant("effort without squares of all inputs", "pam_ocp/plan/objective.py",
+           "return ca.sumsqr(scaled)", "return scaled[0] ** 2", FIGURES),
+    Mutant("square without its nominal", "pam_ocp/plan/objective.py",
+           "return (expression / variable.nominal) ** 2", "return expression**2",
+           FIGURES),
+    Mutant("tracking without its nominal", "pam_ocp/plan/objective.py",
+           "total += weight * (error / variable.nominal) ** 2", "total += weight * error**2",
+           FIGURES),
+    Mutant("rate over the sum of the intervals", "pam_ocp/plan/transcription.py",
+           "h = (clock.lengths[k - 1] + clock.lengths[k]) / 2", "h = clock.lengths[k - 1] + clock.lengths[k]",
+           FIGURES),
+    Mutant("cycle closed without its sign", "pam_ocp/plan/transcription.py",
+           "*(sign * z.start", "*(z.start", FIGURES),
+    Mutant("bounds at a seam of two legs: the wider", "pam_ocp/plan/transcription.py",
+           "np.column_stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])])",
+           "np.column_stack([np.minimum(a[:, 0], b[:, 0]), np.maximum(a[:, 1], b[:, 1])])",
+           FIGURES),
+    Mutant("profiles sampled at the interval's start", "pam_ocp/plan/transcription.py",
+           "times = t + h * float(tau)", "times = t + 0 * h", "tests/test_plan_wording.py"),
+]  # fmt: skip
+
+FIT = [
+    Mutant("covariance by the scale, not its square", "pam_ocp/fit/statistics.py",
+           "scale**2 * (self._root @ self._root.T)", "scale * (self._root @ self._root.T)",
+           "tests/test_fit_static.py"),
+    Mutant("one-sided intervals", "pam_ocp/fit/statistics.py",
+           "stdtrit(dof, (1 + level) / 2)", "stdtrit(dof, level)", "tests/test_fit_static.py"),
+    Mutant("nothing is blind", "pam_ocp/fit/statistics.py",
+           "return np.asarray(unseen > 1e-6 * length)", "return np.asarray(unseen > 1e6 * length)",
+           "tests/test_fit_static.py"),
+    Mutant("correlations keep their sign in the choice", "pam_ocp/fit/statistics.py",
+           "if abs(p[0]) > beyond", "if p[0] > beyond", "tests/test_fit_static.py"),
+    Mutant("active constraints do not narrow", "pam_ocp/fit/statistics.py",
+           "_, s, vt = np.linalg.svd(scaled @ free, full_matrices=False)\n        return norms, s, vt @ free.T",
+           "_, s, vt = np.linalg.svd(scaled, full_matrices=False)\n        return norms, s, vt",
+           "tests/test_fit_static.py tests/test_fit_shared.py"),
+]  # fmt: skip
+
+DESIGN = [
+    Mutant("filtered slope of a PID the other way", "pam_ocp/design/pid.py",
+           "share * self._slope + (1 - share) * (error - self._last) / dt",
+           "(1 - share) * self._slope + share * (error - self._last) / dt",
+           "tests/test_design_loop.py"),
+    Mutant("integral of an LQR with the wrong sign", "pam_ocp/design/lqr.py",
+           "u = u - self.Ki @ self._integrals.values", "u = u + self.Ki @ self._integrals.values",
+           "tests/test_design_lqr.py"),
+    Mutant("integrals wind up", "pam_ocp/design/lqr.py",
+           "if not saturated:\n            self.values", "if True:\n            self.values",
+           "tests/test_design_lqr.py"),
+    Mutant("sampled LQR weighs without dt", "pam_ocp/design/lqr.py",
+           "control.dlqr(held.A, held.B, q * dt, r * dt)", "control.dlqr(held.A, held.B, q, r * dt)",
+           "tests/test_design_lqr.py"),
+    Mutant("effort not squared", "pam_ocp/design/lqr.py",
+           "np.diag(np.square(efforts))", "np.diag(efforts)", "tests/test_design_lqr.py"),
+    Mutant("Riccati backwards without Q", "pam_ocp/design/tvlqr.py",
+           "pb @ inverse @ pb.T + qt)", "pb @ inverse @ pb.T)", "tests/test_design_tvlqr.py"),
+    Mutant("feed-forward without the acceleration", "pam_ocp/design/pid.py",
+           "self.inverse(at[0], at[1], at[2] + acceleration, stiffness)",
+           "self.inverse(at[0], at[1], acceleration, stiffness)", "tests/test_design_loop.py"),
+    Mutant("Kalman drift without dt", "pam_ocp/design/kalman.py",
+           "np.concatenate([drive, drift]) ** 2 * dt", "np.concatenate([drive, drift]) ** 2",
+           "tests/test_offset_free.py tests/test_design_lqr.py"),
+    Mutant("estimate without the point", "pam_ocp/design/offset_free.py",
+           "u = point.u[self._chosen] + rest[n:]", "u = point.u[self._chosen]", "tests/test_offset_free.py"),
+]  # fmt: skip
+
+VIBRATION_AND_FMU = [
+    Mutant("potential energy without its minus", "pam_ocp/vibration/energy.py",
+           "potential = -_integral(resultant", "potential = _integral(resultant", "tests/test_vibration.py -k energy"),
+    Mutant("power lost without the mass", "pam_ocp/vibration/energy.py",
+           "float(m) * v * (moving - resting)", "v * (moving - resting)", "tests/test_vibration.py -k energy"),
+    Mutant("inputs of a step stand still", "fmu/c/step.c",
+           "u[i] = start->u[i] + elapsed * start->slope[i]", "u[i] = start->u[i] + 0 * elapsed * start->slope[i]",
+           "tests/test_fmu_simulation.py"),
+    Mutant("slopes of the inputs forgotten in the solver", "fmu/c/step.c",
+           "sloping |= start->slope[i] != 0.0", "sloping |= start->slope[i] > 1e300",
+           "tests/test_fmu_simulation.py tests/test_fmu_solver.py"),
+    Mutant("second part of a step begins anew", "fmu/c/step.c",
+           "inputs_at(c->start, c->offset + s, u);\n    model_rhs",
+           "inputs_at(c->start, s, u);\n    model_rhs", "tests/test_fmu_simulation.py tests/test_fmu_robust.py"),
+    Mutant("discarded step leaves its state", "fmu/c/step.c",
+           "memcpy(&s->memory, &start, sizeof start); /* a discarded",
+           "if (0) memcpy(&s->memory, &start, sizeof start); /* a discarded", "tests/test_fmu_robust.py tests/test_fmu_solver.py"),
+    Mutant("error of the first state alone", "fmu/c/solver.c",
+           "if (error > largest) largest = error;", "if (n == 0) largest = error;",
+           "tests/test_fmu_simulation.py tests/test_fmu_solver.py"),
+    Mutant("states are no outputs of themselves", "fmu/c/derivatives.c",
+           "for (int i = 0; i < NX; i++) t.x[i] += seeds.x[i];", "", "tests/test_fmu_derivatives.py"),
+]  # fmt: skip
+
+MUTANTS = [*REPORTED, *MUSCLE, *PLANT, *PLAN, *FIT, *DESIGN, *VIBRATION_AND_FMU]
+
+
+def scratch(folder: Path) -> Path:
+    """A copy of the files that git knows (and of those not yet committed), with its own fmu link."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT, check=True,
+        capture_output=True, text=True,
+    ).stdout.splitlines()  # fmt: skip
+    for name in listed:
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    if not (folder / "pam_ocp/fmu").exists():
+        (folder / "pam_ocp/fmu").symlink_to("../fmu")
+    return folder
+
+
+def tested(folder: Path, tests: str) -> str:
+    """What pytest says: killed, survived, or that it could not be asked."""
+    import shlex
+
+    wanted = [w for w in shlex.split(tests) if not w.endswith(".py") or (folder / w).exists()]
+    environment = os.environ | {
+        "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1",
+        "XDG_CACHE_HOME": str(folder / "cache"),
+    }  # fmt: skip
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *wanted]
+    try:
+        run = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT
+        )
+    except subprocess.TimeoutExpired:
+        return "killed (by time)"
+    words = {0: "SURVIVED", 1: "killed", 2: "killed (while collecting)"}
+    return words.get(run.returncode, f"BROKEN (pytest ended with {run.returncode})")
+
+
+def tried(folder: Path, mutant: Mutant) -> str:
+    """Put the fault in, run the tests, take it out."""
+    path = folder / mutant.file
+    text = path.read_text(encoding="utf-8")
+    if text.count(mutant.old) != 1:
+        return f"STALE ({text.count(mutant.old)} places)"
+    path.write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
+    try:
+        return tested(folder, mutant.tests)
+    finally:
+        path.write_text(text, encoding="utf-8")
+
+
+def main(words: list[str]) -> int:
+    chosen = [m for m in MUTANTS if not words or any(w in m.name or w in m.file for w in words)]
+    found: dict[str, str] = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = scratch(Path(temporary))
+        for mutant in chosen:
+            began = time.perf_counter()
+            found[mutant.name] = tried(folder, mutant)
+            spent = time.perf_counter() - began
+            print(f"{found[mutant.name]:<28}{spent:6.1f} s  {mutant.name}", flush=True)
+    killed = sum(v.startswith("killed") for v in found.values())
+    print(f"{killed} of {len(found)} killed")
+    return int(killed != len(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

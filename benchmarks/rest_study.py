@@ -1,0 +1,360 @@
+"""Rest of plants whose muscles have memory: found, in balance, staying, and held by LQR and Mpc.
+
+Random cases over all arrangements, feeds and losses that are well-posed by construction: SciPy finds
+on the force laws alone, with the friction that the chosen memory keeps, pressures inside their range
+under which all muscles are taut. Each is asked for by position, by position and stiffness, or by
+pressures; for a memory that is virgin, from above, from below, or given. What is found must balance by
+hand-written equations, and ``simulate`` must stay there for 1 s.
+
+Run:  python benchmarks/rest_study.py [cases] [seed] [controlled cases]
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+import pam_ocp as pam
+
+GRAVITY = 9.80665
+MUSCLES = ("DMSP-20-200N", "DMSP-20-400N", "DMSP-20-300", "DMSP-10-250")
+FEEDS = {
+    "ideal": pam.IdealPressure(),
+    "regulator": pam.Regulator(0.06),
+    "spool": pam.SpoolValve(),
+    "spool and tube": pam.SpoolValve(tube=pam.Tube(), leak=1e-10),
+    "on-off": pam.OnOffValves(),
+}
+LOSSES = {
+    "none": (),
+    "creep": (pam.Creep(),),
+    "dry friction": (pam.CoulombFriction(12.0),),
+    "bouc-wen": (pam.BoucWen(),),
+    "maxwell-slip": (pam.MaxwellSlip(),),
+    "all memories": (pam.BoucWen(8.0, 0.01), pam.MaxwellSlip((5.0, 3.0), (0.002, 0.01)), pam.Creep()),
+}  # fmt: skip
+MEMORIES = ("virgin", "above", "below", "given")
+TAUT = 15.0
+"""Least tension [N] of a muscle of a well-posed case, and least distance from the largest pressure [%]."""
+
+
+@dataclass
+class Case:
+    """What rests: hand-written equations are in :meth:`needed` and :meth:`missed`."""
+
+    kind: str
+    feed: str
+    muscles: tuple[Any, ...]
+    mass: float
+    position: float
+    """As a part of the stroke [0 .. 1] of the first muscle, or of what both muscles allow [-1 .. 1]."""
+    extra: dict[str, float] = field(default_factory=dict)
+    way: str = "position"
+
+    @property
+    def pair(self) -> bool:
+        return len(self.muscles) == 2
+
+    def plant(self, losses: tuple[Any, ...]) -> pam.Plant:
+        first, last, more = self.muscles[0], self.muscles[-1], self.extra
+        common = {"feed": FEEDS[self.feed], "losses": losses}
+        if self.kind == "hanging":
+            return pam.HangingLoad(first, self.mass, **common)
+        if self.kind == "spring":
+            return pam.SpringOverMuscle(
+                first, self.mass, more["spring"], more["preload"], inclination=more["inclination"],
+                **common,
+            )  # fmt: skip
+        if self.kind == "series":
+            return pam.SeriesLoad(first, self.mass, more["tendon"], **common)
+        if self.kind == "slide":
+            return pam.AntagonisticSlide(
+                first, self.mass, more["before"], muscle2=last, damping=pam.ConstantDamping(60.0),
+                **common,
+            )  # fmt: skip
+        return pam.AntagonisticJoint(
+            first, 0.05, more["arm1"], more["before"], muscle2=last, moment_arm2=more["arm2"],
+            link_mass=self.mass, link_length=0.2, damping=pam.ConstantDamping(1.0), **common,
+        )  # fmt: skip
+
+    # ---- by hand ----------------------------------------------------------------------------
+    @property
+    def named(self) -> str:
+        return "theta" if self.kind == "joint" else "x"
+
+    def reached(self) -> float:
+        """The shortening of the (first) muscle, or x or theta [m, rad]."""
+        low, high = self.muscles[0].contraction_range
+        if not self.pair:
+            low = max(low, 0.0)
+            return float((low + self.position * (high - low)) * self.muscles[0].rest_length)
+        return self.position * min(
+            min(self.extra["before"] - m.contraction_range[0], m.contraction_range[1] - self.extra["before"])
+            * float(m.rest_length) / arm
+            for m, arm in zip(self.muscles, self.arms, strict=True)
+        )  # fmt: skip
+
+    @property
+    def arms(self) -> tuple[float, ...]:
+        if self.kind == "joint":
+            return self.extra["arm1"], self.extra["arm2"]
+        return (1.0,) * len(self.muscles)
+
+    def contractions(self, s: float) -> list[float]:
+        if not self.pair:
+            return [s / float(self.muscles[0].rest_length)]
+        return [
+            self.extra["before"] + sign * arm * s / float(m.rest_length)
+            for m, arm, sign in zip(self.muscles, self.arms, (1, -1), strict=True)
+        ]
+
+    def load(self, s: float) -> float:
+        """What the muscles' pull must be at s [N, N m]."""
+        if self.kind == "spring":
+            uphill = self.mass * GRAVITY * np.sin(self.extra["inclination"])
+            return float(self.extra["preload"] + self.extra["spring"] * s + uphill)
+        if self.kind == "slide":
+            return 0.0
+        if self.kind == "joint":
+            return float(self.mass * GRAVITY * 0.2 * np.sin(s))
+        return self.mass * GRAVITY
+
+    def pull(self, s: float, pressures: list[float], friction: list[float]) -> float:
+        """Of the muscles at s, less the friction against their contraction."""
+        pulls = [
+            arm * max(float(m.tension(p, k)) - f, 0.0)
+            for m, arm, p, k, f in zip(
+                self.muscles, self.arms, pressures, self.contractions(s), friction, strict=True
+            )
+        ]
+        return pulls[0] - pulls[1] if self.pair else pulls[0]
+
+    def pressures(self, friction: list[float]) -> list[float] | None:
+        """Pressures at which the position is one of rest, found by SciPy; None when it is none."""
+        s = self.reached()
+        k = self.contractions(s)
+        if not self.pair:
+            found = [_balancing(self.muscles[0], k[0], self.load(s) + friction[0])]
+        else:
+            second = self.extra["pull"]
+            first = (self.load(s) + self.arms[1] * second) / self.arms[0]
+            found = [
+                _balancing(m, kappa, pull + f) if pull > TAUT else None
+                for m, kappa, pull, f in zip(self.muscles, k, (first, second), friction, strict=True)
+            ]
+        return None if None in found else found  # type: ignore[return-value]
+
+    def friction(self, memory: str, losses: tuple[Any, ...], values: dict[str, float]) -> list[float]:
+        """Of each muscle [N], by the sign in which its contraction changed last."""
+        found = []
+        for i, sign in enumerate((1, -1)[: len(self.muscles)], start=1):
+            name = f"muscle{i}" if self.pair else "muscle"
+            total = 0.0
+            for loss in losses:
+                if isinstance(loss, pam.BoucWen):
+                    parts = {f"{name}.hysteresis": loss.friction}
+                elif isinstance(loss, pam.MaxwellSlip):
+                    parts = {f"{name}.slip{j}": f for j, f in enumerate(loss.friction, start=1)}
+                else:
+                    continue
+                slid = {"virgin": 0.0, "above": -1.0, "below": 1.0}.get(memory)
+                total += sum(
+                    f * (values[n] if slid is None else sign * slid) for n, f in parts.items()
+                )
+            found.append(total)
+        return found
+
+
+def _balancing(muscle: Any, contraction: float, force: float) -> float | None:
+    low, high = muscle.pressure_range
+    low, high = max(low, 0.0) + 0.03 * high, 0.97 * high
+
+    def excess(pressure: float) -> float:
+        return float(muscle.tension(pressure, contraction)) - force
+
+    if force < 0 or excess(low) > 0 or excess(high) < 0:
+        return None
+    return float(brentq(excess, low, high, xtol=1e-6))
+
+
+def random_case(rng: np.random.Generator, kind: str, feed: str) -> Case:
+    """A case that is well-posed for every loss and memory of this study."""
+    most = max(sum(np.sum(getattr(x, "friction", 0.0)) for x in v) for v in LOSSES.values())
+    for _ in range(2000):
+        pair = kind in ("slide", "joint")
+        muscles = tuple(pam.muscle(str(rng.choice(MUSCLES))) for _ in range(2 if pair else 1))
+        if pair and rng.uniform() < 0.4:
+            muscles = (muscles[0], muscles[0])
+        case = Case(
+            kind, feed, muscles, float(rng.uniform(2, 40) if not pair else rng.uniform(0.5, 3)),
+            float(rng.uniform(-0.8, 0.8) if pair else rng.uniform(0.05, 0.85)),
+            {
+                "before": float(rng.uniform(0.08, 0.14)), "pull": float(rng.uniform(60, 300)),
+                "arm1": float(rng.uniform(0.02, 0.05)), "arm2": float(rng.uniform(0.02, 0.05)),
+                "spring": float(rng.uniform(1e3, 1e4)), "preload": float(rng.uniform(50, 200)),
+                "inclination": float(rng.uniform(-1.0, 1.0)), "tendon": float(10 ** rng.uniform(4, 6)),
+            },
+            str(rng.choice(["position", "position and stiffness", "pressure"])),
+        )  # fmt: skip
+        ends = [[a, b] for a in (-most, most) for b in (-most, most)]
+        if all(case.pressures(f[: len(muscles)]) for f in ends):
+            return case
+    raise RuntimeError(f"no well-posed case of {kind} with {feed}")
+
+
+def conditions(case: Case, pressures: list[float]) -> dict[str, float]:
+    """As many as inputs, by the case's way of asking."""
+    names = [f"muscle{i + 1}" if case.pair else "muscle" for i in range(len(case.muscles))]
+    given: dict[str, float] = {}
+    if case.feed == "on-off":
+        given.update({f"{n}.fill": 0.0 for n in names})
+    if case.way == "pressure":
+        return given | {f"{n}.pressure": p for n, p in zip(names, pressures, strict=True)}
+    s = case.reached()
+    given[case.named] = s - (case.load(s) / case.extra["tendon"] if case.kind == "series" else 0.0)
+    if case.pair and case.way == "position":
+        given["muscle2.pressure"] = pressures[1]
+    elif case.pair:
+        kappa = case.contractions(case.reached())[0]
+        given["muscle1.stiffness"] = float(case.muscles[0].stiffness(pressures[0], kappa))
+    return given
+
+
+@dataclass
+class Answer:
+    """What came of a case with one loss and one memory."""
+
+    found: bool = False
+    missed: float = np.nan
+    """Force out of balance, over the friction and load."""
+    moved: float = np.nan
+    """Largest way in 1 s [m, rad] beyond what giving up the last 2 % of friction explains."""
+    words: str = ""
+    point: Any = None
+
+
+def asked(case: Case, losses: tuple[Any, ...], memory: str, rng: np.random.Generator) -> Answer:
+    """The point of rest, its balance by hand, and how far it moves in 1 s."""
+    plant = case.plant(losses)
+    held = [v.name for v in plant.states if v.memory == "held"]
+    values = {n: float(rng.uniform(-1, 1)) for n in held}
+    friction = case.friction(memory, losses, values)
+    pressures = case.pressures(friction)
+    assert pressures is not None
+    given = conditions(case, pressures)
+    choice = values if memory == "given" else memory
+    try:
+        point = plant.equilibrium(given, memory=choice)
+    except pam.PamError as error:
+        return Answer(words=str(error))
+    names = [f"muscle{i + 1}" if case.pair else "muscle" for i in range(len(case.muscles))]
+    s = point["muscle.shortening" if case.kind == "series" else case.named]
+    at = [point[f"{n}.pressure"] for n in names]
+    missed = case.pull(s, at, friction) - case.load(s)
+    size = max(abs(case.load(s)), 50.0 * max(case.arms))
+    answer = Answer(True, abs(missed) / size, point=point)
+    if point.stability == "unstable":
+        return answer
+    run = pam.simulate(
+        plant, {v.name: float(u) for v, u in zip(plant.inputs, point.u, strict=True)}, duration=1.0,
+        start={v.name: float(x) for v, x in zip(plant.states, point.x, strict=True)},
+    )  # fmt: skip
+    way = float(np.abs(run[case.named] - point[case.named]).max())
+    lost = 0.02 * sum(
+        arm * np.sum(loss.friction) for arm in case.arms for loss in losses
+        if isinstance(loss, (pam.BoucWen, pam.MaxwellSlip))
+    ) if any(abs(z) > 0.98 for z in point.memory.values()) else 0.0  # fmt: skip
+    answer.moved = max(way - 2.0 * lost / stiffness(case, s, at, friction), 0.0)
+    return answer
+
+
+def stiffness(case: Case, s: float, pressures: list[float], friction: list[float]) -> float:
+    """Of the whole about s, by differences of the hand-written pull."""
+    step = 1e-6
+
+    def excess(at: float) -> float:
+        return case.pull(at, pressures, friction) - case.load(at)
+
+    return abs(excess(s + step) - excess(s - step)) / (2 * step)
+
+
+def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float, float, int]:
+    """Distance from the set point behind 3 s, as a part of the stroke: of lqr with integral action and
+    a Kalman filter started 2 % of the stroke away, of an Mpc; and how often the Mpc failed."""
+    plant = case.plant(losses)
+    friction = case.friction(memory, losses, {})
+    point = plant.equilibrium(conditions(case, case.pressures(friction) or []), memory=memory)
+    x = plant.variable(case.named)
+    stroke = x.max - x.min
+    feedback = pam.lqr(plant, point, integral={case.named: 30.0})
+    pam.kalman(plant, point, measured={case.named: 1e-5})
+    goal = point[case.named]
+    away = float(np.clip(goal + 0.02 * stroke, x.min, x.max))
+    start = {v.name: float(value) for v, value in zip(plant.states, point.x, strict=True)}
+    start[case.named] = away
+    if case.kind == "series":
+        start["muscle.shortening"] += away - goal
+    run = pam.closed_loop(plant, feedback, duration=3.0, dt=2e-3, start=start)
+    left = abs(run[case.named][-1] - goal) / stroke
+    mpc = pam.Mpc(
+        plant, horizon=25, step=0.02, track={case.named: 10.0}, rate={v.name: 0.02 for v in plant.inputs},
+        method="rosenbrock",
+    )  # fmt: skip
+    loop = mpc.closed_loop(
+        plant, {case.named: away}, 2.0,
+        start={n: float(np.clip(v, plant.variable(n).min, plant.variable(n).max))
+               for n, v in point.values.items() if plant.variable(n).causality != "output"},
+    )  # fmt: skip
+    last = abs(loop.trajectory[case.named][-1] - away) / stroke
+    failed = sum(not s.success for s in mpc.statistics.steps) if hasattr(mpc.statistics, "steps") else 0
+    return left, last, failed
+
+
+def study(count: int, seed: int) -> dict[str, list[Answer]]:
+    """``count`` cases, each with every loss; memories in turn."""
+    rng = np.random.default_rng(seed)
+    kinds = ("hanging", "spring", "series", "slide", "joint")
+    answers: dict[str, list[Answer]] = {name: [] for name in LOSSES}
+    for i in range(count):
+        case = random_case(rng, kinds[i % len(kinds)], list(FEEDS)[(i // len(kinds)) % len(FEEDS)])
+        for name, losses in LOSSES.items():
+            memory = MEMORIES[(i // 2) % len(MEMORIES)]
+            answer = asked(case, losses, memory, rng)
+            answers[name].append(answer)
+            if not answer.found or answer.missed > 1e-6 or answer.moved > 1e-5:
+                print(f"case {i} {case.kind}, {case.feed}, {name}, {memory}, {case.way}: "
+                      f"missed {answer.missed:.1e}, moved {answer.moved:.1e} {answer.words}")  # fmt: skip
+    return answers
+
+
+def main(count: int = 60, seed: int = 1, controls: int = 10) -> None:
+    begun = time.process_time()
+    answers = study(count, seed)
+    print(f"{'losses':<16}{'cases':>7}{'found':>7}{'out of balance':>16}{'moves in 1 s':>14}")
+    for name, rows in answers.items():
+        found = [a for a in rows if a.found]
+        print(f"{name:<16}{len(rows):>7}{len(found):>7}"
+              f"{max((a.missed for a in found), default=np.nan):>16.1e}"
+              f"{np.nanmax([a.moved for a in found] or [np.nan]):>14.1e}")  # fmt: skip
+    print(f"{time.process_time() - begun:.0f} s of processor time, seed {seed}\n")
+    rng = np.random.default_rng(seed + 1000)
+    print("distance from the set point, % of the stroke (lqr with integral, Mpc)")
+    kinds = ("hanging", "spring", "series", "slide", "joint")
+    for i in range(controls):
+        name = ("bouc-wen", "maxwell-slip", "all memories")[i % 3]
+        case = random_case(rng, kinds[i % len(kinds)], "regulator")
+        memory = MEMORIES[i % 3]
+        try:
+            left, last, failed = controlled(case, LOSSES[name], memory)
+            print(f"{case.kind:<9}{name:<14}{memory:<8}{100 * left:8.3f}{100 * last:8.3f}   Mpc failures {failed}")
+        except pam.PamError as error:
+            print(f"{case.kind:<9}{name:<14}{memory:<8} {error}")
+
+
+if __name__ == "__main__":
+    main(*(int(a) for a in sys.argv[1:]))
