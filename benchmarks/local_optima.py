@@ -25,8 +25,9 @@ def main(count: int = 20) -> None:
         if "minimise" in task.arguments:
             continue
         plan = pam.plan(task.plant, task.stops, starts=12, **task.arguments)
-        values = plan.statistics["starts"]  # of those that led somewhere, the planner's own first
-        gap = values[0] / min(values) - 1
+        ends = plan.statistics["starts"]  # the planner's own first
+        values = [end["objective"] for end in ends if end["solved"]]
+        gap = values[0] / min(values) - 1 if ends[0]["solved"] else float("inf")
         gaps["valve" if ", valve" in task.words else "regulator"].append(gap)
         print(
             f"{len(values):2d} of 12 starts solved; own {values[0]:.6f} s, best {min(values):.6f} s, "

@@ -97,6 +97,7 @@ from .plan.robust import RobustPlan, robust_plan
 from .plan.saved import load_plan
 from .plan.solve import Planner, plan
 from .plan.spread import Spread
+from .plan.verdict import Verdict
 from .plan.wording import Avoid, Constraint, Phase, Stop
 from .plant.actuator import IdealPressure, Regulator
 from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
@@ -107,6 +108,7 @@ from .plant.loads import Damper, DryFriction, ExternalForce, Inertia, Spring, Wa
 from .plant.plant import Plant
 from .plant.regulated import PositionFeedback, RegulatedLoad
 from .plant.single import HangingLoad
+from .plausible import UnitWarning
 from .plot_plan import plot_costates
 from .simulate import simulate
 from .trajectory import Comparison, Trajectory
@@ -123,6 +125,7 @@ from .vibration import (
     limit_cycle,
     stability_path,
 )
+from .work import StrokeWork, stroke_work
 
 __version__ = "0.1.0"
 
@@ -213,14 +216,17 @@ __all__ = [
     "SpringOverMuscle",
     "StiffnessDamping",
     "Stop",
+    "StrokeWork",
     "ThickWallLaw",
     "ThreeElementLaw",
     "Trajectory",
     "Tube",
     "TwoSlopeThreeElementLaw",
+    "UnitWarning",
     "UnknownNameError",
     "ValidityWarning",
     "Variable",
+    "Verdict",
     "VibrationError",
     "Wall",
     "WithEstimate",
@@ -301,6 +307,7 @@ __all__ = [
     "spline_law",
     "stability_path",
     "state_feedback_controller",
+    "stroke_work",
     "sweep",
     "tvlqr",
 ]

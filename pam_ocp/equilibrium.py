@@ -164,9 +164,7 @@ def why_not(search: Search, nearest: Array) -> str:
 
 def _kept(search: Search) -> list[str]:
     """What memories keep, as far as it is not what they start with."""
-    moved = {
-        n: v for n, v in search.pinned.items() if v != (search.plant.variable(n).start or 0.0)
-    }
+    moved = {n: v for n, v in search.pinned.items() if v != (search.plant.variable(n).start or 0.0)}
     if len(moved) > 3:
         return ["what its memories hold"]
     return [_said(search.plant, n, v) for n, v in moved.items()]

@@ -103,13 +103,20 @@ def require_count(argument: str, value: Any, least: int = 1, most: int | None = 
 
 
 def require_finite(argument: str, value: Any, unit: str = "") -> float:
-    """``value`` as a float, or an InputError when it is not a finite number."""
+    """``value`` as a float, or an InputError when it is not a finite number.
+
+    A text such as "20 mm" is a number too, where ``unit`` is known.
+    """
+    if isinstance(value, str):
+        from .quantities import quantity
+
+        value = quantity(argument, value, *([unit] if unit else []))
     try:
-        number = float(value)
-    except (TypeError, ValueError):
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{argument} = {value!r} is not a number; give a float") from None
     if not math.isfinite(number):
-        raise InputError(f"{argument} = {number} must be a finite number {unit}".rstrip())
+        raise InputError(f"{argument} = {value} must be a finite number {unit}".rstrip())
     return number
 
 

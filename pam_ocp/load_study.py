@@ -20,8 +20,10 @@ from .muscle.gas import AMBIENT_PRESSURE, GAS_CONSTANT, REFERENCE_TEMPERATURE, m
 from .muscle.losses import Damping
 from .muscle.muscle import Muscle
 from .plant.actuator import Feed
+from .plant.components import as_muscle
 from .plant.plant import Plant
 from .plant.single import HangingLoad
+from .plausible import doubt
 from .simulate import simulate
 
 if TYPE_CHECKING:
@@ -107,42 +109,58 @@ class LoadStudy:
 
 
 def load_study(
-    muscle: Muscle,
-    masses: Sequence[float] = (5.0, 10.0, 20.0, 50.0, 100.0),
-    pressures: Sequence[float] = (1e5, 2e5, 3e5, 4e5, 5e5, 6e5),
+    muscle: Muscle | str,
+    masses: float | Sequence[float] = (5.0, 10.0, 20.0, 50.0, 100.0),
+    pressures: float | Sequence[float] = (1e5, 2e5, 3e5, 4e5, 5e5, 6e5),
     *,
     step: float = 0.2e5,
-    damping: Damping | None = None,
+    damping: Damping | float | None = None,
     feed: Feed | None = None,
     duration: float = 4.0,
 ) -> LoadStudy:
     """A hanging load at rest, swinging and settling, for every mass [kg] and pressure [Pa].
 
-    step : the load comes to each rest by a step of commanded pressure this high [Pa], from rest.
+    pressures : in the muscle at rest, whatever feeds it.
+    step : the load comes to each rest by a step of pressure this high [Pa], from rest: of the
+        commanded pressure where the feed has one. With valves there is no such step: overshoot and
+        settling time are NaN, and frequency and damping are those with the valves closed.
     damping, feed : of the HangingLoad; duration : simulated after each step [s].
 
     Raises InputError for masses, pressures or a step that are not positive.
     """
-    for mass in masses:
-        require_positive("masses", mass, "kg")
-    for pressure in pressures:
-        require_positive("pressures", pressure, "Pa")
-    require_positive("step", step, "Pa")
-    require_positive("duration", duration, "s")
-    if not masses or not pressures:
-        raise InputError("masses and pressures must each hold at least one value")
+    muscle = as_muscle(muscle)
+    weights = _several("masses", masses, "kg")
+    levels = _several("pressures", pressures, "Pa")
+    (step,) = _several("step", step, "Pa")
+    duration = require_positive("duration", duration, "s")
     plant = HangingLoad(muscle, damping=damping, feed=feed)
-    cases = [
-        _case(plant, muscle, float(m), float(p), step, duration) for m in masses for p in pressures
-    ]
+    cases = [_case(plant, muscle, m, p, step, duration) for m in weights for p in levels]
     return LoadStudy(muscle.name, step, tuple(cases))
+
+
+def _several(argument: str, values: Any, unit: str) -> list[float]:
+    """One number or several, each > 0 and of a usual size."""
+    single = isinstance(values, str) or np.ndim(values) == 0
+    numbers = [require_positive(argument, v, unit) for v in ([values] if single else values)]
+    if not numbers:
+        raise InputError(f"{argument} must hold at least one value")
+    for number in numbers:
+        if doubt(argument, number, unit):
+            break
+    return numbers
+
+
+def _rest(plant: Plant, mass: float, pressure: float) -> OperatingPoint:
+    """At rest with this pressure in the muscle; of several inputs all but the first keep their start."""
+    held = {v.name: v.start or 0.0 for v in plant.inputs[1:]}
+    return plant.equilibrium({"mass": mass, "muscle.pressure": pressure, **held})
 
 
 def _case(
     plant: Plant, muscle: Muscle, mass: float, pressure: float, step: float, duration: float
 ) -> LoadCase:
     try:
-        rest = plant.equilibrium({"mass": mass, "muscle.command": pressure})
+        rest = _rest(plant, mass, pressure)
     except EquilibriumError:
         return LoadCase(mass, pressure)
     swinging = modes(linearize(plant, rest))
@@ -152,23 +170,32 @@ def _case(
         "damping_ratio": swinging[0][1] if swinging else np.nan,
     }  # fmt: skip
     try:
-        before = plant.equilibrium({"mass": mass, "muscle.command": pressure - step})
+        before = _rest(plant, mass, pressure - step)
     except (EquilibriumError, InputError):  # nothing to step from
         return LoadCase(mass, pressure, **found)
-    return LoadCase(mass, pressure, **found, **_step(muscle, before, rest, duration))
+    found |= _cost(muscle, before, rest)
+    if plant.inputs[0].unit == "Pa":
+        found |= _step(before, rest, duration)
+    return LoadCase(mass, pressure, **found)
 
 
-def _step(
-    muscle: Muscle, before: OperatingPoint, rest: OperatingPoint, duration: float
-) -> dict[str, float]:
+def _step(before: OperatingPoint, rest: OperatingPoint, duration: float) -> dict[str, float]:
+    """How the load comes to rest when the inputs jump to those of ``rest``."""
     start = {v.name: before[v.name] for v in before.plant.states}
     t = np.linspace(0.0, duration, 2001)
-    motion = simulate(
-        rest.plant, {"muscle.command": rest["muscle.command"]}, t=t, start=start, rtol=1e-8
-    )
+    inputs = {v.name: rest[v.name] for v in rest.plant.inputs}
+    motion = simulate(rest.plant, inputs, t=t, start=start, rtol=1e-8)
     progress = (motion["x"] - before["x"]) / (rest["x"] - before["x"])
     outside = np.flatnonzero(np.abs(progress - 1) > SETTLED)
     last = int(outside[-1]) + 1 if outside.size else 0
+    return {
+        "overshoot": max(float(progress.max()) - 1.0, 0.0),
+        "settling_time": float(t[last]) if last < len(t) else np.nan,
+    }
+
+
+def _cost(muscle: Muscle, before: OperatingPoint, rest: OperatingPoint) -> dict[str, float]:
+    """Lifting work, and air that the muscle holds more."""
     air = [
         (point["muscle.pressure"] + AMBIENT_PRESSURE)
         * float(muscle_volume(muscle, point["muscle.contraction"]))
@@ -177,8 +204,6 @@ def _step(
     ]
     mass, gravity = (rest.plant.variable(n).start or 0.0 for n in ("mass", "gravity"))
     return {
-        "overshoot": max(float(progress.max()) - 1.0, 0.0),
-        "settling_time": float(t[last]) if last < len(t) else np.nan,
         "work": mass * gravity * (rest["x"] - before["x"]),
         "air": air[1] - air[0],
     }

@@ -104,6 +104,8 @@ def signals(
                 f"inputs hold {inputs.coefficients.shape[2]} signals, the plant has {len(plant.inputs)} inputs"
             )
         return inputs
+    if interpolation not in ("previous", "linear"):
+        raise InputError(f"interpolation = {interpolation!r}: choose 'previous' (held) or 'linear'")
     given = _by_name(plant, inputs)
     if inputs is not None and not isinstance(inputs, Mapping):
         if inputs.signals is not None:
@@ -132,32 +134,45 @@ def _by_name(plant: Plant, inputs: Any) -> dict[str, Any]:
                 f"input; its inputs are {', '.join(v.name for v in plant.inputs)}"
             )
         return given
+    if not hasattr(inputs, "interpolation"):
+        raise InputError(
+            f"inputs is a {type(inputs).__name__}: give {{name: value}}, such as "
+            f"{{{plant.inputs[0].name if plant.inputs else 'name'!r}: 3e5}}, or a Trajectory"
+        )
     missing = [v.name for v in plant.inputs if v.name not in inputs.names]
     if missing:
         raise InputError(f"inputs: the trajectory holds no column {missing[0]!r}")
     return {v.name: (inputs.t, inputs[v.name]) for v in plant.inputs}
 
 
+def numbers(argument: str, value: Any) -> Array:
+    """``value`` as an array of finite numbers; InputError when it is none."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{argument}: {type(value).__name__} does not hold numbers only") from None
+    if not np.all(np.isfinite(array)):
+        row = int(np.argmin(np.isfinite(array.ravel())))
+        raise InputError(f"{argument}: sample {row} is {array.ravel()[row]}; all must be finite")
+    return array
+
+
 def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> PiecewisePolynomial:
     if callable(value):
         return _from_function(variable, value, t)
+    label = f"input {variable.name}"
     if isinstance(value, tuple) and len(value) == 2:
-        times, samples = (np.asarray(v, float) for v in value)
+        times, samples = (numbers(label, v) for v in value)
+    elif np.ndim(value) == 0:
+        constant = np.full((1, 1, 1), variable.check(value))
+        return PiecewisePolynomial(np.array([t[0], t[-1]]), constant)
     else:
-        samples = np.asarray(value, float)
-        times = t
-        if samples.ndim == 0:
-            constant = np.full((1, 1, 1), variable.check(samples))
-            return PiecewisePolynomial(np.array([t[0], t[-1]]), constant)
+        times, samples = t, numbers(label, value)
+    variable.doubt(samples)
     if samples.shape != times.shape or samples.ndim != 1 or len(samples) < 2:
         raise InputError(
             f"input {variable.name}: {samples.size} samples for {times.size} times; "
             "give a number, one value per time, a (times, values) pair, or a function of time"
-        )
-    if not np.all(np.isfinite(samples)):
-        row = int(np.argmin(np.isfinite(samples)))
-        raise InputError(
-            f"input {variable.name}: sample {row} is {samples[row]}; all must be finite"
         )
     if not np.all(np.diff(times) > 0):
         raise InputError(f"input {variable.name}: the times must rise from sample to sample")

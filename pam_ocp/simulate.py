@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError, SimulationError, require_positive
+from .errors import InputError, SimulationError, require_count, require_positive
 from .events import integrate_with_events
 from .integrate import Integration, Method
-from .plant.plant import Plant, Values, require_plant
-from .signals import Inputs, Interpolation, PiecewisePolynomial, signals
+from .plant.plant import Given, Plant, Values, by_name, require_plant
+from .signals import Inputs, Interpolation, PiecewisePolynomial, numbers, signals
 from .trajectory import Event, Trajectory
 
 __all__ = ["evaluated", "simulate"]
@@ -26,13 +26,13 @@ def simulate(
     *,
     duration: float | None = None,
     t: ArrayLike | None = None,
-    start: Values | None = None,
+    start: Given | None = None,
     parameters: Values | None = None,
     interpolation: Interpolation = "previous",
     rtol: float = 1e-10,
     method: Method = "rosenbrock",
     step: float | None = None,
-    events: Sequence[str] = (),
+    events: str | Sequence[str] = (),
     max_steps: int = 100_000,
 ) -> Trajectory:
     """Integrate x' = f(x, u(t), p) and return states, inputs and outputs over time.
@@ -45,7 +45,8 @@ def simulate(
     duration, t : how long [s] (201 samples), or the output times [s] themselves. By default those
         of the Trajectory given as ``inputs``.
     start : initial states by name; by default the first row of a Trajectory given as ``inputs``
-        that holds all states, else the states' start values.
+        that holds all states, else the states' start values. Or an operating point: its states, and
+        its inputs in place of the inputs' start values.
     parameters : parameter values for this run only.
     interpolation : how samples run: "previous" (held) or "linear"; a Trajectory knows its own.
     rtol : relative tolerance per step; absolute ones are rtol times nominal.
@@ -65,13 +66,17 @@ def simulate(
     computed so far) when the integrator cannot go on.
     """
     require_plant(plant)
-    if parameters:
+    if parameters is not None:
+        parameters = by_name("parameters", parameters)
         wrong = [n for n in parameters if plant.variable(n).causality != "parameter"]
         if wrong:
             raise InputError(f"parameters: {wrong[0]} is a {plant.variable(wrong[0]).causality}")
         plant = plant.with_values(parameters)
+    if start is not None and not isinstance(start, Mapping):
+        plant = plant.with_values(by_name("start", start, "input"))
     times = _times(inputs, duration, t)
-    require_positive("rtol", rtol)
+    _check_numerics(rtol, step, max_steps)
+    events = (events,) if isinstance(events, str) else tuple(events)
     x0 = plant.vector("state", _start(plant, inputs, start))
     u = signals(plant, inputs, times, interpolation)
     run = Integration.over(
@@ -79,7 +84,7 @@ def simulate(
     )
     found: tuple[Event, ...] = ()
     if events:
-        states, found, done = integrate_with_events(run, tuple(events))
+        states, found, done = integrate_with_events(run, events)
     else:
         states, done = run(), 0
     if states is None:
@@ -107,11 +112,19 @@ def evaluated(
     return Trajectory(t, columns, variables, between, events, inputs)
 
 
+def _check_numerics(rtol: float, step: float | None, max_steps: int) -> None:
+    if require_positive("rtol", rtol) >= 1:
+        raise InputError(f"rtol = {rtol:g} must be < 1; 1e-10 .. 1e-4 are usual")
+    if step is not None:
+        require_positive("step", step, "s")
+    require_count("max_steps", max_steps)
+
+
 def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
     if t is not None:
         if duration is not None:
             raise InputError("give duration or t, not both")
-        times = np.array(t, dtype=float)
+        times = numbers("t", t)
         if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
             raise InputError("t must hold at least two times that rise from sample to sample")
         return times
@@ -126,12 +139,12 @@ def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array
     )
 
 
-def _start(plant: Plant, inputs: Inputs, start: Values | None) -> dict[str, Any]:
+def _start(plant: Plant, inputs: Inputs, start: Given | None) -> dict[str, Any]:
     first: dict[str, Any] = {}
     if isinstance(inputs, Trajectory) and all(v.name in inputs for v in plant.states):
         # a record may leave the range by rounding; start values are held to it elsewhere
         first = {v.name: float(np.clip(inputs[v.name][0], v.min, v.max)) for v in plant.states}
-    given = {plant.variable(n).name: value for n, value in (start or {}).items()}
+    given = {plant.variable(n).name: v for n, v in by_name("start", start, "state").items()}
     return {**first, **given}
 
 

@@ -7,8 +7,12 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from . import units
 from .errors import InputError
+from .plausible import doubt, meant_within
+from .quantities import quantity
 
 __all__ = ["Causality", "Memory", "Variable"]
 
@@ -84,19 +88,35 @@ class Variable:
             raise InputError(f"{self.name}: only states have memory, this is a {self.causality}")
         if self.memory == "held" and not (math.isfinite(self.min) and math.isfinite(self.max)):
             raise InputError(f"{self.name}: a held memory needs a finite min and max")
+        if not (math.isfinite(self.max) and doubt(f"{self.name}: max", self.max, self.unit)):
+            self._check_start()
+
+    def _check_start(self) -> None:
         if self.start is not None:
-            self.check(self.start, "start")
+            object.__setattr__(self, "start", self.check(self.start, "start"))
+
+    def number(self, value: Any, argument: str = "value") -> float:
+        """``value`` as a float [unit]; a text such as "20 mm" or "3 bar" is one too.
+
+        InputError when it is no number. Infinite and NaN pass here.
+        """
+        if isinstance(value, str):
+            return quantity(f"{self.name}: {argument}", value, self.unit)
+        if isinstance(value, bool | np.bool_) or np.ndim(value) > 0:
+            raise InputError(f"{self.name}: {argument} = {value!r} is not a number")
+        try:
+            return float(value)
+        except (TypeError, ValueError, RuntimeError):
+            raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
 
     def check(self, value: Any, argument: str = "value") -> float:
         """``value`` as a float; InputError when it is no finite number in [min, max].
 
         A state may lie outside by the rounding of an integrator or a solver, ROUNDING nominals: then
-        it is the end of its range.
+        it is the end of its range. Warns (UnitWarning) when the value is so far from any usual one
+        that another unit was meant.
         """
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
+        number = self.number(value, argument)
         if not math.isfinite(number):
             raise InputError(f"{self.name}: {argument} = {number} must be finite")
         if self.causality == "state":
@@ -107,12 +127,19 @@ class Variable:
             raise InputError(
                 f"{self.name}: {argument} = {self.shown(number)} is outside "
                 f"{self.shown(self.min)} .. {self.shown(self.max)}"
+                + meant_within(number, self.unit, self.min, self.max)
             )
+        self.doubt(number, argument)
         return number
+
+    def doubt(self, value: Any, argument: str = "value") -> bool:
+        """Warn (UnitWarning), and say so, when numbers [unit] are far from any usual ones."""
+        constant = self.unit == "s" and self.causality == "parameter"
+        return doubt(f"{self.name}: {argument}", value, self.unit, time_constant=constant)
 
     def with_start(self, value: Any) -> Variable:
         """The same variable with another start value, checked against min and max."""
-        return replace(self, start=self.check(value, "start"))
+        return replace(self, start=self.number(value, "start"))
 
     @property
     def display_factor(self) -> float:

@@ -329,16 +329,16 @@ def test_more_starts_keep_the_best(slide):
         pam.muscle("DMSP-20-400N"), 8.5, 0.10, feed=pam.SpoolValve(),
     )  # fmt: skip
     task = {"stops": [{"x": -0.01}, {"x": 0.012}], "method": pam.Collocation(20, 3)}
-    own = pam.plan(plant, **task)
+    own = pam.plan(plant, **task, starts=1)
     best = pam.plan(plant, **task, starts=6)
-    found = best.statistics["starts"]
+    found = [end["objective"] for end in best.statistics["starts"] if end["solved"]]
     assert len(found) > 3
     assert found[0] == pytest.approx(own.objective, rel=1e-9)
     assert best.objective == min(found) <= own.objective
     assert max(found) > min(found) * (1 + 1e-4)  # they differ here, or there were nothing to choose
     assert best.replay_error < 0.01
     everywhere = pam.plan(slide, STOPS, cyclic="mirrored", method=pam.Collocation(20, 3), starts=12)
-    assert np.ptp(everywhere.statistics["starts"]) < 1e-6  # with regulators there is one optimum
+    assert everywhere.statistics["starts_apart"] < 1e-5  # with regulators there is one optimum
 
 
 @pytest.mark.parametrize("starts", [0, 13, 2.0, "all", True])

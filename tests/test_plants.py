@@ -185,7 +185,7 @@ def test_the_weight_on_an_incline_is_its_component():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: pam.AntagonisticJoint(MUSCLE, inertia=0.0), "inertia = 0 kg m2 must be > 0"),
+        (lambda: pam.AntagonisticJoint(MUSCLE, inertia=0.0), "inertia = 0 kg.m2 must be > 0"),
         (lambda: pam.AntagonisticJoint(MUSCLE, moment_arm=-0.04), "moment_arm = -0.04 m must be > 0"),
         (lambda: pam.AntagonisticJoint(MUSCLE, moment_arm=lambda a: a * 0 - 1), "moment_arm: the function"),
         (lambda: pam.AntagonisticJoint(MUSCLE, pre_contraction=0.4), "slack or overstretched"),
@@ -193,7 +193,7 @@ def test_the_weight_on_an_incline_is_its_component():
         (lambda: pam.AntagonisticJoint(MUSCLE, limits=(-2.0, 2.0)), "allow at most"),
         (lambda: pam.SpringOverMuscle(MUSCLE, spring_stiffness=0.0), "spring_stiffness = 0 N/m"),
         (lambda: pam.SeriesLoad(MUSCLE, fitting_mass=-1.0), "fitting_mass = -1 kg"),
-        (lambda: pam.SpringOverMuscle(MUSCLE, loads=(3.0,)), "give Load components"),
+        (lambda: pam.SpringOverMuscle(MUSCLE, loads=(3.0,)), "give components, such as Spring"),
         (lambda: pam.Wall(0.1, side=2), r"Wall\.side = 2"),
         (lambda: pam.Spring(-1.0), r"Spring\.stiffness = -1 must be >= 0"),
     ],

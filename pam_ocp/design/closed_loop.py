@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -15,12 +16,16 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, SimulationError, require_positive
 from ..plant.opening import Inversion
-from ..plant.plant import Plant, Values, require_plant
+from ..plant.plant import Given, Plant, Values, require_plant
 from ..signals import PiecewisePolynomial
 from ..simulate import evaluated
 from ..trajectory import Trajectory
+from ..variables import Variable
 
 __all__ = ["Controller", "Measured", "closed_loop"]
+
+ASTRAY = 10.0
+"""A state this many times beyond all that is usual for it tells of an unstable loop."""
 
 Array: TypeAlias = NDArray[np.float64]
 Measured: TypeAlias = Mapping[str, float]
@@ -48,7 +53,7 @@ def closed_loop(
     *,
     duration: float,
     dt: float = 1e-3,
-    start: Values | None = None,
+    start: Given | None = None,
     parameters: Values | None = None,
     disturbances: Mapping[str, Any] | None = None,
     noise: Mapping[str, float] | None = None,
@@ -96,10 +101,10 @@ def closed_loop(
             u = acting.disturbed(t, waiting.pop(0))
             try:
                 new = step(x, u)
-            except RuntimeError:
-                raise _failure(true, t, x) from None
+            except RuntimeError as error:
+                raise _failure(true, t, x, str(error)) from error
             if not np.all(np.isfinite(new)):
-                raise _failure(true, t, x)
+                raise _failure(true, t, x, "its states are not finite any more")
             rows.append(new)
             held.append(u)
             x = new[-1]
@@ -134,13 +139,27 @@ def _true_plant(plant: Plant, parameters: Values | None) -> Plant:
     return plant.with_values(parameters or {})
 
 
-def _failure(plant: Plant, t: float, x: Array) -> SimulationError:
+def _failure(plant: Plant, t: float, x: Array, cause: str) -> SimulationError:
+    """What happened, where, and why; the controller is blamed only where the states went astray."""
     at = ", ".join(f"{v.name} = {v.shown(n)}" for v, n in zip(plant.states, x, strict=True))
+    astray = [v.name for v, n in zip(plant.states, x, strict=True) if abs(n) > _farthest(v)]
+    verdict = (
+        f"{astray[0]} has left its range by far: the closed loop is unstable, change the controller"
+        if astray
+        else "the states are still within reach, so look at the cause before the controller"
+    )
+    reason = " ".join(cause.split())
     return SimulationError(
         f"the closed loop of {plant.name!r} cannot be integrated from t = {t:.6g} s on, at {at}; "
-        "the controller may have made it unstable",
+        f"{verdict}. Cause: {reason[-300:]}",
         t,
     )
+
+
+def _farthest(state: Variable) -> float:
+    """A size that a state never has in use: far beyond its range, its start and its nominal."""
+    sizes = (state.nominal, state.start or 0.0, state.min, state.max)
+    return ASTRAY * max(abs(s) for s in sizes if math.isfinite(s))
 
 
 class _Inputs:
@@ -166,11 +185,21 @@ class _Inputs:
 
     def __call__(self, t: float, answer: Mapping[str, float]) -> Array:
         u = self.start.copy()
+        if not isinstance(answer, Mapping):
+            raise InputError(
+                f"the controller's answer at t = {t:g} s is a {type(answer).__name__}: give inputs by "
+                f"name, such as {{{next(iter(self.index), 'name')!r}: 3e5}}"
+            )
         if self.inversion:
             answer = self.inversion.commands(answer)
         for name, value in answer.items():
             i = self.index[name] if name in self.index else self._position(name)
-            u[i] = value
+            try:
+                u[i] = value
+            except (TypeError, ValueError):
+                raise InputError(
+                    f"the controller's answer at t = {t:g} s: {name} = {value!r} is not a number"
+                ) from None
         if not np.all(np.isfinite(u)):
             raise InputError(
                 f"the controller's answer at t = {t:g} s is not finite: {dict(answer)}"

@@ -107,7 +107,9 @@ def sequences(*tables: ForceTable) -> list[Order]:
 
 def _orders(table: ForceTable) -> list[Order]:
     n = len(table)
-    branch, run = (np.unique(a or ("",) * n, return_inverse=True)[1] for a in (table.branch, table.run))
+    branch, run = (
+        np.unique(a or ("",) * n, return_inverse=True)[1] for a in (table.branch, table.run)
+    )
     labels = np.stack([table.levels(), branch, run])
     ramp = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
     rows = np.arange(n)

@@ -263,7 +263,9 @@ def _known(
         # a robust fit sees its data with more scatter than one measurement has
         jacobian = linear.jacobian * size / scale
         if linear.serial is not None and linear.rank == len(known.free):
-            jacobian = size * _root(linear.covariance, len(known.free)) * float(linear.scale) / scale
+            jacobian = (
+                size * _root(linear.covariance, len(known.free)) * float(linear.scale) / scale
+            )
         return _Known(
             known.law, known.free,
             Linearisation(known.free, linear.values, linear.units, jacobian, size, linear.dof, linear.active),

@@ -296,7 +296,9 @@ class ForceFit:
 
             names = [n for n in self.free if np.isfinite(self.coefficients[n].stderr)]
             wanted = self.has_profile and self.sigma > 0 and self.problem.nonlinear
-            known[level] = profile_ends(self, names, self.linearisation.reach(level)) if wanted else {}
+            known[level] = (
+                profile_ends(self, names, self.linearisation.reach(level)) if wanted else {}
+            )
         return known[level]
 
     def _entry(self, name: str) -> Coefficient:

@@ -72,7 +72,9 @@ def profile_ends(fit: ForceFit, names: Sequence[str], reach: float) -> dict[str,
             if not np.isfinite(end) and sweep is not None:
                 end, why = sweep.end(fit.free.index(name), side, float(limit))
             elif not np.isfinite(end):
-                end, why = profile_end(fit, name, side * fit.coefficients[name].stderr, float(limit))
+                end, why = profile_end(
+                    fit, name, side * fit.coefficients[name].stderr, float(limit)
+                )
             both.append(float(end))
             reasons.append(why)
         ends[name] = Ends(*both, "; ".join(dict.fromkeys(r for r in reasons if r)))

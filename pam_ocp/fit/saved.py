@@ -37,7 +37,8 @@ def write_fit(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
         "stderr": {n: c.stderr for n, c in fit.coefficients.items() if np.isfinite(c.stderr)},
         "intervals": {n: [_finite(e) for e in pair] for n, pair in fit.intervals().items()},
         "open": fit.open_ends(),
-        "correlation": None if fit.serial is None
+        "correlation": None
+        if fit.serial is None
         else {"along": fit.serial.order, "neighbours": fit.serial.correlation},
         "rmse": fit.rmse,
         "r2": fit.r2 if np.isfinite(fit.r2) else None,

@@ -42,7 +42,10 @@ class Sweep:
         problem = fit.problem
         if len(problem.nonlinear) != 1 or problem.limited or fit.terms.loss != "squares":
             return None
-        if any(np.isfinite([problem.variables[i].min, problem.variables[i].max]).any() for i in problem.linear):
+        if any(
+            np.isfinite([problem.variables[i].min, problem.variables[i].max]).any()
+            for i in problem.linear
+        ):
             return None
         place = problem.nonlinear[0]
         name, variable = problem.names[place], problem.variables[place]
@@ -92,7 +95,9 @@ class Sweep:
 
     def _own_end(self, side: float, limit: float) -> tuple[float, str]:
         inside = np.nonzero(self.results[0] <= limit)[0]
-        last = int(inside[-1 if side > 0 else 0]) if inside.size else int(np.argmin(self.results[0]))
+        last = (
+            int(inside[-1 if side > 0 else 0]) if inside.size else int(np.argmin(self.results[0]))
+        )
         beyond = last + int(side)
         if not 0 <= beyond < len(self.values):
             variable = self.problem.variables[self.place]

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 
 from ..errors import InputError, require_positive
+from ..plausible import doubt
 from .force import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
 from .validity import Validity
 
@@ -54,12 +55,14 @@ class Muscle:
     def __post_init__(self) -> None:
         if not isinstance(self.law, ForceLaw):
             raise InputError(f"law = {self.law!r} must be a ForceLaw, such as SixParameterLaw(...)")
-        for argument, unit in (("rest_length", "m"), ("slack_width", "N")):
-            if not isinstance(getattr(self, argument), ca.SX):
-                require_positive(argument, getattr(self, argument), unit)
-        for argument, unit in (("diameter", "m"), ("mass", "kg")):
-            if getattr(self, argument) is not None:
-                require_positive(argument, getattr(self, argument), unit)
+        for argument, unit in (
+            ("rest_length", "m"), ("slack_width", "N"), ("diameter", "m"), ("mass", "kg"),
+        ):  # fmt: skip
+            value = getattr(self, argument)
+            if value is not None and not isinstance(value, ca.SX):
+                number = require_positive(argument, value, unit)
+                doubt(argument, number, unit)
+                object.__setattr__(self, argument, number)
         own = self.law.values.get("rest_length", self.rest_length)
         symbolic = isinstance(own, ca.SX) or isinstance(self.rest_length, ca.SX)
         if not symbolic and not math.isclose(own, self.rest_length, rel_tol=1e-12):
@@ -73,6 +76,7 @@ class Muscle:
                 raise InputError(
                     f"{argument} = ({low:g}, {high:g}): the lower end must be the smaller"
                 )
+        doubt("pressure_range", self.pressure_range[1], "Pa")
 
     # ---- force and stiffness ---------------------------------------------------------------
     def tension(self, p: Any, kappa: Any) -> Any:

@@ -74,8 +74,8 @@ class GasFeed(ABC):
         ``.exergy_drawn`` [J] and ``.efficiency``. Off by default: pure integrals make every
         equilibrium singular.
 
-    Outputs: ``<name>.volume``, ``.mass_flow`` (into the muscle), ``.supply_flow``,
-    ``.exergy_flow`` and ``.power`` (mechanical, out of the muscle).
+    Outputs: ``<name>.volume``, ``.mass_flow`` (into the muscle), ``.supply_flow`` and
+    ``.exergy_flow``.
     """
 
     conductance: float = field(default_factory=lambda: conductance_from_flow(700.0))
@@ -156,45 +156,28 @@ class GasFeed(ABC):
         exergy = drawn * specific_exergy(supply, chamber.ambient, chamber.temperature)
         return Air(pressure, drawn, exergy, chamber.temperature, chamber.ambient, supply)
 
-    def meter(self, plant: Plant, name: str, air: Air, power: ca.SX, mass: float | None) -> None:
-        """Declare what the feed costs and gives: ``power`` [W] is F times the speed of contraction.
+    def drawn(self, plant: Plant, name: str, air: Air) -> ca.SX:
+        """Declare the state ``<name>.air_drawn`` [kg] of the totals."""
+        drawn = plant.state(
+            f"{name}.air_drawn", unit="kg", nominal=1e-3, description=f"air drawn by {name}"
+        )
+        plant.der(drawn, air.supply_flow)
+        return drawn
 
-        mass : of the muscle [kg], for energy and power per mass; None if it is not known.
-        """
+    def meter(
+        self, plant: Plant, name: str, air: Air, drawn: ca.SX | None, work: ca.SX | None
+    ) -> None:
+        """Declare what the feed costs; with the totals, air drawn and work done, the efficiency."""
         meters = [
-            ("exergy_flow", air.exergy_flow, "W", 100.0, "exergy drawn from the supply per second"),
-            ("power", power, "W", 10.0, "mechanical power out of the muscle"),
+            ("exergy_flow", air.exergy_flow, "W", 100.0, "exergy drawn from the supply per second")
         ]
-        if mass is not None:
-            m = plant.parameter(
-                f"{name}.own_mass", mass, unit="kg", min=1e-6, nominal=0.1,
-                description=f"mass of {name} itself",
-            )  # fmt: skip
-            meters.append(("power_per_mass", power / m, "W/kg", 100.0, "mechanical power per mass"))
-        if self.totals:
-            drawn = plant.state(
-                f"{name}.air_drawn", unit="kg", nominal=1e-3, description=f"air drawn by {name}"
-            )
-            work = plant.state(
-                f"{name}.work", unit="J", nominal=10.0, description=f"mechanical work of {name}"
-            )
-            plant.der(drawn, air.supply_flow)
-            plant.der(work, power)
+        if drawn is not None and work is not None:
             exergy = drawn * specific_exergy(air.supply, air.ambient, air.temperature)
+            share = work / ca.sqrt(exergy**2 + EXERGY_FLOOR**2)
             meters += [
                 ("exergy_drawn", exergy, "J", 100.0, "exergy drawn from the supply"),
-                (
-                    "efficiency",
-                    work / ca.sqrt(exergy**2 + EXERGY_FLOOR**2),
-                    "1",
-                    1.0,
-                    "work per exergy drawn",
-                ),
+                ("efficiency", share, "1", 1.0, "work per exergy drawn"),
             ]
-            if mass is not None:
-                meters.append(
-                    ("work_per_mass", work / m, "J/kg", 100.0, "mechanical work per mass")
-                )
         for key, value, unit, nominal, words in meters:
             plant.output(
                 f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"

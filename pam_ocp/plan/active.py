@@ -111,7 +111,7 @@ def _values(plan: Plan, path: list[Condition], rows: NDArray[np.intp]) -> Array:
     times = motion.t[rows]
     profiles = [profile(times) for profile in problem.profiles]
     r = np.vstack(profiles) if profiles else np.zeros((0, len(times)))
-    peaks = plan._solved.solution.peaks if plan._solved else np.ones(problem.m.numel())
+    peaks = np.array(plan._peaks)
     function = problem.function("path", [c.expression for c in path])
     return np.asarray(function(x, u, p, times[None], r, np.array(problem.aims), peaks), float)
 

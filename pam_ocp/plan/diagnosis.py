@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .interrupt import watched_call
 from .problem import Budget, Condition
 from .solver import DEFAULTS, Outcome
 from .transcription import Program
@@ -66,14 +67,14 @@ def elastic(
     }  # fmt: skip
     ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": 1000}
     ipopt.update(options or {})
-    solver = ca.nlpsol("elastic", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
     zero = np.zeros(2 * len(chosen))
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
-    result = solver(
-        x0=np.concatenate([np.clip(guess, lbx, ubx), zero + 0.1]), p=program.parameters(),
-        lbx=np.concatenate([lbx, zero]), ubx=np.concatenate([ubx, zero + np.inf]),
-        lbg=lbg, ubg=ubg,
-    )  # fmt: skip
+    arguments = {
+        "x0": np.concatenate([np.clip(guess, lbx, ubx), zero + 0.1]), "p": program.parameters(),
+        "lbx": np.concatenate([lbx, zero]), "ubx": np.concatenate([ubx, zero + np.inf]),
+        "lbg": lbg, "ubg": ubg,
+    }  # fmt: skip
+    result, _ = watched_call("elastic", nlp, {"print_time": False, "ipopt": ipopt}, arguments)
     found = np.asarray(result["x"], float).ravel()
     slack = np.zeros(g.numel())
     slack[chosen] = found[len(lbx) :].reshape(2, -1).max(axis=0)

@@ -50,7 +50,7 @@ class Ensemble(Plant):
         self._symbols_of = {0: (ca.vertcat(*x), ca.vertcat(*p))}
         for k in range(1, len(draws) + 1):
             self._symbols_of[k] = self._copy(k, x, p, kept)
-        self._equations(kept)
+        self._write(kept)
         for name in watched:
             for k in range(1, len(draws) + 1):
                 if name in self.own:
@@ -73,7 +73,7 @@ class Ensemble(Plant):
                 parameters[i] = self._declare(named.with_start(drawn[v.name]))
         return ca.vertcat(*states), ca.vertcat(*parameters)
 
-    def _equations(self, kept: bool) -> None:
+    def _write(self, kept: bool) -> None:
         plant = self.nominal
         for k, (x, p) in self._symbols_of.items():
             xdot, y, c = plant.function(x, self._u, p)

@@ -144,23 +144,20 @@ def _beside(variable: Variable, expression: ca.SX, limit: ca.SX, side: str) -> C
 def range_of(argument: str, value: Any, variable: Variable) -> Range:
     """(low, high) from a number, or a pair with None for an open end."""
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 2:
-        low = -math.inf if value[0] is None else _number(argument, value[0])
-        high = math.inf if value[1] is None else _number(argument, value[1])
+        low = -math.inf if value[0] is None else variable.number(value[0], argument)
+        high = math.inf if value[1] is None else variable.number(value[1], argument)
     else:
         low = high = require_finite(argument, value, variable.unit)
+    if math.isfinite(high):
+        variable.doubt(high, argument)
+    elif math.isfinite(low):
+        variable.doubt(low, argument)
     if math.isnan(low) or math.isnan(high) or low > high:
         raise InputError(
             f"{argument} = ({variable.shown(low)}, {variable.shown(high)}): the bounds are crossed; "
             "give (lower, upper)"
         )
     return low, high
-
-
-def _number(argument: str, value: Any) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{argument}: {value!r} is no number; give (lower, upper)") from None
 
 
 def conditions_of(plant: Plant, given: Sequence[Constraint | Avoid]) -> list[Condition]:

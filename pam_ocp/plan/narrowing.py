@@ -19,7 +19,7 @@ from .problem import Problem
 from .solver import Outcome, Start
 from .transcription import Program
 
-__all__ = ["has_kinks", "narrowing"]
+__all__ = ["has_kinks", "narrowing", "widened"]
 
 FIRST, LEAST = 0.3, 0.02
 """Parts of the path that are gone at once: at first, and at least before it is given up."""
@@ -54,6 +54,11 @@ def _at(program: Program, part: float) -> Program:
     return replace(program, problem=problem)
 
 
+def widened(program: Program) -> Program:
+    """The program with its roundings at their widest."""
+    return _at(program, 0.0)
+
+
 def narrowing(
     solver: _Solver, program: Program, guess: NDArray[np.float64], start: Start
 ) -> Outcome:
@@ -72,14 +77,14 @@ def narrowing(
     here = 0.0
     if start == "near":
         direct = solved(1.0, guess, "step")
-        if direct.success:
+        if direct.ended:
             return total(direct)
         here = LATE
     last = solved(here, guess, "near" if start == "near" else start)
-    if not last.success and start != "near":
+    if not last.ended and start != "near":
         last = solved(here, guess, "cold" if start == "adaptive" else "adaptive")
     step = FIRST
-    failed = replace(last, success=False)
+    failed = last
     while last.success and here < 1.0:
         there = min(1.0, here + step)
         outcome = solved(there, last.w, "step")
@@ -87,6 +92,6 @@ def narrowing(
             last, here, step = outcome, there, 1.5 * step
             continue
         failed, step = outcome, step / 2.5
-        if step < LEAST:
+        if outcome.stopped or step < LEAST:
             return total(failed)
-    return total(last if last.success else failed)
+    return total(last)

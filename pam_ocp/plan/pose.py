@@ -235,7 +235,12 @@ class _Holding:
             values.append(held)
             conditions.append(
                 Condition(
-                    f"{label}: {variable.name} that holds it", held, low, high, variable.nominal, variable
+                    f"{label}: {variable.name} that holds it",
+                    held,
+                    low,
+                    high,
+                    variable.nominal,
+                    variable,
                 )
             )
         return plant.u, ca.vertcat(*values), conditions
@@ -273,7 +278,9 @@ def _at_rest(plant: Plant, label: str, stop: Stop, holding: _Holding) -> list[Co
     u, held, beside = holding.inputs(label, [c.expression for c in conditions])
     if not beside:
         return conditions
-    return [replace(c, expression=ca.substitute(c.expression, u, held)) for c in conditions] + beside
+    return [
+        replace(c, expression=ca.substitute(c.expression, u, held)) for c in conditions
+    ] + beside
 
 
 def _rate_of(plant: Plant, name: str, order: int) -> Variable:
@@ -285,9 +292,7 @@ def _rate_of(plant: Plant, name: str, order: int) -> Variable:
     return Variable("rate", "constraint", unit=unit, nominal=10**order * state.nominal)
 
 
-def _past(
-    plant: Plant, wish: Wish, first: Stop, bounds: Mapping[str, Range]
-) -> list[Condition]:
+def _past(plant: Plant, wish: Wish, first: Stop, bounds: Mapping[str, Range]) -> list[Condition]:
     """What the past left at the first stop, of states that nobody could set: memories, lags, totals."""
 
     def condition(name: str, words: str, low: float, high: float) -> Condition:
@@ -326,9 +331,7 @@ def _closing(plant: Plant, cyclic: Cyclic) -> dict[str, tuple[float, str]] | Non
             f"cyclic = 'mirrored': plant {plant.name!r} declares no mirror symmetry "
             "(unequal muscles have none); use cyclic=True"
         )
-    return {
-        v.name: mirror.get(v.name, (1.0, v.name)) for v in plant.states if v.name not in sums
-    }
+    return {v.name: mirror.get(v.name, (1.0, v.name)) for v in plant.states if v.name not in sums}
 
 
 def _not_implied(

@@ -79,7 +79,12 @@ class Objective:
     def only_time(self) -> bool:
         """Whether nothing but the duration counts."""
         rest = (self.integrand, self.final)
-        return self.time > 0 and not self.rate and not any(self.peaks) and all(e.is_zero() for e in rest)
+        return (
+            self.time > 0
+            and not self.rate
+            and not any(self.peaks)
+            and all(e.is_zero() for e in rest)
+        )
 
 
 @dataclass(frozen=True, eq=False)

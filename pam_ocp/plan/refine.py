@@ -26,6 +26,12 @@ ROUNDS = 10
 """Of refinement, at most."""
 POLYNOMIAL_ROUNDS = 5
 """Before polynomial inputs are held constant instead: refinement may chase their switches for ever."""
+ITERATIONS = 1500
+"""Of the solver in all rounds."""
+POLYNOMIAL_ITERATIONS = 300
+"""Of the solver before polynomial inputs are held constant instead."""
+CLOSER = 0.8
+"""Of the tolerance: what refinement aims at, so that who looks at other times finds it kept, too."""
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is slow to solve."""
 
@@ -66,39 +72,37 @@ class Refinement:
     """
 
     def __init__(self, first: Checked, tolerance: float, backend: Backend) -> None:
-        self.best, self.tolerance, self.backend = first, tolerance, backend.near()
+        self.best, self.tolerance, self.backend = first, CLOSER * tolerance, backend.near()
+        self.first = first.found
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
         self._refine()
 
-    @property
     def met(self) -> bool:
         """Whether the best solution meets the tolerance."""
         return self.best.miss <= self.tolerance
 
     def _refine(self) -> None:
-        if self.met:
+        if self.met():
             return
         first = self.best
         if self.meshes[0].form.control != "polynomial":
-            self._rounds(first, ROUNDS)
+            self._rounds(first, ROUNDS, ITERATIONS)
             return
-        self._rounds(first, POLYNOMIAL_ROUNDS)
-        if self.met:
+        self._rounds(first, POLYNOMIAL_ROUNDS, POLYNOMIAL_ITERATIONS)
+        if self.met():
             return
         following = self._solved(held(self.meshes[0]), first.found)
         if following is not None:
-            self._rounds(following, ROUNDS)
+            self._rounds(following, ROUNDS, ITERATIONS)
         if self.best.found.program.mesh.form.control == "constant":
-            self.warning = (
-                "polynomial inputs did not meet the tolerance, so inputs are held constant on each interval"
-            )
+            self.warning = "polynomial inputs did not meet the tolerance, so inputs are held constant on each interval"
 
-    def _rounds(self, current: Checked, most: int) -> None:
+    def _rounds(self, current: Checked, most: int, iterations: int) -> None:
         """From a solution to finer ones."""
         for _ in range(most):
-            if self.met:
+            if self.met() or self.iterations > iterations:
                 return
             mesh = current.found.program.mesh
             following = None
@@ -115,7 +119,7 @@ class Refinement:
     def _solved(self, mesh: Mesh, coarse: Solved) -> Checked | None:
         """The solution on another mesh; None when it was not found."""
         run = Run(transcribe(coarse.program.problem, mesh), self.backend)
-        found = run.refined(coarse)
+        found = run.refined(coarse, again=mesh.form.control != "polynomial")
         self.iterations += found.outcome.iterations
         if not found.outcome.success:
             return None

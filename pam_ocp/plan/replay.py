@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from ..errors import SimulationError
 from ..integrate import Integration
 from ..plant.plant import Plant
 from ..simulate import simulate
 from ..trajectory import Trajectory
-from .mesh import Form, Mesh
+from .mesh import Mesh
 from .problem import Budget, Condition, Leg, Problem
 from .solution import Solution
 from .stage import nominals
@@ -26,11 +28,14 @@ Array: TypeAlias = NDArray[np.float64]
 
 TOLERANCE = 1e-11
 """Relative tolerance of the integrator that replays a plan."""
-OVERSAMPLING = {"polynomial": 16}
-"""Checked times between two points of a plan by how its inputs run (even numbers)."""
-USUALLY = 8
+OVERSAMPLING = 8
+"""Integrated times between two points of a plan (an even number)."""
 BY_SHOOTING = 32
 """The same where an interval has no point inside."""
+FINER = {"polynomial": 9}
+"""Places looked at between two of these, by how the inputs run. Not a divisor's multiple of the checks
+that the mesh itself makes there: those hold what they see."""
+USUALLY = 2
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ def replayed(
     problem: Problem, plant: Plant, mesh: Mesh, samples: Trajectory, solution: Solution
 ) -> Replay:
     """Integrate the planned inputs tightly, and look at all that was asked for, between the samples too."""
-    per = _between(mesh.form)
+    per = BY_SHOOTING if mesh.form.scheme == "shooting" else OVERSAMPLING
     fine = np.linspace(samples.t[:-1], samples.t[1:], per, endpoint=False).T.ravel()
     fine = np.append(fine, samples.t[-1])
     try:
@@ -103,11 +108,6 @@ def replayed(
     )  # fmt: skip
 
 
-def _between(form: Form) -> int:
-    """How many times are looked at from one sample to the next."""
-    return BY_SHOOTING if form.scheme == "shooting" else OVERSAMPLING.get(form.control, USUALLY)
-
-
 @dataclass(frozen=True)
 class _Check:
     """All that was asked for, looked at along a motion.
@@ -126,15 +126,29 @@ class _Check:
     x: Array
     per: int
 
-    def _pieces(self) -> Iterator[tuple[int, slice, Array]]:
-        """(interval, its times, inputs (nu, times)) one by one."""
-        at, inputs = 0, self.solution.inputs
+    @cached_property
+    def _pieces(self) -> list[tuple[int, Array, Array, Array]]:
+        """(interval, times, states (nx, times), inputs (nu, times)) one by one."""
+        at, inputs, found = 0, self.solution.inputs, []
         for k, interval in enumerate(self.mesh.intervals):
             end = at + self.per * len(self.mesh.form.state_taus(interval.degree))
-            inside = slice(at, end + 1)
-            powers = (self.t[inside] - inputs.breaks[k]) ** np.arange(inputs.degree + 1)[:, None]
-            yield k, inside, inputs.coefficients[k].T @ powers
+            powers = np.arange(inputs.degree + 1.0)[:, None]
+
+            def u(t: Array, k: int = k, powers: Array = powers) -> Array:
+                return np.asarray(inputs.coefficients[k].T @ (t - inputs.breaks[k]) ** powers)
+
+            t, x = self.t[at : end + 1], self.x[:, at : end + 1]
+            dense = np.linspace(t[:-1], t[1:], self._finer, endpoint=False).T.ravel()
+            dense = np.append(dense, t[-1])
+            slopes = np.asarray(self.plant.function(x, u(t), self.plant.vector("parameter"))[0])
+            between = CubicHermiteSpline(t, x, slopes, axis=1)(dense)
+            found.append((k, dense, np.asarray(between), u(dense)))
             at = end
+        return found
+
+    @property
+    def _finer(self) -> int:
+        return FINER.get(self.mesh.form.control, USUALLY)
 
     def _arguments(self, t: Array, x: Array, u: Array) -> tuple[Array, ...]:
         """Of a Problem's function, at columns of times, states and inputs."""
@@ -145,14 +159,13 @@ class _Check:
 
     def _legs(self) -> Iterator[tuple[Leg, Array, Array, Array, Array]]:
         """(leg, interval of each point, times, states, inputs), intervals end to end."""
-        pieces = list(self._pieces())
         for i, leg in enumerate(self.problem.legs):
-            own = [(k, s, u) for k, s, u in pieces if self.mesh.intervals[k].leg == i]
+            own = [piece for piece in self._pieces if self.mesh.intervals[piece[0]].leg == i]
             if own:
-                of = np.concatenate([np.full(u.shape[1], k) for k, _, u in own])
-                t = np.concatenate([self.t[s] for _, s, _ in own])
-                x = np.concatenate([self.x[:, s] for _, s, _ in own], axis=1)
-                yield leg, of, t, x, np.concatenate([u for *_, u in own], axis=1)
+                numbers, *columns = zip(*own, strict=True)
+                of = np.repeat(numbers, [len(t) for t in columns[0]])
+                t, x, u = (np.concatenate(c, axis=-1) for c in columns)
+                yield leg, of, t, x, u
 
     def along(self) -> tuple[dict[str, float], ...]:
         """For each interval {bound or path condition: by how much it is exceeded} in nominals."""
@@ -179,12 +192,9 @@ class _Check:
     def _node(self, i: int) -> tuple[Array, ...]:
         """Arguments at a node: at the start of the interval behind it, or at the end of the motion."""
         first, last = self.mesh.first(i), len(self.mesh.intervals)
-        for k, inside, u in self._pieces():
-            if k == min(first, last - 1):
-                j = -1 if first == last else 0
-                t, x = self.t[inside], self.x[:, inside]
-                return self._arguments(t[[j]], x[:, [j]], u[:, [j]])
-        raise AssertionError("a node is behind the mesh")
+        _, t, x, u = self._pieces[min(first, last - 1)]
+        j = -1 if first == last else 0
+        return self._arguments(t[[j]], x[:, [j]], u[:, [j]])
 
     def at_stops(self) -> dict[str, float]:
         """{condition at a stop: by how much it is missed} in nominals."""
@@ -210,9 +220,8 @@ class _Check:
         """Of expressions over the whole motion, by Simpson's rule on the pieces."""
         function = self.problem.function("integrands", expressions)  # type: ignore[arg-type]
         total = np.zeros(len(expressions))
-        for _, inside, u in self._pieces():
-            t = self.t[inside]
-            values = np.asarray(function(*self._arguments(t, self.x[:, inside], u)), float)
+        for _, t, x, u in self._pieces:
+            values = np.asarray(function(*self._arguments(t, x, u)), float)
             weights = np.zeros(len(t))
             for at in range(0, len(t) - 1, 2):
                 weights[at : at + 3] += (t[at + 2] - t[at]) / 6 * np.array([1.0, 4.0, 1.0])

@@ -21,6 +21,7 @@ from .problem import Problem
 from .replay import Replay
 from .solution import Solution
 from .solver import Outcome
+from .statement import problem_of, statement_of
 from .transcription import Program
 from .verdict import TOLERANCE, Verdict
 
@@ -77,6 +78,8 @@ class Plan:
     _solved: Solved | None = field(repr=False, default=None)
     _coarse: Solved | None = field(repr=False, default=None)
     """The solution on the first mesh."""
+    _peaks: tuple[float, ...] = ()
+    """In units of nominal."""
 
     @property
     def verdict(self) -> Verdict:
@@ -177,10 +180,20 @@ class Plan:
         return self.sensitivities[variable.name]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Symbols do not travel between processes: a copy there knows no multipliers."""
+        """Symbols do not travel between processes: the problem goes as data, a copy there knows no
+        multipliers."""
         lost = ("_problem", "_solved", "_coarse", "costates", "sensitivities", "stop_sensitivities")
-        return {**{k: v for k, v in self.__dict__.items() if k not in lost},
-                "_problem": None, "_solved": None, "_coarse": None, "conflicts": ()}  # fmt: skip
+        kept = {k: v for k, v in self.__dict__.items() if k not in lost}
+        try:
+            said = statement_of(self._problem) if self._problem else None
+        except InputError:
+            said = None
+        return {**kept, "_solved": None, "_coarse": None, "conflicts": (), "statement": said}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        said = state.pop("statement")
+        problem = problem_of(state["plant"], said) if said else None
+        self.__dict__.update(state, _problem=problem)
 
     # ---- files and figures ----------------------------------------------------------------------
     def save(self, path: str | Path) -> Path:
@@ -209,6 +222,12 @@ class Plan:
             f"mesh       {s['intervals']} intervals"
             + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
         ]
+        if len(s.get("starts", ())) > 1:
+            led = sum(end["solved"] for end in s["starts"])
+            lines.append(
+                f"starts     {len(s['starts'])}, of which {led} found a plan; these lay "
+                f"{100 * s['starts_apart']:.2g} % apart"
+            )
         if s.get("warning"):
             lines.append(f"note       {s['warning']}")
         lines[4:4] = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from itertools import product
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -12,19 +12,17 @@ from numpy.typing import NDArray
 from .backend import Backend, Solver
 from .diagnosis import Conflict, elastic
 from .guess import by_stops, from_solution, wants_balance
-from .narrowing import has_kinks, narrowing
+from .narrowing import has_kinks, narrowing, widened
 from .result import Solved
+from .side_by_side import solved_side_by_side
 from .solution import unpack
-from .solver import Outcome, Start
+from .solver import Ipopt, Outcome, Start
+from .starts import Ends, tasks
 from .transcription import Program
 
-__all__ = ["STARTS", "Run"]
+__all__ = ["Run"]
 
 Array: TypeAlias = NDArray[np.float64]
-
-_STRATEGIES: tuple[Start, ...] = ("cold", "adaptive")
-STARTS = tuple(product((True, False), (1.0, 0.3, 3.0), _STRATEGIES))
-"""(whether states run as in the planner's own guess, its durations, barrier strategy)."""
 
 
 class Run:
@@ -40,29 +38,51 @@ class Run:
         self.build_seconds = time.perf_counter() - begin
         self.conflicts: tuple[Conflict, ...] = ()
 
-    def refined(self, coarse: Solved) -> Solved:
-        """From the solution on a coarser mesh; no other guess would be better."""
+    def refined(self, coarse: Solved, again: bool = True) -> Solved:
+        """From the solution on a coarser mesh; no other guess would be better.
+
+        again : where that fails, from there with the barrier of a cold start.
+        """
         guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
         found = self._from(guess, "near")
-        return found if found.outcome.ended else self._from(guess)
+        return found if found.outcome.ended or not again else self._from(guess)
 
-    def best(self, first: Solved, starts: int) -> tuple[Solved, list[float]]:
-        """The best of the first start and further ones, and the objectives of all that led somewhere."""
-        own = wants_balance(self.program.problem)
-        tried = [first]
-        for usual, stretch, start in STARTS[1:starts]:
-            balanced = own if usual else not own
-            guess = by_stops(self.program.problem, self.program.mesh, balanced, stretch)
-            tried.append(self._from(guess, start))
-        solved = [s for s in tried if s.outcome.success]
-        objectives = [s.outcome.objective for s in solved]
-        return (solved[int(np.argmin(objectives))] if solved else first), objectives
+    def several(self, starts: int) -> tuple[list[Solved], Ends]:
+        """(solutions from different starts, the best first; where all of them ended)."""
+        kinks = has_kinks(self.program.problem)
+        program = widened(self.program) if kinks else self.program
+        own, *others = tasks(program.problem, program.mesh, starts)
+        begin = time.perf_counter()
+        first = self.solver(program, own.guess, own.start)
+        outcomes = [first]
+        if others and not first.stopped:
+            spent = time.perf_counter() - begin
+            if isinstance(self.solver, Ipopt):
+                outcomes += solved_side_by_side(self.solver, program, others, spent)
+            else:
+                outcomes += [self.solver(program, task.guess, task.start) for task in others]
+        ends = Ends(tuple(outcomes))
+        chosen = [outcomes[i] for i in ends.solved or [0]]
+        if kinks and ends.solved:
+            chosen = self._narrowed(chosen)
+        return [self._solution(outcome) for outcome in chosen], ends
+
+    def _narrowed(self, wide: Sequence[Outcome]) -> list[Outcome]:
+        """The first of some solutions with wide roundings that leads to one of the plant's own."""
+        found = []
+        for outcome in wide:
+            found.append(narrowing(self.solver, self.program, outcome.w, "step"))
+            if found[-1].ended:
+                break
+        return found[-1:]
 
     def solve(self, previous: Solved | None) -> Solved:
         """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
         found = self._usual(previous)
-        if found.outcome.ended:
-            return found
+        return found if found.outcome.ended else self.after(found)
+
+    def after(self, found: Solved) -> Solved:
+        """After a start that failed: another guess, then the elastic re-solve's; then failure."""
         program, problem, mesh = self.program, self.program.problem, self.program.mesh
         balanced = by_stops(problem, mesh, balanced=True)
         again = self._from(balanced, "adaptive")
@@ -73,22 +93,27 @@ class Run:
             again = self._from(feasible, "adaptive")
         return again if again.outcome.ended else found
 
+    def from_another(self, previous: Solved) -> Solved:
+        """From a solution of this program (warm) or of another."""
+        if previous.program.nlp is self.program.nlp:
+            return self._from(previous.outcome.w, "warm", previous.outcome)
+        problem, mesh = self.program.problem, self.program.mesh
+        return self._from(from_solution(problem, mesh, previous.solution), "near")
+
     def _usual(self, previous: Solved | None) -> Solved:
         """From another solution if there is one, else (or if that fails) from the planner's guess."""
-        program, problem, mesh = self.program, self.program.problem, self.program.mesh
         if previous is not None:
-            if previous.program.nlp is program.nlp:
-                found = self._from(previous.outcome.w, "warm", previous.outcome)
-            else:
-                found = self._from(from_solution(problem, mesh, previous.solution), "near")
+            found = self.from_another(previous)
             if found.outcome.ended:
                 return found
+        problem, mesh = self.program.problem, self.program.mesh
         return self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
 
     def _from(self, guess: Array, start: Start = "cold", warm: Outcome | None = None) -> Solved:
         if warm is None and has_kinks(self.program.problem):
-            outcome = narrowing(self.solver, self.program, guess, start)
-        else:
-            outcome = self.solver(self.program, guess, start, warm)
+            return self._solution(narrowing(self.solver, self.program, guess, start))
+        return self._solution(self.solver(self.program, guess, start, warm))
+
+    def _solution(self, outcome: Outcome) -> Solved:
         solution = unpack(self.program.problem, self.program.mesh, outcome.w)
         return Solved(self.program, outcome, solution)

@@ -1,59 +1,76 @@
-"""Plans in files: .npz with the samples, the inputs as they ran, and the figures."""
+"""Plans in files: .npz with the samples, the inputs as they ran, the problem and the figures."""
 
 from __future__ import annotations
 
 import json
+import warnings
 import zipfile
-from dataclasses import astuple
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, PlanError, PlanWarning
 from ..files import atomic_path
 from ..plant.plant import Plant, require_plant
 from ..signals import PiecewisePolynomial
-from ..simulate import evaluated, simulate
+from ..simulate import evaluated
 from .mesh import Form, Interval, Mesh
-from .replay import TOLERANCE, Replay
+from .problem import Problem
+from .replay import replayed
 from .result import Plan
+from .solution import Solution, pack
+from .statement import problem_of, statement_of
+from .transcription import Program, transcribe
 
 __all__ = ["load_plan", "save_plan"]
 
-FORMAT = "pam_ocp plan 1"
+Array: TypeAlias = NDArray[np.float64]
+
+FORMAT = "pam_ocp plan 2"
+FORMER = "pam_ocp plan 1"
+AGREE = 1e-5
+"""How far what a file says twice may differ, in units of nominal; solvers leave 1e-6 and less."""
 
 
 def save_plan(plan: Plan, path: str | Path) -> Path:
-    """Write a plan; it must have succeeded (PlanError otherwise)."""
+    """Write a plan; the solver must have converged (PlanError otherwise)."""
     target = Path(path)
     if target.suffix != ".npz":
         raise InputError(f"path = {str(path)!r}: a plan is written as .npz")
-    motion, replay = plan.trajectory, plan.replay
-    assert motion.signals is not None  # a plan that succeeded has both
-    assert replay is not None
+    motion = plan.trajectory
+    assert motion.signals is not None  # a plan that was solved has them
+    if plan._problem is None:
+        raise PlanError(
+            "this plan does not know its problem any more; save it where it was made", plan
+        )
     meta = {
         "format": FORMAT,
         "plant": plan.plant.name,
         "states": motion.named("state"),
         "inputs": motion.named("input"),
         "parameters": {v.name: v.start for v in plan.plant.parameters},
+        "problem": statement_of(plan._problem),
         "status": plan.status,
         "objective": plan.objective,
         "durations": plan.durations,
         "design": plan.design,
+        "peaks": plan._peaks,
+        "tolerance": plan.tolerance,
         "statistics": plan.statistics,
-        "violation": [replay.violation, replay.constraint],
         "log": plan.log,
         "meshes": [
             {"form": [m.form.scheme, m.form.control, m.form.guarded],
-             "intervals": [astuple(i) for i in m.intervals]}
+             "intervals": [[i.leg, i.fraction, i.degree, i.raised, i.watched] for i in m.intervals]}
             for m in plan.meshes
         ],
     }  # fmt: skip
     with atomic_path(target) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
-            file, meta=np.array(json.dumps(meta)), t=motion.t,
+            file, meta=np.array(json.dumps(meta, default=float)), t=motion.t,
             states=motion.array(motion.named("state")), breaks=motion.signals.breaks,
             coefficients=motion.signals.coefficients,
         )  # fmt: skip
@@ -61,15 +78,63 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
 
 
 def load_plan(path: str | Path, plant: Plant) -> Plan:
-    """Read a plan of ``plant`` and replay it anew, so its error is that of today's plant.
+    """Read a plan of ``plant`` and judge it anew.
 
-    The plant takes over the parameter values that the plan was made with. Multipliers are not kept:
-    ``costates`` and ``sensitivities`` of a loaded plan raise PlanError.
+    Objective, durations, violations and the replay are computed here, from the motion in the file, the
+    problem in the file and today's plant, which takes over the parameter values that the plan was made
+    with. Multipliers are not kept: ``costates`` and ``sensitivities`` of a loaded plan raise PlanError.
 
-    Raises InputError for a file that is no plan, or a plan of another plant.
+    Raises InputError for a file that is no plan, a plan of another plant, or one that contradicts itself:
+    the message names what. Warns (PlanWarning) when the plan is not verified.
     """
     require_plant(plant)
     meta, arrays = _read(Path(path))
+    try:
+        found = _plan(str(path), meta, arrays, plant)
+    except InputError:
+        raise
+    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
+        raise InputError(f"{path} is no plan file: {error!r}") from None
+    if not found.verified:
+        warnings.warn(f"{path}: the plan is {found.verdict}", PlanWarning, stacklevel=2)
+    return found
+
+
+def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant: Plant) -> Plan:
+    _require_same_names(path, meta, plant)
+    plant = plant.with_values(meta["parameters"])
+    problem = problem_of(plant, meta["problem"])
+    meshes = tuple(_mesh(m) for m in meta["meshes"])
+    mesh = meshes[-1]
+    solution = Solution(
+        arrays["t"], arrays["states"], PiecewisePolynomial(arrays["breaks"], arrays["coefficients"]),
+        np.array(meta["durations"], float), np.array([meta["design"][n] for n in problem.design], float),
+        np.array(meta["peaks"], float),
+    )  # fmt: skip
+    _require_grid(path, problem, mesh, solution)
+    for name in problem.design:
+        if meta["design"][name] != meta["parameters"][name]:
+            raise _contradiction(path, f"design and parameters differ in {name}")
+    program = transcribe(problem, mesh)
+    objective = _require_solution(path, program, solution, float(meta["objective"]))
+    samples = evaluated(plant, solution.t, solution.states, solution.inputs)
+    return Plan(
+        plant, True, str(meta["status"]), objective, tuple(map(float, solution.durations)),
+        {n: float(v) for n, v in zip(problem.design, solution.design, strict=True)},
+        dict(meta["statistics"]), replayed(problem, plant, mesh, samples, solution), meshes,
+        tuple(meta["log"]), (), float(meta["tolerance"]), samples, problem, None, None,
+        tuple(map(float, solution.peaks)),
+    )  # fmt: skip
+
+
+def _contradiction(path: str, what: str) -> InputError:
+    return InputError(
+        f"{path} contradicts itself: {what}; it was changed after it was saved, or the plant's "
+        "equations were. Plan anew"
+    )
+
+
+def _require_same_names(path: str, meta: Mapping[str, Any], plant: Plant) -> None:
     for what, here in (
         ("states", [v.name for v in plant.states]),
         ("inputs", [v.name for v in plant.inputs]),
@@ -80,23 +145,81 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
                 f"{path}: a plan of {meta['plant']!r} with {what} {', '.join(meta[what])}; the plant "
                 f"{plant.name!r} has {', '.join(here)}"
             )
-    plant = plant.with_values(meta["parameters"])
-    signals = PiecewisePolynomial(arrays["breaks"], arrays["coefficients"])
-    samples = evaluated(plant, arrays["t"], arrays["states"], signals)
-    motion = simulate(plant, samples, rtol=TOLERANCE)
-    names = samples.named("state")
-    nominal = plant.vector("state", attribute="nominal")
-    deviation = np.max(np.abs(motion.array(names) - samples.array(names)) / nominal, axis=0)
-    worst = int(np.argmax(deviation))
-    violation, constraint = meta["violation"]
-    replay = Replay(float(deviation[worst]), names[worst], violation, constraint, motion)
-    meshes = tuple(
-        Mesh(tuple(Interval(*i) for i in m["intervals"]), Form(*m["form"])) for m in meta["meshes"]
+
+
+def _mesh(said: Mapping[str, Any]) -> Mesh:
+    intervals = (
+        Interval(leg, fraction, degree, raised, tuple((n, margin) for n, margin in watched))
+        for leg, fraction, degree, raised, watched in said["intervals"]
     )
-    return Plan(
-        plant, True, meta["status"], meta["objective"], tuple(meta["durations"]), meta["design"],
-        meta["statistics"], replay, meshes, tuple(meta["log"]), (), samples,
-    )  # fmt: skip
+    return Mesh(tuple(intervals), Form(*said["form"]))
+
+
+def _require_grid(path: str, problem: Problem, mesh: Mesh, solution: Solution) -> None:
+    """Times and sizes that the mesh and the durations say."""
+    if len(solution.durations) != len(problem.legs) or len(solution.peaks) != problem.m.numel():
+        raise _contradiction(path, "its durations are not those of its legs")
+    t, breaks = [0.0], [0.0]
+    for interval in mesh.intervals:
+        h = float(solution.durations[interval.leg] * interval.fraction)
+        t += list(breaks[-1] + h * mesh.form.state_taus(interval.degree))
+        breaks.append(breaks[-1] + h)
+    columns = max(len(mesh.form.input_taus(i.degree)) for i in mesh.intervals)
+    inputs = solution.inputs
+    shapes = {
+        "times": (solution.t.shape, (len(t),)),
+        "states": (solution.states.shape, (len(t), len(problem.plant.states))),
+        "input breaks": (inputs.breaks.shape, (len(breaks),)),
+        "inputs": (
+            inputs.coefficients.shape,
+            (len(breaks) - 1, columns, len(problem.plant.inputs)),
+        ),
+    }
+    for name, (shape, expected) in shapes.items():
+        if shape != expected:
+            raise _contradiction(
+                path, f"its {name} have the shape {shape}, its mesh says {expected}"
+            )
+    for array in (
+        solution.t,
+        solution.states,
+        inputs.breaks,
+        inputs.coefficients,
+        solution.durations,
+    ):
+        if not np.all(np.isfinite(array)):
+            raise _contradiction(path, "a value is not a finite number")
+    allowed = AGREE * breaks[-1]
+    missed = (solution.t - t, inputs.breaks - breaks)
+    if max(float(np.max(np.abs(miss))) for miss in missed) > allowed:
+        raise _contradiction(path, "its times are not those of its durations")
+
+
+def _require_solution(path: str, program: Program, solution: Solution, objective: float) -> float:
+    """The objective of a motion that meets the problem's constraints and has this objective."""
+    w = pack(program.problem, program.mesh, solution)
+    nlp = program.nlp
+    values = ca.Function("values", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
+    f, g = (np.asarray(v, float).ravel() for v in values(w, program.parameters()))
+    at = 0
+    low, high = program.limits()
+    missed = np.maximum(low - g, g - high)
+    words = {"defect": "its states do not follow from its inputs", "closing": "its cycle is open"}
+    for row in program.rows:
+        own = missed[at : at + row.size]
+        at += row.size
+        i = int(np.argmax(np.where(np.isnan(own), np.inf, own))) if row.size else 0
+        if row.size and not own[i] <= AGREE:
+            condition = row.condition(i)
+            label = condition.label if condition else row.label
+            what = words.get(row.kind, f"its motion does not keep {label}")
+            raise _contradiction(path, f"{what} (by {own[i]:.2g} of nominal)")
+    least, most = program.bounds()
+    if not np.max(np.maximum(least - w, w - most), initial=0.0) <= AGREE:
+        raise _contradiction(path, "its motion does not keep the bounds of its variables")
+    if not abs(f[0] - objective) <= AGREE * max(1.0, abs(f[0])):
+        raise _contradiction(path, f"its objective is {f[0]:.6g}, not {objective:.6g}")
+    return float(f[0])
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -109,6 +232,10 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         meta = json.loads(str(arrays.pop("meta")))
     except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is no plan file: {error}") from None
+    if isinstance(meta, dict) and meta.get("format") == FORMER:
+        raise InputError(
+            f"{path} was written by a former version, which did not keep what was asked for; plan anew"
+        )
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise InputError(f"{path} is no plan file of this version ({FORMAT})")
     return meta, arrays

@@ -13,7 +13,7 @@ from .mesh import Mesh
 from .problem import Problem
 from .stage import nominals
 
-__all__ = ["Solution", "unpack"]
+__all__ = ["Solution", "pack", "unpack"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -66,3 +66,21 @@ def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
         PiecewisePolynomial(np.array(breaks), coefficients), durations,
         tail[legs : legs + designed] * problem.design_nominals, tail[legs + designed :],
     )  # fmt: skip
+
+
+def pack(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
+    """The scaled unknowns of a program on the mesh that a solution stands on; undoes :func:`unpack`."""
+    x_nominal, u_nominal = nominals(problem)
+    states, inputs = solution.states / x_nominal, solution.inputs
+    parts, at = [states[0]], 1
+    for k, interval in enumerate(mesh.intervals):
+        h = float(solution.durations[interval.leg] * interval.fraction)
+        points = len(mesh.form.state_taus(interval.degree))
+        powers = (h * mesh.form.input_taus(interval.degree)) ** np.arange(inputs.degree + 1)[
+            :, None
+        ]
+        values = powers.T @ inputs.coefficients[k] / u_nominal
+        parts += [states[at : at + points].ravel(), values.ravel()]
+        at += points
+    scaled = solution.durations / problem.time_nominals, solution.design / problem.design_nominals
+    return np.concatenate([*parts, *scaled, solution.peaks])

@@ -30,8 +30,9 @@ from .pose import Cyclic, Wish, pose
 from .problem import Budget, Condition, Problem
 from .refine import Checked, Refinement, checked
 from .result import Plan, Solved
-from .run import STARTS, Run
+from .run import Run
 from .solver import Progress
+from .starts import MOST, Ends, number_of_starts
 from .transcription import Program, Row, transcribe
 from .verdict import TOLERANCE
 from .wording import Avoid, Constraint, Phase, Stop
@@ -39,6 +40,9 @@ from .wording import Avoid, Constraint, Phase, Stop
 __all__ = ["Planner", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+OTHERS = 3
+"""Solutions from different starts that are refined, at most, where the best cannot be verified."""
 
 
 def plan(
@@ -61,7 +65,7 @@ def plan(
     method: Method | None = None,
     tolerance: float | None = TOLERANCE,
     guess: Plan | None = None,
-    starts: int = 1,
+    starts: int | None = None,
     progress: Progress = False,
     solver: SolverName = "ipopt",
     compiled: bool = False,
@@ -106,7 +110,9 @@ def plan(
         are held constant instead. None for one mesh only, judged by 1e-3.
     guess : another plan to start from.
     starts : 1 to 12: how many starts are tried (other durations, states and barrier strategies of the
-        first guess); the best plan is kept. Of use with valves, where there are many local optima.
+        first guess), side by side in processes where that pays; the best plan is kept, and
+        ``statistics["starts"]`` says where each ended. None: 4 where local optima are many (valves, a
+        load on a tendon) and no guess is given, else 1.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on many
         intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a process
@@ -173,7 +179,7 @@ class Planner:
         *,
         guess: Plan | None = None,
         tolerance: float | None = TOLERANCE,
-        starts: int = 1,
+        starts: int | None = None,
         **changed: Any,
     ) -> Plan:
         """The optimal motion for other numbers.
@@ -194,7 +200,7 @@ class Planner:
         values: Values | None,
         guess: Plan | None,
         tolerance: float | None,
-        starts: int,
+        starts: int | None,
         changed: Mapping[str, Any],
         stacklevel: int,
     ) -> Plan:
@@ -202,30 +208,64 @@ class Planner:
         if tolerance is not None:
             require_positive("tolerance", tolerance)
         require_instance("guess", guess, Plan, "give what plan() returned", none=True)
-        require_count("starts", starts, 1, len(STARTS))
+        if starts is not None:
+            require_count("starts", starts, 1, MOST)
         program = self._with(values, changed)
         run = Run(program, self._backend, self._solver)
-        found = run.solve(guess._near(program) if guess is not None else None)
         figures: dict[str, Any] = {}
-        if starts > 1 and not found.outcome.stopped:
-            found, figures["starts"] = run.best(found, starts)
-        figures["iterations"] = found.outcome.iterations
-        if not found.outcome.success:
-            figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
-            failed = _plan(found, figures, conflicts=run.conflicts)
-            raise PlanError(explanation(failed.plant.name, found.outcome, run.conflicts), failed)
-        refinement = Refinement(checked(found), tolerance or float("inf"), self._backend)
+        found = self._searched(run, guess, starts, figures)
+        outcome, build = found[0].outcome, self._build_seconds
+        figures["iterations"] = outcome.iterations
+        if not outcome.success:
+            figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
+            failed = _plan(found[0], figures, conflicts=run.conflicts)
+            raise PlanError(explanation(failed.plant.name, outcome, run.conflicts), failed)
+        refinement = self._refined(found, tolerance)
         figures["iterations"] += refinement.iterations
         if refinement.warning:
             figures["warning"] = refinement.warning
-        figures |= {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
-        result = _plan(
-            refinement.best.found, figures, refinement.best, tuple(refinement.meshes), found, tolerance
-        )
+        figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
+        meshes = tuple(refinement.meshes)
+        best, first = refinement.best, refinement.first
+        result = _plan(best.found, figures, best, meshes, first, tolerance)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
             warnings.warn(message, PlanWarning, stacklevel=stacklevel)
         return result
+
+    def _searched(
+        self, run: Run, guess: Plan | None, starts: int | None, figures: dict[str, Any]
+    ) -> list[Solved]:
+        """Solutions, the best first; or the one failure that stands for all."""
+        program = run.program
+        near = guess._near(program) if guess is not None else None
+        count = starts or (1 if near is not None else number_of_starts(program.problem.plant))
+        if count == 1:
+            return [run.solve(near)]
+        found, ends = run.several(count)
+        if near is not None:
+            ours = run.from_another(near)
+            ends, found = Ends((ours.outcome, *ends.outcomes)), [ours, *found]
+        figures |= ends.figures()
+        good = [each for each in found if each.outcome.success]
+        if good:
+            return sorted(good, key=lambda each: each.outcome.objective)
+        stopped = [each for each in found if each.outcome.stopped]
+        return stopped or [run.after(found[0])]
+
+    def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
+        """The best solution, refined; where that is not verified, the next best that is."""
+        wanted = tolerance or float("inf")
+        first = Refinement(checked(found[0]), wanted, self._backend)
+        if first.met():
+            return first
+        others = found[1:OTHERS]
+        tried = [first]
+        for each in others:
+            tried.append(Refinement(checked(each), wanted, self._backend))
+            if tried[-1].met():
+                break
+        return min(tried, key=lambda refinement: refinement.best.miss)
 
     def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
         """The program with other numbers."""
@@ -324,4 +364,5 @@ def _plan(
         tuple(float(d) for d in solution.durations), design, statistics,
         check.replay if check else None, meshes or (program.mesh,), outcome.log, conflicts,
         tolerance or TOLERANCE, samples, problem, found, coarse,
+        tuple(map(float, solution.peaks)),
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .compiled import compiled as compiled_library
 from .derivatives import derivatives
+from .interrupt import Watch
 from .transcription import Program
 
 __all__ = ["DEFAULTS", "Ipopt", "Outcome", "Progress", "Start"]
@@ -96,6 +97,15 @@ class Outcome:
     warning: str = ""
     """What did not go as asked."""
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, Array], stats: Mapping[str, Any], seconds: float) -> Outcome:
+        """From what CasADi's interface to IPOPT gives."""
+        return cls(
+            arrays["x"], float(arrays["f"][0]), str(stats["return_status"]), bool(stats["success"]),
+            int(stats["iter_count"]), seconds, arrays["lam_g"], arrays["lam_x"],
+            _log(stats.get("iterations") or {}),
+        )  # fmt: skip
+
     @property
     def stopped(self) -> bool:
         """Whether the solver was stopped, rather than failed."""
@@ -105,43 +115,6 @@ class Outcome:
     def ended(self) -> bool:
         """Whether nothing else should be tried."""
         return self.success or self.stopped
-
-
-class _Watch(ca.Callback):
-    """Calls ``report(iteration, objective, largest violation)`` in each iteration of IPOPT."""
-
-    def __init__(self, program: Program, report: Callable[[int, float, float], None]) -> None:
-        ca.Callback.__init__(self)
-        self.sizes = {
-            "x": program.nlp["x"].numel(),
-            "f": 1,
-            "g": program.nlp["g"].numel(),
-            "lam_x": program.nlp["x"].numel(),
-            "lam_g": program.nlp["g"].numel(),
-            "lam_p": program.nlp["p"].numel(),
-        }
-        self.low, self.high = program.limits()
-        self.report, self.iteration = report, 0
-        self.construct("watch", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self.sizes[ca.nlpsol_out(i)], 1)
-
-    def eval(self, arguments: Any) -> list[int]:
-        g = np.asarray(arguments[2], float).ravel()
-        worst = max(np.max(self.low - g, initial=0.0), np.max(g - self.high, initial=0.0))
-        self.report(self.iteration, float(arguments[1]), float(worst))
-        self.iteration += 1
-        return [0]
 
 
 def _printed(iteration: int, objective: float, violation: float) -> None:
@@ -162,9 +135,11 @@ class Ipopt:
         compiled: bool = False,
     ) -> None:
         self.program = program
-        self._watch = None
-        if progress:
-            self._watch = _Watch(program, progress if callable(progress) else _printed)
+        self._report = progress if callable(progress) else _printed if progress else None
+        self._iteration, self._limits = 0, program.limits()
+        nlp = program.nlp
+        sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
+        self._watch = Watch(*sizes, self._progress if self._report else None)
         self._given = dict(options or {})
         self._derivatives = derivatives(program)
         self._library: str | None = None
@@ -174,17 +149,19 @@ class Ipopt:
             self._solvers.clear()
         self._first = self._solver("cold")
 
-    def _solver(self, name: str, ipopt: Mapping[str, Any] | None = None) -> ca.Function:
+    def _options(self, name: Start) -> dict[str, Any]:
+        """Of the solver of this name, but for its functions."""
+        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], **self._given}
+        goal = self.program.problem.objective
+        if name == "cold" and goal.only_time and "mu_init" not in self._given:
+            chosen["mu_init"] = BARRIER_OF_TIME * goal.time
+        # multipliers of the parameters: duals.py finds them when somebody asks
+        return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
+
+    def _solver(self, name: Start) -> ca.Function:
         """The solver of this name, made at its first use; all share the same functions."""
         if name not in self._solvers:
-            chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **(ipopt or {}), **self._given}
-            goal = self.program.problem.objective
-            if name == "cold" and goal.only_time and "mu_init" not in self._given:
-                chosen["mu_init"] = BARRIER_OF_TIME * goal.time
-            # multipliers of the parameters: duals.py finds them when somebody asks
-            options: dict[str, Any] = {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
-            if self._watch is not None:
-                options["iteration_callback"] = self._watch
+            options = {**self._options(name), "iteration_callback": self._watch}
             if self._library is None:
                 options |= self._derivatives
             problem = self._library or self.program.nlp
@@ -199,6 +176,14 @@ class Ipopt:
                 self._derivatives = {o: solver.get_function(f) for o, f in functions.items()}
             self._solvers[name] = solver
         return self._solvers[name]
+
+    def _progress(self, x: ca.DM, f: ca.DM, g: ca.DM) -> None:
+        """Report an iteration: its number, objective and largest violation."""
+        assert self._report is not None
+        values, (low, high) = np.asarray(g, float).ravel(), self._limits
+        worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
+        self._report(self._iteration, float(f), float(worst))
+        self._iteration += 1
 
     def residual(self, program: Program, outcome: Outcome) -> float:
         """Largest violation of the constraints and of stationarity, in units of nominal."""
@@ -221,21 +206,27 @@ class Ipopt:
         or "warm" (from the multipliers of the outcome ``warm`` too).
         """
         begin = time.perf_counter()
-        solver = self._solver(start, STARTS[start])
-        (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
-        given = {"x0": np.clip(guess, lbx, ubx)}
+        solver = self._solver(start)
+        given = self.arguments(program, guess)
         if warm is not None:
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        if self._watch is not None:
-            self._watch.iteration = 0
-        result = solver(**given, p=program.parameters(), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
-        stats = solver.stats()
-        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "lam_g", "lam_x")}
-        return Outcome(
-            arrays["x"], float(result["f"]), str(stats["return_status"]), bool(stats["success"]),
-            int(stats["iter_count"]), time.perf_counter() - begin, arrays["lam_g"], arrays["lam_x"],
-            _log(stats.get("iterations") or {}),
-        )  # fmt: skip
+        self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
+        with self._watch.during():
+            result = solver(**given)
+        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
+        return Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
+
+    def arguments(self, program: Program, guess: Array) -> dict[str, Array]:
+        """Of a solve without multipliers."""
+        (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
+        bounds = {"lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
+        return {"x0": np.clip(guess, lbx, ubx), "p": program.parameters(), **bounds}
+
+    def portable(self, starts: Iterable[Start]) -> tuple[ca.Function, dict[str, dict[str, Any]]]:
+        """(the problem, options by start) for another process; all of it can be pickled."""
+        nlp = self.program.nlp
+        problem = ca.Function("problem", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
+        return problem, {name: {**self._options(name), **self._derivatives} for name in starts}
 
 
 def _log(iterations: Mapping[str, Any]) -> tuple[dict[str, float], ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .interrupt import Watch
 from .shooting import UNBOUNDED, Linearisation, Shooting
 from .stage_qp import StageQp, available
 
@@ -163,7 +164,10 @@ class Ipopt:
             "max_iter": 200,
             "mu_init": 1e-2,
         }
-        outer: dict[str, Any] = {"print_time": False, "expand": True, "ipopt": options}
+        self._watch = Watch(p.size, nlp["g"].numel(), nlp["p"].numel())
+        outer: dict[str, Any] = {
+            "print_time": False, "expand": True, "ipopt": options, "iteration_callback": self._watch,
+        }  # fmt: skip
         self._solver = ca.nlpsol("mpc", "ipopt", nlp, outer)
         self._bounds = {
             "lbx": _infinite(p.w_low), "ubx": _infinite(p.w_high),
@@ -175,7 +179,8 @@ class Ipopt:
         begin = perf_counter()
         guess = np.where(np.isfinite(point.w), point.w, 0.0)
         p = np.concatenate([point.start, point.references.ravel(), point.given])
-        result = self._solver(x0=guess, p=p, **self._bounds)
+        with self._watch.during():
+            result = self._solver(x0=guess, p=p, **self._bounds)
         stats = self._solver.stats()
         if stats["success"]:
             point.w[:] = np.asarray(result["x"]).ravel()

@@ -50,7 +50,9 @@ class Verdict:
         if not self.error <= self.tolerance:
             failed.append(f"its replay deviates by {self.error:.2g} of nominal in {self.state}")
         if not self.violation <= self.tolerance:
-            failed.append(f"its replay violates {self.constraint} by {self.violation:.2g} of nominal")
+            failed.append(
+                f"its replay violates {self.constraint} by {self.violation:.2g} of nominal"
+            )
         if failed:
             return f"not verified: {' and '.join(failed)}, more than {within}"
         return (

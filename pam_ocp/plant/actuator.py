@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 
-from ..errors import InputError, require_positive
+from ..errors import require_positive
 from ..muscle.force import clamp
 from ..muscle.losses import Loss, Motion
 from ..muscle.muscle import Muscle
 from ..muscle.valves import GasFeed
+from .components import as_feed, as_losses, as_muscle
+from .meters import meter_pneumatics, meter_work
 
 if TYPE_CHECKING:
     from .plant import Plant
@@ -51,9 +53,17 @@ class Feed(Protocol):
 
 @dataclass(frozen=True)
 class IdealPressure:
-    """The input ``<name>.pressure`` is the pressure itself."""
+    """The input ``<name>.pressure`` is the pressure itself.
+
+    max_pressure : largest pressure [Pa]; by default the end of the muscle's measured range.
+    totals : see :class:`Regulator`.
+    """
 
     max_pressure: float | None = None
+    totals: bool = False
+
+    def __post_init__(self) -> None:
+        _in_si(self, {"max_pressure": "Pa"})
 
     def connect(
         self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
@@ -72,17 +82,18 @@ class Regulator:
     max_pressure : largest command [Pa]; by default the end of the muscle's measured range.
     max_rate : largest |p'| [Pa/s] a plan may ask for, as path constraint ``<name>.pressure_rate``;
         None for no limit. A simulation is not limited by it.
+    totals : add the states ``<name>.work`` (mechanical) and ``<name>.pneumatic_work`` (the integral
+        of p dV) [J] and the output ``<name>.efficiency``, their ratio. Off by default: pure
+        integrals make every equilibrium singular.
     """
 
     lag: float = 0.05
     max_pressure: float | None = None
     max_rate: float | None = None
+    totals: bool = False
 
     def __post_init__(self) -> None:
-        require_positive("Regulator.lag", self.lag, "s")
-        for argument in ("max_pressure", "max_rate"):
-            if getattr(self, argument) is not None:
-                require_positive(f"Regulator.{argument}", getattr(self, argument), "Pa")
+        _in_si(self, {"lag": "s", "max_pressure": "Pa", "max_rate": "Pa/s"})
 
     def connect(
         self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
@@ -109,6 +120,15 @@ class Regulator:
         return pressure
 
 
+def _in_si(component: Any, units: Mapping[str, str]) -> None:
+    """Check these fields of a frozen component: numbers > 0, a text with its unit is one; None stays."""
+    for argument, unit in units.items():
+        value = getattr(component, argument)
+        if value is not None:
+            number = require_positive(f"{type(component).__name__}.{argument}", value, unit)
+            object.__setattr__(component, argument, number)
+
+
 def _pressure_attributes(muscle: Muscle, limit: float | None) -> dict[str, Any]:
     top = muscle.pressure_range[1] if limit is None else limit
     return {"unit": "Pa", "min": 0.0, "max": top, "start": top / 2, "nominal": 1e5}
@@ -120,23 +140,20 @@ _UNITS = {"rest_length": ("m", 0.1), "slack_width": ("N", 1.0)}
 def attach(
     plant: Plant,
     name: str,
-    muscle: Muscle,
+    muscle: Muscle | str,
     *,
     shortening: Any,
     rate: Any,
     pre_contraction: Any,
     feed: Feed | None,
-    losses: Sequence[Loss] = (),
+    losses: Loss | Sequence[Loss] = (),
 ) -> AttachedMuscle:
     """See :meth:`Plant.add_muscle`.
 
     losses : components such as ``CoulombFriction()``, ``BoucWen()`` or ``Creep()``, whose forces
         are taken off the law's tension before the clamp: a slack muscle has no friction either.
     """
-    if not isinstance(muscle, Muscle):
-        raise InputError(
-            f"muscle = {muscle!r} must be a Muscle, such as pam_ocp.muscle('DMSP-20-300')"
-        )
+    muscle, feed, losses = as_muscle(muscle), as_feed(feed, Regulator()), as_losses(losses)
     symbolic = _with_parameters(plant, name, muscle)
     if not isinstance(pre_contraction, ca.SX):
         pre_contraction = plant.parameter(
@@ -145,16 +162,17 @@ def attach(
         )  # fmt: skip
     contraction = pre_contraction + shortening / symbolic.rest_length
     relative_rate = rate / symbolic.rest_length
-    feed = feed or Regulator()
+    bounded = _within_reach(contraction)
     if isinstance(feed, GasFeed):
-        air = feed.fill(plant, name, symbolic, contraction, relative_rate)
+        air = feed.fill(plant, name, symbolic, bounded, relative_rate)
         pressure = air.pressure
     else:
-        pressure = feed.connect(plant, name, symbolic, contraction, relative_rate)
-    tension = symbolic.tension(pressure, contraction)
-    force = symbolic.force(pressure, contraction)
+        pressure = feed.connect(plant, name, symbolic, bounded, relative_rate)
+    tension = symbolic.tension(pressure, bounded)
+    gain = ca.jacobian(tension, pressure)
+    force = symbolic.force(pressure, bounded)
     if losses:
-        motion = Motion(symbolic, pressure, contraction, relative_rate)
+        motion = Motion(symbolic, pressure, bounded, relative_rate)
         lost = sum((loss.force(plant, name, motion) for loss in losses), ca.SX(0))
         plant.output(
             f"{name}.loss", lost, unit="N", nominal=100.0,
@@ -163,12 +181,26 @@ def attach(
         tension = tension - lost
         force = clamp(tension, symbolic.slack_width)
     attached = AttachedMuscle(
-        name, symbolic, pressure, contraction, force, symbolic.stiffness(pressure, contraction)
+        name, symbolic, pressure, contraction, force, symbolic.stiffness(pressure, bounded)
     )
     _declare_outputs(plant, attached, tension)
+    totals = bool(getattr(feed, "totals", False))
+    drawn = feed.drawn(plant, name, air) if totals and isinstance(feed, GasFeed) else None
+    work = meter_work(plant, attached, rate, muscle.mass, totals)
     if isinstance(feed, GasFeed):
-        feed.meter(plant, name, air, force * rate, muscle.mass)
+        feed.meter(plant, name, air, drawn, work)
+    elif work is not None:
+        meter_pneumatics(plant, attached, gain, rate, work)
     return attached
+
+
+def _within_reach(contraction: ca.SX) -> ca.SX:
+    """The contraction, held above -1: no muscle is stretched to twice its length.
+
+    While a muscle is slack nothing limits the steps of an integrator, and a trial step may end far
+    beyond any stretch, where the exponentials of the laws overflow.
+    """
+    return ca.if_else(contraction < -1, -1, contraction)
 
 
 def _with_parameters(plant: Plant, name: str, muscle: Muscle) -> Muscle:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..errors import InputError, require_positive
+from ..errors import InputError, require_finite, require_positive
 from ..muscle.losses import ConstantDamping, Damping, Loss
 from ..muscle.muscle import Muscle
+from ..plausible import meant_within
 from .actuator import Feed
+from .components import as_damping, as_loads, as_muscle
 from .loads import Coordinate, Load, applied
 from .pair import mirrored_pair, reach
 from .plant import Plant
@@ -37,28 +39,32 @@ class AntagonisticSlide(Plant):
 
     def __init__(
         self,
-        muscle: Muscle,
+        muscle: Muscle | str,
         mass: float = 2.0,
         pre_contraction: float = 0.10,
         *,
-        muscle2: Muscle | None = None,
+        muscle2: Muscle | str | None = None,
         stroke: float | None = None,
-        damping: Damping | None = None,
+        damping: Damping | float | None = None,
         feed: Feed | None = None,
-        losses: Sequence[Loss] = (),
-        loads: Sequence[Load] = (),
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
         name: str = "antagonistic_slide",
     ) -> None:
         super().__init__(name, "an antagonistic pair of pneumatic muscles on a slide")
-        require_positive("mass", mass, "kg")
-        muscles = (muscle, muscle if muscle2 is None else muscle2)
+        loads = as_loads(loads)
+        mass = require_positive("mass", mass, "kg")
+        pre_contraction = require_finite("pre_contraction", pre_contraction)
+        first = as_muscle(muscle)
+        muscles = (first, first if muscle2 is None else as_muscle(muscle2, "muscle2"))
         farthest = min(reach(m, pre_contraction) for m in muscles)
         if stroke is None:
             stroke = farthest
-        elif require_positive("stroke", stroke, "m") > farthest:
+        elif (stroke := require_positive("stroke", stroke, "m")) > farthest:
             raise InputError(
                 f"stroke = {stroke:g} m: with pre_contraction = {pre_contraction:g} the muscles allow "
                 f"at most {farthest:.4g} m before one leaves its range of contraction"
+                + meant_within(stroke, "m", 0.0, farthest)
             )
         x = self.state(
             "x", unit="m", min=-stroke, max=stroke, nominal=0.01,
@@ -85,7 +91,7 @@ class AntagonisticSlide(Plant):
             for i, part, sign in ((1, muscles[0], 1), (2, muscles[1], -1))
         ]
         stiffness = pair[0].stiffness + pair[1].stiffness
-        c = (damping or ConstantDamping()).coefficient(self, m, stiffness)
+        c = as_damping(damping, ConstantDamping()).coefficient(self, m, stiffness)
         self.der(x, v)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(v, (pair[0].force - pair[1].force - c * v + outside) / (m + added))

@@ -9,6 +9,7 @@ from ..muscle.force import SLACK_WIDTH, clamp
 from ..muscle.losses import ConstantDamping, Damping, Loss, StiffnessDamping
 from ..muscle.muscle import Muscle
 from .actuator import Feed
+from .components import as_damping, as_muscle
 from .loads import Coordinate, Load, applied
 from .plant import Plant
 from .single import moved_mass, weight
@@ -36,19 +37,20 @@ class SpringOverMuscle(Plant):
 
     def __init__(
         self,
-        muscle: Muscle,
+        muscle: Muscle | str,
         mass: float = 2.0,
         spring_stiffness: float = 5e3,
         preload: float = 100.0,
         *,
         inclination: float = 0.0,
-        damping: Damping | None = None,
+        damping: Damping | float | None = None,
         feed: Feed | None = None,
-        losses: Sequence[Loss] = (),
-        loads: Sequence[Load] = (),
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
         name: str = "spring_over_muscle",
     ) -> None:
         super().__init__(name, "a pneumatic muscle inside a bias spring")
+        muscle = as_muscle(muscle)
         x, v, m = moved_mass(self, muscle, mass)
         k_som = self.parameter(
             "spring_stiffness", require_positive("spring_stiffness", spring_stiffness, "N/m"),
@@ -66,7 +68,7 @@ class SpringOverMuscle(Plant):
             "stiffness", attached.stiffness + k_som, unit="N/m", nominal=1e4,
             description="stiffness of muscle and spring at constant pressure",
         )  # fmt: skip
-        c = (damping or StiffnessDamping()).coefficient(self, m, stiffness)
+        c = as_damping(damping, StiffnessDamping()).coefficient(self, m, stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
         self.der(
@@ -96,19 +98,20 @@ class SeriesLoad(Plant):
 
     def __init__(
         self,
-        muscle: Muscle,
+        muscle: Muscle | str,
         mass: float = 20.0,
         tendon_stiffness: float = 1e5,
         *,
         tendon_damping: float = 20.0,
         fitting_mass: float = 0.2,
-        damping: Damping | None = None,
+        damping: Damping | float | None = None,
         feed: Feed | None = None,
-        losses: Sequence[Loss] = (),
-        loads: Sequence[Load] = (),
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
         name: str = "series_load",
     ) -> None:
         super().__init__(name, "a pneumatic muscle pulling a hanging mass by an elastic tendon")
+        muscle = as_muscle(muscle)
         x, v, m = moved_mass(self, muscle, mass, slack=0.1)
         low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
         y = self.state(
@@ -135,7 +138,7 @@ class SeriesLoad(Plant):
             "stiffness", attached.stiffness * k_t / (attached.stiffness + k_t), unit="N/m",
             nominal=1e4, description="stiffness of muscle and tendon in series",
         )  # fmt: skip
-        c = (damping or ConstantDamping(50.0)).coefficient(self, end, attached.stiffness)
+        c = as_damping(damping, ConstantDamping(50.0)).coefficient(self, end, attached.stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
         self.der(v, (pull - weight(self, m) + outside) / (m + added))

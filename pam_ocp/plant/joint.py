@@ -8,10 +8,12 @@ from typing import TypeAlias
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError, require_positive
+from ..errors import InputError, require_finite, require_positive
 from ..muscle.losses import ConstantDamping, Damping, Loss
 from ..muscle.muscle import Muscle
+from ..plausible import meant_within
 from .actuator import Feed
+from .components import as_damping, as_loads, as_muscle
 from .loads import Coordinate, Load, Wall, applied
 from .pair import mirrored_pair, reach
 from .plant import Plant
@@ -51,33 +53,37 @@ class AntagonisticJoint(Plant):
 
     def __init__(
         self,
-        muscle: Muscle,
+        muscle: Muscle | str,
         inertia: float = 0.05,
         moment_arm: MomentArm = 0.04,
         pre_contraction: float = 0.125,
         *,
-        muscle2: Muscle | None = None,
+        muscle2: Muscle | str | None = None,
         moment_arm2: MomentArm | None = None,
         link_mass: float = 0.0,
         link_length: float = 0.0,
         limits: tuple[float, float] | None = None,
-        damping: Damping | None = None,
+        damping: Damping | float | None = None,
         feed: Feed | None = None,
-        losses: Sequence[Loss] = (),
-        loads: Sequence[Load] = (),
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
         name: str = "antagonistic_joint",
     ) -> None:
         super().__init__(name, "a joint between two pneumatic muscles, flexor and extensor")
-        muscles = (muscle, muscle if muscle2 is None else muscle2)
+        loads = as_loads(loads)
+        pre_contraction = require_finite("pre_contraction", pre_contraction)
+        first = as_muscle(muscle)
+        muscles = (first, first if muscle2 is None else as_muscle(muscle2, "muscle2"))
         arms = (moment_arm, moment_arm if moment_arm2 is None else moment_arm2)
         low, high = _range(muscles, arms, pre_contraction, limits)
+        limits = None if limits is None else (low, high)
         theta = self.state(
             "theta", unit="rad", min=low, max=high, nominal=0.1,
             description="angle of the joint, towards the flexor",
         )  # fmt: skip
         omega = self.state("omega", unit="rad/s", nominal=1.0, description="angular velocity")
         moment = self.parameter(
-            "inertia", require_positive("inertia", inertia, "kg m2"), unit="kg.m2", min=1e-9,
+            "inertia", require_positive("inertia", inertia, "kg.m2"), unit="kg.m2", min=1e-9,
             nominal=0.1, tunable=True, description="moment of inertia about the joint",
         )  # fmt: skip
         k0 = self.parameter(
@@ -126,7 +132,7 @@ class AntagonisticJoint(Plant):
         moment: ca.SX,
         torque: ca.SX,
         link: tuple[float, float],
-        damping: Damping | None,
+        damping: Damping | float | None,
         loads: Sequence[Load],
         limits: tuple[float, float] | None,
     ) -> None:
@@ -155,7 +161,9 @@ class AntagonisticJoint(Plant):
             for angle, side, name in ((limits[1], 1, "upper_stop"), (limits[0], -1, "lower_stop"))
         ]  # fmt: skip
         outside, added = applied(self, [*loads, *stops], Coordinate(theta, omega, rotary=True))
-        c = (damping or ConstantDamping(0.3)).coefficient(self, moment, stiffness, "N.m.s/rad")
+        c = as_damping(damping, ConstantDamping(0.3)).coefficient(
+            self, moment, stiffness, "N.m.s/rad"
+        )
         weight = mass * g * length * ca.sin(theta)
         self.der(theta, omega)
         self.der(omega, (torque - weight - c * omega + outside) / (moment + added))
@@ -175,15 +183,20 @@ def _range(
     )
     if limits is None:
         return -largest, largest
-    low, high = limits
+    if not isinstance(limits, tuple | list) or len(limits) != 2:
+        raise InputError(
+            f"limits = {limits!r}: give (low, high) angles [rad], or None for no stops"
+        )
+    low, high = (require_finite("limits", angle, "rad") for angle in limits)
     if not low < high:
         raise InputError(f"limits = ({low:g}, {high:g}) rad: the lower must be the smaller")
     if max(-low, high) > largest:
         raise InputError(
             f"limits = ({low:g}, {high:g}) rad: with pre_contraction = {pre_contraction:g} the muscles "
             f"allow at most {largest:.4g} rad to either side"
+            + meant_within(max(-low, high), "rad", 0.0, largest)
         )
-    return float(low), float(high)
+    return low, high
 
 
 def _largest(arm: Callable[[ca.SX], ca.SX]) -> float:

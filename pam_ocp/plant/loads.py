@@ -14,6 +14,7 @@ import casadi as ca
 
 from ..errors import InputError, require_finite, require_positive
 from ..muscle.force import clamp
+from .components import as_loads
 
 if TYPE_CHECKING:
     from .plant import Plant
@@ -55,7 +56,10 @@ class Coordinate:
 
 
 class Load(Protocol):
-    """A force on the moved mass."""
+    """A force on the moved mass, and where it has ``inertia``, more mass that moves along.
+
+    ``inertia(plant, at)`` gives an expression, or ``inertia`` is a number: [kg], or [kg.m2] on a joint.
+    """
 
     def force(self, plant: Plant, at: Coordinate) -> ca.SX:
         """Declare parameters; the force [N] or torque [N.m] in positive direction."""
@@ -225,13 +229,20 @@ class Wall:
         return ca.SX(-self.side * elastic * factor)
 
 
-def applied(plant: Plant, loads: Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
+def applied(plant: Plant, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
     """(sum of the forces, sum of the added inertias) of all loads at a coordinate."""
     force, inertia = ca.SX(0), ca.SX(0)
-    for load in loads:
-        if not hasattr(load, "force"):
-            raise InputError(f"loads holds {load!r}: give Load components, such as Spring(1e3)")
+    for load in as_loads(loads):
         force += load.force(plant, at)
-        if isinstance(load, Inertia):
-            inertia += load.inertia(plant, at)
+        inertia += _inertia(plant, load, at)
     return force, inertia
+
+
+def _inertia(plant: Plant, load: Load, at: Coordinate) -> ca.SX:
+    """What a load adds to the moving mass: its ``inertia(plant, at)``, or a number of that name."""
+    own = getattr(load, "inertia", 0.0)
+    added = own(plant, at) if callable(own) else own
+    if isinstance(added, ca.SX):
+        return added
+    argument = f"{type(load).__name__}.inertia"
+    return ca.SX(require_positive(argument, added, "kg.m2" if at.rotary else "kg", zero=True))

@@ -33,6 +33,7 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 
+
 @dataclass(frozen=True)
 class Opening:
     """An input that stands in for commands of a plant; see :meth:`Plant.opening`.

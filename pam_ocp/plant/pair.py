@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..errors import InputError
 from ..muscle.muscle import Muscle
+from ..plausible import meant_within
 from .plant import Plant
 
 __all__ = ["mirrored_pair", "reach"]
@@ -16,6 +17,7 @@ def reach(muscle: Muscle, pre_contraction: float) -> float:
         raise InputError(
             f"pre_contraction = {pre_contraction:g} is outside the muscle's range of contraction "
             f"{low:g} .. {high:g}: a muscle would be slack or overstretched in the middle"
+            + meant_within(pre_contraction, "1", low, high)
         )
     return min(pre_contraction - low, high - pre_contraction) * float(muscle.rest_length)
 

@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -30,9 +30,11 @@ if TYPE_CHECKING:
 
     from ..equilibrium import OperatingPoint
 
-__all__ = ["Plant", "Values", "require_plant"]
+__all__ = ["Given", "Plant", "Values", "by_name", "require_plant"]
 
 Values = Mapping[str, Any]
+Given: TypeAlias = "Values | OperatingPoint"
+"""Values by name, or those of a point."""
 
 # in the order of the plant's function: arguments, and results (a state's is its derivative)
 _CHANGEABLE: tuple[Causality, ...] = ("state", "input", "parameter")
@@ -83,6 +85,48 @@ def require_plant(value: Any) -> Plant:
         else ", such as HangingLoad(muscle) or one of your own"
     )  # fmt: skip
     raise InputError(f"plant is a {type(value).__name__}, not a Plant{hint}")
+
+
+def by_name(argument: str, values: Any, causality: Causality | None = None) -> dict[str, Any]:
+    """Values by name: of a mapping (None: of none), or of an operating point those of a causality."""
+    if values is None:
+        return {}
+    if isinstance(values, Mapping):
+        return dict(values)
+    point = getattr(values, "values", None)
+    if isinstance(point, Mapping) and isinstance(getattr(values, "plant", None), Plant):
+        kinds = {v.name: v.causality for v in values.plant.variables}
+        return {n: v for n, v in point.items() if causality is None or kinds[n] == causality}
+    raise InputError(
+        f"{argument} is a {type(values).__name__}: give values by name, such as {{'x': 0.01}}, or an "
+        "operating point"
+    )
+
+
+def scalar_expression(name: str, value: Any) -> ca.SX:
+    """``value`` as a scalar expression; InputError when it is none, or holds NaN or an infinite number.
+
+    Python's own ``float``, and with it all of ``math``, silently make NaN of a CasADi symbol.
+    """
+    try:
+        expression = ca.SX(value)
+    except (TypeError, ValueError, NotImplementedError):
+        raise InputError(
+            f"{name}: {type(value).__name__} is no expression; give one of the plant's symbols or a number"
+        ) from None
+    if expression.shape != (1, 1):
+        raise InputError(f"{name}: the expression has shape {expression.shape}; give a scalar")
+    function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
+    for k in range(function.n_instructions()):
+        if function.instruction_id(k) == ca.OP_CONST:
+            constant = function.instruction_constant(k)
+            if not math.isfinite(constant):
+                raise InputError(
+                    f"{name}: the expression holds the constant {constant}; functions of Python's math "
+                    "make NaN of a symbol: write casadi.sin(x) or numpy.sin(x) instead of math.sin(x), "
+                    "and casadi.if_else(x > 0, a, b) instead of a if x > 0 else b"
+                )
+    return expression
 
 
 class Plant:
@@ -139,7 +183,7 @@ class Plant:
             raise InputError(f"der({state}): the first argument must be the symbol of a state")
         if name in self._expressions:
             raise InputError(f"der({name}) is given twice")
-        self._expressions[name] = ca.SX(derivative)
+        self._expressions[name] = scalar_expression(f"der({name})", derivative)
 
     def output(self, name: str, expression: Any, **attributes: Any) -> ca.SX:
         """Declare an output and its expression in states, inputs and parameters."""
@@ -176,7 +220,8 @@ class Plant:
         self._openings += (opening,)
         symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(ways))]
         self._ways += tuple(
-            Way(s, ca.SX(way), ca.SX(of(symbol))) for s, (way, of) in zip(symbols, ways, strict=True)
+            Way(s, ca.SX(way), ca.SX(of(symbol)))
+            for s, (way, of) in zip(symbols, ways, strict=True)
         )
         return symbols
 
@@ -217,13 +262,13 @@ class Plant:
     def add_muscle(
         self,
         name: str,
-        muscle: Muscle,
+        muscle: Muscle | str,
         *,
         shortening: Any,
         rate: Any,
         pre_contraction: Any = 0.0,
         feed: Feed | None = None,
-        losses: Sequence[Loss] = (),
+        losses: Loss | Sequence[Loss] = (),
     ) -> AttachedMuscle:
         """Attach a muscle: its constants as parameters, its feed, its losses, its outputs.
 
@@ -233,8 +278,8 @@ class Plant:
         feed : how its pressure comes about; by default a first-order ``Regulator()``.
         losses : friction, hysteresis, creep, such as ``CoulombFriction()``.
 
-        Adds the outputs ``<name>.force``, ``.contraction``, ``.stiffness`` and the path constraint
-        ``<name>.tension`` >= 0 (never slack). Returns expressions to use in the equation of motion.
+        Adds the outputs ``<name>.force``, ``.contraction``, ``.stiffness``, ``.power`` (mechanical) and
+        the path constraint ``<name>.tension`` >= 0 (never slack). Returns expressions to use in the equation of motion.
         """
         return attach(
             self, name, muscle, shortening=shortening, rate=rate,
@@ -262,11 +307,7 @@ class Plant:
         return self._symbols[variable.name]
 
     def _define(self, variable: Variable, expression: Any) -> ca.SX:
-        value = ca.SX(expression)
-        if value.shape != (1, 1):
-            raise InputError(
-                f"{variable.name}: the expression has shape {value.shape}; give a scalar"
-            )
+        value = scalar_expression(variable.name, expression)
         self._add(variable)
         self._expressions[variable.name] = value
         return value
@@ -312,14 +353,14 @@ class Plant:
                 return self._variables[known]
         raise UnknownNameError(f"variable of plant {self.name!r}", name, self._variables)
 
-    def with_values(self, values: Values | None = None, /, **more: Any) -> Plant:
+    def with_values(self, values: Given | None = None, /, **more: Any) -> Plant:
         """A copy with other parameter values and start values; expressions are shared.
 
         ``plant.with_values(mass=3.0)`` or ``plant.with_values({"muscle1.a3": -30.0})``.
         """
         self._finished()
         changed = dict(self._variables)
-        for name, value in {**(values or {}), **more}.items():
+        for name, value in {**by_name("values", values), **more}.items():
             variable = self.variable(name)
             if variable.causality in ("output", "constraint"):
                 raise InputError(
@@ -332,7 +373,7 @@ class Plant:
         return other
 
     def vector(
-        self, causality: Causality, values: Values | None = None, attribute: str = "start"
+        self, causality: Causality, values: Given | None = None, attribute: str = "start"
     ) -> NDArray[np.float64]:
         """``start`` (or ``min``, ``max``, ``nominal``) of all variables of a causality, as an array.
 
@@ -341,7 +382,7 @@ class Plant:
         variables = self._of(causality)
         array = np.array([getattr(v, attribute) for v in variables], dtype=float)
         position = {v.name: i for i, v in enumerate(variables)}
-        for name, value in (values or {}).items():
+        for name, value in by_name(causality, values, causality).items():
             variable = self.variable(name)
             if variable.name not in position:
                 raise InputError(f"{variable.name} is a {variable.causality}, not a {causality}")

@@ -119,15 +119,15 @@ class RegulatedLoad(HangingLoad):
 
     def __init__(
         self,
-        muscle: Muscle,
+        muscle: Muscle | str,
         mass: float = 20.0,
         *,
         gain: float = 1e6,
         derivative_gain: float = 0.0,
         lag: float = 0.1,
         max_pressure: float | None = None,
-        damping: Damping | None = None,
-        losses: Sequence[Loss] = (),
+        damping: Damping | float | None = None,
+        losses: Loss | Sequence[Loss] = (),
         name: str = "regulated_load",
     ) -> None:
         feedback = PositionFeedback(gain, derivative_gain, lag, max_pressure)

@@ -10,6 +10,7 @@ from ..errors import require_finite, require_positive
 from ..muscle.losses import Damping, Loss, StiffnessDamping
 from ..muscle.muscle import Muscle
 from .actuator import Feed
+from .components import as_damping, as_muscle
 from .loads import Coordinate, Load, applied
 from .plant import Plant
 
@@ -71,21 +72,22 @@ class HangingLoad(Plant):
 
     def __init__(
         self,
-        muscle: Muscle,
+        muscle: Muscle | str,
         mass: float = 20.0,
         *,
         inclination: float | None = None,
-        damping: Damping | None = None,
+        damping: Damping | float | None = None,
         feed: Feed | None = None,
-        losses: Sequence[Loss] = (),
-        loads: Sequence[Load] = (),
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
         name: str = "hanging_load",
     ) -> None:
         super().__init__(name, "a load hanging on one pneumatic muscle")
+        muscle = as_muscle(muscle)
         x, v, m = moved_mass(self, muscle, mass)
         against = weight(self, m, inclination)
         attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed, losses=losses)
-        c = (damping or StiffnessDamping()).coefficient(self, m, attached.stiffness)
+        c = as_damping(damping, StiffnessDamping()).coefficient(self, m, attached.stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
         self.der(v, (attached.force - against - c * v + outside) / (m + added))

@@ -126,7 +126,9 @@ def _resting(plant: Plant, named: Collection[str]) -> tuple[Position, ...]:
     uses = {i: [j for j in range(nx) if j != i and slopes[i, j]] for i in neutral}
     for worst in (1, 2):  # lengths, angles and numbers; then anything
         pool = [i for i in undriven if uses[i] and _measures(plant, names[i]) <= worst]
-        pool.sort(key=lambda i: (names[i] not in named, _measures(plant, names[i]), len(uses[i]), i))
+        pool.sort(
+            key=lambda i: (names[i] not in named, _measures(plant, names[i]), len(uses[i]), i)
+        )
         chosen = _heads(pool, uses)
         wide = 1 if not chosen and worst == 1 else 0 if worst == 1 else 2
         moved = {j for i in chosen for j in uses[i]}

@@ -33,7 +33,10 @@ def pythons() -> dict[tuple[int, int], str]:
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     for minor in range(OLDEST_PYTHON[1], 30):
         name = f"python3.{minor}"
-        candidates = [shutil.which(name), *map(str, sorted(versions.glob(f"3.{minor}.*/bin/python")))]
+        candidates = [
+            shutil.which(name),
+            *map(str, sorted(versions.glob(f"3.{minor}.*/bin/python"))),
+        ]
         for path in filter(None, candidates):
             code = "import sys, venv; print(*sys.version_info[:2])"
             done = subprocess.run([path, "-c", code], capture_output=True, text=True, check=False)
