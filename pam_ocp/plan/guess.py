@@ -20,7 +20,7 @@ from .solution import Solution
 from .stage import nominals
 from .wording import subject
 
-__all__ = ["by_stops", "from_solution", "wants_balance"]
+__all__ = ["by_stops", "from_solution", "rest_point", "wants_balance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Signal: TypeAlias = Callable[[Array], Array]
@@ -208,6 +208,11 @@ def _sampled(
         begin += h
     scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
     return np.concatenate([*parts, *scaled])
+
+
+def rest_point(problem: Problem, stop: dict[str, object]) -> Array:
+    """The states in which the plant rests at a stop, nearest to their start values."""
+    return _node(problem, stop, balanced=True)[0]
 
 
 def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> tuple[Array, Array]:
