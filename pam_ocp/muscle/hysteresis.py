@@ -186,7 +186,6 @@ class MaxwellSlip:
         return total
 
 
-
 @dataclass(frozen=True)
 class Creep:
     """F = sum K_i (kappa - e_i), de_i/dt = (kappa - e_i)/tau_i: the membrane gives way in time.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..plant.plant import Plant
+from ..plant.stillness import rest_rows
 from .mesh import Mesh
 from .narrowing import has_kinks
 from .problem import Problem, limits
@@ -77,8 +78,8 @@ def wants_balance(problem: Problem) -> bool:
     plant = problem.plant
     spoken = ca.vertcat(*(subject(plant, n)[1] for stop in problem.stops for n in stop))
     open_ends = [
-        q for q in plant.resting()
-        if not q.driven and not ca.depends_on(spoken, plant.expression(q.name))
+        q for q, order, _ in rest_rows(plant, plant.resting())
+        if order == 2 and not ca.depends_on(spoken, plant.expression(q.name))
     ]  # fmt: skip
     return bool(open_ends) or has_kinks(problem) or _idle_inputs(plant)
 
@@ -122,7 +123,6 @@ class _Path:
 
     def states(self, t: Array) -> Array:
         """(n, nx); velocities are those of the positions that move."""
-        plant = self.problem.plant
         value, slope = self._between(t, 0)
         self._move(value, slope, self.inputs(t))
         return value

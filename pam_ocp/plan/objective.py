@@ -104,7 +104,9 @@ def _running(plant: Plant, symbols: Symbols, term: str) -> tuple[ca.SX, Variable
         scaled = plant.u / plant.vector("input", attribute="nominal")
         return ca.sumsqr(scaled), Variable("effort", "output", unit="s")
     if term == "work":
-        return _work(plant, symbols.width(WIDEST_POWER, POWER_WIDTH)), Variable("work", "output", unit="J")
+        return _work(plant, symbols.width(WIDEST_POWER, POWER_WIDTH)), Variable(
+            "work", "output", unit="J"
+        )
     if term == "air":
         total = _total(plant, "supply_flow", term)
         return total, Variable("air", "output", unit="kg", nominal=1e-3)

@@ -94,8 +94,9 @@ def pose(plant: Plant, wish: Wish) -> Problem:
     problem = Problem(
         plant, tuple(values), tuple(nodes), tuple(legs), closing, goal, tuple(budgets),
         design_ranges(plant, wish.design or {}),
-        tuple(symbols.profiles), tuple(symbols.aims), dict(symbols.widths),
+        tuple(symbols.profiles), tuple(symbols.aims),
         *(ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m)),
+        widths=dict(symbols.widths),
     )  # fmt: skip
     return _filled(problem, wish, stops[0], holding.positions)
 
@@ -362,9 +363,7 @@ def _not_implied(
     return tuple(kept)
 
 
-def _filled(
-    problem: Problem, wish: Wish, first: Stop, positions: tuple[Position, ...]
-) -> Problem:
+def _filled(problem: Problem, wish: Wish, first: Stop, positions: tuple[Position, ...]) -> Problem:
     """Pressures at the first stop are no gift where the supply's air counts.
 
     A motion that may choose them is made by venting what it was given. Where neither the cycle nor the

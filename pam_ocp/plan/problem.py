@@ -111,10 +111,10 @@ class Problem:
     design: dict[str, Range] = field(default_factory=dict)
     profiles: tuple[Profile, ...] = ()
     aims: tuple[float, ...] = ()
-    widths: dict[int, float] = field(default_factory=dict)
     r: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     q: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     m: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    widths: dict[int, float] = field(default_factory=dict)
 
     def function(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
         """CasADi function (x, u, p, time, r, q, m) -> one column of the expressions."""
