@@ -253,7 +253,7 @@ class _Holding:
 def _inputs_jump(wish: Wish) -> bool:
     """Whether inputs may jump: linear ones cannot, and where their rate costs they better do not."""
     weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else wish.minimise
-    return wish.jumps and not weights.get("rate")
+    return wish.jumps and "rate" not in weights
 
 
 def _at_rest(plant: Plant, label: str, stop: Stop, holding: _Holding) -> list[Condition]:
