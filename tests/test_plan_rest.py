@@ -96,7 +96,7 @@ def test_a_stop_is_a_place_where_inputs_could_hold_the_plant():
     u = plant.input("u", min=-5.0, max=5.0)
     plant.der(x, v)
     plant.der(v, u - 9.81)
-    with pytest.raises(pam.PlanError, match="at rest|holds it"):
+    with pytest.raises(pam.PlanError, match=r"at rest|holds it"):
         pam.plan(plant, [{"x": 0.0}, {"x": 0.1}], method=METHOD)
 
 

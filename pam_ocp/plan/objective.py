@@ -22,11 +22,11 @@ OBJECTIVES = ("time", "effort", "rate", "work", "air", "exergy")
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
 
-WIDEST_POWER, POWER_WIDTH = 10.0, 1e-4
+WIDEST_POWER, POWER_WIDTH = 10.0, 1e-5
 """Half width [W] of the smooth max(power, 0) where planning begins, and where it ends.
 
 Work put back into a muscle is not counted. The rounding adds at most half its width per muscle: less
-than 0.05 mJ per second.
+than 5 uJ per second.
 """
 
 
