@@ -101,7 +101,7 @@ def creep(stiffness: float, time: float) -> Loss:
 def maxwell(friction: tuple[float, ...], widths: tuple[float, ...], edge: float) -> Loss:
     def sticking(z: float) -> float:
         s = min(max((z - 1 + edge) / edge, 0.0), 1.0)
-        return 1 - s**2
+        return 1 - s**3
 
     def rates(z: Numbers, p: float, kappa: float, v: float, length: float) -> dict[str, float]:
         rate, found = v / length, {}

@@ -60,7 +60,7 @@ def test_order_of_the_collocation(points):
     errors = []
     for intervals in (4, 8):
         plan = pam.plan(
-            plant, [{"y": 1.0}, {"y": (0.0, 1.0)}], duration=1.0,
+            plant, [{"y": 1.0}, {"y": (0.0, 1.0)}], rest=False, duration=1.0,
             method=Collocation(intervals, 2, points=points),
         )  # fmt: skip
         errors.append(abs(plan.trajectory["y"][-1] - np.exp(-1.0)))

@@ -44,10 +44,14 @@ def _speed(plant: Plant, name: str, key: str, rate: ca.SX) -> ca.SX:
     return ca.SX(ca.sqrt(rate**2 + width**2))
 
 
-def _passage(towards: ca.SX, edge: float) -> ca.SX:
-    """1 while it sticks, falling to 0 where sliding begins: 1 - s^2, s from 0 to 1 at the edge."""
-    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), 1)
-    return ca.SX(1 - s**2)
+def _passage(towards: ca.SX, edge: float | ca.SX, most: float = 1.0) -> ca.SX:
+    """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
+
+    With ``most`` > 1 it goes on below 0 from there, which leads back: exact motion never comes there,
+    and on a coarse mesh what oversteps the edge does not stay beyond.
+    """
+    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), most)
+    return ca.SX(1 - s**3)
 
 
 @dataclass(frozen=True)
@@ -177,19 +181,9 @@ class MaxwellSlip:
                 description=f"Maxwell-slip element {i} of {name}: force/friction",
             )
             up, down = (rate + speed) / 2, (rate - speed) / 2
-            plant.der(z, (up * _sticking(z, edge) + down * _sticking(-z, edge)) / yielding)
+            plant.der(z, (up * _passage(z, edge, 3.0) + down * _passage(-z, edge, 3.0)) / yielding)
             total += friction * z
         return total
-
-
-def _sticking(towards: ca.SX, edge: ca.SX) -> ca.SX:
-    """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
-
-    Beyond (never in exact motion) it goes on below 0, which leads back: a coarse mesh that oversteps
-    the edge does not stay there.
-    """
-    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), 3)
-    return ca.SX(1 - s**3)
 
 
 @dataclass(frozen=True)

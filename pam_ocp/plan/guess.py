@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..plant.plant import Plant
+from ..plant.stillness import rest_rows
 from .mesh import Mesh
 from .narrowing import has_kinks
 from .problem import Problem, limits
@@ -20,7 +21,7 @@ from .solution import Solution
 from .stage import nominals
 from .wording import subject
 
-__all__ = ["by_stops", "from_solution", "wants_balance"]
+__all__ = ["by_stops", "from_solution", "rest_point", "wants_balance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Signal: TypeAlias = Callable[[Array], Array]
@@ -77,10 +78,10 @@ def wants_balance(problem: Problem) -> bool:
     plant = problem.plant
     spoken = ca.vertcat(*(subject(plant, n)[1] for stop in problem.stops for n in stop))
     open_ends = [
-        q for q in plant.resting()
-        if not q.driven and not ca.depends_on(spoken, plant.expression(q.name))
+        q for q, order, _ in rest_rows(plant, plant.resting())
+        if order == 2 and not ca.depends_on(spoken, plant.expression(q.name))
     ]  # fmt: skip
-    return bool(open_ends) or has_kinks(plant) or _idle_inputs(plant)
+    return bool(open_ends) or has_kinks(problem) or _idle_inputs(plant)
 
 
 def _idle_inputs(plant: Plant) -> bool:
@@ -122,7 +123,6 @@ class _Path:
 
     def states(self, t: Array) -> Array:
         """(n, nx); velocities are those of the positions that move."""
-        plant = self.problem.plant
         value, slope = self._between(t, 0)
         self._move(value, slope, self.inputs(t))
         return value
@@ -208,6 +208,11 @@ def _sampled(
         begin += h
     scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
     return np.concatenate([*parts, *scaled])
+
+
+def rest_point(problem: Problem, stop: dict[str, object]) -> Array:
+    """The states in which the plant rests at a stop, nearest to their start values."""
+    return _node(problem, stop, balanced=True)[0]
 
 
 def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> tuple[Array, Array]:

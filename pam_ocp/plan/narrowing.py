@@ -1,7 +1,8 @@
 """Kinks that are rounded off: a motion is planned with wide roundings first, then with narrower ones.
 
-The parameters of a plant that have a ``widest`` value (of hysteresis) go from there to their own along
-a path, evenly in their logarithms; each solution starts the next. The last one is the plant's itself.
+The parameters of a plant that have a ``widest`` value (of hysteresis), and the roundings of costs, go
+from there to their own along a path, evenly in their logarithms; each solution starts the next. The
+last one is the problem itself.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..plant.plant import Plant
 from ..variables import Variable
+from .problem import Problem
 from .solver import Outcome, Start
 from .transcription import Program
 
@@ -29,9 +31,9 @@ class _Solver(Protocol):
     def __call__(self, program: Program, guess: NDArray[np.float64], start: Start) -> Outcome: ...
 
 
-def has_kinks(plant: Plant) -> bool:
-    """Whether the plant has roundings to narrow."""
-    return bool(_roundings(plant))
+def has_kinks(problem: Problem) -> bool:
+    """Whether the plant or the costs have roundings to narrow."""
+    return bool(_roundings(problem.plant) or problem.widths)
 
 
 def _roundings(plant: Plant) -> list[Variable]:
@@ -45,7 +47,11 @@ def _at(program: Program, part: float) -> Program:
         v.name: float(np.clip(v.widest ** (1 - part) * (v.start or 0.0) ** part, v.min, v.max))
         for v in _roundings(plant)
     }
-    return replace(program, problem=replace(program.problem, plant=plant.with_values(values)))
+    aims = list(program.problem.aims)
+    for i, widest in program.problem.widths.items():
+        aims[i] = widest ** (1 - part) * aims[i] ** part
+    problem = replace(program.problem, plant=plant.with_values(values), aims=tuple(aims))
+    return replace(program, problem=problem)
 
 
 def widened(program: Program) -> Program:

@@ -10,7 +10,6 @@ from typing import Any
 import casadi as ca
 
 from ..errors import InputError, UnknownNameError, require_finite, require_positive
-from ..muscle.force import clamp
 from ..plant.plant import Plant
 from ..variables import Variable
 from .problem import Budget, Condition, Objective
@@ -23,8 +22,12 @@ OBJECTIVES = ("time", "effort", "rate", "work", "air", "exergy")
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
 
-WORK_WIDTH = 1e-2
-"""Width of the smooth max(power, 0), in watts: work put back into a muscle is not counted."""
+WIDEST_POWER, POWER_WIDTH = 10.0, 1e-5
+"""Half width [W] of the smooth max(power, 0) where planning begins, and where it ends.
+
+Work put back into a muscle is not counted. The rounding adds at most half its width per muscle: less
+than 5 uJ per second.
+"""
 
 
 @dataclass
@@ -37,6 +40,7 @@ class Symbols:
     r: list[ca.SX] = field(default_factory=list)
     q: list[ca.SX] = field(default_factory=list)
     m: list[ca.SX] = field(default_factory=list)
+    widths: dict[int, float] = field(default_factory=dict)
 
     def aim(self, name: str, value: Any) -> ca.SX:
         """The symbol of a constant aim, or of a Profile's value."""
@@ -47,6 +51,11 @@ class Symbols:
         self.aims.append(require_finite(name, value))
         self.q.append(ca.SX.sym(f"aim_{len(self.q)}"))
         return self.q[-1]
+
+    def width(self, widest: float, own: float) -> ca.SX:
+        """The symbol of a rounding that goes from the widest to its own width while it is solved for."""
+        self.widths[len(self.aims)] = widest
+        return self.aim("width", own)
 
     def unknown(self) -> ca.SX:
         """The symbol of a further unknown of the motion, of order one."""
@@ -73,7 +82,7 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
     return ca.sum1(ca.vertcat(*(plant.expression(name) for name in found)))
 
 
-def _work(plant: Plant) -> ca.SX:
+def _work(plant: Plant, width: ca.SX) -> ca.SX:
     """Mechanical power out of the muscles, each counted where it is positive [W]."""
     names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
     muscles = [n for n in names if any(v.name == f"{n}.contraction" for v in plant.outputs)]
@@ -84,17 +93,20 @@ def _work(plant: Plant) -> ca.SX:
     for name in muscles:
         rate = ca.jtimes(plant.expression(f"{name}.contraction"), plant.x, xdot)
         length = plant.expression(f"{name}.rest_length")
-        total += clamp(plant.expression(f"{name}.force") * rate * length, WORK_WIDTH)
+        power = plant.expression(f"{name}.force") * rate * length
+        total += (power + ca.sqrt(power**2 + width**2)) / 2  # a slope and a curvature everywhere
     return total
 
 
-def _running(plant: Plant, term: str) -> tuple[ca.SX, Variable]:
+def _running(plant: Plant, symbols: Symbols, term: str) -> tuple[ca.SX, Variable]:
     """(integrand in SI, variable that names the unit of its integral) of a running term."""
     if term == "effort":
         scaled = plant.u / plant.vector("input", attribute="nominal")
         return ca.sumsqr(scaled), Variable("effort", "output", unit="s")
     if term == "work":
-        return _work(plant), Variable("work", "output", unit="J")
+        return _work(plant, symbols.width(WIDEST_POWER, POWER_WIDTH)), Variable(
+            "work", "output", unit="J"
+        )
     if term == "air":
         total = _total(plant, "supply_flow", term)
         return total, Variable("air", "output", unit="kg", nominal=1e-3)
@@ -132,7 +144,7 @@ def objective(
             elif require_positive(f"minimise[{term!r}]", weight, zero=True):
                 symbols.peak(variable, expression, weight)
         elif term not in ("time", "rate"):
-            value, variable = _running(plant, term)
+            value, variable = _running(plant, symbols, term)
             if not term.startswith("integral("):
                 require_positive(f"minimise[{term!r}]", weight, zero=True)
             running += weight * value / variable.nominal
@@ -163,12 +175,12 @@ def _tracking(plant: Plant, symbols: Symbols, track: Mapping[str, Any]) -> ca.SX
     return total
 
 
-def budget(plant: Plant, term: str, value: Any) -> Budget:
+def budget(plant: Plant, term: str, value: Any, symbols: Symbols | None = None) -> Budget:
     """Bounds of the integral of a running term, in its own unit; "time" is that of the whole motion."""
     if term == "time":
         integrand, variable = ca.SX(1), Variable("time", "output", unit="s")
     else:
-        integrand, variable = _running(plant, term)
+        integrand, variable = _running(plant, symbols or Symbols(), term)
     pair = value if isinstance(value, tuple | list) else (None, value)
     if len(pair) != 2 or (pair[0] is None and pair[1] is None):
         raise InputError(f"budgets[{term!r}] = {value!r}: give the most, or (least, most)")

@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..plant.opening import Inversion
 from ..plant.plant import Plant
 from .backend import Backend
-from .guess import by_stops, from_solution, idle_inputs
+from .guess import by_stops, from_solution, wants_balance
 from .mesh import Mesh
 from .pose import Wish, pose
 from .problem import Problem
@@ -44,7 +44,7 @@ def guess_in_openings(problem: Problem, mesh: Mesh, wish: Wish, backend: Backend
     except InputError:  # names or symbols of commands
         return None
     program = transcribe(inner, mesh)
-    solver, usual = backend.build(program), idle_inputs(inner)
+    solver, usual = backend.build(program), wants_balance(inner)
     for balanced in (usual, not usual):
         outcome = solver(program, by_stops(inner, mesh, balanced=balanced), "cold", None)
         if outcome.success:

@@ -32,6 +32,8 @@ _UNBOUNDED = 1e25
 """As a budget: none. (IPOPT takes 1e19 in units of nominal for infinite.)"""
 SLOWEST = 3.0
 """The end of a sweep over time where nothing else ends it, in shortest durations."""
+CONTINUOUS = 1e-12
+"""Weight of the inputs' rates that keeps inputs from jumping, and no more."""
 POLISH = 1e-4
 """What the second objective weighs, relative to the first, to choose among equally good anchors."""
 
@@ -230,7 +232,10 @@ class _Sweep:
     def least_first(self) -> Plan:
         """The plan with the least of the first; among equally good ones, with little of the second."""
         wish = self._with((self.second, None))
-        plan = Planner(self.plant, self.stops, minimise=self.first.name, **wish)()
+        alone: dict[str, float] = {self.first.name: 1.0}
+        if self.second.name == "rate":  # inputs that jump have none: they shall not
+            alone["rate"] = CONTINUOUS
+        plan = Planner(self.plant, self.stops, minimise=alone, **wish)()
         one, two = self.first.value(plan), self.second.value(plan)
         if not self.second.bounded or two <= 0 or one <= 0:
             return plan

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
-from ..errors import InputError, require_instance, require_positive
+from ..errors import InputError, PlanWarning, require_instance, require_positive
 from ..memory import Memory, held
 from ..plant.plant import Plant, require_plant
 from ..plant.stillness import Position, rest_rows, settled_names, totals
 from ..variables import Variable
+from .guess import rest_point
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
 from .problem import Condition, Leg, Problem, Range
@@ -88,13 +90,15 @@ def pose(plant: Plant, wish: Wish) -> Problem:
         nodes[-1] = _not_implied(plant, stops, nodes[-1], closing or {})
     _require_an_end(wish, legs)
     goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
-    return Problem(
-        plant, tuple(values), tuple(nodes), tuple(legs), closing, goal,
-        tuple(budget(plant, term, value) for term, value in (wish.budgets or {}).items()),
+    budgets = [budget(plant, term, value, symbols) for term, value in (wish.budgets or {}).items()]
+    problem = Problem(
+        plant, tuple(values), tuple(nodes), tuple(legs), closing, goal, tuple(budgets),
         design_ranges(plant, wish.design or {}),
         tuple(symbols.profiles), tuple(symbols.aims),
         *(ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m)),
+        widths=dict(symbols.widths),
     )  # fmt: skip
+    return _filled(problem, wish, stops[0], holding.positions)
 
 
 # ---- stops ----------------------------------------------------------------------------------
@@ -249,7 +253,7 @@ class _Holding:
 def _inputs_jump(wish: Wish) -> bool:
     """Whether inputs may jump: linear ones cannot, and where their rate costs they better do not."""
     weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else wish.minimise
-    return wish.jumps and not weights.get("rate")
+    return wish.jumps and "rate" not in weights
 
 
 def _at_rest(plant: Plant, label: str, stop: Stop, holding: _Holding) -> list[Condition]:
@@ -357,6 +361,47 @@ def _not_implied(
                 f"not the mirror image of stop 1, {condition.shown.shown(low)}; use cyclic=True"
             )
     return tuple(kept)
+
+
+def _filled(problem: Problem, wish: Wish, first: Stop, positions: tuple[Position, ...]) -> Problem:
+    """Pressures at the first stop are no gift where the supply's air counts.
+
+    A motion that may choose them is made by venting what it was given. Where neither the cycle nor the
+    first stop says what they are, they are those at rest there, nearest to their start values.
+    """
+    plant = problem.plant
+    weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else wish.minimise
+    asked = [term for term in ("air", "exergy") if weights.get(term)]
+    if not asked or wish.cyclic:
+        return problem
+    places = {n for p in positions for n in (p.name, *p.velocities)}
+    known = {*places, *settled_names(plant), *totals(plant), *first.values}
+    free = [v.name for v in plant.states if v.name not in known and not v.memory]
+    spoken = ca.vertcat(*(subject(plant, n)[1] for n in first.values))
+    symbols = ca.vertcat(*(plant.expression(n) for n in free))
+    if not free or ca.depends_on(spoken, symbols):
+        return problem
+    x = rest_point(problem, problem.stops[0])
+    values = {v.name: float(x[i]) for i, v in enumerate(plant.states) if v.name in free}
+    shown = ", ".join(f"{n} = {plant.variable(n).shown(value)}" for n, value in values.items())
+    warnings.warn(
+        f"minimise = {asked[0]!r} leaves no pressure to choose at the first stop, or the motion would "
+        f"vent what it begins with: it begins at rest with {shown}. Name other values in the first "
+        "stop, or give cyclic=True",
+        PlanWarning,
+        stacklevel=5,
+    )
+    given = [
+        Condition(f"stop 1: {n} given", plant.expression(n), value, value, plant.variable(n).nominal,
+                  plant.variable(n))
+        for n, value in values.items()
+    ]  # fmt: skip
+    # with pressures at rest accelerations vanish by themselves: they would be said twice
+    kept = [
+        c for c in problem.nodes[0]
+        if not (c.label.endswith("at rest") and ca.depends_on(c.expression, symbols))
+    ]  # fmt: skip
+    return replace(problem, nodes=((*kept, *given), *problem.nodes[1:]))
 
 
 # ---- legs -------------------------------------------------------------------------------------

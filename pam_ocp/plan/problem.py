@@ -96,6 +96,7 @@ class Problem:
     closing : None, or {state: (sign, image)}: the last node's image is the first node.
     design : {parameter: (low, high)} to be chosen with the motion.
     profiles, aims : what the symbols ``r`` and ``q`` stand for: values of time profiles, constant aims.
+        widths : {place among the aims: widest} of roundings of costs, for which a solver begins wide.
         ``m`` are further unknowns, in units of nominal: largest values along the motion, inputs that
         would hold the plant at a stop.
     """
@@ -113,6 +114,7 @@ class Problem:
     r: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     q: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     m: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    widths: dict[int, float] = field(default_factory=dict)
 
     def function(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
         """CasADi function (x, u, p, time, r, q, m) -> one column of the expressions."""

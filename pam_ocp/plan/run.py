@@ -49,7 +49,7 @@ class Run:
 
     def several(self, starts: int) -> tuple[list[Solved], Ends]:
         """(solutions from different starts, the best first; where all of them ended)."""
-        kinks = has_kinks(self.program.problem.plant)
+        kinks = has_kinks(self.program.problem)
         program = widened(self.program) if kinks else self.program
         own, *others = tasks(program.problem, program.mesh, starts)
         begin = time.perf_counter()
@@ -110,7 +110,7 @@ class Run:
         return self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
 
     def _from(self, guess: Array, start: Start = "cold", warm: Outcome | None = None) -> Solved:
-        if warm is None and has_kinks(self.program.problem.plant):
+        if warm is None and has_kinks(self.program.problem):
             return self._solution(narrowing(self.solver, self.program, guess, start))
         return self._solution(self.solver(self.program, guess, start, warm))
 

@@ -89,7 +89,8 @@ def plan(
     bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end, a :class:`Profile`
         for a bound that changes with time; narrows the plant's own bounds. Path constraints of the
         plant (never slack, pressure rates) always hold.
-    rest : positions have zero velocity and acceleration at each stop, in whatever coordinates.
+    rest : positions have zero velocity and acceleration at each stop, in whatever coordinates; what an
+        input sets at once may jump there, if admissible inputs would hold the plant.
     memory : what states with a held memory (hysteresis) hold at the first stop: "virgin" (their start
         values), "above" or "below" (the side from which the plant came to rest there), or
         {state: value}; a cyclic motion closes them. What settles (creep) has settled there.

@@ -23,8 +23,9 @@ class Stop:
     """A point that the motion visits; a plain mapping is a Stop with all else at its default.
 
     values : {state, input or output: value, or (low, high) with None for an open end}, SI.
-    rest : all positions have zero velocity and acceleration there; False makes it a via point.
-        None follows the plan's own ``rest``.
+    rest : all positions have zero velocity and acceleration there (or inputs that would hold them so,
+        where an input sets the acceleration at once); False makes it a via point. None follows the
+        plan's own ``rest``.
     dwell : how long the motion stays [s], or (shortest, longest); all named values are then held.
     within : how far they may stray during the dwell, in units of their nominals.
     """

@@ -224,7 +224,7 @@ def _independent(plant: Plant, slopes: ca.Function, nominal: Array) -> set[int]:
     basis = np.zeros((0, len(z)))
     for i, row in enumerate(jacobian / np.maximum(typical, 1e-300)[:, None]):
         rest = row - basis.T @ (basis @ row)
-        if np.linalg.norm(rest) > 1e-6 * max(1.0, np.linalg.norm(row)):
+        if np.linalg.norm(rest) > 1e-6 * max(1.0, float(np.linalg.norm(row))):
             kept.add(i)
             basis = np.vstack([basis, rest / np.linalg.norm(rest)])
     return kept
