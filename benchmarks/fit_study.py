@@ -73,7 +73,9 @@ def truth(name: str, source: str, length: float, scale: float) -> tuple[Any, dic
 
         known = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.25}
         constants = law_class(name).fixed_coefficients()
-        fixed = {n: v * (scale if "ratio" not in n else 1) for n, v in known.items() if n in constants}
+        fixed = {
+            n: v * (scale if "ratio" not in n else 1) for n, v in known.items() if n in constants
+        }
         table = pam.read_table(source, rest_length=length)
         _TRUTHS[name, source] = pam.fit_force(table, name, fixed=fixed).law, fixed
     return _TRUTHS[name, source]
@@ -86,7 +88,9 @@ def sample(random: np.random.Generator, name: str | None = None) -> Case:
     while True:
         base, fixed = truth(name, source, length, scale)
         moved = {
-            n: v if n in type(base).fixed_coefficients() else v * random.uniform(1 - MOVED, 1 + MOVED)
+            n: v
+            if n in type(base).fixed_coefficients()
+            else v * random.uniform(1 - MOVED, 1 + MOVED)
             for n, v in base.values.items()
         }
         law = type(base)(**moved)
@@ -162,9 +166,15 @@ def judged(case: Case, random: np.random.Generator) -> dict[str, Any]:
     fit = pam.fit_force(table, case.name, fixed=case.fixed)
     intervals = fit.intervals(LEVEL)
     values = dict(case.law.values)
-    if "k3" in values and (values["k1"] - values["k3"]) * (fit.law.values["k1"] - fit.law.values["k3"]) < 0:
+    if (
+        "k3" in values
+        and (values["k1"] - values["k3"]) * (fit.law.values["k1"] - fit.law.values["k3"]) < 0
+    ):
         # of two slopes either may be called the first
-        values |= {a: values[b] for a, b in zip(("k0", "k1", "k2", "k3"), ("k2", "k3", "k0", "k1"), strict=True)}
+        values |= {
+            a: values[b]
+            for a, b in zip(("k0", "k1", "k2", "k3"), ("k2", "k3", "k0", "k1"), strict=True)
+        }
     seen = {n: bool(np.isfinite(c.stderr)) for n, c in fit.coefficients.items() if not c.held}
     held = [low <= values[n] <= high for n, (low, high) in intervals.items() if seen[n]]
     ends = [bool(np.isfinite(end)) for n, pair in intervals.items() if seen[n] for end in pair]
@@ -211,7 +221,9 @@ def summary(results: list[dict[str, Any]]) -> str:
         parts["all"].append(r)
         parts[f"law {r['law']}"].append(r)
         parts[f"{r['levels']} levels"].append(r)
-        parts[f"errors {'follow' if r['correlation'] else 'alone'}, {'un' if r['serial'] is None else ''}seen"].append(r)
+        parts[
+            f"errors {'follow' if r['correlation'] else 'alone'}, {'un' if r['serial'] is None else ''}seen"
+        ].append(r)
         parts[f"correlation {'0' if not r['correlation'] else '< 0.45' if r['correlation'] < 0.45 else '< 0.9'}"].append(r)  # fmt: skip
     lines.append(f"{'':<34}{'tables':>7}{'coefficients':>14}{'band':>8}{'open':>6}{'unseen':>8}{'edge':>6}{'s':>7}")  # fmt: skip
     for name, rows in sorted(parts.items()):

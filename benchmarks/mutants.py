@@ -33,6 +33,14 @@ class Mutant:
     new: str
     tests: str
     """Test files, and options of pytest, joined by blanks."""
+    also: tuple[str, str, str] | None = None
+    """(file, old, new) where that text does not stand there (any more, or yet): the same fault."""
+
+    @property
+    def places(self) -> tuple[tuple[str, str, str], ...]:
+        """(file, old, new) to be tried in turn."""
+        first = (self.file, self.old, self.new)
+        return (first,) if self.also is None else (first, self.also)
 
 
 HAND = "tests/test_hand_equations.py"
@@ -40,14 +48,18 @@ FIGURES = "tests/test_plan_figures.py"
 
 REPORTED = [  # those that survived once
     Mutant("work without the rest length", "pam_ocp/plan/objective.py",
-           "* rate * length, WORK_WIDTH", "* rate, WORK_WIDTH", FIGURES),
+           "* rate * length, WORK_WIDTH", "* rate, WORK_WIDTH", FIGURES,
+           ('pam_ocp/plan/objective.py', 'power = plant.expression(f"{name}.force") * rate * length',
+            'power = plant.expression(f"{name}.force") * rate')),
     Mutant("exergy doubled", "pam_ocp/plan/objective.py",
            'total = _total(plant, "exergy_flow", term)',
            'total = 2 * _total(plant, "exergy_flow", term)', FIGURES),
     Mutant("air as net flow", "pam_ocp/plan/objective.py",
            '_total(plant, "supply_flow", term)', '_total(plant, "mass_flow", term)', FIGURES),
     Mutant("replay ignores path constraints", "pam_ocp/plan/replay.py",
-           "found += _excess(leg.path, function, arguments)", "pass", FIGURES),
+           "found += _excess(leg.path, function, arguments)", "pass", FIGURES,
+           ('pam_ocp/plan/replay.py', 'path = np.asarray(function(*self._arguments(t, x, u)), float)',
+            'path = -1e9 + 0 * np.asarray(function(*self._arguments(t, x, u)), float)')),
     Mutant("signed largest deviation", "pam_ocp/trajectory.py",
            "largest=float(np.max(np.abs(difference)))", "largest=float(np.max(difference))",
            "tests/test_trajectory.py"),
@@ -75,12 +87,12 @@ REPORTED = [  # those that survived once
     Mutant("output slopes without inputs", "fmu/c/derivatives.c",
            "model_forward(m->x, m->u, m->p, s->xdot, m->last_slope, t.p, t.xdot, t.y);",
            "model_forward(m->x, m->u, m->p, s->xdot, t.u, t.p, t.xdot, t.y);",
-           "tests/test_fmu_derivatives.py -k slopes"),
+           "tests/test_fmu_doors.py -k slope_of_an_output"),
     Mutant("unit of der(v)", "fmu/layout.py",
            'return f"{numerator}/s2"', 'return f"{numerator}/s"',
-           "tests/test_fmu_export.py -k unit"),
+           "tests/test_fmu_doors.py -k has_the_unit"),
     Mutant("unit of the derivative of a compound", "fmu/layout.py",
-           ".strip('()')}.s)", ".strip('()')})", "tests/test_fmu_export.py -k unit"),
+           ".strip('()')}.s)", ".strip('()')})", "tests/test_fmu_doors.py -k has_the_unit"),
     Mutant("wind-up of PositionController", "pam_ocp/design/pid.py",
            "self.pid(error, self.dt, self._saturated)", "self.pid(error, self.dt)",
            "tests/test_design_loop.py -k wind"),
@@ -133,15 +145,34 @@ MUSCLE = [
            "ca.exp(-((v / stribeck) ** 2))", "ca.exp(-(v / stribeck))", HAND),
     Mutant("Bouc-Wen shares swapped", "pam_ocp/muscle/hysteresis.py",
            "beta * _speed(rate) * signed + (1 - beta) * rate * size",
-           "(1 - beta) * _speed(rate) * signed + beta * rate * size", HAND),
+           "(1 - beta) * _speed(rate) * signed + beta * rate * size", HAND,
+           ('pam_ocp/muscle/hysteresis.py', 'beta * speed * signed + (1 - beta) * onward * size',
+            '(1 - beta) * speed * signed + beta * onward * size')),
     Mutant("Maxwell slip yields the other way", "pam_ocp/muscle/hysteresis.py",
-           "down * self._sticking(-z)", "down * self._sticking(z)", HAND),
+           "down * self._sticking(-z)", "down * self._sticking(z)", HAND,
+        ("pam_ocp/muscle/hysteresis.py", "down * _passage(-z, edge, 3.0)", "down * _passage(z, edge, 3.0)")),
     Mutant("creep without its own time", "pam_ocp/muscle/hysteresis.py",
            "(motion.contraction - settled) / tau)", "(motion.contraction - settled))", HAND),
     Mutant("losses pull", "pam_ocp/plant/actuator.py",
            "tension = tension - lost", "tension = tension + lost", HAND),
     Mutant("power with the sign of stretching", "pam_ocp/plant/actuator.py",
-           "force * rate, muscle.mass", "-force * rate, muscle.mass", HAND),
+           "force * rate, muscle.mass", "-force * rate, muscle.mass", HAND,
+           ('pam_ocp/plant/meters.py', 'ca.SX(attached.force * velocity)',
+            'ca.SX(-attached.force * velocity)')),
+    Mutant("geometric law with 2 for 3", "pam_ocp/muscle/braid.py",
+           "active = 3 * (1 - shortening)", "active = 2 * (1 - shortening)", "tests/test_laws.py"),
+    Mutant("corrected law without its correction", "pam_ocp/muscle/braid.py",
+           "_braid_force(p, eps * kappa,", "_braid_force(p, kappa,", "tests/test_laws.py"),
+    Mutant("area of the gain without its half", "pam_ocp/muscle/force.py",
+           "self.a4 * kappa**2 / 2", "self.a4 * kappa**2", HAND),
+    Mutant("braid volume by the sine", "pam_ocp/muscle/gas.py",
+           "(1 - ca.cos(angle) ** 2 * length**2)", "(1 - ca.sin(angle) ** 2 * length**2)",
+           "tests/test_gas.py"),
+    Mutant("catalogue flow per second", "pam_ocp/muscle/gas.py",
+           "return flow / 60e3 /", "return flow / 1e3 /", "tests/test_gas.py"),
+    Mutant("directional damping the other way round", "pam_ocp/muscle/losses.py",
+           "relaxing + (contracting - relaxing) * share", "contracting + (relaxing - contracting) * share",
+           "tests/test_losses.py"),
 ]  # fmt: skip
 
 PLANT = [
@@ -178,14 +209,20 @@ PLANT = [
 PLAN = [
     Mutant("replay looks at the first leg only", "pam_ocp/plan/replay.py",
            "inside = (motion.t >= ends[i] - 1e-12)", "inside = (motion.t >= ends[i] + 1e9 * i)",
-           FIGURES),
+           FIGURES,
+           ('pam_ocp/plan/replay.py', '                yield leg, of, t, x, u',
+            '                if not i:\n                    yield leg, of, t, x, u')),
     Mutant("replay ignores lower bounds", "pam_ocp/plan/replay.py",
            "np.max(np.maximum(low - values, values - high))) / nominal, name",
-           "np.max(values - high)) / nominal, name", FIGURES),
+           "np.max(values - high)) / nominal, name", FIGURES,
+           ('pam_ocp/plan/replay.py', 'beyond = np.maximum(np.maximum(low - values, values - high), 0.0)',
+            'beyond = np.maximum(values - high, 0.0)')),
     Mutant("replay's deviation signed", "pam_ocp/plan/replay.py",
            "deviation = np.abs(motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal",
            "deviation = (motion.array(names)[::OVERSAMPLING] - samples.array(names)) / nominal",
-           "tests/test_plan_figures.py tests/test_plan.py"),
+           "tests/test_plan_figures.py tests/test_plan.py",
+           ('pam_ocp/plan/replay.py', 'deviation = np.abs(motion.array(names)[::per] - samples.array(names)) / nominal',
+            'deviation = (motion.array(names)[::per] - samples.array(names)) / nominal')),
     Mutant("effort without squares of all inputs", "pam_ocp/plan/objective.py",
            "return ca.sumsqr(scaled)", "return scaled[0] ** 2", FIGURES),
     Mutant("square without its nominal", "pam_ocp/plan/objective.py",
@@ -210,7 +247,9 @@ PLAN = [
 FIT = [
     Mutant("covariance by the scale, not its square", "pam_ocp/fit/statistics.py",
            "scale**2 * (self._root @ self._root.T)", "scale * (self._root @ self._root.T)",
-           "tests/test_fit_static.py"),
+           "tests/test_fit_static.py",
+           ('pam_ocp/fit/statistics.py', 'np.asarray(scale**2 * self._factor)',
+            'np.asarray(scale * self._factor)')),
     Mutant("one-sided intervals", "pam_ocp/fit/statistics.py",
            "stdtrit(dof, (1 + level) / 2)", "stdtrit(dof, level)", "tests/test_fit_static.py"),
     Mutant("nothing is blind", "pam_ocp/fit/statistics.py",
@@ -222,6 +261,15 @@ FIT = [
            "_, s, vt = np.linalg.svd(scaled @ free, full_matrices=False)\n        return norms, s, vt @ free.T",
            "_, s, vt = np.linalg.svd(scaled, full_matrices=False)\n        return norms, s, vt",
            "tests/test_fit_static.py tests/test_fit_shared.py"),
+]  # fmt: skip
+
+TRAJECTORY = [
+    Mutant("rms without its root", "pam_ocp/trajectory.py",
+           "rms=float(np.sqrt(np.mean(difference**2)))", "rms=float(np.mean(difference**2))",
+           "tests/test_trajectory.py"),
+    Mutant("relative deviation times nominal", "pam_ocp/trajectory.py",
+           "return self.largest / self.variable.nominal", "return self.largest * self.variable.nominal",
+           "tests/test_trajectory.py"),
 ]  # fmt: skip
 
 DESIGN = [
@@ -237,7 +285,9 @@ DESIGN = [
            "tests/test_design_lqr.py"),
     Mutant("sampled LQR weighs without dt", "pam_ocp/design/lqr.py",
            "control.dlqr(held.A, held.B, q * dt, r * dt)", "control.dlqr(held.A, held.B, q, r * dt)",
-           "tests/test_design_lqr.py"),
+           "tests/test_design_lqr.py",
+           ('pam_ocp/design/lqr.py', 'control.dlqr(held.A, held.B, used * dt, r * dt)',
+            'control.dlqr(held.A, held.B, used, r * dt)')),
     Mutant("effort not squared", "pam_ocp/design/lqr.py",
            "np.diag(np.square(efforts))", "np.diag(efforts)", "tests/test_design_lqr.py"),
     Mutant("Riccati backwards without Q", "pam_ocp/design/tvlqr.py",
@@ -263,9 +313,6 @@ VIBRATION_AND_FMU = [
     Mutant("slopes of the inputs forgotten in the solver", "fmu/c/step.c",
            "sloping |= start->slope[i] != 0.0", "sloping |= start->slope[i] > 1e300",
            "tests/test_fmu_simulation.py tests/test_fmu_solver.py"),
-    Mutant("second part of a step begins anew", "fmu/c/step.c",
-           "inputs_at(c->start, c->offset + s, u);\n    model_rhs",
-           "inputs_at(c->start, s, u);\n    model_rhs", "tests/test_fmu_simulation.py tests/test_fmu_robust.py"),
     Mutant("discarded step leaves its state", "fmu/c/step.c",
            "memcpy(&s->memory, &start, sizeof start); /* a discarded",
            "if (0) memcpy(&s->memory, &start, sizeof start); /* a discarded", "tests/test_fmu_robust.py tests/test_fmu_solver.py"),
@@ -276,7 +323,40 @@ VIBRATION_AND_FMU = [
            "for (int i = 0; i < NX; i++) t.x[i] += seeds.x[i];", "", "tests/test_fmu_derivatives.py"),
 ]  # fmt: skip
 
-MUTANTS = [*REPORTED, *MUSCLE, *PLANT, *PLAN, *FIT, *DESIGN, *VIBRATION_AND_FMU]
+SHARE = "tests/test_plan_share.py -k 'not scipy and not never'"
+ROBUST = [
+    Mutant("spread of one side only", "pam_ocp/plan/share.py",
+           "excess = np.abs(deviation) /", "excess = deviation /", SHARE),
+    Mutant("one-sided interval of the share", "pam_ocp/plan/share.py",
+           "(1 - self.confidence) / 2", "(1 - self.confidence)", SHARE),
+    Mutant("interval of one plant more", "pam_ocp/plan/share.py",
+           "betaincinv(k + 1, n - k, 1 - tail)", "betaincinv(k + 1, n - k + 1, 1 - tail)", SHARE),
+    Mutant("limits along the way are not judged", "pam_ocp/plan/share.py",
+           "if demand.problem is not None:", "if demand.problem is not None and False:", SHARE),
+    Mutant("a plant that fails keeps all", "pam_ocp/plan/share.py",
+           "np.where(np.isnan(excess), np.inf, excess)", "np.where(np.isnan(excess), -1.0, excess)",
+           SHARE),
+    Mutant("every stop has the first spread", "pam_ocp/plan/robust.py",
+           "(int(np.argmin(np.abs(t - at))), i + 1, allowed[i])",
+           "(int(np.argmin(np.abs(t - at))), i + 1, next(filter(None, allowed)))", SHARE),
+    Mutant("the first sample again and again", "pam_ocp/plan/robust.py",
+           "self.last, self.next = self.next, self.next + 1", "self.last, self.next = self.next, self.next",
+           SHARE),
+    Mutant("any share is enough", "pam_ocp/plan/share.py",
+           "return self.value >= self.wanted", "return self.value >= 0.5 * self.wanted", SHARE),
+]  # fmt: skip
+
+MUTANTS = [
+    *REPORTED,
+    *MUSCLE,
+    *PLANT,
+    *PLAN,
+    *FIT,
+    *TRAJECTORY,
+    *DESIGN,
+    *VIBRATION_AND_FMU,
+    *ROBUST,
+]
 
 
 def scratch(folder: Path) -> Path:
@@ -316,15 +396,17 @@ def tested(folder: Path, tests: str) -> str:
 
 def tried(folder: Path, mutant: Mutant) -> str:
     """Put the fault in, run the tests, take it out."""
-    path = folder / mutant.file
-    text = path.read_text(encoding="utf-8")
-    if text.count(mutant.old) != 1:
-        return f"STALE ({text.count(mutant.old)} places)"
-    path.write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
-    try:
-        return tested(folder, mutant.tests)
-    finally:
-        path.write_text(text, encoding="utf-8")
+    for name, old, new in mutant.places:
+        path = folder / name
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        if text.count(old) != 1:
+            continue
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        try:
+            return tested(folder, mutant.tests)
+        finally:
+            path.write_text(text, encoding="utf-8")
+    return "STALE"
 
 
 def main(words: list[str]) -> int:

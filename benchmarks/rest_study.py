@@ -145,11 +145,15 @@ class Case:
             first = (self.load(s) + self.arms[1] * second) / self.arms[0]
             found = [
                 _balancing(m, kappa, pull + f) if pull > TAUT else None
-                for m, kappa, pull, f in zip(self.muscles, k, (first, second), friction, strict=True)
+                for m, kappa, pull, f in zip(
+                    self.muscles, k, (first, second), friction, strict=True
+                )
             ]
         return None if None in found else found  # type: ignore[return-value]
 
-    def friction(self, memory: str, losses: tuple[Any, ...], values: dict[str, float]) -> list[float]:
+    def friction(
+        self, memory: str, losses: tuple[Any, ...], values: dict[str, float]
+    ) -> list[float]:
         """Of each muscle [N], by the sign in which its contraction changed last."""
         found = []
         for i, sign in enumerate((1, -1)[: len(self.muscles)], start=1):
@@ -311,7 +315,7 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
                for n, v in point.values.items() if plant.variable(n).causality != "output"},
     )  # fmt: skip
     last = abs(loop.trajectory[case.named][-1] - away) / stroke
-    failed = sum(not s.success for s in mpc.statistics.steps) if hasattr(mpc.statistics, "steps") else 0
+    failed = mpc.statistics.failures
     return left, last, failed
 
 
@@ -351,7 +355,9 @@ def main(count: int = 60, seed: int = 1, controls: int = 10) -> None:
         memory = MEMORIES[i % 3]
         try:
             left, last, failed = controlled(case, LOSSES[name], memory)
-            print(f"{case.kind:<9}{name:<14}{memory:<8}{100 * left:8.3f}{100 * last:8.3f}   Mpc failures {failed}")
+            print(
+                f"{case.kind:<9}{name:<14}{memory:<8}{100 * left:8.3f}{100 * last:8.3f}   Mpc failures {failed}"
+            )
         except pam.PamError as error:
             print(f"{case.kind:<9}{name:<14}{memory:<8} {error}")
 

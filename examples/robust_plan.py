@@ -1,10 +1,10 @@
 """One input for muscles that differ: the spread at the stops, and what bounding it costs.
 
-A force law is fitted to a measured table. Sixteen slides are drawn from the fit's covariance, with the
-scatter of strength between specimens of a muscle (2 %) on top, each muscle by itself. The quickest
-cycle between two stops is planned twice: for the nominal slide alone, and so that all of them come
-within 0.3 mm of it at the stops. Then both inputs drive the sixteen, and 60 slides that neither plan
-has seen.
+A force law is fitted to a measured table. Slides are drawn from the fit's covariance, with the scatter
+of strength between specimens of a muscle (2 %) on top, each muscle by itself. The quickest cycle
+between two stops is planned for the nominal slide alone, and so that 95 % of all slides come within
+0.3 mm of it at the stops: planned for six, tried on 200 others, planned again with the worst of
+these, until 200 slides that no plan has seen confirm the share.
 
 Run:  python examples/robust_plan.py [folder for the results]
 """
@@ -49,10 +49,12 @@ def main(folder: Path) -> None:
     )
     found = robust_plan(
         plant, [{"x": -0.015}, {"x": 0.015}], cyclic=True, duration=(0.03, 0.5),
-        draws=slides(fit, 16, seed=1), unseen=slides(fit, 60, seed=2), spread={"x": WIDTH},
+        draws=lambda count, seed: slides(fit, count, seed), seed=1, spread={"x": WIDTH},
         method=pam.Collocation(20, 4),
     )  # fmt: skip
     print(found)
+    others = found.judge(found.verify(slides(fit, 100, seed=4321)))
+    print(f"of 100 slides of another seed {others.kept.sum()} keep it")
     found.plot().savefig(folder / "robust_plan.png", dpi=130)
     found.plan.plot().savefig(folder / "robust_motion.png", dpi=130)
 

@@ -9,7 +9,7 @@ from xml.parsers import expat
 
 from pam_ocp.errors import InputError
 
-__all__ = ["UnsafeFileError", "require_safe"]
+__all__ = ["UnsafeFileError", "printable", "require_safe"]
 
 MOST_FILES = 10_000
 MOST_BYTES = 1 << 30
@@ -78,6 +78,11 @@ def _shown(name: str) -> str:
     return repr(name if len(name) <= _SHOWN else f"{name[:_SHOWN]}...")
 
 
+def printable(text: str) -> str:
+    """Words of a unit for a terminal: without codes that move its cursor."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 # ---- XML ------------------------------------------------------------------------------------------
 
 
@@ -97,7 +102,8 @@ def _require_plain(archive: zipfile.ZipFile, file: zipfile.ZipInfo) -> None:
     if file.file_size > MOST_XML_BYTES:
         size = f"{file.file_size / 1e6:.0f} MB, {MOST_XML_BYTES / 1e6:.0f} are allowed"
         raise UnsafeFileError(f"{name} has {size}")
-    parser, path = expat.ParserCreate(), []
+    parser = expat.ParserCreate()
+    path: list[str] = []
 
     def doctype(*_: object) -> None:
         raise UnsafeFileError(f"{name} has a DOCTYPE, which may define entities; FMI has none")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import zipfile
@@ -13,9 +14,16 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_ocp.errors import InputError, require_positive
+from pam_ocp.errors import (
+    InputError,
+    SimulationError,
+    require_finite,
+    require_instance,
+    require_positive,
+)
 from pam_ocp.trajectory import Trajectory
 
+from .archive import printable
 from .isolation import run_alone
 
 __all__ = ["FmuCheck", "check_fmu"]
@@ -79,7 +87,7 @@ class FmuCheck:
                 for name in names
             ]
         lines += [f"- {finding}" for finding in self.findings]
-        return "\n".join(lines)
+        return "\n".join(map(printable, lines))
 
 
 def check_fmu(
@@ -128,26 +136,33 @@ def check_fmu(
     require_positive("tolerance", tolerance)
     require_positive("duration", duration, "s")
     require_positive("time_limit", time_limit, "s")
+    require_instance("against", against, Trajectory, "give a Trajectory, or none", none=True)
+    values = {n: require_finite(f"parameters: {n}", v) for n, v in (parameters or {}).items()}
     if not file.is_file():
         raise InputError(f"{file}: no such file")
+    if not os.access(file, os.R_OK):
+        raise InputError(f"{file}: this file cannot be read as an FMU (no permission)")
     if not zipfile.is_zipfile(file):
         raise InputError(f"{file}: this file cannot be read as an FMU (it is no zip archive)")
     told = _Told()
     job = {
         "path": str(file.absolute()),
         "against": _plain(against),
-        "parameters": dict(parameters or {}),
+        "parameters": values,
         "tolerance": tolerance,
         "duration": duration,
     }
-    with tempfile.TemporaryDirectory(prefix="pam_ocp_", ignore_cleanup_errors=True) as name:
-        folder = Path(name)
-        ended = run_alone("pam_ocp.fmu.inspection:inspect", job, folder, time_limit, told.hear)
-        runs = told.runs(folder, against)
+    try:
+        with tempfile.TemporaryDirectory(prefix="pam_ocp_", ignore_cleanup_errors=True) as name:
+            folder = Path(name)
+            ended = run_alone("pam_ocp.fmu.inspection:inspect", job, folder, time_limit, told.hear)
+            runs = told.runs(folder, against)
+    except OSError as error:
+        raise SimulationError(f"{file}: there is no room to unpack it ({error})") from None
     if told.refused:
         raise InputError(told.refused)
     if not ended.finished:
-        told.findings.append(f"the unit {ended}: it was not looked at any further")
+        told.findings.append(f"the unit {ended}; the check ended there")
     return FmuCheck(
         file,
         told.fmi,
@@ -181,8 +196,9 @@ class _Told:
             return {}
         found = {}
         for kind, file in self.played.items():
-            values = np.load(folder / file, allow_pickle=False)
-            found[kind] = _run(against, self.compared, values)
+            with contextlib.suppress(OSError, ValueError):  # the unit has touched the file
+                values = np.load(folder / file, allow_pickle=False)
+                found[kind] = _run(against, self.compared, values)
         return found
 
 

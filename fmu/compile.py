@@ -212,14 +212,23 @@ def _compile(
 def _environment() -> dict[str, str]:
     """This process's environment; zig's cache beside ours where that is chosen, or needed."""
     environment = dict(os.environ)
-    home, base = home_folder(), environment.get("XDG_CACHE_HOME") or "/"
-    at_home = home is not None and os.access(home, os.W_OK) and Path(base).is_absolute()
     if "ZIG_GLOBAL_CACHE_DIR" not in environment and (
-        environment.get("PAM_OCP_CACHE") or not at_home
+        environment.get("PAM_OCP_CACHE") or not _zig_finds_a_place()
     ):
         environment["ZIG_GLOBAL_CACHE_DIR"] = str(usable_folder("zig"))
         environment.setdefault("ZIG_LOCAL_CACHE_DIR", environment["ZIG_GLOBAL_CACHE_DIR"])
     return environment
+
+
+def _zig_finds_a_place() -> bool:
+    """Whether zig can write to the cache folder that it takes of itself."""
+    home = home_folder()
+    chosen = os.environ.get("XDG_CACHE_HOME")
+    if not chosen and home is None:
+        return False
+    place = Path(chosen) if chosen else Path(home or "/") / ".cache"
+    there = next((p for p in (place, *place.parents) if p.exists()), place)
+    return place.is_absolute() and os.access(there, os.W_OK | os.X_OK)
 
 
 def compile_all(

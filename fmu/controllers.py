@@ -256,7 +256,7 @@ class _Valves:
         if opening is None:
             return declare(door)
         commands = [declare(self.plant.variable(c)) for c in opening.commands]
-        known = {c: s for c, s in zip(opening.commands, commands, strict=True)}
+        known = dict(zip(opening.commands, commands, strict=True))
         return self._here([opening.forward], known)[0]
 
     def sent(self, door: Variable, wanted: ca.SX) -> ca.SX:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pam_ocp.errors import InputError, UnknownNameError
 from pam_ocp.trajectory import Trajectory
 
+from .archive import printable
 from .compile import PLATFORMS, native
 from .isolation import Tell
 from .replay import replay
@@ -72,7 +73,7 @@ def inspect(job: Mapping[str, Any], tell: Tell, note: Callable[[str], None]) -> 
 def _tell_findings(tell: Tell, findings: Iterable[object]) -> None:
     """Someone else's words go to a terminal: printable, and not without end."""
     lines = [" ".join(str(f).split()) for f in findings]
-    plain = ["".join(c if c.isprintable() else "?" for c in f)[:_LONGEST] for f in lines]
+    plain = [printable(f)[:_LONGEST] for f in lines]
     more = len(plain) - _MOST_FINDINGS
     tell(findings=plain[:_MOST_FINDINGS] + ([f"... and {more} more"] if more > 0 else []))
 

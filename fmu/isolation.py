@@ -14,6 +14,7 @@ import mmap
 import os
 import pickle
 import queue
+import shutil
 import signal
 import subprocess
 import sys
@@ -27,6 +28,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from pam_ocp.errors import SimulationError
+
+from .archive import printable
 
 __all__ = ["Ended", "Tell", "run_alone"]
 
@@ -42,6 +45,7 @@ _START_TIME = 120.0
 _GRACE = 1.0
 """For a process to end of itself when it has told everything [s]."""
 _POLL = 0.05
+_WATCH = 0.5
 _NOTE = 128
 _BOOT = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -167,24 +171,32 @@ def _wait(
 
 
 def _call(folder: Path) -> str:
-    return (folder / "call").read_bytes().rstrip(b"\0 ").decode("utf-8", "replace")
+    return _read(folder / "call").rstrip(b"\0 ").decode("utf-8", "replace")
 
 
 def _last_words(folder: Path) -> str:
     """The last line that went to standard error, where the C library says why it aborts."""
-    with (folder / "words").open("rb") as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - 1000))
-        lines = file.read().decode("utf-8", "replace").strip().splitlines()
+    lines = _read(folder / "words").decode("utf-8", "replace").strip().splitlines()
     last = lines[-1] if lines else ""
-    return "".join(c if c.isprintable() else "?" for c in last)[:200]
+    return printable(last)[:200]
+
+
+def _read(path: Path, most: int = 1000) -> bytes:
+    """The end of a file; nothing where the unit has removed it."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - most))
+            return file.read(most)
+    except OSError:
+        return b""
 
 
 _SIGNALS = {
-    "SIGSEGV": "crashed by a segmentation fault",
-    "SIGBUS": "crashed by a bus error (a file that is cut?)",
+    "SIGSEGV": "crashed (segmentation fault)",
+    "SIGBUS": "crashed (bus error: is the library cut short?)",
     "SIGABRT": "aborted",
-    "SIGFPE": "crashed by an arithmetic exception",
-    "SIGILL": "crashed by an illegal instruction",
+    "SIGFPE": "crashed (arithmetic exception)",
+    "SIGILL": "crashed (illegal instruction)",
     "SIGKILL": "was killed (the system may be out of memory)",
     "SIGXCPU": "took more processor time than it may",
 }
@@ -194,7 +206,7 @@ def _how(code: int | None) -> str:
     if code is None:
         return "closed its connection and went on"
     if code >= 1 << 30:  # Windows' numbers of exceptions
-        return "crashed by an access violation" if code == 0xC0000005 else f"crashed ({code:#x})"
+        return "crashed (access violation)" if code == 0xC0000005 else f"crashed ({code:#x})"
     if code >= 0:
         return f"ended its process with exit code {code}"
     try:
@@ -259,24 +271,31 @@ def _serve() -> None:
 
 
 def _die_with(parent: int, pipe: int) -> None:
-    """End when the parent has ended: Linux says so; elsewhere its end of the pipe is closed."""
-    if sys.platform == "linux":
-        import ctypes
+    """Watch for the end of the parent: its end of the pipe is closed, or this process has another one.
 
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
-        if os.getppid() != parent:
-            os._exit(1)
+    Then the folder is removed, and this process ends with whatever the unit has started. (Not left
+    to Linux' signal at a parent's death, which would leave both behind.)
+    """
+    folder = os.getcwd()
+    gone = threading.Event()
 
-    def watch() -> None:
-        with contextlib.suppress(OSError):
+    def wait_for_end() -> None:
+        with contextlib.suppress(OSError):  # the unit has closed it
             while os.read(pipe, 1024):
                 pass
+        gone.set()
+
+    def watch() -> None:
+        # a copy of the pipe's end may live on in what the parent has forked
+        while not gone.wait(_WATCH) and (os.name == "nt" or os.getppid() == parent):
+            pass
+        shutil.rmtree(folder, ignore_errors=True)
         if hasattr(os, "killpg"):
-            os.killpg(0, signal.SIGKILL)  # with what the unit has started
+            os.killpg(0, signal.SIGKILL)
         os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
+    for work in (wait_for_end, watch):
+        threading.Thread(target=work, daemon=True).start()
 
 
 def _limit() -> None:

@@ -136,14 +136,14 @@ class Runner:
     def _instantiate(self, two: bool) -> None:
         if not two:
             self.inner.instantiate(
-                logMessage=lambda _, status, __, text: self.log.append((status, text.decode()))
+                logMessage=lambda _, status, __, text: self.log.append((status, _words(text)))
             )
             return
         import fmpy.fmi2
 
         callbacks = fmpy.fmi2.fmi2CallbackFunctions()
         callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(
-            lambda _, __, status, ___, text: self.log.append((status, text.decode()))
+            lambda _, __, status, ___, text: self.log.append((status, _words(text)))
         )
         callbacks.allocateMemory = fmpy.fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmpy.fmi2.defaultCallbacks.freeMemory
@@ -272,6 +272,10 @@ class Runner:
         refusals = [text for status, text in self.log if status > 1]  # neither OK nor a warning
         words = refusals[-1] if refusals else str(error)
         return SimulationError(f"{self.kind} of the FMU failed: {words}")
+
+
+def _words(text: bytes | None) -> str:
+    return (text or b"").decode("utf-8", "replace")
 
 
 def pointer(values: Array) -> Any:

@@ -105,6 +105,7 @@ from .plant.antagonist import AntagonisticSlide
 from .plant.elastic import SeriesLoad, SpringOverMuscle
 from .plant.joint import AntagonisticJoint
 from .plant.loads import Damper, DryFriction, ExternalForce, Inertia, Spring, Wall
+from .plant.opening import Inversion
 from .plant.plant import Plant
 from .plant.regulated import PositionFeedback, RegulatedLoad
 from .plant.single import HangingLoad
@@ -172,6 +173,7 @@ __all__ = [
     "Inertia",
     "InputError",
     "InverseDynamics",
+    "Inversion",
     "JointForceFit",
     "KalmanFilter",
     "LackOfFit",

@@ -166,6 +166,13 @@ def _add_check(commands: Any) -> None:
         metavar="FILE",
         help="Trajectory (.npz, .parquet) whose inputs are replayed and whose outputs are compared",
     )
+    check.add_argument(
+        "--time-limit",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="stop the FMU after so many seconds, which is a finding (default 60)",
+    )
     check.set_defaults(run=_check)
 
 
@@ -290,7 +297,7 @@ def _check(options: argparse.Namespace) -> int:
     from .trajectory import Trajectory
 
     reference = Trajectory.load(options.against) if options.against else None
-    result = check_fmu(options.fmu, against=reference)
+    result = check_fmu(options.fmu, against=reference, time_limit=options.time_limit)
     print(result)
     return 0 if result.ok else 1
 

@@ -38,10 +38,12 @@ comes first. Values are numbers in SI, or texts with a unit; plain keys come bef
   offsets = ["x"]                         # sensors with an unknown offset; also: gains
   noise = { x = "0.02 mm" }               # default: from the residuals
   process_noise = { v = 0.01 }            # what disturbs the plant itself [unit/sqrt(s)]; wants noise
+  input_noise = { "muscle1.command" = "0.05 bar" }   # measured inputs err, too; wants noise
   bounds = { damping = [1.0, 100.0] }
   inputs = { "muscle2.command" = "3 bar" }   # constant, and no column
   columns = { x = "pot" }                 # variable = header; also: units, time
-  interpolation = "previous"              # of the inputs: "previous" (held) or "linear"
+  interpolation = "previous"              # of the inputs: "previous" (held) or "linear"; by default as the
+                                          # file says, else both are tried
   split = "episode"                       # column at whose changes a file is cut into records
   method = "collocation"                  # also: degree, step
 
@@ -56,7 +58,7 @@ option that cannot be meant.
 """
 _READING = ("columns", "units", "time", "interpolation", "max_gap", "split")
 _FITTING = (
-    "outputs", "delay", "offsets", "gains", "noise", "process_noise", "bounds", "inputs", "method",
+    "outputs", "delay", "offsets", "gains", "noise", "input_noise", "process_noise", "bounds", "inputs", "method",
     "degree", "step",
 )  # fmt: skip
 _OWN = ("plant", "muscle", "set", "records", "validate", "free")
@@ -199,7 +201,12 @@ def _arguments(study: Mapping[str, Any], plant: Plant) -> dict[str, Any]:
     for name in ("outputs", "offsets", "gains"):
         if name in study:
             found[name] = _list(name, study[name])
-    for name, per in (("noise", ""), ("inputs", ""), ("process_noise", "/sqrt(s)")):
+    for name, per in (
+        ("noise", ""),
+        ("inputs", ""),
+        ("input_noise", ""),
+        ("process_noise", "/sqrt(s)"),
+    ):
         if name in study:
             found[name] = {
                 n: quantity(f"{name}.{n}", v, *(() if per else (plant.variable(n).unit,)))

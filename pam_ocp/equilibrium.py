@@ -188,7 +188,7 @@ def _remedy(search: Search, name: str) -> str:
         point = search.relaxed(name, more_pressure)
         if point is None:
             continue
-        value = search.point(point)[name]
+        value = round(search.point(point)[name] / variable.nominal, 9) * variable.nominal
         if abs(value - given) <= ROUGH * variable.nominal:
             value = given
         told = _tried(search, name, value, point, high)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from .errors import InputError, require_instance, require_positive
+from .memory import Memory
 from .plant.opening import Inversion, in_dead_zone
 from .plant.plant import Plant, Values, require_plant
 from .trajectory import Trajectory
@@ -127,14 +128,20 @@ class _Selection:
         rows = [all_out.index(name) for name in self.outputs]
         return a, b[:, :, columns], c[:, rows], d[:, rows][:, :, columns]
 
-    def system(self, matrices: Matrices, dt: float = 0.0) -> control.StateSpace:
-        """The StateSpace of these matrices; sampled with zero-order hold when ``dt`` > 0."""
+    def system(
+        self, matrices: Matrices, dt: float = 0.0, kept: Sequence[int] | None = None
+    ) -> control.StateSpace:
+        """The StateSpace of these matrices; sampled with zero-order hold when ``dt`` > 0.
+
+        kept : the states that they are of, by default all.
+        """
         import control
 
         a, b, c, d = matrices
+        variables = [self.plant.states[i] for i in (range(len(a)) if kept is None else kept)]
         if dt:
-            a, b = _held(a, b, self.plant.vector("state", attribute="nominal"), dt)
-        states = [v.name for v in self.plant.states]
+            a, b = _held(a, b, np.array([v.nominal for v in variables]), dt)
+        states = [v.name for v in variables]
         system = control.ss(
             a, b, c, d, dt, name=self.plant.name, states=_plain(states),
             inputs=_plain(self.inputs), outputs=_plain(self.outputs), remove_useless_states=False,
@@ -171,6 +178,7 @@ def linearize(
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     dt: float | None = None,
+    stuck: bool = False,
 ) -> control.StateSpace:
     """The plant near a point as python-control's StateSpace: x' = A x + B u, y = C x + D u.
 
@@ -180,6 +188,10 @@ def linearize(
         (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named.
     dt : sampling time [s] for a discrete system x[k+1] = A x[k] + B u[k], exact for inputs held
         over each sample; None for a continuous one.
+    stuck : leave out held memories (hysteresis). In small motion about a point of rest they stick and
+        are springs; as states they bring a pole at zero each that no input reaches, and design by
+        Riccati equations wants them out (``lqr`` and ``kalman`` see to it themselves). Transfer
+        functions are the same; see :mod:`pam_ocp.stuck`.
 
     Jacobians are exact (CasADi); signals keep the plant's names with ``_`` for ``.``, since
     python-control reads a dot as system.signal. Units are SI: ``system.units`` = {signal: unit}
@@ -190,7 +202,10 @@ def linearize(
     chosen = _Selection.of(plant, inputs, outputs)
     a, b, c, d = chosen.matrices(x[None, :], rows)
     step = 0.0 if dt is None else require_positive("dt", dt, "s")
-    return chosen.system((a[0], b[0], c[0], d[0]), step)
+    if not stuck:
+        return chosen.system((a[0], b[0], c[0], d[0]), step)
+    follow = OperatingPoint(plant, x, u).stuck
+    return chosen.system((*follow.reduced(a[0], b[0], c[0]), d[0]), step, follow.kept.tolist())
 
 
 # ---- along a motion -----------------------------------------------------------------------------
@@ -351,12 +366,13 @@ def linearize_grid(
     *,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
+    memory: Memory = "virgin",
 ) -> LinearGrid:
     """Linear systems at the points of rest over a grid of conditions, to interpolate in.
 
     axes : {name: at least two rising values} of states, inputs, outputs or parameters, as conditions
         of :func:`equilibrium`: ``{"x": [-0.01, 0, 0.01], "stiffness": [1.8e4, 2.4e4]}``.
-    conditions : further ones, the same everywhere.
+    conditions, memory : further ones of :func:`equilibrium`, the same everywhere.
     inputs : as in :func:`linearize`; of a plant fed by valves the default are openings.
 
     Raises InputError for bad axes, EquilibriumError naming the first place without equilibrium.
@@ -379,7 +395,8 @@ def linearize_grid(
     for index in np.ndindex(shape):
         place = {n: float(a[i]) for (n, a), i in zip(grid.items(), index, strict=True)}
         try:
-            last = equilibrium(plant, {**(conditions or {}), **place}, guess=last)
+            given = {**(conditions or {}), **place}
+            last = equilibrium(plant, given, guess=last, memory=memory)
         except EquilibriumError as error:
             where = ", ".join(f"{n} = {plant.variable(n).shown(v)}" for n, v in place.items())
             raise EquilibriumError(f"grid point {where}: {error}") from None

@@ -16,8 +16,9 @@ from .equilibrium import EquilibriumError, OperatingPoint
 from .errors import InputError, require_positive
 from .files import atomic_path
 from .linear import linearize, modes
+from .memory import Memory
 from .muscle.gas import AMBIENT_PRESSURE, GAS_CONSTANT, REFERENCE_TEMPERATURE, muscle_volume
-from .muscle.losses import Damping
+from .muscle.losses import Damping, Loss
 from .muscle.muscle import Muscle
 from .plant.actuator import Feed
 from .plant.components import as_muscle
@@ -116,6 +117,8 @@ def load_study(
     step: float = 0.2e5,
     damping: Damping | float | None = None,
     feed: Feed | None = None,
+    losses: Sequence[Loss] = (),
+    memory: Memory = "virgin",
     duration: float = 4.0,
 ) -> LoadStudy:
     """A hanging load at rest, swinging and settling, for every mass [kg] and pressure [Pa].
@@ -124,7 +127,9 @@ def load_study(
     step : the load comes to each rest by a step of pressure this high [Pa], from rest: of the
         commanded pressure where the feed has one. With valves there is no such step: overshoot and
         settling time are NaN, and frequency and damping are those with the valves closed.
-    damping, feed : of the HangingLoad; duration : simulated after each step [s].
+    damping, feed, losses : of the HangingLoad; duration : simulated after each step [s].
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then ends where
+        friction holds the load: overshoot and settling are about that place.
 
     Raises InputError for masses, pressures or a step that are not positive.
     """
@@ -133,8 +138,8 @@ def load_study(
     levels = _several("pressures", pressures, "Pa")
     (step,) = _several("step", step, "Pa")
     duration = require_positive("duration", duration, "s")
-    plant = HangingLoad(muscle, damping=damping, feed=feed)
-    cases = [_case(plant, muscle, m, p, step, duration) for m in weights for p in levels]
+    plant = HangingLoad(muscle, damping=damping, feed=feed, losses=losses)
+    cases = [_case(plant, muscle, m, p, step, duration, memory) for m in weights for p in levels]
     return LoadStudy(muscle.name, step, tuple(cases))
 
 
@@ -150,27 +155,34 @@ def _several(argument: str, values: Any, unit: str) -> list[float]:
     return numbers
 
 
-def _rest(plant: Plant, mass: float, pressure: float) -> OperatingPoint:
+def _rest(plant: Plant, mass: float, pressure: float, memory: Memory) -> OperatingPoint:
     """At rest with this pressure in the muscle; of several inputs all but the first keep their start."""
     held = {v.name: v.start or 0.0 for v in plant.inputs[1:]}
-    return plant.equilibrium({"mass": mass, "muscle.pressure": pressure, **held})
+    conditions = {"mass": mass, "muscle.pressure": pressure, **held}
+    return plant.equilibrium(conditions, memory=memory)
 
 
 def _case(
-    plant: Plant, muscle: Muscle, mass: float, pressure: float, step: float, duration: float
+    plant: Plant,
+    muscle: Muscle,
+    mass: float,
+    pressure: float,
+    step: float,
+    duration: float,
+    memory: Memory,
 ) -> LoadCase:
     try:
-        rest = _rest(plant, mass, pressure)
+        rest = _rest(plant, mass, pressure, memory)
     except EquilibriumError:
         return LoadCase(mass, pressure)
-    swinging = modes(linearize(plant, rest))
+    swinging = modes(linearize(plant, rest, stuck=True))
     found: dict[str, Any] = {
         "position": rest["x"], "stiffness": rest["stiffness"],
         "frequency": swinging[0][0] if swinging else np.nan,
         "damping_ratio": swinging[0][1] if swinging else np.nan,
     }  # fmt: skip
     try:
-        before = _rest(plant, mass, pressure - step)
+        before = _rest(plant, mass, pressure - step, memory)
     except (EquilibriumError, InputError):  # nothing to step from
         return LoadCase(mass, pressure, **found)
     found |= _cost(muscle, before, rest)
@@ -185,7 +197,8 @@ def _step(before: OperatingPoint, rest: OperatingPoint, duration: float) -> dict
     t = np.linspace(0.0, duration, 2001)
     inputs = {v.name: rest[v.name] for v in rest.plant.inputs}
     motion = simulate(rest.plant, inputs, t=t, start=start, rtol=1e-8)
-    progress = (motion["x"] - before["x"]) / (rest["x"] - before["x"])
+    goal = float(motion["x"][-1]) if rest.memory else rest["x"]
+    progress = (motion["x"] - before["x"]) / (goal - before["x"])
     outside = np.flatnonzero(np.abs(progress - 1) > SETTLED)
     last = int(outside[-1]) + 1 if outside.size else 0
     return {

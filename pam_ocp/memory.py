@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .errors import InputError
 from .plant.plant import Plant
 
-__all__ = ["Memory", "held", "held_names"]
+__all__ = ["Memory", "carried", "held", "held_names"]
 
 Array: TypeAlias = NDArray[np.float64]
 Memory: TypeAlias = 'Literal["virgin", "above", "below"] | Mapping[str, float]'
@@ -58,6 +58,37 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
         if drive:
             found[name] = variables[name].max if drive > 0 else variables[name].min
     return found
+
+
+def carried(plant: Plant, x: Array, u: Array, state: str, offset: float) -> dict[str, float]:
+    """{held memory: value} when a position has been moved slowly from x by ``offset`` [its unit].
+
+    States without a velocity of their own carry nothing along.
+    """
+    from scipy.integrate import solve_ivp
+
+    names = [v.name for v in plant.states]
+    memories = [names.index(n) for n in held_names(plant)]
+    velocity = plant.positions.get(state)
+    if not memories or velocity is None:
+        return {names[i]: float(x[i]) for i in memories}
+    p, speed = plant.vector("parameter"), np.copysign(plant.variable(velocity).nominal, offset)
+    here = np.array(x, dtype=float)
+    here[names.index(velocity)] = speed
+
+    def slope(s: float, z: Array) -> Array:
+        here[names.index(state)] = x[names.index(state)] + s * offset
+        here[memories] = z
+        rates = np.asarray(plant.function(here, u, p)[0]).ravel()
+        return np.asarray(rates[memories] * offset / speed)
+
+    way = solve_ivp(
+        slope, (0.0, 1.0), x[memories], method="LSODA", rtol=1e-9, atol=1e-11, max_step=0.02
+    )
+    return {
+        names[i]: float(np.clip(z, plant.states[i].min, plant.states[i].max))
+        for i, z in zip(memories, way.y[:, -1], strict=True)
+    }
 
 
 def _drives(plant: Plant) -> Array:

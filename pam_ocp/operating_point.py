@@ -52,19 +52,27 @@ class OperatingPoint:
         return {name: self[name] for name in held_names(self.plant)}
 
     @cached_property
+    def _matrices(self) -> tuple[Array, Array, Array]:
+        """A, B, C of all states, inputs and outputs."""
+        p = self.plant.vector("parameter")
+        a, b, c, _ = (np.asarray(m) for m in self.plant.jacobians(self.x, self.u, p))
+        return a, b, c
+
+    @cached_property
+    def stuck(self) -> Stuck:
+        """How held memories follow the other states in small motion about the point."""
+        return Stuck.of(self.plant, *self._matrices[:2])
+
+    @cached_property
     def poles(self) -> NDArray[np.complex128]:
         """Eigenvalues of A [1/s], sorted by falling real part.
 
         Held memories stick to the motion about the point and have no pole of their own
         (:mod:`pam_ocp.stuck`).
         """
-        a, b, c, _ = (
-            np.asarray(m)
-            for m in self.plant.jacobians(self.x, self.u, self.plant.vector("parameter"))
-        )
-        stuck = Stuck.of(self.plant, a, b)
-        nominal = self.plant.vector("state", attribute="nominal")[stuck.kept]
-        found = np.linalg.eigvals(stuck.reduced(a, b, c)[0] * nominal / nominal[:, None])
+        nominal = self.plant.vector("state", attribute="nominal")[self.stuck.kept]
+        a = self.stuck.reduced(*self._matrices)[0]
+        found = np.linalg.eigvals(a * nominal / nominal[:, None])
         return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 
     @property

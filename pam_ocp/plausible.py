@@ -18,6 +18,8 @@ from .units import unit as unit_of
 
 __all__ = ["UnitWarning", "Usual", "doubt", "meant", "meant_within"]
 
+FAR = 100.0
+"""What a variable calls its nominal size says what is usual for it: only so many times more is doubted."""
 DIGITS = 5
 """A number of more digits was computed, not typed, and is not doubted: a pressure may decay to 0.137 Pa."""
 ZERO_CELSIUS = 273.15
@@ -38,6 +40,8 @@ class Usual:
     most: float
     units: tuple[str, ...]
     typical: float
+    remedy: str = "check its unit"
+    """What to say where none of the units fits."""
 
 
 _USUAL: dict[str, Usual] = {
@@ -49,7 +53,9 @@ _USUAL: dict[str, Usual] = {
     "K": Usual(100.0, 2e3, ("degC",), 293.15),
     "rad": Usual(0.0, 2 * math.pi, ("deg",), 0.5),
     "m3": Usual(0.0, 0.5, ("l", "cm3", "mm3"), 1e-4),
-    "m3/(s.Pa)": Usual(0.0, 1e-3, ("l/(s.bar)",), 1e-8),
+    "m3/(s.Pa)": Usual(
+        0.0, 1e-3, (), 1e-8, "conductance_from_flow(...) makes it from a nominal flow in l/min"
+    ),
     "Hz": Usual(0.0, 1e5, (), 1.0),
 }
 _TIME_CONSTANT = Usual(0.0, 5.0, ("ms",), 0.05)
@@ -97,20 +103,25 @@ def meant_within(value: float, unit: str, low: float, high: float) -> str:
     return ""
 
 
-def doubt(argument: str, value: Any, unit: str, *, time_constant: bool = False) -> bool:
+def doubt(
+    argument: str, value: Any, unit: str, *, nominal: float = 0.0, time_constant: bool = False
+) -> bool:
     """Warn (UnitWarning) when the numbers ``value`` [unit] are far from any usual ones; True then.
 
-    Of arrays the largest number counts. time_constant : seconds of a lag, not of a duration.
+    Of arrays the largest number counts. nominal : a size at which large numbers are no wonder.
+    time_constant : seconds of a lag, not of a duration.
     """
     if isinstance(value, float):
         largest = value
     else:
         numbers = np.atleast_1d(np.asarray(value, dtype=float))
         largest = float(numbers.flat[int(np.argmax(np.abs(numbers)))]) if numbers.size else 0.0
-    probable = meant(largest, unit, _TIME_CONSTANT if time_constant else None)
-    if probable is None:
+    usual = _TIME_CONSTANT if time_constant else _BY_KIND.get(unit_of(unit).exponents)
+    probable = meant(largest, unit, usual)
+    large = usual is not None and abs(largest) > usual.most
+    if usual is None or probable is None or (large and abs(largest) < FAR * nominal):
         return False
-    hint = f"did you mean {probable}?" if probable else "check its unit"
+    hint = f"did you mean {probable}?" if probable else usual.remedy
     warnings.warn(
         f"{argument} = {largest:g} {unit} is far from any usual value; {hint}",
         UnitWarning,

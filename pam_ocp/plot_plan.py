@@ -278,7 +278,7 @@ def plot_robust(robust: RobustPlan) -> Figure:
         ("robust plan", robust.members, robust.unseen),
     )
     figure, axes = _figure(len(widths), 2, size=(10, 1.0 + 2.6 * len(widths)), sharex=False)
-    for row, (name, width) in zip(axes, widths.items(), strict=True):
+    for row, name in zip(axes, widths, strict=True):
         variable = robust.members.plant.variable(name)
         factor = variable.display_factor
         top = 0.0
@@ -288,9 +288,11 @@ def plot_robust(robust: RobustPlan) -> Figure:
                 for line in [] if some is None else some.deviation(name) / factor:
                     ax.plot(t, line, color=colour, alpha=alpha, lw=1.0)
                     top = max(top, float(np.nanmax(np.abs(line))))
-            for at in spread.stops:
-                ax.plot([t[at]] * 2, [-width / factor, width / factor], color=COLOURS[1], lw=4,
-                        alpha=0.8, solid_capstyle="butt", zorder=5, clip_on=False)  # fmt: skip
+            for at, (_, _, allowed) in zip(spread.stops, robust.demand.stops, strict=True):
+                if name in allowed:
+                    ends = np.array([-1.0, 1.0]) * allowed[name] / factor
+                    ax.plot([t[at]] * 2, ends, color=COLOURS[1], lw=4, alpha=0.8,
+                            solid_capstyle="butt", zorder=5, clip_on=False)  # fmt: skip
             worst = variable.shown(float(f"{spread.worst(name):.3g}"))
             ax.set_title(f"{title}: {worst} at the stops", loc="left", fontsize="medium")
         for ax in row:

@@ -65,7 +65,9 @@ def quantity(where: str, value: Any, *units: str) -> float:
         return float(value)
     match = _QUANTITY.match(value)
     if match is None:
-        raise InputError(f"{where} = {value!r}: give a number with its unit, as '15 mm'")
+        raise InputError(
+            f"{where} = {value!r} is not a number; give a number with its unit, as '15 mm'"
+        )
     number, name = float(match[1]), match[2]
     if not name:
         return number

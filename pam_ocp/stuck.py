@@ -12,6 +12,7 @@ on, the other way it sticks. Its linear model has the mean of both, half the spr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -38,9 +39,10 @@ class Stuck:
     slope: Array
 
     @classmethod
-    def of(cls, plant: Plant, a: Array, b: Array) -> Stuck:
-        """Of a plant whose Jacobians at a point of rest are A (nx, nx) and B (nx, all inputs).
+    def of(cls, plant: Plant, a: Array, b: Array, inputs: Sequence[str] | None = None) -> Stuck:
+        """Of a plant whose Jacobians at a point of rest are A (nx, nx) and B (nx, inputs).
 
+        inputs : those that B has columns for; by default all.
         A memory that is not bound to the motion (of a plant of one's own) stays as it is: slope 0.
         """
         names = held_names(plant)
@@ -49,7 +51,8 @@ class Stuck:
         if not len(held):
             return cls(kept, held, np.zeros((0, len(kept))))
         nominal = plant.vector("state", attribute="nominal")
-        sizes = np.concatenate([nominal, plant.vector("input", attribute="nominal")])
+        names_in = [v.name for v in plant.inputs] if inputs is None else inputs
+        sizes = np.concatenate([nominal, [plant.variable(n).nominal for n in names_in]])
         rates = np.hstack([unfading(a, held), b]) * sizes / nominal[:, None]
         scale = np.maximum(np.abs(rates).max(axis=1), 1e-300)
         rates = rates / scale[:, None]
@@ -68,18 +71,24 @@ class Stuck:
             c[:, k] + c[:, h] @ self.slope,
         )
 
-    def lifted(self, rows: Array) -> Array:
-        """(all states, m) of (kept states, m): held memories follow the others."""
-        full = np.zeros((len(self.kept) + len(self.held), rows.shape[1]))
-        full[self.kept] = rows
-        full[self.held] = self.slope @ rows
-        return full
+    def lift(self, nominal: Array | None = None, more: int = 0) -> Array:
+        """E (all states + more, kept states + more) of dx = E dx[kept].
 
-    def widened(self, columns: Array) -> Array:
-        """(m, all states) of (m, kept states): nothing is fed back from held memories."""
-        full = np.zeros((len(columns), len(self.kept) + len(self.held)))
-        full[:, self.kept] = columns
-        return full
+        nominal : sizes of all states, for states in units of these. more : states behind them that
+        stay (integrals, disturbances).
+        """
+        size = np.ones(len(self.kept) + len(self.held)) if nominal is None else nominal
+        n = len(size)
+        found = np.zeros((n + more, len(self.kept) + more))
+        found[self.kept, np.arange(len(self.kept))] = 1.0
+        found[self.held, : len(self.kept)] = self.slope * size[self.kept] / size[self.held, None]
+        found[n:, len(self.kept) :] = np.eye(more)
+        return found
+
+    def pick(self, more: int = 0) -> Array:
+        """P (kept states + more, all states + more), which takes the kept states: P E = 1."""
+        n = len(self.kept) + len(self.held)
+        return np.asarray(np.eye(n + more)[[*self.kept, *range(n, n + more)]])
 
 
 def unfading(a: Array, held: NDArray[np.int_]) -> Array:

@@ -157,7 +157,7 @@ class _Tour:
         self.summary["linear"] = []
         for pressure in CO_CONTRACTION:
             point = self.slide.equilibrium({"x": 0.0, "muscle1.pressure": float(pressure)})
-            system = self.slide.linearize(point)
+            system = self.slide.linearize(point, stuck=True)
             systems[f"both muscles at {pressure / 1e5:g} bar"] = system
             (frequency, damping), *_ = modes(system)
             self.show(

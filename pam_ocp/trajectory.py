@@ -25,9 +25,25 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Event", "Trajectory"]
+__all__ = ["HELD", "Comparison", "Event", "Trajectory", "interpolation_of"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+
+HELD = "inputs_held"
+"""Column of a CSV file that says how its inputs ran: 1 held from sample to sample, 0 joined by lines."""
+
+
+def interpolation_of(held: Array, label: str) -> Interpolation:
+    """What the column ``inputs_held`` of a file says. Raises InputError for other values than 0 or 1."""
+    if np.all(held == 1):
+        return "previous"
+    if np.all(held == 0):
+        return "linear"
+    raise InputError(
+        f"{label}: column {HELD!r} must hold 1 (inputs held from sample to sample) or 0 (joined by lines) "
+        "in all rows"
+    )
 
 
 @dataclass(frozen=True)
@@ -47,7 +63,9 @@ class Trajectory:
     t : (n,) times [s], rising.
     columns : {name: (n,) values in SI}.
     variables : what the columns are (unit, causality, nominal, description), in order of display.
-    interpolation : how inputs run between samples: "previous" (held) or "linear".
+    interpolation : how inputs ran between samples: "previous" (held) or "linear". None: not known; they
+        count as linear, and ``interpolation_known`` is False, so that a fit tries both. Files keep it:
+        .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
     events : zero crossings that a simulation located (they are not saved to files).
     signals : the inputs (in the order of their columns) exactly as they ran, also between samples;
         None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
@@ -60,7 +78,7 @@ class Trajectory:
         t: ArrayLike,
         columns: Mapping[str, ArrayLike],
         variables: Sequence[Variable] | None = None,
-        interpolation: Interpolation = "linear",
+        interpolation: Interpolation | None = None,
         events: Sequence[Event] = (),
         signals: PiecewisePolynomial | None = None,
     ) -> None:
@@ -72,9 +90,10 @@ class Trajectory:
         if not np.all(np.isfinite(self.t)) or not np.all(np.diff(self.t) > 0):
             row = int(np.argmax(~(np.diff(self.t) > 0))) + 1
             raise InputError(f"t must rise from sample to sample; it does not at sample {row}")
-        if interpolation not in ("previous", "linear"):
+        if interpolation not in ("previous", "linear", None):
             raise InputError(f"interpolation = {interpolation!r}: choose 'previous' or 'linear'")
-        self.interpolation: Interpolation = interpolation
+        self.interpolation_known = interpolation is not None or signals is not None
+        self.interpolation: Interpolation = interpolation or "linear"
         if variables is None:
             variables = [Variable(name, "output") for name in columns]
         self.variables: tuple[Variable, ...] = tuple(variables)
@@ -155,7 +174,16 @@ class Trajectory:
             else np.interp(times, self.t, self._columns[v.name])
             for v in self.variables
         }
-        return Trajectory(times, columns, self.variables, self.interpolation, (), self.signals)
+        return Trajectory(times, columns, self.variables, self._between, (), self.signals)
+
+    @property
+    def _between(self) -> Interpolation | None:
+        """As the constructor takes it."""
+        return self.interpolation if self.interpolation_known else None
+
+    def running(self, interpolation: Interpolation) -> Trajectory:
+        """The same samples, the inputs known to have run so between them ("previous" or "linear")."""
+        return Trajectory(self.t, self._columns, self.variables, interpolation, self.events)
 
     def __repr__(self) -> str:
         return (
@@ -204,12 +232,15 @@ class Trajectory:
         return target
 
     def _write_csv(self, path: Path) -> None:
+        marked = self.interpolation_known and bool(self.named("input"))
+        mark = [HELD] if marked else []
+        held = np.full((len(self), len(mark)), float(self.interpolation == "previous"))
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(["time [s]", *(f"{v.name} [{v.unit}]" for v in self.variables)])
+            writer.writerow(["time [s]", *(f"{v.name} [{v.unit}]" for v in self.variables), *mark])
             writer.writerows(
                 [repr(float(c)) for c in line]
-                for line in np.column_stack([self.t, self.array(self.names)])
+                for line in np.column_stack([self.t, self.array(self.names), held])
             )
 
     def _write_npz(self, path: Path) -> None:
@@ -219,7 +250,7 @@ class Trajectory:
 
     def _meta(self) -> str:
         content: dict[str, Any] = {
-            "interpolation": self.interpolation,
+            "interpolation": self._between,
             "variables": [asdict(v) for v in self.variables],
         }
         if self.signals is not None:
@@ -265,12 +296,16 @@ class Trajectory:
             raise InputError(f"{path.name}: {error}; every cell must be a number") from None
         if data.ndim != 2 or data.shape[1] != len(header):
             raise InputError(f"{path.name}: the rows do not all have {len(header)} cells")
-        variables = []
+        variables, between = [], None
+        if HELD in header:
+            between = interpolation_of(data[:, header.index(HELD)], path.name)
+            data = np.delete(data, header.index(HELD), axis=1)
+            header.remove(HELD)
         for head in header[1:]:
             name, _, unit = head.partition(" [")
             variables.append(Variable(name, "output", unit=unit.rstrip("]") or "1"))
         columns = {v.name: data[:, i + 1] for i, v in enumerate(variables)}
-        return cls(data[:, 0], columns, variables)
+        return cls(data[:, 0], columns, variables, between)
 
     @classmethod
     def _read_npz(cls, path: Path) -> Trajectory:

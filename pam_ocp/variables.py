@@ -88,7 +88,7 @@ class Variable:
             raise InputError(f"{self.name}: only states have memory, this is a {self.causality}")
         if self.memory == "held" and not (math.isfinite(self.min) and math.isfinite(self.max)):
             raise InputError(f"{self.name}: a held memory needs a finite min and max")
-        if not (math.isfinite(self.max) and doubt(f"{self.name}: max", self.max, self.unit)):
+        if not (math.isfinite(self.max) and self.doubt(self.max, "max")):
             self._check_start()
 
     def _check_start(self) -> None:
@@ -135,7 +135,13 @@ class Variable:
     def doubt(self, value: Any, argument: str = "value") -> bool:
         """Warn (UnitWarning), and say so, when numbers [unit] are far from any usual ones."""
         constant = self.unit == "s" and self.causality == "parameter"
-        return doubt(f"{self.name}: {argument}", value, self.unit, time_constant=constant)
+        return doubt(
+            f"{self.name}: {argument}",
+            value,
+            self.unit,
+            nominal=self.nominal,
+            time_constant=constant,
+        )
 
     def with_start(self, value: Any) -> Variable:
         """The same variable with another start value, checked against min and max."""

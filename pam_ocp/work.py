@@ -69,7 +69,8 @@ def stroke_work(
 def _of_one(motion: Trajectory, name: str, low: float, high: float) -> StrokeWork:
     t = _fine(motion.t, low, high)
     power = _between(motion, f"{name}.power", t)
-    delivered, absorbed = (float(np.trapezoid(np.maximum(s * power, 0), t)) for s in (1, -1))
+    parts = (np.maximum(sign * power, 0.0) for sign in (1, -1))
+    delivered, absorbed = (float(np.sum((y[1:] + y[:-1]) / 2 * np.diff(t))) for y in parts)
     work = delivered - absorbed
     if f"{name}.work" in motion:
         work = _gained(motion, f"{name}.work", low, high)

@@ -248,14 +248,16 @@ class Loads:
         return total
 
 
-def wall_force(where: float, k: float, c: float, side: int, x: float, v: float) -> float:
-    """Spring and damper in contact, never pulling; the rounding of contact has width 1 N."""
+def wall_force(
+    where: float, k: float, c: float, side: int, x: float, v: float, width: float = 1.0
+) -> float:
+    """Spring and damper in contact, never pulling; contact is rounded off below ``width`` [N]."""
     depth, speed = side * (x - where), side * v
     elastic = k * depth
-    if elastic < -1.0:
+    if elastic < -width:
         return 0.0
-    assert elastic > 1.0, "within the rounding of contact"
-    factor = 1 + c * speed / (elastic + 1.0)
+    assert elastic > width, "within the rounding of contact"
+    factor = 1 + c * speed / (elastic + width)
     assert abs(factor) > 0.1, "within the rounding of leaving"
     return -side * elastic * max(factor, 0.0)
 

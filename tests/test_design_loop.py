@@ -165,6 +165,13 @@ def test_a_pid_is_placed_where_it_says():
     assert np.sort_complex(found) == pytest.approx(np.sort_complex(expected), rel=1e-9)
 
 
+def test_the_derivative_of_a_pid_is_filtered_by_its_filter_time():
+    """Of a ramp of slope 3 sampled each 1 ms, filter 4 ms: 3 (1 - 0.8^n) after n samples."""
+    pid = PID(0.0, kd=1.0, filter_time=4e-3)
+    found = [pid(3e-3 * n, 1e-3) for n in range(12)]
+    assert found == pytest.approx([3 * (1 - 0.8**n) for n in range(12)], rel=1e-12)
+
+
 def test_a_saturated_pid_does_not_wind_up():
     pid = PID(1.0, ki=10.0)
     for _ in range(100):

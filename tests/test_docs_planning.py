@@ -24,7 +24,9 @@ def test_the_blocks_run_in_their_order(tmp_path, monkeypatch, capsys):
         exec(compile(code, f"planning.md, block {number}", "exec"), names)
     shown = capsys.readouterr().out
     assert "The most violated constraint is" in shown
-    assert "x of 20 plants unseen" in shown
+    assert "x of 200 plants unseen" in shown
+    assert "verified: of unseen ones" in shown
+    assert "not verified" not in shown
     for picture in ("plan.png", "robust.png", "front.png", "costates.png", "motion.gif"):
         assert (tmp_path / picture).stat().st_size > 5_000
 

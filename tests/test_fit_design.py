@@ -147,7 +147,7 @@ def test_the_chosen_coefficient_gains_most_where_it_is_asked_for(fit: ForceFit) 
 
 def test_promised_standard_errors_are_the_scatter_of_re_fits(fit: ForceFit) -> None:
     """200 synthetic tables of the old and the new cells, fitted from scratch."""
-    design = design_cells(fit, 12)
+    design = design_cells(fit_force(fit.table, errors="independent"), 12)
     noise, old, new = design.noise, fit.cells, design.cells
     p = np.concatenate([old.pressure, new.pressure])
     kappa = np.concatenate([old.contraction, new.contraction])

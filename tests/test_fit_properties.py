@@ -77,7 +77,7 @@ def replicas() -> list[ForceFit]:
     random = np.random.default_rng(2015)
     p, kappa, tension = P[TAUT], KAPPA[TAUT], TENSION[TAUT]
     noise = NOISE * random.standard_normal((DATA_SETS, p.size))
-    return [fit_force(ForceTable(p, kappa, tension + e)) for e in noise]
+    return [fit_force(ForceTable(p, kappa, tension + e), errors="independent") for e in noise]
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ def scaled(length: float, ratio: float, noise: float = 0.0, seed: int = 0) -> Fo
 @pytest.fixture(scope="module")
 def joint() -> JointForceFit:
     tables = {"20": cells(TWENTY, 5.0, 1), "10": cells(TEN, 5.0, 2)}
-    return fit_forces(tables, shared=["a3"])
+    return fit_forces(tables, shared=["a3"], errors="independent")
 
 
 # ---- recovery ---------------------------------------------------------------------------------------
@@ -82,7 +82,8 @@ def test_nothing_shared_is_each_muscle_alone() -> None:
 def test_everything_shared_is_one_big_table() -> None:
     one, two = cells(TWENTY, 5.0, 1), cells(TWENTY, 5.0, 2)
     both = ForceTable(*(np.concatenate([getattr(t, n) for t in (one, two)]) for n in ("pressure", "contraction", "force")))  # fmt: skip
-    whole, found = fit_force(both), fit_forces([one, two])
+    whole = fit_force(both, errors="independent")
+    found = fit_forces([one, two], errors="independent")
     for n, c in whole.coefficients.items():
         assert found.coefficients[n].value == pytest.approx(c.value, rel=1e-6)
         assert found.coefficients[n].stderr == pytest.approx(c.stderr, rel=1e-6)

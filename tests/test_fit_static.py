@@ -53,8 +53,8 @@ def synthetic(levels: int = 6, noise: float = 0.0, seed: int = 0) -> ForceTable:
 
 @pytest.fixture(scope="module")
 def alone() -> ForceFit:
-    """A fit to cells whose errors do not follow each other."""
-    found = fit_force(synthetic(noise=5.0, seed=5))
+    """A fit to cells whose errors are known not to follow each other."""
+    found = fit_force(synthetic(noise=5.0, seed=5), errors="independent")
     assert found.serial is None
     return found
 

@@ -15,6 +15,7 @@ import pytest
 
 from pam_ocp.fmu import cache
 from pam_ocp.fmu.compile import _environment, compile_library, native
+from pam_ocp.plan.compiled import _stored
 
 SOURCES = {"own.c": '__attribute__((visibility("default"))) int own(void) { return 7; }\n'}
 STRANGER = 54321
@@ -91,6 +92,16 @@ def test_writers_side_by_side_leave_a_whole_library(folder: Path) -> None:
         thread.join()
     assert set(seen) == {content}
     assert sorted(p.name for p in path.parent.iterdir()) == ["some.so", "some.so.sha256"]
+
+
+def test_a_damaged_library_of_a_plan_is_written_again(folder: Path) -> None:
+    whole = os.urandom(1000)
+    path = cache.usable_folder("plan") / "some.so"
+    for there in (b"", whole[:500], b"other"):
+        path.write_bytes(there)
+        assert _stored(path, whole) == path
+        assert path.read_bytes() == whole
+    assert [p.name for p in path.parent.iterdir()] == ["some.so"]
 
 
 # ---- whose folder ---------------------------------------------------------------------------------
@@ -226,11 +237,16 @@ import os, sys
 from pam_ocp.fmu import cache, compile
 os.setgroups([]); os.setgid(int(sys.argv[1])); os.setuid(int(sys.argv[1]))
 print(cache.usable_folder("fmu")); print(compile._environment()["ZIG_GLOBAL_CACHE_DIR"])
+if compile.shutil.which("cc"):  # zig may be where this user cannot look
+    compile.util.find_spec = lambda name: None
+    library = compile.compile_library({"a.c": "int a;"}, "a.c", compile.native(), "a")
+    (kept,) = cache.usable_folder("fmu").glob("*[!6]")
+    assert kept.read_bytes() == library
 """
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         place.chmod(0o1777)
-        surroundings = {"TMPDIR": name, "MPLCONFIGDIR": name}
+        surroundings = {"TMPDIR": name, "MPLCONFIGDIR": name, "PATH": os.environ["PATH"]}
         surroundings["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
         if home is not None:
             surroundings["HOME"] = home

@@ -310,6 +310,24 @@ def test_a_wall_pushes_back_but_never_holds(side):
     assert pushed(1.0) == pytest.approx(200.0 + 300.0 * 200 / 201, rel=1e-6)
 
 
+@pytest.mark.parametrize(("theta", "omega"), [(0.52, 0.3), (0.52, -2.0), (-0.43, -0.4), (0.1, 1.0)])
+def test_the_stops_of_a_joint_stand_at_its_limits(theta, omega):
+    """2000 N m/rad and 5 N m s/rad beyond -0.4 and 0.5 rad."""
+    held, free = (
+        pam.AntagonisticJoint(bought(LONG), 0.06, limits=limits, feed=pam.IdealPressure())
+        for limits in ((-0.4, 0.5), None)
+    )
+    torque = [
+        0.06 * float(p.function([theta, omega], [3e5, 3e5], p.vector("parameter"))[0][1])
+        for p in (held, free)
+    ]
+    expected = sum(
+        hand.wall_force(where, 2e3, 5.0, side, theta, omega, 0.1)
+        for where, side in ((0.5, 1), (-0.4, -1))
+    )
+    assert torque[0] - torque[1] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
 @pytest.mark.parametrize("name", ["bent", "pulleys", "slide"])
 def test_allocation_of_unequal_muscles_and_arms(name):
     """Random taut pressures come back from the effort and the stiffness written out by hand."""

@@ -1,5 +1,6 @@
 """What is installed: every room, the FMU's C sources, the data; and no top-level ``fmu``."""
 
+import re
 import subprocess
 import sys
 import zipfile
@@ -52,3 +53,19 @@ def test_import_is_light():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_oldest_set_of_dependencies_is_what_pyproject_allows_at_least():
+    """What CI pins for Python 3.10 are the lower bounds themselves, and none is left out."""
+    text = (ROOT / "pyproject.toml").read_text("utf-8")
+    least = dict(re.findall(r'"([A-Za-z][\w-]*)>=([\d.]+)', text))
+    pins = dict(
+        re.findall(
+            r"(?m)^([\w-]+)==([\d.]+)$", (ROOT / "tests/versions/oldest.txt").read_text("utf-8")
+        )
+    )
+    tools = {"setuptools", "mypy", "ruff", "sphinx", "myst-parser"}
+    assert set(least) - tools == set(pins)
+    for name, pin in pins.items():
+        bound = [int(part) for part in least[name].split(".")]
+        assert [int(part) for part in pin.split(".")][: len(bound)] == bound, name

@@ -202,14 +202,17 @@ def test_a_mirrored_cycle_ends_as_the_mirror_image_of_its_start():
         assert last[f"{two}.pressure"] == pytest.approx(first[f"{one}.pressure"], abs=1e-3)
 
 
-def test_where_two_legs_meet_the_bounds_of_both_hold():
-    """Quick up to 1 m, slow from there on: at the seam it is slow already."""
-    plan = pam.plan(
-        rails(), [{"x": 0.0}, pam.Stop({"x": 1.0}, rest=False), {"x": 2.0}], duration=(0.05, 5.0),
-        phases=[pam.Phase(bounds={"v": (0.0, 2.0)}), pam.Phase(bounds={"v": (0.0, 1.0)})],
-        method=pam.Collocation(10, 3), tolerance=None,
-    )  # fmt: skip
-    t = plan.trajectory.t
-    seam = int(np.argmin(np.abs(t - plan.durations[0])))
-    assert plan.trajectory["v"][:seam].max() > 1.9
-    assert plan.trajectory["v"][seam] <= 1.0 + 1e-6
+@pytest.mark.parametrize("swapped", [False, True])
+def test_where_two_legs_meet_the_bounds_of_both_hold(swapped):
+    """At most 2 m/s on one leg and 1 m/s on the other: 1.2 m/s where they meet cannot be."""
+    phases = [pam.Phase(bounds={"v": (-3.0, 2.0)}), pam.Phase(bounds={"v": (-3.0, 1.0)})]
+    arguments = {
+        "phases": phases[::-1] if swapped else phases, "duration": 1.3, "minimise": "effort",
+        "method": pam.Collocation(10, 3), "tolerance": None,
+    }  # fmt: skip
+    slow, quick = (
+        [{"x": 0.0}, pam.Stop({"x": 1.0, "v": v}, rest=False), {"x": 2.0}] for v in (0.9, 1.2)
+    )
+    assert pam.plan(rails(), slow, **arguments).replay.violation < 0.02
+    with pytest.raises(pam.PlanError):
+        pam.plan(rails(), quick, **arguments)

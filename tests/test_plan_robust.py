@@ -35,7 +35,7 @@ def plant():
 def robust(plant):
     return robust_plan(
         plant, STOPS, draws=draws(plant, 4, 1), unseen=draws(plant, 12, 2), spread={"x": WIDTH},
-        duration=(0.02, 0.5), method=METHOD,
+        duration=(0.02, 0.5), method=METHOD, share=0.5,
     )  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def test_pressures_that_all_plants_share_are_not_copied(plant, robust):
 def test_a_cycle_closes_for_each_plant(plant):
     found = robust_plan(
         plant, STOPS, draws=draws(plant, 2, 1), spread={"x": 1.5e-4}, duration=(0.02, 0.5),
-        cyclic=True, method=METHOD,
+        cyclic=True, method=METHOD, share=None,
     )  # fmt: skip
     for draw, run in zip(found.members.draws, found.members.motions, strict=True):
         states = by_scipy(plant, draw, found.trajectory, run.array(run.named("state"))[0])
@@ -125,7 +125,7 @@ def test_a_stop_may_be_left_out_and_a_via_point_be_passed(plant):
     stops = [STOPS[0], Stop({"x": 0.0}, rest=False), STOPS[1]]
     found = robust_plan(
         plant, stops, draws=draws(plant, 2, 1), spread=[None, None, {"x": 2e-4, "v": 0.01}],
-        duration=(0.01, 0.5), start="same", method=Collocation(12),
+        duration=(0.01, 0.5), start="same", method=Collocation(12), share=None,
     )  # fmt: skip
     assert found.members.at_stops("x").shape == (2, 1)
     assert found.members.worst("x") < 2e-4 * 1.01
@@ -138,7 +138,7 @@ def test_what_the_user_bounds_is_bounded_for_all(plant):
     own = plant.expression("muscle1.force") + plant.expression("muscle2.force")
     arguments = {
         "draws": draws(plant, 2, 1), "spread": {"x": 1e-3}, "duration": 0.1, "minimise": "effort",
-        "bounds": {"muscle1.force": (30.0, None)}, "method": Collocation(12),
+        "bounds": {"muscle1.force": (30.0, None)}, "method": Collocation(12), "share": None,
         "constraints": [Constraint(own, low=100.0, nominal=100.0), Avoid({"x": (0.013, 0.002)})],
     }  # fmt: skip
     found = robust_plan(plant, STOPS, **arguments)
@@ -159,7 +159,7 @@ def test_a_spread_that_cannot_be_is_named():
     plant.der(x, v)
     plant.der(v, u / m)
     arguments = {
-        "draws": [{"mass": 1.1}], "start": "same", "duration": 1.0, "minimise": "effort",
+        "draws": [{"mass": 1.1}], "start": "same", "duration": 1.0, "minimise": "effort", "share": None,
         "method": Collocation(5, 4, "linear"),
     }  # fmt: skip
     stops = [{"x": 0.0}, {"x": 1.0}]

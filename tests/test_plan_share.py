@@ -99,6 +99,35 @@ def test_the_best_that_was_found_is_returned_with_a_warning():
     assert str(robust).startswith("not verified")
 
 
+def test_each_stop_has_its_own_spread_and_limits_count_too():
+    """Positions f t^2/2 off at 1 s and 2 s, velocities f t: by hand for six forces."""
+    known = [-0.9, -0.45, -0.1, 0.1, 0.45, 0.9]
+    stops = [{"x": 0.0}, pam.Stop({"x": 1.0}, rest=False), {"x": 2.0}]
+    robust = robust_plan(
+        pushed_mass(), stops, draws=[{"force": 0.05}], share=None, start="same", duration=[1.0, 1.0],
+        spread=[None, {"x": 0.25}, {"x": 1.0, "v": 1.0}], minimise="effort",
+        bounds={"v": (-3.0, 3.0)}, method=Collocation(8, 3, "linear"),
+    )  # fmt: skip
+    spread = robust.verify([{"force": f} for f in known])
+    assert spread.at_stops("x")[:, 1] == pytest.approx([-2 * f for f in known], abs=1e-9)
+    kept = [abs(f) / 2 <= 0.25 and abs(2 * f) <= 1.0 for f in known]
+    assert robust.judge(spread).kept.tolist() == kept == [False, True, True, True, True, False]
+    assert robust._within(spread) == pytest.approx(4 / 6)
+    quick = float(robust.trajectory["v"].max())
+    assert quick < 3.0
+    pulled = robust.judge(robust.verify([{"force": -2.0}]))
+    assert "v" in pulled.labels
+    where = robust.verify([{"force": -2.0}]).motions[0]["v"].max()
+    assert pulled.excess[0, pulled.labels.index("v")] == pytest.approx((where - 3.0) / 3.0 - 1e-3)
+
+
+def test_a_plant_that_cannot_be_simulated_keeps_nothing():
+    arguments = {"spread": {"x": 1.0}, "minimise": "effort", "duration": 1.0, "share": None}
+    robust = robust_plan(pushed_mass(), FROM_TO, **MASS | {"draws": [{"force": 0.1}]}, **arguments)
+    spread = robust.verify([{"force": 0.1}, {"force": float("inf")}])
+    assert robust.judge(spread).kept.tolist() == [True, False]
+
+
 def test_the_share_and_its_interval_are_those_of_the_binomial_distribution():
     for kept, count in ((0, 100), (100, 100), (93, 100), (190, 200)):
         share = Share(kept, count, 0.95, 0.9, None)
@@ -167,6 +196,7 @@ def test_a_list_of_unseen_plants_is_judged_too(plant):  # noqa: F811
         ({"rounds": 0}, "rounds = 0"),
         ({"draws": lambda n, s: forces(n, 1)}, "the same plants for the seeds"),
         ({"draws": lambda n, s: forces(5, s)}, "gave 5 draws, not 6"),
+        ({"draws": lambda n, s: [{"force": float("inf")}] * n}, "force"),
     ],
 )
 def test_samples_that_cannot_be_are_refused(arguments, message):

@@ -127,7 +127,7 @@ def margins_over(
         moved = feedback.point.plant.with_values(case.get("parameters", {}))
         point = moved.equilibrium(conditions, guess=feedback.point)
         system = linearize(moved, point, inputs=feedback.inputs)
-        other = replace(feedback, system=system)
+        other = replace(feedback, system=system, point=point)
         results.append((margins(other.loop), other.poles))
     return results
 
@@ -255,13 +255,14 @@ def along_stroke(
     if not seen:
         raise InputError(f"along_stroke: {plant.name!r} has no position; name the outputs")
     controls = [v.name for v in plant.inputs if not v.disturbance]
-    nominal = plant.vector("state", attribute="nominal")
+    states = [v for v in plant.states if v.memory != "held"]  # which stick to the others
+    nominal = np.array([v.nominal for v in states])
     effort = np.array([plant.variable(n).nominal for n in controls])
     scale = np.array([plant.variable(n).nominal for n in seen])
-    place = [v.name for v in plant.states].index(next(iter(plant.positions), plant.states[0].name))
+    place = [v.name for v in states].index(next(iter(plant.positions), plant.states[0].name))
     rows = []
     for point in path.points:
-        system = linearize(point.plant, point, inputs=controls, outputs=seen)
+        system = linearize(point.plant, point, inputs=controls, outputs=seen, stuck=True)
         a = np.asarray(system.A) * nominal / nominal[:, None]
         b = np.asarray(system.B) * effort / nominal[:, None]
         c = np.asarray(system.C) * nominal / scale[:, None]
@@ -319,7 +320,7 @@ def mode_map(
             if any(not low <= point[n] <= high for n, (low, high) in (within or {}).items()):
                 continue
             stable[i, j] = point.stability == "stable"
-            swing = modes(linearize(point.plant, point, outputs=[]))
+            swing = modes(linearize(point.plant, point, outputs=[], stuck=True))
             if swing:
                 frequency[i, j], damping[i, j] = swing[0]
     return ModeMap(plant, grid, frequency, damping, stable)

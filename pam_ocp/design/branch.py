@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..equilibrium import TOLERANCE, OperatingPoint, equilibrium, posed
 from ..errors import InputError, require_finite, require_positive
+from ..memory import Memory
 from ..plant.plant import Plant, Values
 from .rest import EquilibriumPath
 
@@ -39,6 +40,7 @@ def equilibrium_branch(
     step: float = 0.05,
     longest: float = 0.25,
     max_points: int = 2000,
+    memory: Memory = "virgin",
     **more: Any,
 ) -> EquilibriumPath:
     """Points of rest while one variable runs from ``start`` towards ``stop``, round folds.
@@ -50,6 +52,7 @@ def equilibrium_branch(
 
     step, longest : first and longest step along the branch, in units of nominal of all states,
         inputs and the variable together; steps follow the branch's curvature.
+    memory : what hysteresis keeps, the same along the branch; see :func:`equilibrium`.
 
     The path ends where the variable reaches ``stop`` or comes back to ``start``, where it leaves the
     bounds of a variable, or after ``max_points``; ``path.end`` says which unless ``stop`` was
@@ -64,8 +67,8 @@ def equilibrium_branch(
     if start == stop:
         raise InputError(f"start and stop are the same ({start:g}); give the way to go")
     given = {**(conditions or {}), **more, name: start}
-    curve = _Curve(plant, name, given, free)
-    place = curve.place(equilibrium(plant, given, free=free))
+    curve = _Curve(plant, name, given, free, memory)
+    place = curve.place(equilibrium(plant, given, free=free, memory=memory))
     tangent = curve.tangent(place)
     if curve.rate(place, tangent) * (stop - start) < 0:
         tangent = -tangent
@@ -101,10 +104,12 @@ class _Curve:
     A place w holds states, inputs and free variables in units of nominal.
     """
 
-    def __init__(self, plant: Plant, name: str, given: Values, free: Sequence[str]) -> None:
+    def __init__(
+        self, plant: Plant, name: str, given: Values, free: Sequence[str], memory: Memory
+    ) -> None:
         variable = plant.variable(name)
         self.name = variable.name
-        self.search = posed(plant, given, free).along(self.name)
+        self.search = posed(plant, given, free, memory=memory).along(self.name)
         loose = self.search.free
         plant, self.scale = self.search.plant, self.search.nominal
         value = plant.expression(self.name) / variable.nominal

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, SimulationError, require_positive
+from ..errors import InputError, SimulationError, require_count, require_positive
 from ..plant.opening import Inversion
 from ..plant.plant import Given, Plant, Values, require_plant
 from ..signals import PiecewisePolynomial
@@ -124,11 +124,10 @@ def _samples(controller: Any, duration: float, dt: float, parts: int, delay: int
         )
     require_positive("dt", dt, "s")
     samples = round(require_positive("duration", duration, "s") / dt)
-    if samples < 1 or parts < 1 or delay < 0:
-        raise InputError(
-            f"duration = {duration:g} s, dt = {dt:g} s, parts = {parts}, delay = {delay}: give at "
-            "least one sample and one part of it, and a delay >= 0"
-        )
+    require_count("parts", parts)
+    require_count("delay", delay, 0)
+    if samples < 1:
+        raise InputError(f"duration = {duration:g} s: give at least one sample of dt = {dt:g} s")
     return samples
 
 
@@ -172,7 +171,10 @@ class _Inputs:
         )
         self.index = {v.name: i for i, v in enumerate(plant.inputs)}
         self.inversion = Inversion(plant)
-        self.disturbances = [(self._position(n), v) for n, v in disturbances.items()]
+        self.disturbances = [
+            (self._position(n), v if callable(v) else plant.variable(n).check(v, "disturbance"))
+            for n, v in disturbances.items()
+        ]
 
     def _position(self, name: str) -> int:
         variable = self.plant.variable(name)
@@ -219,7 +221,10 @@ class _Sensors:
     def __init__(self, plant: Plant, noise: Mapping[str, float], seed: int) -> None:
         self.plant, self.p = plant, plant.vector("parameter")
         self.names = [v.name for v in (*plant.states, *plant.outputs)]
-        named = {plant.variable(n).name: float(s) for n, s in noise.items()}
+        named = {
+            plant.variable(n).name: require_positive(f"noise[{n!r}]", s, zero=True)
+            for n, s in noise.items()
+        }
         unknown = [n for n in named if n not in self.names]
         if unknown:
             raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")

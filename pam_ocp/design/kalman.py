@@ -14,6 +14,7 @@ from ..errors import InputError, require_positive
 from ..linear import inside, linearize
 from ..plant.opening import Inversion
 from ..plant.plant import Plant, Values, require_plant
+from ..stuck import Stuck
 from .closed_loop import Controller, Measured
 
 __all__ = ["KalmanFilter", "WithEstimate", "kalman"]
@@ -103,12 +104,15 @@ def kalman(
     names = [plant.variable(n).name for n in measured]
     noise = np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
     unknown = inversion.names(disturbances or {})
-    system = _with_disturbances(plant, linearize(plant, at, outputs=names, dt=dt), list(unknown))
-    states = plant.vector("state", attribute="nominal")
+    # held memories stick to the motion about the point: estimated from it, as no pole tells of them
+    follow, known = at.stuck, plant.vector("state", attribute="nominal")
+    linear = linearize(plant, at, outputs=names, dt=dt, stuck=True)
+    states = known[follow.kept]
+    system = _with_disturbances(plant, linear, list(unknown), states)
     sizes = [plant.variable(n).nominal for n in unknown]
     if isinstance(process, Mapping):
         given = {plant.variable(n).name: float(v) for n, v in process.items()}
-        drive = np.array([given.get(v.name, 0.0) for v in plant.states])
+        drive = np.array([given.get(plant.states[i].name, 0.0) for i in follow.kept])
     else:
         drive = np.full(len(states), require_positive("process", process))
     drift = [
@@ -117,13 +121,33 @@ def kalman(
     ]
     nominal = np.concatenate([states, sizes])
     gain = _stationary(system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * dt)
+    gain = follow.lift(more=len(unknown)) @ gain
+    system = _of_all_states(plant, system, follow)
     return KalmanFilter(
         at, names, gain, dt, system, list(unknown), inversion if inversion else None
     )
 
 
-def _with_disturbances(plant: Plant, system: Any, disturbances: list[str]) -> Any:
+def _of_all_states(plant: Plant, system: Any, follow: Stuck) -> Any:
+    """The sampled system with held memories as states that follow the others."""
+    import control
+
+    if not len(follow.held):
+        return system
+    labels, more = system.state_labels, len(system.A) - len(follow.kept)
+    lift, pick = follow.lift(more=more), follow.pick(more)
+    names = [v.name.replace(".", "_") for v in plant.states]
+    return control.ss(
+        lift @ system.A @ pick, lift @ system.B, system.C @ pick, system.D, system.dt,
+        states=[*names, *labels[len(labels) - more :]], inputs=system.input_labels,
+        outputs=system.output_labels, name=system.name, remove_useless_states=False,
+    )  # fmt: skip
+
+
+def _with_disturbances(plant: Plant, system: Any, disturbances: list[str], x: Array) -> Any:
     """The sampled system with some of its inputs as further states that stay as they are.
+
+    x : nominals of its states.
 
     Raises InputError when what is measured cannot tell them from the states (the condition of
     Pannocchia and Rawlings, AIChE Journal 49 (2003) 426-437).
@@ -142,7 +166,7 @@ def _with_disturbances(plant: Plant, system: Any, disturbances: list[str]) -> An
     columns = [inputs.index(n) for n in disturbances]
     a, b, c, d = (np.asarray(getattr(system, n)) for n in "ABCD")
     n, m = len(a), len(columns)
-    x, y = plant.vector("state", attribute="nominal"), np.abs(c).max(axis=1, initial=1e-300)
+    y = np.abs(c).max(axis=1, initial=1e-300)
     u = np.array([plant.inputs[i].nominal for i in columns])
     pencil = np.block([[(a - np.eye(n)) * x / x[:, None], b[:, columns] * u / x[:, None]],
                        [c * x / y[:, None], d[:, columns] * u / y[:, None]]])  # fmt: skip

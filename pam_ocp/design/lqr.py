@@ -194,13 +194,21 @@ class StateFeedback:
         return sent(self.inversion, self.inputs, u)
 
     def _augmented(self) -> tuple[Array, Array, Array]:
-        """A, B with the integrals as last states, and all gains; continuous time."""
+        """A, B with the integrals as last states, and all gains; continuous time, all states."""
         a, b = np.asarray(self.system.A), np.asarray(self.system.B)
         labels = [n.replace(".", "_") for n in self.integrated]
         c = np.asarray(self.system.C)[[self.system.output_labels.index(n) for n in labels]]
         n, k = len(a), len(c)
         a = np.block([[a, np.zeros((n, k))], [c, np.zeros((k, k))]])
         return a, np.vstack([b, np.zeros((k, b.shape[1]))]), np.hstack([self.K, self.Ki])
+
+    def _stuck(
+        self, a: Array, b: Array, k: Array, nominal: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """A, B and gains without held memories, which stick to the other states."""
+        more = len(self.integrated)
+        lift, pick = self.point.stuck.lift(nominal, more), self.point.stuck.pick(more)
+        return pick @ a @ lift, pick @ b, k @ lift
 
     @property
     def loop(self) -> control.StateSpace:
@@ -216,6 +224,7 @@ class StateFeedback:
         )
         a, b = a * states / states[:, None], b * effort / states[:, None]
         k = k * states / effort[:, None]
+        a, b, k = self._stuck(a, b, k, self.point.plant.vector("state", attribute="nominal"))
         labels = [n.replace(".", "_") for n in self.inputs]
         return control.ss(
             a, b, k, np.zeros((len(k), len(k))), inputs=labels, outputs=[f"{n}_fed" for n in labels],
@@ -225,7 +234,7 @@ class StateFeedback:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Of the closed loop [1/s], sorted by falling real part."""
-        a, b, k = self._augmented()
+        a, b, k = self._stuck(*self._augmented())
         found = np.linalg.eigvals(a - b @ k)
         return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 
@@ -276,15 +285,17 @@ def lqr(
     """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
 
     A plant fed by valves is controlled by its openings (``plant.in_openings()``), from closed rest too;
-    the commands that give them are sent. ``effort`` may name either.
+    the commands that give them are sent. ``effort`` may name either. Held memories (hysteresis) stick
+    to the motion about the point: K has zeros for them.
 
     at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
     dt : sampling time [s] of the controller. sampled : design for inputs held over dt
         (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
 
-    Raises InputError when no input has an influence at the point, or when no stabilising feedback exists (a state that is a pure integral, such as
-    the totals of a gas feed, or an integrated output that the inputs cannot move).
+    Raises InputError when no input has an influence at the point, or when no stabilising feedback
+    exists (a state that is a pure integral, such as the totals of a gas feed, or an integrated output
+    that the inputs cannot move).
     """
     require_plant(plant)
     require_positive("dt", dt, "s")
@@ -299,14 +310,21 @@ def lqr(
     a, b, q, r = weighting.scaled(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
+    # held memories stick: no input reaches them, and nothing is fed back from them
+    nominal = at.plant.vector("state", attribute="nominal")
+    lift, pick = (
+        at.stuck.lift(nominal, len(weighting.integrated)),
+        at.stuck.pick(len(weighting.integrated)),
+    )
+    a, b, q = pick @ a @ lift, pick @ b, lift.T @ q @ lift
     try:
-        k = stationary(a, b, q, r, len(plant.states), dt if sampled else None)[0]
+        k = stationary(a, b, q, r, len(at.stuck.kept), dt if sampled else None)[0]
     except ValueError as error:
         raise InputError(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
-    gains = weighting.unscaled(k)
+    gains = weighting.unscaled(k @ pick)
     return StateFeedback(
         at, weighting.inputs, *gains, weighting.integrated, dt, setpoint, system,
         inversion if inversion else None,

@@ -87,9 +87,11 @@ class OffsetFree:
         [A B; C D] (x_d, u_d) = (-B_d d, goal - D_d d), solved in units of nominal.
         """
         plant, chosen = self.feedback.point.plant, self._chosen
-        system = linearize(plant, self.feedback.point, outputs=self._held)
+        system = linearize(plant, self.feedback.point, outputs=self._held, stuck=True)
+        follow = self.feedback.point.stuck  # held memories follow the other states
         a, b, c, d = (np.asarray(getattr(system, n)) for n in "ABCD")
         x, u = (plant.vector(kind, attribute="nominal") for kind in ("state", "input"))
+        x = x[follow.kept]
         y = np.array([plant.variable(n).nominal for n in self._held])
         size = np.concatenate([x, u[chosen]])
         matrix = np.block([[a, b[:, chosen]], [c, d[:, chosen]]])
@@ -99,7 +101,7 @@ class OffsetFree:
                 f"OffsetFree: {', '.join(self._held)} cannot be held by "
                 f"{', '.join(self.feedback.inputs)}"
             )
-        moved = size[:, None] * np.linalg.pinv(matrix)
+        moved = follow.lift(more=len(chosen)) @ (size[:, None] * np.linalg.pinv(matrix))
         push = np.vstack([b[:, unknown] / x[:, None], d[:, unknown] / y[:, None]])
         return moved[:, len(a) :] / y, -moved @ push
 

@@ -13,6 +13,7 @@ from ..errors import InputError, require_positive
 from ..linear import LinearAlong, linearize_along, no_influence
 from ..plant.opening import Inversion
 from ..plant.plant import Plant, require_plant
+from ..stuck import Stuck
 from ..trajectory import Trajectory
 from .closed_loop import Measured
 from .lqr import Integrals, Weighting, saturated, sent, stationary
@@ -156,7 +157,10 @@ def tvlqr(
     no_influence("tvlqr", inversion.inner, along.B, weighting.inputs)
     a, b, q, r = _along(weighting, along, outputs)
     size, inverse = a.shape[-1], np.linalg.inv(r)
-    end, least = _final(final, a[-1], b[-1], q[-1], r, len(plant.states))
+    follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)
+    nominal, more = along.plant.vector("state", attribute="nominal"), len(weighting.integrated)
+    stuck = follow.lift(nominal, more), follow.pick(more)
+    end, least = _final(final, a[-1], b[-1], q[-1], r, stuck, len(follow.kept))
     q = q + least
 
     def riccati(time: float, flat: Any) -> Any:
@@ -215,18 +219,29 @@ def _along(
 
 
 def _final(
-    final: ArrayLike | None, a: Array, b: Array, q: Array, r: Array, states: int
+    final: ArrayLike | None,
+    a: Array,
+    b: Array,
+    q: Array,
+    r: Array,
+    stuck: tuple[Array, Array],
+    states: int,
 ) -> tuple[Array, Array]:
-    """P at the end, and what the stationary LQR there needed of weight besides Q."""
+    """P at the end, and what the stationary LQR there needed of weight besides Q.
+
+    stuck : (lift, pick) of Stuck, by which held memories are left out of the ``states``.
+    """
     if final is not None:
         given = np.asarray(final, float)
         if given.shape != a.shape:
             raise InputError(f"final has shape {given.shape}; the Riccati matrix has {a.shape}")
         return given, np.zeros_like(q)
     try:
-        _, p, used = stationary(a, b, q, r, states)
+        lift, pick = stuck
+        kept = lift.T @ q @ lift
+        _, p, used = stationary(pick @ a @ lift, pick @ b, kept, r, states)
     except ValueError as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
         ) from None
-    return p, used - q
+    return pick.T @ p @ pick, pick.T @ (used - kept) @ pick

@@ -17,6 +17,8 @@ MOST_SHOWN = 3
 """Combinations that are spelled out."""
 
 
+DOUBTFUL = 0.5
+"""Probability of a correlation from which it is a warning; below it still counts in the intervals."""
 LIKELY = 0.95
 """Probability from which a correlation is stated as a fact."""
 
@@ -60,7 +62,7 @@ def at_edge(names: Iterable[str], values: Mapping[str, float]) -> list[str]:
 def following(linear: Linearisation) -> list[str]:
     """That errors follow each other, and what that does to intervals."""
     serial = linear.serial
-    if serial is None:
+    if serial is None or serial.probability < DOUBTFUL:
         return []
     plain, wide = linear.independent.stderr(), linear.stderr()
     seen = np.isfinite(plain) & (plain > 0)

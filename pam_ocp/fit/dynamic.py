@@ -18,6 +18,7 @@ import numpy as np
 from ..errors import InputError, require_count, require_finite, require_positive
 from ..plant.plant import Plant
 from ..trajectory import Trajectory
+from .between import decided, deviance
 from .estimate import ORDERS, Task, estimate, require_influence
 from .experiment import groups, measured_names, prepare
 from .outcome import outcome
@@ -44,14 +45,17 @@ def fit_plant(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     inputs: Mapping[str, float] | None = None,
     process_noise: Mapping[str, float] | None = None,
+    input_noise: Mapping[str, float] | None = None,
 ) -> PlantFit:
     """Fit parameters of a plant to measured records by least squares.
 
     Parameters
     ----------
     plant : any Plant; its parameter values are where the fit starts (such as those of a static fit).
-    records : Trajectories with the measured inputs (held or joined by lines, as each says) and some
-        states or outputs; see :func:`read_record`. Their initial states are unknown and estimated.
+    records : Trajectories with the measured inputs and some states or outputs; see :func:`read_record`.
+        Inputs run between samples as each record says; where one does not, both are fitted (held,
+        joined by lines), the likelier counts, and the report says so. Initial states are unknown and
+        estimated.
     free : names of the parameters to fit. A tuple of names, or a pattern such as ``"muscle*.a1"``,
         is one unknown: these parameters are to be equal.
     outputs : the measured states and outputs to compare; by default all that the records hold.
@@ -70,6 +74,10 @@ def fit_plant(
         states may jump where intervals begin, and jumps are weighed against the measurement noise,
         which must be given (the most probable parameters and motion together; A. Jazwinski,
         Stochastic Processes and Filtering Theory, 1970, 5.3). Not for single shooting.
+    input_noise : {measured input: standard deviation}: its samples have errors, which are estimated with all
+        else and weighed against those of the outputs, whose ``noise`` must be given. An input that is
+        measured with noise and taken as exact biases the parameters, damping above all (errors in
+        variables; W. Fuller, Measurement Error Models, 1987).
 
     Returns
     -------
@@ -85,6 +93,7 @@ def fit_plant(
     chosen = [records] if isinstance(records, Trajectory) else list(records)
     names = measured_names(plant, chosen, outputs)
     low, high = _delays(delay)
+    noisy = _input_noise(plant, input_noise, noise)
     unknowns = Unknowns(
         groups(plant, free, dict(bounds or {})), names,
         _places("offsets", offsets, plant, names), _places("gains", gains, plant, names), low,
@@ -92,21 +101,36 @@ def fit_plant(
     )  # fmt: skip
     if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
         raise InputError("free is empty: name at least one parameter of the plant")
-    task = _task(plant, chosen, unknowns, method, degree, step, high, inputs)
-    sigma = _noise(plant, task, noise)
+
+    def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
+        task = _task(plant, ran, unknowns, method, degree, step, high, inputs, noisy)
+        return _fitted(task, _noise(plant, task, noise), (low, high), noise is not None, degree)
+
+    fit, between, words = decided(plant, chosen, fitted)
+    seconds = time.perf_counter() - began
+    return replace(fit, seconds=seconds, interpolation=between, inputs_ran=words)
+
+
+def _fitted(
+    task: Task, sigma: Array, delays: tuple[float, float], known: bool, degree: int | None
+) -> tuple[PlantFit, float]:
+    """The fit, and its deviance. known : whether ``sigma`` was given."""
+    low, high = delays
+    process = bool(task.unknowns.process)
     require_influence(task, task.program(low, None), sigma)
-    found = estimate(task, sigma, (low, high), noise is not None)
+    found = estimate(task, sigma, delays, known)
     fit = outcome(task, found, high > low)
     for order in ORDERS[task.method][1:] if degree is None else ():
-        if fit.integration_error < ACCURATE and not process_noise:
+        if fit.integration_error < ACCURATE and not process:
             break
         before = found.solution.residuals
         task = task.refined(found, order)
-        found = estimate(task, found.sigma, (low, high), noise is not None, found.delay)
+        found = estimate(task, found.sigma, delays, known, found.delay)
         fit = outcome(task, found, high > low)
-        if process_noise and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
+        if process and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
             break
-    return replace(fit, seconds=time.perf_counter() - began)
+    jumps = float(np.sum(found.solution.jumps**2))
+    return fit, deviance(found.solution.residuals, sigma if known else None) + jumps
 
 
 # ---- arguments ----------------------------------------------------------------------------------
@@ -166,6 +190,25 @@ def _process(
     return tuple(found)
 
 
+def _input_noise(
+    plant: Plant, given: Mapping[str, float] | None, noise: Mapping[str, float] | None
+) -> dict[str, float]:
+    if given and noise is None:
+        raise InputError(
+            "input_noise needs noise={measured variable: standard deviation}, too: the data alone do not "
+            "tell which of both scattered"
+        )
+    found = {}
+    for name, value in (given or {}).items():
+        variable = plant.variable(name)
+        if variable.causality != "input":
+            raise InputError(
+                f"input_noise: {variable.name} is a {variable.causality}, not an input"
+            )
+        found[variable.name] = require_positive(f"input_noise[{name!r}]", value, variable.unit)
+    return found
+
+
 def _task(
     plant: Plant,
     records: Sequence[Trajectory],
@@ -175,6 +218,7 @@ def _task(
     step: float | None,
     longest_delay: float,
     inputs: Mapping[str, float] | None,
+    input_noise: Mapping[str, float],
 ) -> Task:
     if method not in METHODS:
         raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
@@ -188,9 +232,10 @@ def _task(
             raise InputError(f"inputs: {name} is a {plant.variable(name).causality}, not an input")
         constant[plant.variable(name).name] = require_finite(name, value)
     experiments = [
-        prepare(plant, r, unknowns.names, longest_delay, step, constant) for r in records
+        prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise)
+        for r in records
     ]
-    return Task(plant, experiments, unknowns, method, order, step, constant)
+    return Task(plant, experiments, unknowns, method, order, step, constant, input_noise)
 
 
 def _noise(plant: Plant, task: Task, noise: Mapping[str, float] | None) -> Array:

@@ -41,6 +41,7 @@ class Task:
     degree: int
     step: float | None = None
     inputs: Mapping[str, float] = field(default_factory=dict)
+    input_noise: Mapping[str, float] = field(default_factory=dict)
 
     def program(self, delay: float, bounds: tuple[float, float] | None) -> Program:
         unknowns = replace(self.unknowns, delay=delay, delay_bounds=bounds)

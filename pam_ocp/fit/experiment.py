@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import FitError, InputError, PamError, UnknownNameError
 from ..plant.plant import Plant
@@ -15,7 +16,7 @@ from ..simulate import simulate
 from ..trajectory import Trajectory
 from .statistics import Array
 
-__all__ = ["Experiment", "Group", "groups", "measured_names", "prepare"]
+__all__ = ["Experiment", "Group", "InputErrors", "groups", "measured_names", "prepare"]
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,62 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
+class InputErrors:
+    """What unknown errors of samples, in standard deviations, add to the inputs' coefficients.
+
+    rows : positions in the coefficients (n, degree + 1, nu), flat. columns : numbers of the errors.
+    values : factors [unit of the input]. count : of the errors.
+    """
+
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    values: Array
+    count: int
+
+    @classmethod
+    def of(
+        cls, plant: Plant, record: Trajectory, mesh: Array, noise: Mapping[str, float]
+    ) -> InputErrors:
+        """Errors of every sample of the inputs in ``noise``, which run as the inputs themselves."""
+        held, nu = record.interpolation == "previous", len(plant.inputs)
+        degree = 0 if held else 1
+        sample = np.clip(
+            np.searchsorted(record.t, mesh[:-1] + 1e-12, side="right") - 1, 0, len(record) - 2
+        )
+        span, since = np.diff(record.t)[sample], mesh[:-1] - record.t[sample]
+        rows, columns, values = [], [], []
+        for number, (name, size) in enumerate(noise.items()):
+            place = [v.name for v in plant.inputs].index(name)
+            first = (np.arange(len(mesh) - 1) * (degree + 1)) * nu + place
+            own = number * len(record) + sample
+            parts = [(0, 0, np.ones(len(span)))]
+            if not held:
+                part = since / span
+                parts = [(0, 0, 1 - part), (0, 1, part), (1, 0, -1 / span), (1, 1, 1 / span)]
+            for power, later, factor in parts:
+                rows.append(first + power * nu)
+                columns.append(own + later)
+                values.append(size * factor)
+        return cls(
+            np.concatenate(rows), np.concatenate(columns), np.concatenate(values),
+            len(noise) * len(record),
+        )  # fmt: skip
+
+    def added(self, coefficients: Array, errors: Array) -> Array:
+        """The coefficients with these errors (count,)."""
+        found = coefficients.ravel().copy()
+        np.add.at(found, self.rows, self.values * errors[self.columns])
+        return np.asarray(found.reshape(coefficients.shape))
+
+
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """One record, its clock that of the inputs.
 
     t, measured : times (K,) and samples (K, ny) that are compared. mesh : (n + 1,) times; the
     inputs are polynomials of ``coefficients`` (n, degree + 1, nu) between them.
-    states : a guess (n + 1, nx) at the mesh.
+    states : a guess (n + 1, nx) at the mesh. errors : how errors of the inputs' samples change the
+    coefficients; None where the samples are exact.
     """
 
     record: Trajectory
@@ -50,6 +101,7 @@ class Experiment:
     mesh: Array
     coefficients: Array
     states: Array
+    errors: InputErrors | None = None
 
 
 def groups(
@@ -147,8 +199,12 @@ def prepare(
     longest_delay: float,
     step: float | None,
     constant: Mapping[str, float],
+    input_noise: Mapping[str, float] | None = None,
 ) -> Experiment:
-    """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states."""
+    """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states.
+
+    input_noise : {measured input: standard deviation}; these count as samples, nothing more.
+    """
     inputs = {}
     for variable in plant.inputs:
         if variable.name in record:
@@ -166,7 +222,12 @@ def prepare(
         raise InputError(
             f"a record of {record.duration:g} s is too short for delays of up to {longest_delay:g} s"
         )
-    u = signals(plant, inputs, record.t, record.interpolation)
+    exact = record.signals is not None and all(v.name in record for v in plant.inputs)
+    exact = exact and not input_noise
+    for name in input_noise or {}:
+        if name not in record:
+            raise InputError(f"input_noise: {name} is no column of the record")
+    u = signals(plant, record if exact else inputs, record.t, record.interpolation)
     times = merged(np.concatenate([record.t, u.breaks]))
     if step is not None:
         parts = np.maximum(np.ceil(np.diff(times) / step * (1 - 1e-9)).astype(int), 1)
@@ -174,13 +235,20 @@ def prepare(
             [a + (b - a) * np.arange(n) / n for a, b, n in zip(times[:-1], times[1:], parts, strict=True)]
             + [times[-1:]]
         )  # fmt: skip
+    coefficients = u.shifted(times).coefficients
+    errors = None
+    if input_noise:
+        if record.interpolation == "linear" and coefficients.shape[1] < 2:
+            coefficients = np.concatenate([coefficients, np.zeros_like(coefficients)], axis=1)
+        errors = InputErrors.of(plant, record, times, input_noise)
     return Experiment(
         record,
         record.t[keep],
         record.array(names)[keep],
         times,
-        u.shifted(times).coefficients,
+        coefficients,
         _guess(plant, record, times, inputs),
+        errors,
     )
 
 

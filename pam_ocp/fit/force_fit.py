@@ -165,7 +165,9 @@ class ForceFit:
             self._scale,
             self.dof,
             self._active,
-            serial_errors(jacobian, self._influential, sequences(self.cells)),
+            None
+            if self.terms.independent
+            else serial_errors(jacobian, self._influential, sequences(self.cells)),
         )
 
     @property

@@ -9,14 +9,18 @@ unstable plant make a long motion forget its start, many short runs are what can
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import FitError, InputError
 from ..plant.plant import Plant
+from ..signals import Interpolation
 from ..trajectory import Trajectory
+from .between import decided
 from .experiment import Group, groups
 from .rollout import ASTRAY, Rollout
 from .runs import FreeRun, runs_of
@@ -44,6 +48,24 @@ class FreeRunFit:
     status: str
     evaluations: int
     seconds: float
+    interpolation: Interpolation = "linear"
+    """How inputs count as having run between the samples of records that do not say it."""
+    inputs_ran: str = ""
+    """How that was decided, in words; empty where the records say it."""
+    options: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """horizon, every, outputs, history and steps of the runs."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """That runs of the fit diverge; empty when none does."""
+        return self.training.warnings
+
+    def validate(self, records: Trajectory | Sequence[Trajectory]) -> FreeRun:
+        """Runs of the same kind along other records; a warning says so where some diverge."""
+        chosen = [records] if isinstance(records, Trajectory) else list(records)
+        known = [r if r.interpolation_known else r.running(self.interpolation) for r in chosen]
+        options = {**self.options, "outputs": list(self.training.names)}
+        return free_run(self.plant, known, **options)
 
     def __str__(self) -> str:
         shown = self.plant.variable
@@ -55,6 +77,8 @@ class FreeRunFit:
         ]
         if self.at_bound:
             lines.append(f"    at the edge of their range: {', '.join(self.at_bound)}")
+        lines += [f"    {text}" for text in (self.inputs_ran,) if text]
+        lines += [f"    warning: {text}" for text in self.warnings]
         return "\n".join(lines)
 
 
@@ -90,7 +114,10 @@ def free_run(
     InputError, UnknownNameError : records without an input, of unequal rates, too short, or NaN.
     """
     runs = runs_of(plant, records, horizon, every, outputs, history, steps)
-    return runs.result(Rollout(plant, runs, []).predicted(np.empty(0)))
+    found = runs.result(Rollout(plant, runs, []).predicted(np.empty(0)))
+    for text in found.warnings:
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    return found
 
 
 def fit_free_run(
@@ -114,20 +141,47 @@ def fit_free_run(
 
     free : names, tuples or patterns of parameters, as for :func:`fit_plant`.
     bounds : {free parameter: (low, high)}, within those of its variable.
-    evaluations : of all runs, at most. Other arguments as for :func:`free_run`.
+    evaluations : of all runs, at most. Other arguments as for :func:`free_run`. Where a record does not
+        say how its inputs ran between samples, both ways are fitted and the likelier counts.
 
     Raises
     ------
     InputError, UnknownNameError : arguments that cannot be.
     FitError : the runs diverge at the start, or a parameter has no influence on them.
     """
-    from scipy.optimize import least_squares
-
     began = time.perf_counter()
-    runs = runs_of(plant, records, horizon, every, outputs, history, steps)
     unknowns = groups(plant, free, dict(bounds or {}))
     if not unknowns:
         raise InputError("free is empty: name at least one parameter of the plant")
+    options: dict[str, Any] = {
+        "horizon": horizon, "every": every, "outputs": outputs, "history": history, "steps": steps,
+    }  # fmt: skip
+
+    def fitted(ran: Sequence[Trajectory]) -> tuple[FreeRunFit, float]:
+        fit = _fitted(plant, ran, unknowns, evaluations, options)
+        runs = fit.training
+        return fit, runs.measured.size * float(np.log(max(fit.cost[1], 1e-300)))
+
+    runs_of(plant, records, **options)  # wrong arguments are refused before anything is tried
+    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    fit, between, words = decided(plant, chosen, fitted)
+    for text in fit.training.warnings:
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    return replace(
+        fit, interpolation=between, inputs_ran=words, seconds=time.perf_counter() - began
+    )
+
+
+def _fitted(
+    plant: Plant,
+    records: Sequence[Trajectory],
+    unknowns: Sequence[Group],
+    evaluations: int,
+    options: dict[str, Any],
+) -> FreeRunFit:
+    from scipy.optimize import least_squares
+
+    runs = runs_of(plant, records, **options)
     rollout = Rollout(plant, runs, unknowns)
     low, high = (np.array([getattr(g, a) / g.scale for g in unknowns]) for a in ("low", "high"))
     guess = np.array([g.value / g.scale for g in unknowns])
@@ -144,15 +198,16 @@ def fit_free_run(
     }
     fitted = plant.with_values(values)
     training = runs.result(rollout.predicted(answer.x))
-    finer = free_run(
-        fitted, records, horizon=horizon, every=every, outputs=runs.names, history=history, steps=2 * steps
-    )  # fmt: skip
-    gap = np.sqrt(np.mean((finer.predicted - training.predicted) ** 2, axis=(0, 1)))
+    again = {**options, "outputs": runs.names, "steps": 2 * options["steps"]}
+    halved = runs_of(fitted, records, **again)
+    finer = halved.result(Rollout(fitted, halved, []).predicted(np.empty(0)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        gap = np.sqrt(np.mean((finer.predicted - training.predicted) ** 2, axis=(0, 1)))
     at_bound = [g.name for g, side in zip(unknowns, answer.active_mask, strict=True) if side]
     return FreeRunFit(
         fitted, training, values, tuple(at_bound), dict(zip(runs.names, gap.tolist(), strict=True)),
         (float(np.sum(rollout.residuals(guess) ** 2)), float(2 * answer.cost)),
-        str(answer.message), int(answer.nfev), time.perf_counter() - began,
+        str(answer.message), int(answer.nfev), 0.0, options=options,
     )  # fmt: skip
 
 
@@ -162,7 +217,15 @@ def _require_sense(rollout: Rollout, z: Array, unknowns: Sequence[Group]) -> Non
             "the free runs diverge at the plant's values; start elsewhere with "
             "plant.with_values(...), or raise steps"
         )
-    influence = np.abs(rollout.jacobian(z)).max(axis=0)
+    slopes, wild = rollout.sensitivities(z)
+    influence = np.abs(slopes[~wild]).max(axis=(0, 1), initial=0.0)
     dead = [g.name for g, size in zip(unknowns, influence, strict=True) if size == 0]
-    if dead:
+    if not dead:
+        return
+    if not wild.any():
         raise FitError(f"{', '.join(dead)} has no influence on the free runs; leave it out of free")
+    raise FitError(
+        f"what {', '.join(dead)} does to the free runs cannot be told: of {len(wild)} runs {int(wild.sum())} part "
+        "ways or diverge so soon that their sensitivities mean nothing, and the others do not depend on it; "
+        "take a shorter horizon or more steps, or start elsewhere with plant.with_values(...)"
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
     scatter = sigma if u.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
     simulated = _smoothed(task, residuals) if u.process else tuple(
         _simulated(fitted, e, s, estimate.delay, u.names, offsets, gains)
-        for e, s in zip(task.experiments, starts, strict=True)
+        for e, s in zip(_corrected(task, solution.jumps), starts, strict=True)
     )  # fmt: skip
     return PlantFit(
         plant=fitted, records=tuple(e.record for e in task.experiments), simulated=simulated,
@@ -58,6 +59,7 @@ def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
         descriptions={g.name: g.description for g in u.groups}, at_bound=at_bound,
         method=task.method, degree=task.degree, step=task.step, inputs=task.inputs,
         process_noise={plant.states[i].name: size for i, size in u.process},
+        input_noise=task.input_noise,
         status=solution.status, iterations=solution.iterations, seconds=0.0,
     )  # fmt: skip
 
@@ -89,6 +91,19 @@ def _linearised(
         np.eye(len(names))[tight] if tight.any() else None,
     )  # fmt: skip
     return linearisation, tuple(n for n, edge in zip(names, tight, strict=True) if edge)
+
+
+def _corrected(task: Task, jumps: Array) -> list[Experiment]:
+    """The records with their inputs as estimated; errors of inputs stand at the end of the jumps."""
+    first = jumps.size - sum(e.errors.count for e in task.experiments if e.errors is not None)
+    found = []
+    for e in task.experiments:
+        if e.errors is not None:
+            own = jumps[first : first + e.errors.count]
+            first += e.errors.count
+            e = replace(e, coefficients=e.errors.added(e.coefficients, own))
+        found.append(e)
+    return found
 
 
 def _starts(plant: Plant, values: Array, records: int) -> list[dict[str, float]]:
@@ -136,12 +151,15 @@ def replay(fit: PlantFit, record: Trajectory) -> Trajectory:
     corrected = {
         n: (record[n] - fit.offsets.get(n, 0.0)) / fit.gains.get(n, 1.0) for n in record.names
     }
-    clean = Trajectory(record.t, corrected, record.variables, record.interpolation)
-    experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs)
+    between = record.interpolation if record.interpolation_known else fit.interpolation
+    clean = Trajectory(record.t, corrected, record.variables, between)
+    noisy = {n: s for n, s in fit.input_noise.items() if n in clean}
+    experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs, noisy)
     task = Task(fit.plant, [experiment], Unknowns([], names), fit.method, fit.degree)
     nominal = np.array([fit.plant.variable(n).nominal for n in names])
     sigma = np.maximum(np.array([fit.noise[n] for n in names]) / nominal, 1e-9)
     program = task.program(fit.delay, None)
     solution = solve(program, 1 / sigma, program.guess)
     start = _starts(fit.plant, solution.w[: program.head] * program.head_scale, 1)[0]
+    (experiment,) = _corrected(task, solution.jumps)
     return _simulated(fit.plant, experiment, start, fit.delay, names, fit.offsets, fit.gains)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import UnknownNameError
 from ..plant.plant import Plant
+from ..signals import Interpolation
 from ..trajectory import Trajectory
 from ..validation import RecordComparison, compare_with_record
 from .correlation import neighbours, widening
@@ -62,6 +63,13 @@ class PlantFit:
     process_noise: Mapping[str, float] = field(default_factory=dict)
     """Intensity of the noise that was allowed to disturb a state [unit/sqrt(s)]; ``simulated`` is then
     the smoothed motion."""
+
+    input_noise: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation of measured inputs whose errors were estimated; ``simulated`` ran without them."""
+    interpolation: Interpolation = "linear"
+    """How inputs count as having run between the samples of records that do not say it."""
+    inputs_ran: str = ""
+    """How that was decided, in words; empty where the records say it."""
 
     # ---- parameters ---------------------------------------------------------------------------
     @cached_property

@@ -80,6 +80,7 @@ class Terms:
     censored : whether the law must be slack where the muscle was.
     bounds, priors : (name, low, high) and (name, mean, standard deviation) of coefficients [SI].
     noise : standard deviation of a measurement of weight 1 [N], against which priors weigh.
+    independent : whether errors are known not to follow each other; else residuals tell.
     """
 
     loss: Loss = "squares"
@@ -88,6 +89,7 @@ class Terms:
     bounds: tuple[tuple[str, float, float], ...] = ()
     priors: tuple[tuple[str, float, float], ...] = ()
     noise: float = 1.0
+    independent: bool = False
 
     def rho(self, residuals: Array) -> Array:
         """Twice the loss of each residual: its square, for "squares"."""

@@ -77,7 +77,7 @@ def profile_ends(fit: ForceFit, names: Sequence[str], reach: float) -> dict[str,
                 )
             both.append(float(end))
             reasons.append(why)
-        ends[name] = Ends(*both, "; ".join(dict.fromkeys(r for r in reasons if r)))
+        ends[name] = Ends(both[0], both[1], "; ".join(dict.fromkeys(r for r in reasons if r)))
     return ends
 
 

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from ..errors import InputError, UnknownNameError, require_positive
 from ..signals import Interpolation
-from ..trajectory import Trajectory
+from ..trajectory import HELD, Trajectory, interpolation_of
 from ..units import Unit, unit
 from ..variables import Variable
 from .sources import SPELLINGS, RawTable, load, parse_header
@@ -40,7 +40,8 @@ def read_record(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     time: str | None = None,
-    interpolation: Interpolation = "linear",
+    interpolation: Interpolation | None = None,
+    inputs: Literal["held", "linear"] | None = None,
     max_gap: float | None = None,
 ) -> Trajectory:
     """Read one measured record as a Trajectory in SI, sampled as it is.
@@ -54,7 +55,10 @@ def read_record(
     columns : {variable: header} where the header does not say it.
     units : {variable: unit} where the header names none; by default SI.
     time : header of the time; by default the one called time or t. Without a unit in seconds.
-    interpolation : how inputs run between samples, "linear" or "previous" (held).
+    inputs : how inputs ran between samples: "held" (as a digital controller writes them) or "linear".
+        By default as the file says, if a Trajectory wrote it. Where nothing says it, they count as
+        linear until a fit tries both (``Trajectory.interpolation_known``).
+    interpolation : the same as ``inputs``, as Trajectory calls it: "previous" (held) or "linear".
     max_gap : longest step of time [s] that is no gap; by default ten times the usual one.
 
     Raises
@@ -62,7 +66,8 @@ def read_record(
     InputError : time that runs backwards or has a gap (and where), cells that are no numbers, units
         that do not fit, no column of use. UnknownNameError : names that are not there.
     """
-    return _record(load(source), plant, dict(columns or {}), dict(units or {}), time, interpolation, max_gap)  # fmt: skip
+    between = _between(inputs, interpolation)
+    return _record(_loaded(source), plant, dict(columns or {}), dict(units or {}), time, between, max_gap)  # fmt: skip
 
 
 def read_records(
@@ -76,12 +81,13 @@ def read_records(
         if isinstance(sources, (str, Path, Mapping)) or not isinstance(sources, Iterable):
             sources = [sources]
         return [read_record(source, plant, **options) for source in sources]
-    raw = load(sources)
+    raw = _loaded(sources)
     if split not in raw.columns:
         raise UnknownNameError("column to split at", split, raw.columns)
     label = raw.columns[split]
     cuts = [0, *(i for i in range(1, len(label)) if label[i] != label[i - 1]), len(label)]
-    arguments = {"columns": None, "units": None, "time": None, "interpolation": "linear", "max_gap": None, **options}  # fmt: skip
+    arguments = {"columns": None, "units": None, "time": None, "interpolation": None, "inputs": None, "max_gap": None, **options}  # fmt: skip
+    between = _between(arguments["inputs"], arguments["interpolation"])
     records = []
     for first, last in pairwise(cuts):
         part = replace(
@@ -93,10 +99,37 @@ def read_records(
         records.append(
             _record(
                 part, plant, dict(arguments["columns"] or {}), dict(arguments["units"] or {}),
-                arguments["time"], arguments["interpolation"], arguments["max_gap"],
+                arguments["time"], between, arguments["max_gap"],
             )
         )  # fmt: skip
     return records
+
+
+def _between(inputs: Any, interpolation: Any) -> Interpolation | None:
+    """How inputs ran, from either argument; None where nothing is said."""
+    if inputs not in (None, "held", "linear"):
+        raise InputError(f"inputs = {inputs!r}: choose 'held' or 'linear'")
+    said: Interpolation | None = {"held": "previous", "linear": "linear"}.get(inputs)  # type: ignore[assignment]
+    if said and interpolation and said != interpolation:
+        raise InputError(
+            f"inputs = {inputs!r} contradicts interpolation = {interpolation!r}; leave one"
+        )
+    return said or interpolation
+
+
+def _loaded(source: Any) -> RawTable:
+    """The columns of a source; a Trajectory in a binary file keeps what it says of its inputs."""
+    if isinstance(source, (str, Path)) and Path(source).suffix.lower() in (".npz", ".parquet"):
+        try:
+            saved = Trajectory.load(source)
+        except (InputError, KeyError, ValueError, OSError):
+            return load(source)  # made by others
+        columns: dict[str, Any] = {"time [s]": saved.t.tolist()}
+        columns |= {f"{v.name} [{v.unit}]": saved[v.name].tolist() for v in saved.variables}
+        if saved.interpolation_known and saved.named("input"):
+            columns[HELD] = [float(saved.interpolation == "previous")] * len(saved)
+        return RawTable(Path(source).name, columns)
+    return load(source)
 
 
 def _record(
@@ -105,9 +138,12 @@ def _record(
     columns: dict[str, str],
     units: dict[str, str],
     time: str | None,
-    interpolation: Interpolation,
+    interpolation: Interpolation | None,
     max_gap: float | None,
 ) -> Trajectory:
+    if HELD in raw.columns:
+        interpolation = interpolation or interpolation_of(raw.numbers(HELD), raw.label)
+        raw = replace(raw, columns={n: c for n, c in raw.columns.items() if n != HELD})
     for header in columns.values():
         if header not in raw.columns:
             raise UnknownNameError("column", header, raw.columns)

@@ -35,6 +35,10 @@ def force_report(fit: ForceFit, level: float) -> str:
         f"{fit.dof} degrees of freedom",
         f"    largest residual {fit.residuals[worst]:+.3g} N at {place}",
         f"    condition {fit.condition:.3g}, rank {fit.rank} of {len(fit.free)}",
+        "    errors taken as independent"
+        if fit.serial is None
+        else f"    errors follow each other {fit.serial.order} with probability "
+        f"{100 * fit.serial.probability:.3g} %, which intervals and bands count",
         f"    IPOPT: {solver.status}, {solver.iterations} iterations after a scan of "
         f"{solver.scanned} points, {1e3 * solver.seconds:.0f} ms",
         f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval"
@@ -97,6 +101,7 @@ def plant_report(fit: PlantFit, level: float) -> str:
         f"    {fit.plant.name}: {fit.plant.description}",
         "[[Records]]",
         f"    {len(fit.records)} with {samples} samples of {', '.join(fit.measured)}",
+        *([f"    {fit.inputs_ran}"] if fit.inputs_ran else []),
         "[[Fit]]" + (" of the smoothed motion" if fit.process_noise else ""),
         *(
             f"    {n}: RMSE {fit.plant.variable(n).shown(e)}, fit {fit.fit_percent[n]:.2f} %"
@@ -108,6 +113,10 @@ def plant_report(fit: PlantFit, level: float) -> str:
         *(
             f"    process noise of {n}: {size:.4g} {fit.plant.variable(n).unit}/sqrt(s)"
             for n, size in fit.process_noise.items()
+        ),
+        *(
+            f"    measured {n} with noise of {fit.plant.variable(n).shown(size)}: its errors are estimated, too"
+            for n, size in fit.input_noise.items()
         ),
     ]
     if fit.warnings:

@@ -46,5 +46,7 @@ def robust_scale(terms: Terms, residuals: Array, fitted: int) -> float:
         correction = 1 + fitted / n * float(np.var(bends)) / mean**2
         return float(correction * np.sqrt(np.sum(slopes**2) / (n - fitted)) / mean)
     width = 1.06 * spread(residuals, fitted) * n**-0.2
+    if not width > 0:
+        return 0.0  # most residuals are zero: the fit is exact
     density = np.mean(np.exp(-((residuals / width) ** 2) / 2)) / (width * np.sqrt(2 * np.pi))
     return float(1 / (2 * density) * np.sqrt(n / (n - fitted)))

@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from ..plant.plant import Plant
 from .experiment import Group
@@ -54,7 +55,13 @@ class Rollout:
         )
 
     def jacobian(self, z: Array) -> Array:
-        """d(residuals)/dz by sensitivities along the runs."""
+        """d(residuals)/dz by sensitivities along the runs; zero for those that steer no step."""
+        scaled, wild = self.sensitivities(z)
+        scaled[wild] = 0.0
+        return np.asarray(scaled.reshape(-1, self._nz) * self._weight)
+
+    def sensitivities(self, z: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """d(prediction)/dz in spreads (n, K ny, nz), and which runs (n,) have none to be trusted."""
         n, nx, nz = len(self._runs.x0), self._nx, self._nz
         zero = np.zeros((nx * nz, n))
         both = self._rolled(self._tangent, np.vstack([self._runs.x0.T, zero]), z)
@@ -65,8 +72,7 @@ class Rollout:
             rows.reshape(n, -1, nz, order="C") / np.tile(self._spread, len(self._runs.t))[:, None]
         )
         wild = ~(np.abs(scaled).max(axis=(1, 2), initial=0.0) < WILD)
-        scaled[wild] = 0.0
-        return np.asarray(scaled.reshape(-1, nz) * self._weight)
+        return np.asarray(scaled), np.asarray(wild)
 
     @property
     def _weight(self) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError, require_count, require_instance, require_positive
 from ..plant.plant import Plant
@@ -15,6 +16,9 @@ from .experiment import measured_names
 from .statistics import Array
 
 __all__ = ["FreeRun", "Runs", "runs_of"]
+
+FAR = 100.0
+"""Ranges of a measured variable by which a run must be off to count as diverged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +35,44 @@ class FreeRun:
     t: Array = field(repr=False)
     measured: Array = field(repr=False)
     predicted: Array = field(repr=False)
+    sizes: Array = field(repr=False)
+    """Range of each measured variable over the runs, at least its nominal."""
 
     @property
     def rmse(self) -> dict[str, float]:
-        """Root of the mean squared error over all samples of all runs [unit of the variable]."""
-        squares = np.mean((self.predicted - self.measured) ** 2, axis=(0, 1))
+        """Root of the mean squared error over all samples of all runs [unit of the variable].
+
+        Infinite where a run went beyond all numbers.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.mean((self.predicted - self.measured) ** 2, axis=(0, 1))
+        squares = np.where(np.isfinite(squares), squares, np.inf)
         return dict(zip(self.names, np.sqrt(squares).tolist(), strict=True))
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """Which runs (n,) went beyond all numbers, or astray by 100 ranges of what was measured."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            far = np.abs(self.predicted - self.measured).max(axis=1) / self.sizes
+        return np.asarray(~(far <= FAR).all(axis=1))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """That runs diverged, and where; empty when none did."""
+        lost = np.nonzero(self.diverged)[0]
+        if not lost.size:
+            return ()
+        first = int(lost[0])
+        return (
+            f"{lost.size} of {len(self.start)} free runs diverge, the first from t = {self.start[first]:g} s of "
+            f"record {int(self.record[first]) + 1}: there the plant predicts nothing; fit on such records, "
+            "too, take a shorter horizon, or more steps where the integration is too coarse",
+        )
+
+    def __str__(self) -> str:
+        lines = [f"{len(self.start)} free runs of {self.t[-1]:g} s"]
+        lines += [f"    {n}: RMSE {e:.4g}" for n, e in self.rmse.items()]
+        return "\n".join([*lines, *(f"    warning: {w}" for w in self.warnings)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +93,12 @@ class Runs:
     end: Array
     step: float
     steps: int
+    sizes: Array
 
     def result(self, predicted: Array) -> FreeRun:
-        return FreeRun(self.names, self.record, self.start, self.t, self.measured, predicted)
+        return FreeRun(
+            self.names, self.record, self.start, self.t, self.measured, predicted, self.sizes
+        )
 
 
 def runs_of(
@@ -104,7 +143,11 @@ def runs_of(
         )
     number, start, measured, x0, begin, end = (np.array(c, float) for c in zip(*parts, strict=True))
     t = np.asarray(sampling * np.arange(1, length + 1))
-    return Runs(tuple(names), number, start, t, measured, x0, begin, end, sampling / steps, steps)
+    nominal = np.array([plant.variable(n).nominal for n in names])
+    sizes = np.maximum(np.ptp(measured.reshape(-1, len(names)), axis=0), nominal)
+    return Runs(
+        tuple(names), number, start, t, measured, x0, begin, end, sampling / steps, steps, sizes
+    )
 
 
 def _sampling(records: Sequence[Trajectory]) -> float:

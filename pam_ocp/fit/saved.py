@@ -109,4 +109,5 @@ def _read(content: dict[str, Any]) -> Terms:
         bounds,
         tuple((n, mean, deviation) for n, mean, deviation in content["priors"]),
         content["noise"],
+        content.get("independent", False),
     )

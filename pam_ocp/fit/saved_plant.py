@@ -23,8 +23,11 @@ __all__ = ["load_plant_fit", "write_plant_fit"]
 FORMAT = "pam_ocp plant fit"
 _PLAIN = (
     "delay", "offsets", "gains", "noise", "descriptions", "method", "degree", "step", "inputs",
-    "status", "iterations", "seconds", "process_noise",
+    "status", "iterations", "seconds", "process_noise", "input_noise",
+    "interpolation", "inputs_ran",
 )  # fmt: skip
+_LATER = ("input_noise", "interpolation", "inputs_ran")
+"""Not in older files."""
 _TUPLES = ("measured", "parameters", "starts", "at_bound")
 
 
@@ -77,7 +80,7 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
         if linear["active"] is not None:
             linear["active"] = np.array(linear["active"], dtype=float)
         arguments: dict[str, Any] = {
-            **{n: content[n] for n in _PLAIN},
+            **{n: content[n] for n in _PLAIN if n in content or n not in _LATER},
             **{n: tuple(content[n]) for n in _TUPLES},
             "plant": plant.with_values(content["values"]),
             "records": tuple(_trajectory(r) for r in content["records"]),
@@ -124,7 +127,7 @@ def _record(record: Trajectory, names: Sequence[str]) -> dict[str, Any]:
         "t": record.t.tolist(),
         "columns": {n: record[n].tolist() for n in names},
         "variables": [_variable(record.variable(n)) for n in names],
-        "interpolation": record.interpolation,
+        "interpolation": record.interpolation if record.interpolation_known else None,
     }
 
 

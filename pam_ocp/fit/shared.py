@@ -23,7 +23,7 @@ from .member_fit import MemberFit, marginal_root
 from .problem import PLAIN, Problem, Terms
 from .report import coefficient_line, correlation_lines
 from .shared_problem import JointOptimum, JointProblem
-from .static import cell_weights, checked_pairs, held_coefficients, law_class
+from .static import cell_weights, checked_pairs, held_coefficients, independent, law_class
 from .statistics import Array, Coefficient, Linearisation, SolverStatistics
 from .tables import ForceTable
 
@@ -184,6 +184,7 @@ def fit_forces(
     weights: Sequence[ArrayLike | None] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     noise: Literal["equal", "each"] = "equal",
+    errors: Literal["as found", "independent"] = "as found",
 ) -> JointForceFit:
     """Fit one law to the tables of several muscles that have coefficients in common.
 
@@ -199,6 +200,7 @@ def fit_forces(
     bounds : {coefficient: (low, high)} [SI].
     noise : "equal": one standard deviation for all tables (times 1/weight); "each": every table has
         its own, estimated from its residuals (iterated least squares).
+    errors : as for :func:`fit_force`.
 
     Returns
     -------
@@ -218,6 +220,8 @@ def fit_forces(
     optimum, factors = _settled(problem, noise)
     weighted = problem.weighted(factors)
     linear = _linearised(weighted, optimum, names, units)
+    if independent(errors):
+        linear = linear.independent
     sizes = linear.scale / np.array(factors) if linear.dof else np.full(len(named), np.nan)
     at_bound = tuple(names[int(i)] for i in optimum.solver.at_bound)
     solver = replace(optimum.solver, seconds=time.perf_counter() - began, at_bound=at_bound)
@@ -343,7 +347,14 @@ def _member(
         table=table,
         held=tuple(n for n in names if n not in free),
         weights=None if np.all(part.weights == 1) else part.weights,
-        solver=solver,
+        solver=replace(
+            solver,
+            at_bound=tuple(
+                own
+                for own, z in zip(free, place, strict=True)
+                if linear.names[z] in solver.at_bound
+            ),
+        ),
         terms=PLAIN,
         marginal=marginal,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +27,7 @@ __all__ = [
     "checked_pairs",
     "fit_force",
     "held_coefficients",
+    "independent",
     "law_class",
     "nonlinear_coefficients",
 ]
@@ -44,6 +45,7 @@ def fit_force(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     noise: float | None = None,
+    errors: Literal["as found", "independent"] = "as found",
 ) -> ForceFit:
     """Fit a force law to a measured table: the global optimum, with intervals.
 
@@ -66,6 +68,9 @@ def fit_force(
     priors : {coefficient: (mean, standard deviation)} [SI], known from elsewhere: normal.
     noise : standard deviation of a measurement of weight 1 [N], against which priors weigh; by
         default estimated from a fit without them.
+    errors : "as found": where residuals say that errors follow each other (from row to row, along a ramp,
+        along pressure), intervals and bands are widened for it (see :mod:`pam_ocp.fit.correlation`).
+        "independent": they are known not to, as after measuring in random order.
 
     Returns
     -------
@@ -83,7 +88,7 @@ def fit_force(
     held = held_coefficients(kind, dict(fixed or {}), table)
     terms = Terms(
         _loss(loss), censored=bool(censored), bounds=checked_pairs(kind, "bounds", bounds, held),
-        priors=checked_pairs(kind, "priors", priors, held),
+        priors=checked_pairs(kind, "priors", priors, held), independent=independent(errors),
     )  # fmt: skip
     whole = Problem.of(kind, table, held, cell_weights(weights, table), terms)
     problem, begin = _settled(whole, noise)
@@ -155,6 +160,12 @@ def _loss(loss: Any) -> Loss:
     if loss not in ("squares", "huber", "l1", "bisquare"):
         raise InputError(f"loss = {loss!r}: choose 'squares', 'huber', 'l1' or 'bisquare'")
     return loss  # type: ignore[no-any-return]
+
+
+def independent(errors: Any) -> bool:
+    if errors not in ("as found", "independent"):
+        raise InputError(f"errors = {errors!r}: choose 'as found' or 'independent'")
+    return bool(errors == "independent")
 
 
 def checked_pairs(

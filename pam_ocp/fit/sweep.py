@@ -80,7 +80,7 @@ class Sweep:
     def band(self, p: Array, kappa: Array, limits: Array) -> tuple[Array, Array]:
         """Lowest and highest force (n,) at places (n,) over all laws that cost no more than ``limits`` (n,)."""
         cost, best, root = self.results
-        kept = cost <= limits.max()
+        kept = cost <= max(float(limits.max()), float(cost.min()))
         there = replace(
             self.problem, cells=ForceTable(p, kappa, np.zeros(p.size)), weights=np.ones(p.size)
         )

@@ -47,8 +47,8 @@ class Program:
 
     head : (parameters, gains - 1, offsets, delay, initial states of every record).
     residuals : in units of the measured variables' nominals; one weight each is the parameter.
-    jumps : how many unknowns at the end of w are jumps of disturbed states where intervals begin, in
-        units of their standard deviations; residuals ends with them.
+    jumps : how many unknowns at the end of w are jumps of disturbed states where intervals begin, and
+        errors of measured inputs, in units of their standard deviations; residuals ends with them.
     """
 
     w: ca.MX
@@ -93,13 +93,18 @@ def transcribe(
     delay = ca.MX.sym("delay", 1 if unknowns.delay_bounds else 0)
     scales, p = _parameters(plant, unknowns.groups, theta)
     lift = _jumps(mesh, records, unknowns.process, x_nominal)
-    jumps = ca.MX.sym("jumps", lift.shape[1])
-    way = _way(plant, experiments, unknowns, mesh, method, degree, (x0, p, lift @ jumps))
+    errors = _input_errors(experiments, mesh)
+    jumps = ca.MX.sym("jumps", lift.shape[1] + errors.shape[1])
+    u = ca.MX(ca.DM(mesh.u))
+    if errors.shape[1]:
+        u += ca.reshape(errors @ jumps[lift.shape[1] :], *mesh.u.shape)
+    given = (x0, p, lift @ jumps[: lift.shape[1]], u)
+    way = _way(plant, experiments, unknowns, mesh, method, degree, given)
 
     rows = mesh.interval.tolist()
     since = mesh.offset[None] - (delay * usual if unknowns.delay_bounds else unknowns.delay)
     modelled = way.read.map(len(rows))(
-        way.begins[:, rows], way.inside[:, rows], since, mesh.h[rows][None], mesh.u[:, rows], p
+        way.begins[:, rows], way.inside[:, rows], since, mesh.h[rows][None], u[:, rows], p
     )
     sensor = _sensor(unknowns, gain, offset, len(unknowns.names))
     residuals = (mesh.measured / y_nominal[:, None]) - modelled * sensor[0] - sensor[1]
@@ -141,10 +146,10 @@ def _way(
     mesh: _Mesh,
     method: FitMethod,
     degree: int,
-    given: tuple[ca.MX, ca.MX, ca.MX],
+    given: tuple[ca.MX, ca.MX, ca.MX, ca.MX],
 ) -> _Way:
-    """The motion by a method. given : initial states, parameters, jumps in nominals (a column)."""
-    x0, p, jumps = given
+    """The motion by a method. given : initial states, parameters, jumps in nominals (a column), inputs."""
+    x0, p, jumps, u = given
     x_nominal = plant.vector("state", attribute="nominal")
     nx, n = len(x_nominal), mesh.h.size
 
@@ -156,15 +161,15 @@ def _way(
         points = ca.MX.sym("x", nx * degree, n)
         step, read = _collocation(plant, x_nominal, mesh, unknowns.names, degree)
         begin = begins(points[nx * (degree - 1) :, :])
-        defects = step.map(n)(begin, points, mesh.h[None], mesh.u, p)
+        defects = step.map(n)(begin, points, mesh.h[None], u, p)
         return _Way(points, begin, points, ca.vec(defects), read)
     step, read = _shooting(plant, x_nominal, mesh, unknowns.names, degree)
     if method == "single-shooting":
-        begin = begins(_rolled(step, experiments, x0, mesh, p))
+        begin = begins(_rolled(step, experiments, x0, mesh, (u, p)))
         return _Way(ca.MX(nx, 0), begin, ca.MX(0, n), ca.MX(0, 1), read)
     points = ca.MX.sym("x", nx, n)
     begin = begins(points)
-    defects = step.map(n)(begin, mesh.h[None], mesh.u, p) - points
+    defects = step.map(n)(begin, mesh.h[None], u, p) - points
     return _Way(points, begin, ca.MX(0, n), ca.vec(defects), read)
 
 
@@ -185,6 +190,20 @@ def _jumps(
             columns.append(place * len(process) + column)
             values.append(intensity * np.sqrt(mesh.h[i - 1]) / x_nominal[state])
     return ca.DM.triplet(rows, columns, ca.DM(values), nx * n, len(later) * len(process))
+
+
+def _input_errors(experiments: Sequence[Experiment], mesh: _Mesh) -> ca.DM:
+    """Matrix from errors of measured inputs (in standard deviations) to all coefficients, a column of ``mesh.u``
+    after the other."""
+    rows, columns, values, first, count = [], [], [], 0, 0
+    for e in experiments:
+        if e.errors is not None:
+            rows += (first + e.errors.rows).tolist()
+            columns += (count + e.errors.columns).tolist()
+            values += e.errors.values.tolist()
+            count += e.errors.count
+        first += e.coefficients.size
+    return ca.DM.triplet(rows, columns, ca.DM(values), mesh.u.size, count)
 
 
 def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:
@@ -310,16 +329,22 @@ def _shooting(
 
 
 def _rolled(
-    step: ca.Function, experiments: Sequence[Experiment], x0: ca.MX, mesh: _Mesh, p: ca.MX
+    step: ca.Function,
+    experiments: Sequence[Experiment],
+    x0: ca.MX,
+    mesh: _Mesh,
+    given: tuple[ca.MX, ca.MX],
 ) -> ca.MX:
-    """The states at all ends of intervals, each record integrated from its initial state."""
+    """The states at all ends of intervals, each record integrated from its initial state.
+
+    given : inputs and parameters.
+    """
+    u, p = given
     first, parts = 0, []
     for r, e in enumerate(experiments):
         n = len(e.mesh) - 1
         span = slice(first, first + n)
-        parts.append(
-            step.mapaccum(n)(x0[:, r], mesh.h[span][None], mesh.u[:, span], ca.repmat(p, 1, n))
-        )
+        parts.append(step.mapaccum(n)(x0[:, r], mesh.h[span][None], u[:, span], ca.repmat(p, 1, n)))
         first += n
     return ca.horzcat(*parts)
 

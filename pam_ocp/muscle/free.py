@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, UnknownNameError, require_count
+from ..expressions import expression_of
 from .force import LAWS, ForceLaw, coefficient
 from .validity import Validity
 
@@ -199,6 +200,9 @@ def own_law(
         formula = _from_expression(formula, tuple(coefficients))
     elif not callable(formula):
         raise InputError(f"formula = {formula!r} must be a CasADi SX expression or a function")
+    else:
+        symbols = {key: ca.SX.sym(key) for key in coefficients}
+        expression_of(f"law {name!r}", formula, ca.SX.sym("p"), ca.SX.sym("kappa"), **symbols)
     law = _made(
         "OwnLaw",
         dict(coefficients),

@@ -91,12 +91,11 @@ def pose(plant: Plant, wish: Wish) -> Problem:
     _require_an_end(wish, legs)
     goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
     budgets = [budget(plant, term, value, symbols) for term, value in (wish.budgets or {}).items()]
+    r, q, m = (ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m))
     problem = Problem(
         plant, tuple(values), tuple(nodes), tuple(legs), closing, goal, tuple(budgets),
         design_ranges(plant, wish.design or {}),
-        tuple(symbols.profiles), tuple(symbols.aims),
-        *(ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m)),
-        widths=dict(symbols.widths),
+        tuple(symbols.profiles), tuple(symbols.aims), r, q, m, dict(symbols.widths),
     )  # fmt: skip
     return _filled(problem, wish, stops[0], holding.positions)
 

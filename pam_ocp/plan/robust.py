@@ -154,6 +154,8 @@ class _Samples:
         found = drawn(self.plant, self.sampler(count, self.last))
         if len(found) != count:
             raise InputError(f"draws({count}, {self.last}) gave {len(found)} draws, not {count}")
+        for draw in found:
+            self.plant.vector("parameter", draw)  # a value out of range is the function's fault
         if found[0] == self._before:
             raise InputError(
                 f"draws(count, seed) gives the same plants for the seeds {self.last - 1} and {self.last}; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..trajectory import Trajectory
@@ -143,6 +143,14 @@ class RobustPlan:
         """What the plants of a spread under the plan's inputs exceed; ``.kept`` is True where nothing."""
         return judged(spread, self.demand)
 
+    def _within(self, spread: Spread) -> float:
+        """Part of the plants that keep the spread of each stop, under this plan's inputs or the nominal's."""
+        stops = tuple(
+            (sample, number, widths)
+            for sample, (_, number, widths) in zip(spread.stops, self.demand.stops, strict=True)
+        )
+        return float(judged(spread, replace(self.demand, stops=stops, problem=None)).kept.mean())
+
     @property
     def price(self) -> float:
         """Robust objective over nominal objective, less 1."""
@@ -173,6 +181,6 @@ class RobustPlan:
                     for s in both
                 )
                 lines.append(f"{name} {count:<{29 - len(name)}}{cells}   allowed {shown(width)}")
-            shares = "".join(f"{100 * s.share_within(self.widths):>14.0f} %" for s in both)
+            shares = "".join(f"{100 * self._within(s):>14.0f} %" for s in both)
             lines.append(f"{'within at all stops':<30}{shares}")
         return "\n".join(lines)

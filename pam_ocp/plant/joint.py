@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import InputError, require_finite, require_positive
+from ..expressions import expression_of
 from ..muscle.losses import ConstantDamping, Damping, Loss
 from ..muscle.muscle import Muscle
 from ..plausible import meant_within
@@ -202,8 +203,9 @@ def _range(
 def _largest(arm: Callable[[ca.SX], ca.SX]) -> float:
     """The largest moment arm within a right angle to either side."""
     angle = ca.SX.sym("angle")
+    expression = expression_of("moment_arm", arm, angle)
     values = np.asarray(
-        ca.Function("arm", [angle], [ca.SX(arm(angle))])(np.linspace(-1.6, 1.6, 65)[None, :])
+        ca.Function("arm", [angle], [expression])(np.linspace(-1.6, 1.6, 65)[None, :])
     )
     if not np.all(np.isfinite(values)) or values.max() <= 0:
         raise InputError("moment_arm: the function must give a finite length > 0 about theta = 0")

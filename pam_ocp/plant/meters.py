@@ -26,7 +26,7 @@ def meter_work(
     name, power = attached.name, ca.SX(attached.force * velocity)
     per_mass = [("power_per_mass", power, "W/kg", "mechanical power per mass")]
     plant.output(
-        f"{name}.power", power, unit="W", nominal=10.0,
+        f"{name}.power", power, unit="W", nominal=100.0,
         description=f"mechanical power out of {name}",
     )  # fmt: skip
     work = None

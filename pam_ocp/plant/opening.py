@@ -78,6 +78,9 @@ class Inversion:
         self._of = {o.name: o for o in self.plant.openings}
         self._for = {c: o for o in self.plant.openings for c in o.commands}
 
+    def __reduce__(self) -> tuple[Any, ...]:  # symbols do not travel; the plant makes them anew
+        return type(self), (self.plant,)
+
     @cached_property
     def _p(self) -> Array:
         return self.plant.vector("parameter")
@@ -166,7 +169,7 @@ class Inversion:
         sent = [n for n in named if n in self._for]
         found = {n: v for n, v in named.items() if n not in self._for}
         columns = [np.broadcast_to(np.asarray(named[n], dtype=float), (count,)) for n in sent]
-        rows = [self.openings(dict(zip(sent, row, strict=True))) for row in zip(*columns)]
+        rows = [self.openings(dict(zip(sent, row, strict=True))) for row in np.transpose(columns)]
         return found | {n: np.array([row[n] for row in rows]) for n in (rows[0] if rows else ())}
 
     def bounds(self, bounds: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, UnknownNameError
+from ..expressions import scalar_expression
 from ..muscle.dead_zone import dead_zone, dead_zone_inverse
 from ..muscle.losses import Loss
 from ..muscle.muscle import Muscle
@@ -103,32 +104,6 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
     )
 
 
-def scalar_expression(name: str, value: Any) -> ca.SX:
-    """``value`` as a scalar expression; InputError when it is none, or holds NaN or an infinite number.
-
-    Python's own ``float``, and with it all of ``math``, silently make NaN of a CasADi symbol.
-    """
-    try:
-        expression = ca.SX(value)
-    except (TypeError, ValueError, NotImplementedError):
-        raise InputError(
-            f"{name}: {type(value).__name__} is no expression; give one of the plant's symbols or a number"
-        ) from None
-    if expression.shape != (1, 1):
-        raise InputError(f"{name}: the expression has shape {expression.shape}; give a scalar")
-    function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
-    for k in range(function.n_instructions()):
-        if function.instruction_id(k) == ca.OP_CONST:
-            constant = function.instruction_constant(k)
-            if not math.isfinite(constant):
-                raise InputError(
-                    f"{name}: the expression holds the constant {constant}; functions of Python's math "
-                    "make NaN of a symbol: write casadi.sin(x) or numpy.sin(x) instead of math.sin(x), "
-                    "and casadi.if_else(x > 0, a, b) instead of a if x > 0 else b"
-                )
-    return expression
-
-
 class Plant:
     """A system to move: states x, inputs u, parameters p; x' = f(x, u, p), y = g(x, u, p).
 
@@ -156,7 +131,7 @@ class Plant:
         self._variables: dict[str, Variable] = {}
         self._symbols: dict[str, ca.SX] = {}
         self._expressions: dict[str, ca.SX] = {}  # derivatives, outputs and constraints by name
-        self._equations: dict[str, ca.SX] = {}  # the same as declared, with symbols for openings
+        self._stated: dict[str, ca.SX] = {}  # the same as declared, with symbols for openings
         self._mirror: dict[str, tuple[float, str]] = {}
         self._openings: tuple[Opening, ...] = ()
         self._ways: tuple[Way, ...] = ()
@@ -238,7 +213,7 @@ class Plant:
         known = [v for v in self._variables.values() if v.causality == "parameter"]
         at = ca.Function("at", [command, *(self._symbols[v.name] for v in known)], [effect])
         low, high = (
-            float(at(end, *(v.start for v in known))) if math.isfinite(end) else end
+            float(at(end, *(v.start or 0.0 for v in known))) if math.isfinite(end) else end
             for end in (variable.min, variable.max)
         )
         (symbol,) = self.opening(
@@ -414,7 +389,7 @@ class Plant:
             raise InputError(f"plant {self.name!r}: no equation der({', '.join(missing)}) is given")
         if not self.states:
             raise InputError(f"plant {self.name!r} has no state")
-        self._equations = dict(self._expressions)
+        self._stated = dict(self._expressions)
         if self._ways:
             self._expressions = self._replaced(
                 [w.symbol for w in self._ways], [w.in_commands for w in self._ways]
@@ -433,8 +408,8 @@ class Plant:
 
     def _replaced(self, old: list[ca.SX], new: list[ca.SX]) -> dict[str, ca.SX]:
         """The equations as they were declared, with other expressions for some symbols."""
-        names = list(self._equations)
-        given = [self._equations[n] for n in names]
+        names = list(self._stated)
+        given = [self._stated[n] for n in names]
         column = ca.substitute(given, [ca.vertcat(*old)], [ca.vertcat(*new)])
         return dict(zip(names, column, strict=True))
 
@@ -551,7 +526,7 @@ class Plant:
             return self
         self._finished()
         other = self._sharing(self)
-        other._openings, other._ways, other._equations = (), (), other._expressions
+        other._openings, other._ways, other._stated = (), (), other._expressions
         return other
 
     def _sharing(self, template: Plant) -> Plant:
@@ -600,9 +575,10 @@ class Plant:
         """The plant's function; where it has openings with their ways and the ways' meaning."""
         if not self._openings:
             return self.function
+        self._finished()
         w = ca.vertcat(*(o.symbol for o in self._openings))
         ways = ca.vertcat(*(way.symbol for way in self._ways))
-        results = [self._column(self._equations, c) for c in _DEFINED]
+        results = [self._column(self._stated, c) for c in _DEFINED]
         results += [ca.vertcat(*(way.in_commands for way in self._ways))]
         results += [ca.vertcat(*(way.in_openings for way in self._ways))]
         results += [ca.vertcat(*(o.forward for o in self._openings))]

@@ -31,6 +31,7 @@ class PositionFeedback:
         muscle's measured range.
     rounding : half width [Pa] of the rounded ends of the command's range; between them the command
         is exactly linear.
+    totals : see :class:`Regulator`.
 
     Declares the state ``<name>.pressure``, the inputs ``<name>.set_pressure`` and
     ``<name>.reference`` [m], the output ``<name>.command``, and all of the above as parameters.
@@ -41,6 +42,7 @@ class PositionFeedback:
     lag: float = 0.1
     max_pressure: float | None = None
     rounding: float = 2e4
+    totals: bool = False
 
     def __post_init__(self) -> None:
         require_finite("PositionFeedback.gain", self.gain, "Pa/m")
@@ -107,10 +109,10 @@ class RegulatedLoad(HangingLoad):
 
     Parameters
     ----------
-    muscle : the muscle; its rest length sets the stroke.
+    muscle : the muscle, or its name in the catalogue; its rest length sets the stroke.
     mass : load [kg].
-    gain, derivative_gain, lag, max_pressure : see :class:`PositionFeedback`.
-    damping : ``StiffnessDamping(ratio)`` (default 0.1) or ``ConstantDamping(value)``.
+    gain, derivative_gain, lag, max_pressure, totals : see :class:`PositionFeedback`.
+    damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its value.
     losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
 
     States x [m] (upwards), v [m/s], muscle.pressure [Pa]; inputs muscle.set_pressure [Pa] and
@@ -128,8 +130,9 @@ class RegulatedLoad(HangingLoad):
         max_pressure: float | None = None,
         damping: Damping | float | None = None,
         losses: Loss | Sequence[Loss] = (),
+        totals: bool = False,
         name: str = "regulated_load",
     ) -> None:
-        feedback = PositionFeedback(gain, derivative_gain, lag, max_pressure)
+        feedback = PositionFeedback(gain, derivative_gain, lag, max_pressure, totals=totals)
         super().__init__(muscle, mass, damping=damping, feed=feedback, losses=losses, name=name)
         self.description = "a hanging load on a muscle with pressure fed back from its position"

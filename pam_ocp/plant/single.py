@@ -59,10 +59,10 @@ class HangingLoad(Plant):
 
     Parameters
     ----------
-    muscle : the muscle; its rest length sets the stroke.
+    muscle : the muscle, or its name in the catalogue; its rest length sets the stroke.
     mass : load [kg].
     inclination : of +x above the horizontal [rad]: a load pulled up a slope; None for a vertical one.
-    damping : ``StiffnessDamping(ratio)`` (default 0.1) or ``ConstantDamping(value)``.
+    damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its value.
     feed : how the pressure comes about; default ``Regulator()``.
     losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
     loads : what else acts on the mass, as ``(Spring(1e3), ExternalForce())``.

@@ -117,10 +117,14 @@ def _require_constant(plant: Plant, trajectory: Trajectory, moving: set[str]) ->
     for variable in (*plant.states, *plant.inputs):
         column = trajectory[variable.name]
         if variable.name not in moving and np.ptp(column) > 1e-9 * variable.nominal:
+            remedy = (
+                "leave out losses with memory" if variable.memory
+                else "use IdealPressure() and constant inputs"
+            )  # fmt: skip
             raise InputError(
                 f"{variable.name} moves between {variable.shown(column.min())} and "
                 f"{variable.shown(column.max())}: the energy function holds only while it is "
-                "constant; use IdealPressure() and constant inputs"
+                f"constant; {remedy}"
             )
 
 

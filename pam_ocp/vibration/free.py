@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from ..equilibrium import OperatingPoint, equilibrium
 from ..errors import InputError, require_finite, require_positive
+from ..memory import Memory, carried
 from ..plant.plant import Plant, Values
 from ..simulate import simulate
 from ..trajectory import Trajectory
-from .numerics import Array, VibrationError, smooth
+from .numerics import Array, Smooth, VibrationError, smooth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,6 +42,8 @@ class FreeVibration:
     """Largest deviation below rest in each cycle, negative, (n,)."""
     peaks: tuple[Array, Array]
     """All turning points of the record: times [s], deviations from rest."""
+    settled: float | None = None
+    """With hysteresis: where the motion comes to rest [unit of the state], beside the point."""
 
     @property
     def frequencies(self) -> Array:
@@ -71,8 +74,8 @@ class FreeVibration:
 
     @cached_property
     def rest(self) -> float:
-        """Value of the state at rest."""
-        return self.point[self.state]
+        """Value of the state at rest, about which it swings."""
+        return self.point[self.state] if self.settled is None else self.settled
 
     def __str__(self) -> str:
         v = self.point.plant.variable(self.state)
@@ -129,6 +132,7 @@ def free_vibration(
     cycles: float = 20,
     samples: int = 100,
     rtol: float = 1e-11,
+    memory: Memory = "virgin",
 ) -> FreeVibration:
     """Let the plant go, at rest, beside its equilibrium; inputs stay constant.
 
@@ -144,12 +148,14 @@ def free_vibration(
     state : the state that is displaced and watched.
     cycles : length of the record, in periods of the plant linearised at rest.
     samples : per such period. rtol : of the integrator.
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`; on the way from rest to the
+        offset it has followed the motion. The swing is measured about the place where it ends.
 
     Frequencies come from passages through rest, located on polynomials of degree 5 that use the
     exact derivatives. Raises VibrationError when the plant does not oscillate there, InputError
     for bad arguments, SimulationError when the integration fails.
     """
-    point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at)
+    point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     plant = point.plant
     variable = plant.variable(state)
     if variable.causality != "state":
@@ -158,8 +164,9 @@ def free_vibration(
     if offset == 0:
         raise InputError("offset = 0: the plant would stay at rest; give a distance from rest")
     require_positive("cycles", cycles)
-    period = 1 / _natural_frequency(plant, point)
+    period = 1 / _natural_frequency(point)
     x0 = dict(zip([v.name for v in plant.states], point.x, strict=True))
+    x0.update(carried(plant, point.x, point.u, variable.name, offset))
     x0[variable.name] += offset
     trajectory = simulate(
         plant, dict(zip([v.name for v in plant.inputs], point.u, strict=True)), start=x0,
@@ -168,15 +175,14 @@ def free_vibration(
     return _measured(plant, point, trajectory, variable.name)
 
 
-def _natural_frequency(plant: Plant, point: OperatingPoint) -> float:
+def _natural_frequency(point: OperatingPoint) -> float:
     """Of the slowest oscillating pair of poles at rest [Hz], without damping."""
-    a = np.asarray(plant.jacobians(point.x, point.u, plant.vector("parameter"))[0])
-    poles = np.linalg.eigvals(a)
+    poles = point.poles
     pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
     if not len(pairs):
         shown = ", ".join(f"{s.real:.3g}" for s in poles)
         raise VibrationError(
-            f"{plant.name!r} does not oscillate about this point: all its poles are real "
+            f"{point.plant.name!r} does not oscillate about this point: all its poles are real "
             f"({shown} 1/s); lessen the damping"
         )
     return float(np.min(np.abs(pairs)) / (2 * np.pi))
@@ -185,8 +191,9 @@ def _natural_frequency(plant: Plant, point: OperatingPoint) -> float:
 def _measured(
     plant: Plant, point: OperatingPoint, trajectory: Trajectory, state: str
 ) -> FreeVibration:
-    rest = point[state]
     curve = smooth(plant, trajectory, state)
+    settled = _settled(curve) if point.memory else None
+    rest = point[state] if settled is None else settled
     times, _, directions = curve.zeros(rest)
     crossings = times[directions > 0]
     if len(crossings) < 2:
@@ -202,8 +209,14 @@ def _measured(
     return FreeVibration(
         trajectory, point, state, crossings,
         np.array([np.max(d) for d in inside]), np.array([np.min(d) for d in inside]),
-        (turns, deviations),
+        (turns, deviations), settled,
     )  # fmt: skip
+
+
+def _settled(curve: Smooth) -> float | None:
+    """The middle of the last swing: where friction leaves the motion; None without a swing."""
+    values = curve.zeros(0.0, order=1)[1]
+    return float(np.mean(values[-2:])) if len(values) > 1 else None
 
 
 def backbone(
@@ -213,6 +226,7 @@ def backbone(
     *,
     state: str = "x",
     rtol: float = 1e-11,
+    memory: Memory = "virgin",
 ) -> Backbone:
     """Frequency against amplitude: a free vibration from each offset, its first cycle measured.
 
@@ -221,7 +235,7 @@ def backbone(
     starts = np.atleast_1d(np.asarray(offsets, dtype=float))
     if not starts.size:
         raise InputError("offsets is empty: give at least one distance from rest")
-    point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at)
+    point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     motions = [
         free_vibration(plant, point, float(a), state=state, cycles=4.0, rtol=rtol) for a in starts
     ]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..equilibrium import OperatingPoint
 from ..errors import InputError, PamError
+from ..memory import Memory
 from ..plant.plant import Plant, Values
 from .numerics import Array, VibrationError, casadi_equations, newton
 from .rest import Rest, StabilityPath, stability_path
@@ -111,6 +112,7 @@ def hopf(
     /,
     *,
     points: int = 21,
+    memory: Memory = "virgin",
     **more: float,
 ) -> HopfPoint:
     """The first value in a bracket at which a complex pair crosses the imaginary axis.
@@ -118,7 +120,8 @@ def hopf(
     Parameters
     ----------
     parameter : name of the parameter (or input) that varies between the ends of ``bracket``.
-    conditions : of the equilibria, as for :func:`pam_ocp.equilibrium`.
+    conditions, memory : of the equilibria, as for :func:`pam_ocp.equilibrium`. Hysteresis sticks in
+        small motion about rest; larger motion slides, which damps it more than the point says.
     points : how many points of rest are looked at to find a change of sign.
 
     The augmented system (rest, A q = i omega q, |q| fixed) is then solved by Newton with exact
@@ -128,8 +131,8 @@ def hopf(
     """
     given = {**(conditions or {}), **more}
     low, high = (plant.variable(parameter).check(b, "bracket") for b in bracket)
-    path = stability_path(plant, parameter, np.linspace(low, high, points), given)
-    rest = Rest(plant, parameter, given)
+    path = stability_path(plant, parameter, np.linspace(low, high, points), given, memory=memory)
+    rest = Rest(plant, parameter, given, memory)
     return _solved(rest, _augmented(rest), _crossing(path))
 
 
@@ -171,9 +174,9 @@ def _augmented(rest: Rest) -> ca.Function:
     nx = rest.nx
     omega, real, imaginary = ca.SX.sym("omega"), ca.SX.sym("re", nx), ca.SX.sym("im", nx)
     c_real, c_imaginary = ca.SX.sym("c_re", nx), ca.SX.sym("c_im", nx)
-    a = ca.jacobian(found["rates"], z)[:, :nx]
+    a = found["slopes"]
     residual = ca.vertcat(
-        *found.values(),
+        found["rest"],
         a @ real + omega * imaginary,
         a @ imaginary - omega * real,
         ca.dot(c_real, real) + ca.dot(c_imaginary, imaginary) - 1,
@@ -224,7 +227,10 @@ def _direction(
     p = p / (p @ q)  # so that p.q = 1; p stands for the conjugate of Kuznetsov's
     b, c = b.reshape(nx, nx, nx, order="F"), c.reshape(nx, nx, nx, nx, order="F")
     eye = np.eye(nx)
-    mean = np.linalg.solve(a, np.einsum("ijk,j,k", b, q, q.conj()))
+    follow = rest.at(z, float(lam) * rest.variable.nominal).stuck  # held memories follow the rest
+    lift, pick = follow.lift(rest.nominal[:nx]), follow.pick()
+    bent = np.einsum("ijk,j,k", b, q, q.conj())
+    mean = lift @ np.linalg.solve(pick @ a @ lift, pick @ bent)
     double = np.linalg.solve(2j * omega * eye - a, np.einsum("ijk,j,k", b, q, q))
     sum_ = (
         np.einsum("ijkl,j,k,l", c, q, q, q.conj())
@@ -238,9 +244,9 @@ def _derivatives(rest: Rest) -> ca.Function:
     """(z, lam, constants) -> A, dA/dlam along the path of rest, second and third derivatives."""
     z, lam, constants, found = rest.symbols()
     nx = rest.nx
-    residual = ca.vertcat(*found.values())
+    residual = found["rest"]
     moved = -ca.solve(ca.jacobian(residual, z), ca.jacobian(residual, lam))
-    a = ca.densify(ca.jacobian(found["rates"], z)[:, :nx])
+    a = ca.densify(found["slopes"])
     along_z = ca.jacobian(ca.vec(a), z)
     turned = along_z @ moved + ca.jacobian(ca.vec(a), lam)
     second = ca.densify(along_z[:, :nx])
@@ -261,6 +267,7 @@ def hopf_border(
     /,
     *,
     points: int = 21,
+    memory: Memory = "virgin",
     **more: float,
 ) -> HopfBorder:
     """The border between rest and vibration: ``parameter`` at the Hopf point, for values of ``over``.
@@ -269,7 +276,7 @@ def hopf_border(
     starts from its neighbour; where that fails, ``bracket`` is searched as by :func:`hopf`.
 
     parameter, over : names of two parameters (or inputs). values : (n,) of ``over`` [its unit].
-    bracket, conditions, points : as for :func:`hopf`.
+    bracket, conditions, points, memory : as for :func:`hopf`.
 
     Raises InputError when no border is found for any value; single failures are NaN in ``border``,
     with the reason in ``reasons``.
@@ -286,7 +293,9 @@ def hopf_border(
     last: HopfPoint | None = None
     for value in map(float, numbers):
         try:
-            last = _near(plant, parameter, {**given, second.name: value}, bracket, last, points)
+            last = _near(
+                plant, parameter, {**given, second.name: value}, bracket, last, points, memory
+            )
             points_found.append(last)
         except PamError as error:
             reasons[value] = str(error)
@@ -307,10 +316,11 @@ def _near(
     bracket: tuple[float, float],
     last: HopfPoint | None,
     points: int,
+    memory: Memory,
 ) -> HopfPoint:
     """The Hopf point next to the last one if it lies in the bracket, else a search of the bracket."""
     if last is not None:
-        rest = Rest(plant, parameter, given)
+        rest = Rest(plant, parameter, given, memory)
         q = last.mode / rest.nominal[: rest.nx]
         start = np.concatenate([
             np.concatenate([last.point.x, last.point.u]) / rest.nominal,
@@ -322,4 +332,4 @@ def _near(
                 return found
         except PamError:
             pass  # too far from the last one: look for it in the bracket
-    return hopf(plant, parameter, bracket, given, points=points)
+    return hopf(plant, parameter, bracket, given, points=points, memory=memory)

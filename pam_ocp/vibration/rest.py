@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from ..errors import InputError
+from ..memory import Memory, held
 from ..plant.plant import Plant, Values
 from .numerics import Array, VibrationError, casadi_equations, newton
 
@@ -29,24 +30,29 @@ class Rest:
     Everything is scaled by nominals: z = (x, u)/nominal, lam = value/nominal.
     """
 
-    def __init__(self, plant: Plant, parameter: str, conditions: Values) -> None:
+    def __init__(
+        self, plant: Plant, parameter: str, conditions: Values, memory: Memory = "virgin"
+    ) -> None:
         self.variable = plant.variable(parameter)
         given = {plant.variable(n).name: float(v) for n, v in conditions.items()}
         given.pop(self.variable.name, None)
         constants = {n: v for n, v in given.items() if plant.variable(n).causality == "parameter"}
         self.plant = plant.with_values(constants)
-        self.targets = {n: v for n, v in given.items() if n not in constants}
+        self.pinned = held(self.plant, memory)
+        self.pinned.update({n: v for n, v in given.items() if n in self.pinned})
+        kept = {*constants, *self.pinned}
+        self.targets = {n: v for n, v in given.items() if n not in kept}
         varies = self.variable.causality != "parameter"
         named = {*self.targets, self.variable.name}
-        held = {v.name: v.start or 0.0 for v in plant.inputs if v.disturbance}
-        held = {n: start for n, start in held.items() if n not in named}
+        outside = {v.name: v.start or 0.0 for v in plant.inputs if v.disturbance}
+        outside = {n: start for n, start in outside.items() if n not in named}
         needed = len(plant.inputs) - varies
-        if len(self.targets) + len(held) == needed:
-            self.targets.update(held)  # as pam_ocp.equilibrium does
+        if len(self.targets) + len(outside) == needed:
+            self.targets.update(outside)  # as pam_ocp.equilibrium does
         if len(self.targets) != needed:
             raise InputError(
-                f"{plant.name!r} has {len(plant.inputs) - len(held)} input(s) to choose, so with "
-                f"{self.variable.name} varied {needed - len(held)} condition(s) are needed for its "
+                f"{plant.name!r} has {len(plant.inputs) - len(outside)} input(s) to choose, so with "
+                f"{self.variable.name} varied {needed - len(outside)} condition(s) are needed for its "
                 f"points of rest; {len(self.targets)} given: {', '.join(self.targets) or 'none'}"
             )
         self.nx = len(plant.states)
@@ -62,7 +68,10 @@ class Rest:
         return np.concatenate([self.plant.vector("parameter"), list(self.targets.values())])
 
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, dict[str, ca.SX]]:
-        """(z, lam, constants, expressions): scaled rates, Jacobian and conditions in them."""
+        """(z, lam, constants, expressions): scaled "rates", and in "rest" what vanishes at rest.
+
+        "slopes" are the Jacobian of the rates over the states, without the fading of held memories.
+        """
         plant, nx = self.plant, self.nx
         z, lam = ca.SX.sym("z", len(self.nominal)), ca.SX.sym("lam")
         constants = ca.SX.sym("constants", len(self.constants))
@@ -81,25 +90,31 @@ class Rest:
         conditions = ca.substitute(
             missed, ca.vertcat(plant.x, plant.u, plant.p), ca.vertcat(scaled, p)
         )
-        return z, lam, constants, {"rates": rates, "conditions": conditions}
+        index = [i for i, v in enumerate(plant.states) if v.name in self.pinned]
+        vanish, slopes = ca.SX(rates), ca.jacobian(rates, z)[:, :nx]
+        for i, pin in zip(index, self.pinned.values(), strict=True):
+            vanish[i] = z[i] - pin / self.nominal[i]
+            for j in index:
+                slopes[i, j] = 0.0
+        found = {"rates": rates, "rest": ca.vertcat(vanish, conditions), "slopes": slopes}
+        return z, lam, constants, found
 
     @cached_property
     def function(self) -> ca.Function:
         """(z, lam, constants) -> (residual, Jacobian in z)."""
         z, lam, constants, found = self.symbols()
-        residual = ca.vertcat(*found.values())
+        residual = found["rest"]
         return ca.Function("rest", [z, lam, constants], [residual, ca.jacobian(residual, z)])
 
     @cached_property
     def stability(self) -> ca.Function:
         """(z, lam, constants) -> the scaled Jacobian of the rates; eigenvalues are the plant's."""
         z, lam, constants, found = self.symbols()
-        a = ca.jacobian(found["rates"], z)[:, : self.nx]
-        return ca.Function("stability", [z, lam, constants], [ca.densify(a)])
+        return ca.Function("stability", [z, lam, constants], [ca.densify(found["slopes"])])
 
     def given(self, value: float) -> dict[str, float]:
         """All conditions with the varying value put in, as :func:`equilibrium` takes them."""
-        return {**self.targets, self.variable.name: value}
+        return {**self.targets, **self.pinned, self.variable.name: value}
 
     def first(self, value: float) -> Array:
         """Scaled point of rest at a value, from nothing. Raises EquilibriumError."""
@@ -138,7 +153,9 @@ class Rest:
         )  # fmt: skip
 
     def eigenvalues(self, z: Array, value: float) -> NDArray[np.complex128]:
-        """Eigenvalues of the plant at rest [1/s], unsorted."""
+        """Eigenvalues of the plant at rest [1/s], unsorted; held memories stick and have none."""
+        if self.pinned:
+            return self.at(z, value).poles
         a = self.stability(z, value / self.variable.nominal, self.constants)
         return np.asarray(np.linalg.eigvals(np.asarray(a)), dtype=complex)
 
@@ -153,7 +170,7 @@ class StabilityPath:
     """(n,) [unit of the parameter]."""
     points: tuple[OperatingPoint, ...]
     eigenvalues: NDArray[np.complex128]
-    """(n, states) [1/s]; a column follows one eigenvalue along the path."""
+    """(n, states but held memories) [1/s]; a column follows one eigenvalue along the path."""
     scaled: Array
     """(n, states + inputs) in units of nominal."""
 
@@ -184,6 +201,8 @@ def stability_path(
     values: ArrayLike,
     conditions: Mapping[str, float] | None = None,
     /,
+    *,
+    memory: Memory = "virgin",
     **more: float,
 ) -> StabilityPath:
     """Eigenvalues of the plant along a path of equilibria.
@@ -191,13 +210,14 @@ def stability_path(
     Parameters
     ----------
     parameter : name of the parameter (or the input) that varies. values : (n,) [its unit].
-    conditions : as for :func:`pam_ocp.equilibrium`: one for each input (a varied input is one).
+    conditions, memory : as for :func:`pam_ocp.equilibrium`: one condition for each input (a varied
+        input is one).
 
     Each point is continued from the last by Newton with exact Jacobians.
     Raises UnknownNameError, InputError for values out of range, EquilibriumError where no point of
     rest exists (with the value at which the path ended).
     """
-    rest = Rest(plant, parameter, {**(conditions or {}), **more})
+    rest = Rest(plant, parameter, {**(conditions or {}), **more}, memory)
     numbers = np.atleast_1d(np.asarray(values, dtype=float))
     if numbers.ndim != 1 or not numbers.size:
         raise InputError("values must be a row of at least one number")
