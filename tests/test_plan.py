@@ -194,7 +194,9 @@ def test_a_plant_without_inputs_can_be_timed():
     plant = pam.Plant("decay")
     x = plant.state("x", start=1.0)
     plant.der(x, -x)
-    plan = pam.plan(plant, [{"x": 1.0}, {"x": float(np.exp(-1))}], rest=False, method=Collocation(5, 5))
+    plan = pam.plan(
+        plant, [{"x": 1.0}, {"x": float(np.exp(-1))}], rest=False, method=Collocation(5, 5)
+    )
     assert plan.duration == pytest.approx(1.0, rel=1e-8)
     assert isinstance(plan.plant.expression("x"), ca.SX)
 

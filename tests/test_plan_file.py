@@ -60,6 +60,7 @@ def test_the_example_says_what_python_says():
 EVERY_KEY = """
 cyclic = false
 rest = true
+memory = "below"
 duration = ["0.2 s", { min = "100 ms", max = 1.0 }]
 minimise = { time = 1.0, "final(x)" = -0.5 }
 tolerance = 1e-5
@@ -122,6 +123,7 @@ def test_every_key_is_understood(tmp_path):
         Stop({"x": (0.002, None)}, rest=False),
         Stop({"x": 0.004}, dwell=(0.01, 0.02), within=0.01),
     ]
+    assert found["memory"] == "below"
     assert found["duration"] == [0.2, (0.1, 1.0)]
     assert found["minimise"] == {"time": 1.0, "final(x)": -0.5}
     assert found["method"] == Shooting(10, 6, "linear")

@@ -69,6 +69,7 @@ def test_a_wheel_that_counts_and_an_integral_ask_for_nothing_more():
 
 def test_a_lag_before_the_force_must_have_settled_but_may_not_rest():
     """m x'' = f, f' = (u - f)/lag: velocity and acceleration vanish, the force's rate need not."""
+
     def plant_with(scale):
         plant = pam.Plant("lagging")
         x, v, f = plant.state("x"), plant.state("v"), plant.state("f")
@@ -140,9 +141,7 @@ def lossy():
 WAY = [{"x": 0.010}, {"x": 0.030}]
 
 
-@pytest.mark.parametrize(
-    ("memory", "expected"), [("virgin", 0.0), ("above", -1.0), ("below", 1.0)]
-)
+@pytest.mark.parametrize(("memory", "expected"), [("virgin", 0.0), ("above", -1.0), ("below", 1.0)])
 def test_a_plan_begins_with_the_memory_it_is_given_and_settled_creep(lossy, memory, expected):
     plan = pam.plan(lossy, WAY, memory=memory, method=Collocation(20, 3), tolerance=None)
     motion = plan.trajectory
@@ -160,7 +159,9 @@ def test_a_plan_with_slipping_memory_is_verified(lossy):
 
 
 def test_single_memories_are_given_by_name_and_a_cycle_closes_them(lossy):
-    plan = pam.plan(lossy, WAY, memory={"muscle.slip4": -0.5}, method=Collocation(20, 3), tolerance=None)
+    plan = pam.plan(
+        lossy, WAY, memory={"muscle.slip4": -0.5}, method=Collocation(20, 3), tolerance=None
+    )
     assert plan.trajectory.array(MEMORIES)[0] == pytest.approx([0.0, 0.0, 0.0, -0.5], abs=1e-6)
     with pytest.raises(InputError, match="closes its memories"):
         pam.plan(lossy, WAY, memory="below", cyclic=True)
@@ -196,7 +197,8 @@ def test_least_work_of_a_slide_is_found_and_is_what_its_replay_gives():
     motion = plan.replay.trajectory
     sides = {1: 1.0, 2: -1.0}  # x shortens the first muscle and stretches the second
     given = sum(
-        np.maximum(motion[f"muscle{i}.force"] * sign * motion["v"], 0.0) for i, sign in sides.items()
+        np.maximum(motion[f"muscle{i}.force"] * sign * motion["v"], 0.0)
+        for i, sign in sides.items()
     )
     work = np.sum((given[1:] + given[:-1]) / 2 * np.diff(motion.t))
     assert plan.objective == pytest.approx(work, rel=5e-3)
@@ -206,7 +208,13 @@ def test_air_is_not_saved_by_venting_what_was_given():
     load = pam.HangingLoad(pam.muscle("DMSP-20-200N"), mass=10.0, feed=pam.SpoolValve())
     with pytest.warns(pam.PlanWarning, match="at rest with muscle.pressure"):
         plan = pam.plan(
-            load, WAY, duration=0.5, minimise="air", method=Collocation(15, 3), tolerance=None, starts=1
+            load,
+            WAY,
+            duration=0.5,
+            minimise="air",
+            method=Collocation(15, 3),
+            tolerance=None,
+            starts=1,
         )
     at_rest = load.equilibrium(x=0.010)
     assert plan.trajectory["muscle.pressure"][0] == pytest.approx(
