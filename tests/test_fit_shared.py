@@ -70,9 +70,9 @@ def test_the_length_scaled_law_is_found_across_lengths() -> None:
 
 def test_nothing_shared_is_each_muscle_alone() -> None:
     tables = {"20": cells(TWENTY, 5.0, 1), "10": cells(TEN, 5.0, 2)}
-    found = fit_forces(tables, shared=[])
+    found = fit_forces(tables, shared=[], errors="independent")
     for name, table in tables.items():
-        alone = fit_force(table)
+        alone = fit_force(table, errors="independent")
         for n, c in alone.coefficients.items():
             assert float(found[name].law.values[n]) == pytest.approx(c.value, rel=1e-5)
             pooled = c.stderr * found[name].sigma / alone.sigma  # one s of both tables
