@@ -12,7 +12,7 @@ import casadi as ca
 from ..errors import InputError, PlanWarning, require_instance, require_positive
 from ..memory import Memory, held
 from ..plant.plant import Plant, require_plant
-from ..plant.stillness import Position, rest_rows, settled_names, totals
+from ..plant.stillness import Position, rate_of, rest_rows, settled_names, totals
 from ..variables import Variable
 from .guess import rest_point
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
@@ -199,14 +199,31 @@ def _positions(plant: Plant, stops: Sequence[Stop]) -> tuple[Position, ...]:
     expressions = [subject(plant, name)[1] for stop in stops for name in stop.values]
     spoken = ca.which_depends(ca.vertcat(*expressions), plant.x, 1, False) if expressions else []
     named = [v.name for v, is_named in zip(plant.states, spoken, strict=False) if is_named]
-    positions = plant.resting(named)
+    positions = plant.resting(named) or _named_places(plant, stops)
     if not positions:
         raise InputError(
             f"rest = True: plant {plant.name!r} has no position that could stand still (a state whose "
-            "rate, where it vanishes, does not depend on the state itself); give rest=False, and what "
-            "shall vanish in the stops, such as {'der(NAME)': 0.0}"
+            "rate, where it vanishes, does not depend on the state itself), and no input that could hold "
+            "what the stops name; give rest=False, and what shall vanish in the stops, such as "
+            "{'der(NAME)': 0.0}"
         )
     return positions
+
+
+def _named_places(plant: Plant, stops: Sequence[Stop]) -> tuple[Position, ...]:
+    """What the stops name, where no state is a position: a level of a tank, a sum of states.
+
+    An input has to be able to hold it: what runs down by itself cannot rest.
+    """
+    chosen = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+    if not chosen:
+        return ()
+    names = dict.fromkeys(plant.variable(n).name for s in stops for n in s.values if "(" not in n)
+    return tuple(
+        Position(name, (), bool(ca.depends_on(rate_of(plant, name), plant.u[chosen])))
+        for name in names
+        if plant.variable(name).causality in ("state", "output")
+    )
 
 
 @dataclass

@@ -44,8 +44,8 @@ class Run:
         again : where that fails, from there with the barrier of a cold start.
         """
         guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
-        found = self._from(guess, "near")
-        return found if found.outcome.ended or not again else self._from(guess)
+        found = self.from_guess(guess, "near")
+        return found if found.outcome.ended or not again else self.from_guess(guess)
 
     def several(self, starts: int) -> tuple[list[Solved], Ends]:
         """(solutions from different starts, the best first; where all of them ended)."""
@@ -85,20 +85,20 @@ class Run:
         """After a start that failed: another guess, then the elastic re-solve's; then failure."""
         program, problem, mesh = self.program, self.program.problem, self.program.mesh
         balanced = by_stops(problem, mesh, balanced=True)
-        again = self._from(balanced, "adaptive")
+        again = self.from_guess(balanced, "adaptive")
         if again.outcome.ended:
             return again
         self.conflicts, feasible = elastic(program, balanced, self.options)
         if not self.conflicts:
-            again = self._from(feasible, "adaptive")
+            again = self.from_guess(feasible, "adaptive")
         return again if again.outcome.ended else found
 
     def from_another(self, previous: Solved) -> Solved:
         """From a solution of this program (warm) or of another."""
         if previous.program.nlp is self.program.nlp:
-            return self._from(previous.outcome.w, "warm", previous.outcome)
+            return self.from_guess(previous.outcome.w, "warm", previous.outcome)
         problem, mesh = self.program.problem, self.program.mesh
-        return self._from(from_solution(problem, mesh, previous.solution), "near")
+        return self.from_guess(from_solution(problem, mesh, previous.solution), "near")
 
     def _usual(self, previous: Solved | None) -> Solved:
         """From another solution if there is one, else (or if that fails) from the planner's guess."""
@@ -107,9 +107,12 @@ class Run:
             if found.outcome.ended:
                 return found
         problem, mesh = self.program.problem, self.program.mesh
-        return self._from(by_stops(problem, mesh, balanced=wants_balance(problem)))
+        return self.from_guess(by_stops(problem, mesh, balanced=wants_balance(problem)))
 
-    def _from(self, guess: Array, start: Start = "cold", warm: Outcome | None = None) -> Solved:
+    def from_guess(
+        self, guess: Array, start: Start = "cold", warm: Outcome | None = None
+    ) -> Solved:
+        """From scaled unknowns; with ``warm`` from the multipliers of that outcome, too."""
         if warm is None and has_kinks(self.program.problem):
             return self._solution(narrowing(self.solver, self.program, guess, start))
         return self._solution(self.solver(self.program, guess, start, warm))

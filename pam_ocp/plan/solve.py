@@ -26,6 +26,7 @@ from ..simulate import evaluated
 from .backend import Backend, SolverName
 from .diagnosis import Conflict, explanation
 from .mesh import Collocation, Mesh, Method, Shooting
+from .opened import guess_in_openings
 from .pose import Cyclic, Wish, pose
 from .problem import Budget, Condition, Problem
 from .refine import Checked, Refinement, checked
@@ -244,8 +245,8 @@ class Planner:
         if count == 1:
             return [run.solve(near)]
         found, ends = run.several(count)
-        if near is not None:
-            ours = run.from_another(near)
+        ours = run.from_another(near) if near is not None else self._opened(run)
+        if ours is not None:
             ends, found = Ends((ours.outcome, *ends.outcomes)), [ours, *found]
         figures |= ends.figures()
         good = [each for each in found if each.outcome.success]
@@ -253,6 +254,12 @@ class Planner:
             return sorted(good, key=lambda each: each.outcome.objective)
         stopped = [each for each in found if each.outcome.stopped]
         return stopped or [run.after(found[0])]
+
+    def _opened(self, run: Run) -> Solved | None:
+        """From the optimum in openings of valves; None where there are none, or it helps nothing."""
+        program = run.program
+        guess = guess_in_openings(program.problem, program.mesh, self._wish, self._backend)
+        return None if guess is None else run.from_guess(guess, "near")
 
     def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
         """The best solution, refined; where that is not verified, the next best that is."""

@@ -20,7 +20,7 @@ from .. import units
 if TYPE_CHECKING:
     from .plant import Plant
 
-__all__ = ["Position", "rest_rows", "resting", "settled_names", "totals"]
+__all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "totals"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -180,6 +180,14 @@ def _neutral(plant: Plant) -> tuple[list[int], NDArray[np.bool_]]:
         chosen = [i for i in chosen if i not in lost]
 
 
+def rate_of(plant: Plant, name: str) -> ca.SX:
+    """The rate of a state, or of an output while the inputs stand."""
+    if plant.variable(name).causality == "state":
+        return plant.expression(f"der({name})")
+    xdot = plant.function(plant.x, plant.u, plant.p)[0]
+    return ca.SX(ca.jtimes(plant.expression(name), plant.x, xdot))
+
+
 def rest_rows(plant: Plant, positions: tuple[Position, ...]) -> list[tuple[Position, int, ca.SX]]:
     """[(position, order, expression)]: rates (order 1) and accelerations (2), without repetitions.
 
@@ -190,7 +198,7 @@ def rest_rows(plant: Plant, positions: tuple[Position, ...]) -> list[tuple[Posit
     xdot = plant.function(plant.x, plant.u, plant.p)[0]
     rows: list[tuple[Position, int, ca.SX]] = []
     for position in positions:
-        rate = plant.expression(f"der({position.name})")
+        rate = rate_of(plant, position.name)
         rows.append((position, 1, rate))
         if not position.driven:
             rows.append((position, 2, ca.jtimes(rate, plant.x, xdot)))
