@@ -30,6 +30,8 @@ __all__ = [
     "StiffnessDamping",
 ]
 
+WIDEST_SPEED = 0.1
+"""Speed [m/s] below which dry friction is rounded off where planning a motion begins."""
 STIFFNESS_FLOOR = 1.0
 """Below about this stiffness [N/m] the square root of StiffnessDamping is rounded off."""
 
@@ -216,6 +218,7 @@ class CoulombFriction:
             plant.parameter(
                 f"{name}.friction_{key}", getattr(self, key), unit=unit, min=low, nominal=nominal,
                 tunable=True, description=f"{words} ({name})",
+                widest=WIDEST_SPEED if key == "speed" else 0.0,
             )
             for key, unit, low, nominal, words in (
                 ("constant", "N", 0.0, 10.0, "dry friction"),

@@ -18,6 +18,7 @@ from ..plant.plant import Plant
 from .backend import Backend
 from .guess import by_stops, from_solution, wants_balance
 from .mesh import Mesh
+from .narrowing import has_kinks, narrowing
 from .pose import Wish, pose
 from .problem import Problem
 from .solution import unpack
@@ -45,11 +46,14 @@ def guess_in_openings(problem: Problem, mesh: Mesh, wish: Wish, backend: Backend
         return None
     program = transcribe(inner, mesh)
     solver, usual = backend.build(program), wants_balance(inner)
-    for balanced in (usual, not usual):
-        outcome = solver(program, by_stops(inner, mesh, balanced=balanced), "cold", None)
-        if outcome.success:
-            break
+    guess = by_stops(inner, mesh, balanced=usual)
+    if has_kinks(inner):
+        outcome = narrowing(solver, program, guess, "cold")
     else:
+        outcome = solver(program, guess, "cold", None)
+        if not outcome.ended:
+            outcome = solver(program, by_stops(inner, mesh, balanced=not usual), "cold", None)
+    if not outcome.success:
         return None
     found = unpack(inner, mesh, outcome.w)
 

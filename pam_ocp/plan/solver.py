@@ -45,6 +45,10 @@ other objectives would first make them slow (a sixth of the time of 78 random ta
 ADAPTIVE: dict[str, Any] = {"mu_strategy": "adaptive", "alpha_for_y": "primal"}
 """Another way through, for a second try."""
 
+SHORTEST_LIMIT, LIMIT = 5.0, 4e-3
+"""Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes. Where
+the linear algebra gets stuck in fill-in another start is the better use of time."""
+
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
 NEAR: dict[str, Any] = {
@@ -151,7 +155,9 @@ class Ipopt:
 
     def _options(self, name: Start) -> dict[str, Any]:
         """Of the solver of this name, but for its functions."""
-        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], **self._given}
+        time = max(SHORTEST_LIMIT, LIMIT * self.program.nlp["x"].numel())
+        limit = {} if name == "warm" else {"max_cpu_time": time}
+        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], **limit, **self._given}
         goal = self.program.problem.objective
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
             chosen["mu_init"] = BARRIER_OF_TIME * goal.time

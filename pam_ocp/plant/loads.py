@@ -32,6 +32,8 @@ __all__ = [
 ]
 
 
+WIDEST = 100.0
+"""Rounding of dry friction where planning a motion begins, in parts of its own."""
 FACTOR_WIDTH = 0.1
 """Half width of the smooth end of a wall's damping, in parts of its elastic force."""
 
@@ -144,7 +146,7 @@ class DryFriction:
         )  # fmt: skip
         speed = plant.parameter(
             f"{self.name}.speed", self.speed, unit=f"{at.length}/s", min=1e-9, nominal=1e-3,
-            description=f"speed below which {self.name} is rounded off",
+            widest=WIDEST * self.speed, description=f"speed below which {self.name} is rounded off",
         )  # fmt: skip
         return ca.SX(-coulomb * ca.tanh(at.velocity / speed))
 
