@@ -290,13 +290,13 @@ def held(mesh: Mesh) -> Mesh:
     return Mesh(tuple(intervals), replace(mesh.form, control="constant"))
 
 
-def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
+def refined(mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool = False) -> Mesh:
     """The mesh with more points where the error of an interval exceeds the tolerance.
 
     The degree is raised first (by 1 for each two decades, at least 1; the steps of RK4 by its fourth
     order), then the interval is split, into as many parts as there are decades to go (2 to 4). A
-    polynomial input that switches inside an interval is not helped by degrees: where one rise was not
-    enough, such an interval is split.
+    polynomial input that switches inside an interval, or a kink of the plant, is not helped by degrees:
+    where one rise was not enough, such an interval is split.
     """
     shooting = mesh.form.scheme == "shooting"
     intervals: list[Interval] = []
@@ -309,7 +309,7 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float) -> Mesh:
             degree = int(np.ceil(interval.degree * 1.1 * 10 ** (decades / 4)))
         else:
             degree = interval.degree + max(1, int(np.ceil(decades / 2)))
-        rough = interval.raised and mesh.form.control == "polynomial"
+        rough = interval.raised and (kinks or mesh.form.control == "polynomial")
         if degree <= (MOST_STEPS if shooting else HIGHEST_DEGREE) and not rough:
             intervals.append(replace(interval, degree=degree, raised=True))
         else:

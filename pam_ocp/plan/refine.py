@@ -13,6 +13,7 @@ from ..simulate import evaluated
 from ..trajectory import Trajectory
 from .backend import Backend
 from .mesh import Mesh, halved, held, refined, watched
+from .narrowing import has_kinks
 from .replay import Replay, interval_errors, replayed
 from .result import Solved
 from .run import Run
@@ -137,13 +138,13 @@ class Refinement:
         """Meshes that may do better, the most promising first."""
         mesh, replay = current.found.program.mesh, current.replay
         by_limits = [watched(mesh, replay.beyond, self.tolerance)] if replay.beyond else []
-        worst = max(replay.error, replay.missed)
+        worst, kinks = max(replay.error, replay.missed), has_kinks(self.first.program.problem)
         if worst <= self.tolerance:
             # where checks between the points make the program unsolvable, shorter intervals may do
             beyond = [max(each.values(), default=0.0) for each in replay.beyond]
-            return [*by_limits, refined(mesh, beyond, self.tolerance)]
+            return [*by_limits, refined(mesh, beyond, self.tolerance, kinks)]
         errors = interval_errors(current.plant, mesh, current.found.solution)
         # errors of intervals add up, and may grow along the motion; stops may see more of them
         growth = max(1.0, worst / sum(errors)) if np.isfinite(worst) and sum(errors) > 0 else 1.0
         allowed = self.tolerance / len(errors) / growth
-        return [refined(mesh, errors, allowed), *by_limits]
+        return [refined(mesh, errors, allowed, kinks), *by_limits]
