@@ -211,7 +211,7 @@ def apart(case: Case, one: Any, other: Any) -> float:
 
 def same_solver(case: Case, solver: str = "RK45", rtol: float = 1e-8) -> dict[str, float]:
     """Seconds of both at the same solver and tolerances."""
-    quick = as_nlsys(case.plant, START, outputs=case.outputs)
+    quick = as_nlsys(case.plant.in_commands(), START, outputs=case.outputs)
     plain = by_hand(case, quick)
     seconds, found = quickest(
         {
@@ -228,7 +228,7 @@ def same_solver(case: Case, solver: str = "RK45", rtol: float = 1e-8) -> dict[st
 
 def same_accuracy(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, float]:
     """Seconds of both, each within ``limit`` of simulate (which runs at rtol 1e-12 for this)."""
-    quick = as_nlsys(case.plant, START, outputs=case.outputs)
+    quick = as_nlsys(case.plant.in_commands(), START, outputs=case.outputs)
     plain = by_hand(case, quick)
     truth = quick.response(case.t, case.u, rtol=1e-12)
     rtol = 1e-6
@@ -251,7 +251,7 @@ def same_accuracy(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict
 def sampled(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, float]:
     """Seconds of both in discrete time, inputs held, each within ``limit`` of simulate."""
     dt = float(case.t[1] - case.t[0])
-    quick = as_nlsys(case.plant, START, outputs=case.outputs, dt=dt)
+    quick = as_nlsys(case.plant.in_commands(), START, outputs=case.outputs, dt=dt)
     nominal = case.plant.vector("state", attribute="nominal")
     truth = quick.response(case.t, case.u, rtol=1e-12)
 
@@ -288,7 +288,7 @@ def sampled(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, 
 
 def one_call(case: Case, calls: int = 5000) -> tuple[float, float]:
     """Microseconds of one right-hand side: as_nlsys, NumPy."""
-    system = as_nlsys(case.plant, outputs=case.outputs)
+    system = as_nlsys(case.plant.in_commands(), outputs=case.outputs)
     x, u = system.x0, system.u0
     found = []
     for function in (system._rhs, lambda t, x, u: case.by_hand.update(t, x, u, {})):

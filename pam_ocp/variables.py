@@ -122,7 +122,7 @@ class Variable:
         if self.causality == "state":
             nearest = min(max(number, self.min), self.max)
             if abs(number - nearest) <= ROUNDING * self.nominal:
-                return nearest
+                number = nearest
         if not self.min <= number <= self.max:
             raise InputError(
                 f"{self.name}: {argument} = {self.shown(number)} is outside "

@@ -265,7 +265,7 @@ def benchmark():
 def test_the_benchmarks_numpy_right_hand_sides_are_the_plants(benchmark):
     rng = np.random.default_rng(0)
     for case in benchmark.cases():
-        system = as_nlsys(case.plant, outputs=case.outputs)
+        system = as_nlsys(case.plant.in_commands(), outputs=case.outputs)
         for _ in range(5):
             x = np.array([*rng.uniform(-0.01, 0.01, 2), *rng.uniform(1e5, 5e5, 2)])
             u = case.u[:, rng.integers(len(case.t))]

@@ -20,7 +20,7 @@ from pam_ocp.design.pid import PID, PositionController, PressureLoop
 from pam_ocp.fmu import export_fmu, pid_controller, state_feedback_controller
 from pam_ocp.muscle.force import clamp
 from pam_ocp.plan.opened import guess_in_openings
-from pam_ocp.plan.solve import _Run
+from pam_ocp.plan.run import Run
 
 OVERLAPS = (0.0, 0.02, 0.1)
 AMBIENT, RHO, B = 1.01325e5, 1.185, 0.3
@@ -434,10 +434,10 @@ def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
     planner = pam.Planner(
         plant, [{"x": 0.05}, {"x": 0.075}], bounds=bounds, method=pam.Collocation(15, 3)
     )
-    run = _Run(planner._program, planner._backend, planner._solver)
+    run = Run(planner._program, planner._backend, planner._solver)
     problem, mesh = planner._program.problem, planner._program.mesh
     start = guess_in_openings(problem, mesh, planner._wish, planner._backend)
-    first, near = run.solve(None), run._from(start, "near")
+    first, near = run.solve(None), run.from_guess(start, "near")
     assert near.outcome.success
     assert near.outcome.iterations < first.outcome.iterations
     assert near.outcome.objective < 1.01 * first.outcome.objective
