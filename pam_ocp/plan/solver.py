@@ -42,10 +42,13 @@ BARRIER_OF_TIME = 5e-4
 """mu_init where only the duration counts, in seconds: motions are quick, and a barrier as high as for
 other objectives would first make them slow (a sixth of the time of 78 random tasks)."""
 
-ADAPTIVE: dict[str, Any] = {"mu_strategy": "adaptive", "alpha_for_y": "primal"}
+ADAPTIVE: dict[str, Any] = {
+    "mu_strategy": "adaptive", "alpha_for_y": "primal",
+    "mumps_pivtol": 1e-6,  # less fill-in where larger pivots have to be waited for
+}  # fmt: skip
 """Another way through, for a second try."""
 
-SHORTEST_LIMIT, LIMIT = 5.0, 4e-3
+SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
 """Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes. Where
 the linear algebra gets stuck in fill-in another start is the better use of time."""
 
