@@ -206,7 +206,10 @@ def random_case(rng: np.random.Generator, kind: str, feed: str) -> Case:
             str(rng.choice(["position", "position and stiffness", "pressure"])),
         )  # fmt: skip
         ends = [[a, b] for a in (-most, most) for b in (-most, most)]
-        if all(case.pressures(f[: len(muscles)]) for f in ends):
+        found = [case.pressures(f[: len(muscles)]) for f in ends]
+        # a leak drains what is above the supply: nothing rests there
+        top = 0.97 * getattr(FEEDS[feed], "supply", np.inf)
+        if all(found) and all(p < top for pressures in found for p in pressures or []):
             return case
     raise RuntimeError(f"no well-posed case of {kind} with {feed}")
 
@@ -319,6 +322,22 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     return left, last, failed
 
 
+def planned(case: Case, losses: tuple[Any, ...], memory: str) -> str:
+    """The quickest motion from the case's place 3 % of the stroke away, begun with that memory."""
+    plant = case.plant(losses)
+    point = plant.equilibrium(
+        conditions(case, case.pressures(case.friction(memory, losses, {})) or []), memory=memory
+    )
+    x = plant.variable(case.named)
+    goal, stroke = point[case.named], x.max - x.min
+    away = goal + 0.03 * stroke if goal + 0.03 * stroke < x.max else goal - 0.03 * stroke
+    plan = pam.plan(plant, [{case.named: goal}, {case.named: away}], memory=memory)
+    began = {n: plan.trajectory[n][0] for n in point.memory}
+    same = all(abs(value - point.memory[n]) < 1e-6 for n, value in began.items())
+    words = "verified" if plan.verified else f"NOT VERIFIED {plan.verdict}"
+    return f"{words} {plan.duration:.3f} s, memory {'as asked' if same else 'OTHER'}"
+
+
 def study(count: int, seed: int) -> dict[str, list[Answer]]:
     """``count`` cases, each with every loss; memories in turn."""
     rng = np.random.default_rng(seed)
@@ -347,7 +366,7 @@ def main(count: int = 60, seed: int = 1, controls: int = 10) -> None:
               f"{np.nanmax([a.moved for a in found] or [np.nan]):>14.1e}")  # fmt: skip
     print(f"{time.process_time() - begun:.0f} s of processor time, seed {seed}\n")
     rng = np.random.default_rng(seed + 1000)
-    print("distance from the set point, % of the stroke (lqr with integral, Mpc)")
+    print("distance from the set point, % of the stroke (lqr with integral, Mpc), and a plan")
     kinds = ("hanging", "spring", "series", "slide", "joint")
     for i in range(controls):
         name = ("bouc-wen", "maxwell-slip", "all memories")[i % 3]
@@ -355,8 +374,11 @@ def main(count: int = 60, seed: int = 1, controls: int = 10) -> None:
         memory = MEMORIES[i % 3]
         try:
             left, last, failed = controlled(case, LOSSES[name], memory)
+            plan = planned(case, LOSSES[name], memory)
             print(
-                f"{case.kind:<9}{name:<14}{memory:<8}{100 * left:8.3f}{100 * last:8.3f}   Mpc failures {failed}"
+                f"{case.kind:<9}{name:<14}{memory:<8}{100 * left:8.3f}{100 * last:8.3f}   "
+                f"Mpc failures {failed}, plan {plan}",
+                flush=True,
             )
         except pam.PamError as error:
             print(f"{case.kind:<9}{name:<14}{memory:<8} {error}")
