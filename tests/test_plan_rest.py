@@ -102,17 +102,34 @@ def test_a_stop_is_a_place_where_inputs_could_hold_the_plant():
 
 
 def test_where_nothing_can_rest_it_is_said():
+    plant = pam.Plant("decay")
+    y = plant.state("y")
+    plant.der(y, -y)
+    with pytest.raises(InputError, match="rest=False"):
+        pam.plan(plant, [{"y": 1.0}, {"y": 0.5}])
+
+
+def test_a_level_without_a_position_stands_where_an_input_can_hold_it():
     plant = pam.Plant("lag")
     y, u = plant.state("y"), plant.input("u", min=-1.0, max=1.0)
     plant.der(y, (u - y) / 0.1)
-    with pytest.raises(InputError, match="rest=False"):
-        pam.plan(plant, [{"y": 0.0}, {"y": 0.5}])
-    clock = pam.Plant("clock")
-    t, y, u = clock.state("t"), clock.state("y"), clock.input("u", min=-1.0, max=1.0)
-    clock.der(t, 1)
-    clock.der(y, u - y)
-    with pytest.raises(InputError, match="rest=False"):
-        pam.plan(clock, [{"y": 0.0}, {"y": 0.5}])
+    plan = pam.plan(plant, [{"y": 0.0}, {"y": 0.5}])
+    assert plan.verified
+    assert plan.duration == pytest.approx(0.1 * np.log(2.0), rel=1e-6)  # u = 1 all along
+    with pytest.raises(pam.PlanError):  # no input holds 1.5
+        pam.plan(plant, [{"y": 0.0}, {"y": 1.5}])
+
+
+def test_a_sum_of_states_stands_still_where_no_state_is_a_position():
+    """A double integrator in a = x + v, b = x - v: 2 sqrt(distance) as in any other coordinates."""
+    plant = pam.Plant("turned")
+    a, b, u = plant.state("a"), plant.state("b"), plant.input("u", min=-1.0, max=1.0)
+    plant.der(a, (a - b) / 2 + u)
+    plant.der(b, (a - b) / 2 - u)
+    plant.output("x", (a + b) / 2)
+    plan = pam.plan(plant, [{"x": 0.0}, {"x": 1.0}])
+    assert plan.verified
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -461,6 +461,6 @@ def test_ctrl_c_among_several_starts_leaves_no_process_behind(by_valve, monkeypa
 
     monkeypatch.setattr(side_by_side.subprocess, "Popen", press)
     with pytest.raises(KeyboardInterrupt):
-        pam.plan(by_valve, UP["stops"], method=Collocation(40, 4))
+        pam.plan(by_valve, UP["stops"], method=Collocation(40, 4), starts=8)
     assert len(begun) == 2
     assert all(process.poll() is not None for process in begun)

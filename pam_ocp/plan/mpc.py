@@ -22,6 +22,7 @@ from ..simulate import evaluated
 from ..trajectory import Trajectory
 from ..variables import Variable
 from .mpc_statistics import MpcStatistics, MpcStep
+from .narrowing import rounded
 from .shooting import Limit, Penalty, Shooting
 from .sqp import Ipopt, Outcome, Sqp
 from .step import Givens, Step, StepMethod
@@ -36,6 +37,9 @@ Array: TypeAlias = NDArray[np.float64]
 FIRST_ITERATIONS = 30
 """Of the first solve, which has no solution to start from."""
 
+KINKS = 0.5
+"""Place between the widest roundings (0) and the plant's own (1) at which a controller sees kinks: one
+step of Newton's method a sample does not settle on sharper ones."""
 FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
@@ -116,8 +120,9 @@ class Mpc:
         self.plant, self.horizon, self.step, self.delay = plant, horizon, float(step), delay
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
-        self.model = inversion.inner
-        """The plant as the program sees it: with openings in place of the commands of valves."""
+        self.model = rounded(inversion.inner, KINKS)
+        """The plant as the program sees it: with openings in place of the commands of valves, and the
+        kinks of friction and hysteresis rounded off over wider widths."""
         self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")

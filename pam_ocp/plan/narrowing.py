@@ -19,7 +19,7 @@ from .problem import Problem
 from .solver import Outcome, Start
 from .transcription import Program
 
-__all__ = ["has_kinks", "narrowing", "widened"]
+__all__ = ["has_kinks", "narrowing", "rounded", "widened"]
 
 FIRST, LEAST = 0.3, 0.02
 """Parts of the path that are gone at once: at first, and at least before it is given up."""
@@ -40,17 +40,21 @@ def _roundings(plant: Plant) -> list[Variable]:
     return [v for v in plant.parameters if v.widest > 0 and v.widest > (v.start or 0.0)]
 
 
-def _at(program: Program, part: float) -> Program:
-    """The program with the roundings of a place on the path, 0 (widest) .. 1 (the plant's own)."""
-    plant = program.problem.plant
-    values = {
+def rounded(plant: Plant, part: float) -> Plant:
+    """The plant with the roundings of a place on the path, 0 (widest) .. 1 (its own)."""
+    return plant.with_values({
         v.name: float(np.clip(v.widest ** (1 - part) * (v.start or 0.0) ** part, v.min, v.max))
         for v in _roundings(plant)
-    }
+    })  # fmt: skip
+
+
+def _at(program: Program, part: float) -> Program:
+    """The program with the roundings of a place on the path."""
+    plant = program.problem.plant
     aims = list(program.problem.aims)
     for i, widest in program.problem.widths.items():
         aims[i] = widest ** (1 - part) * aims[i] ** part
-    problem = replace(program.problem, plant=plant.with_values(values), aims=tuple(aims))
+    problem = replace(program.problem, plant=rounded(plant, part), aims=tuple(aims))
     return replace(program, problem=problem)
 
 

@@ -170,7 +170,9 @@ class _Check:
         for i, leg in enumerate(self.problem.legs):
             own = of_leg == i
             if own.any():
-                columns = (part[:, own].reshape(len(part), -1) for part in (x, u))
+                columns = (
+                    part[:, own].reshape(len(part), own.sum() * t.shape[1]) for part in (x, u)
+                )
                 yield leg, np.repeat(self._interval[own], t.shape[1]), t[own].ravel(), *columns
 
     def along(self) -> tuple[dict[str, float], ...]:

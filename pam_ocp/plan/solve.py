@@ -244,10 +244,11 @@ class Planner:
         count = starts or (1 if near is not None else number_of_starts(program.problem.plant))
         if count == 1:
             return [run.solve(near)]
-        found, ends = run.several(count)
-        ours = run.from_another(near) if near is not None else self._opened(run)
+        opened = self._opened(run) if near is None else None
+        found, ends = run.several(count if opened is None else count - 1)
+        ours = run.from_another(near) if near is not None else opened
         if ours is not None:
-            ends, found = Ends((ours.outcome, *ends.outcomes)), [ours, *found]
+            ends, found = Ends((*ends.outcomes, ours.outcome)), [*found, ours]
         figures |= ends.figures()
         good = [each for each in found if each.outcome.success]
         if good:

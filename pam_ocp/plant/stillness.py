@@ -61,7 +61,12 @@ class _Rates:
         p = self.plant.vector("parameter")
         a, b = self.plant.jacobians(x, u, p)[:2]
         nominal, inputs = self.scale
-        slopes = np.hstack([np.asarray(a) * nominal, np.asarray(b).reshape(len(x), -1) * inputs])
+        slopes = np.hstack(
+            [
+                np.asarray(a) * nominal,
+                np.asarray(b).reshape(len(x), len(self.plant.inputs)) * inputs,
+            ]
+        )
         rates = np.asarray(self.plant.function(x, u, p)[0], float).ravel()
         return rates / nominal, slopes / nominal[:, None]
 
@@ -245,7 +250,7 @@ def _structure(plant: Plant) -> tuple[list[str], NDArray[np.bool_], NDArray[np.b
     a = np.array(ca.DM(ca.jacobian(xdot, plant.x).sparsity(), 1)).astype(bool)
     chosen = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
     b = np.array(ca.DM(ca.jacobian(xdot, plant.u).sparsity(), 1)).astype(bool)
-    return names, a, b.reshape(len(names), -1)[:, chosen]
+    return names, a, b.reshape(len(names), len(plant.inputs))[:, chosen]
 
 
 def totals(plant: Plant) -> tuple[str, ...]:
