@@ -38,7 +38,10 @@ def test_both_modes_agree_with_scipy_to_a_millionth_of_nominal(
         assert found.ok, str(found)
         assert set(found.deviations) == set(KINDS)
         assert len(found.deviations["CoSimulation"]) == len(plant.states) + len(plant.outputs)
-        assert found.largest < 5e-7
+        assert found.largest < 1e-6
+        # a power errs by its force and its velocity, and runs up to six nominals
+        others = [d for of in found.deviations.values() for n, d in of.items() if "power" not in n]
+        assert max(others) < 5e-7
 
 
 def test_linear_inputs_are_followed_in_every_mode(tmp_path: Path) -> None:
