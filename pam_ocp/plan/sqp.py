@@ -132,6 +132,10 @@ def _infinite(bounds: Array) -> Array:
     return np.where(np.abs(bounds) >= UNBOUNDED, open_ends, bounds)
 
 
+LONGEST = 5.0
+"""Processor seconds of one solve by IPOPT; a controller that waits longer has lost its plant."""
+
+
 class Ipopt:
     """The same program by IPOPT with exact Hessian: slower, and sure. Made at its first use."""
 
@@ -163,6 +167,7 @@ class Ipopt:
             "tol": 1e-6,
             "max_iter": 200,
             "mu_init": 1e-2,
+            "max_cpu_time": LONGEST,
         }
         self._watch = Watch(p.size, nlp["g"].numel(), nlp["p"].numel())
         outer: dict[str, Any] = {
