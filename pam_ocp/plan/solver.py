@@ -51,6 +51,8 @@ ADAPTIVE: dict[str, Any] = {
 SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
 """Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes. Where
 the linear algebra gets stuck in fill-in another start is the better use of time."""
+PATIENCE = 6.0
+"""Times as much for all but the first start."""
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
@@ -159,7 +161,7 @@ class Ipopt:
     def _options(self, name: Start) -> dict[str, Any]:
         """Of the solver of this name, but for its functions."""
         time = max(SHORTEST_LIMIT, LIMIT * self.program.nlp["x"].numel())
-        limit = {} if name == "warm" else {"max_cpu_time": time}
+        limit = {"max_cpu_time": time if name == "cold" else PATIENCE * time}
         chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], **limit, **self._given}
         goal = self.program.problem.objective
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
