@@ -150,9 +150,12 @@ def _wait(
         try:
             message = messages.get(timeout=min(left, _POLL))
         except queue.Empty:
-            if process.poll() is None or not messages.empty():
+            if process.poll() is None:
                 continue
-            message = None  # dead, though something that it started may hold the pipe
+            try:  # dead; what it said last may still be on its way
+                message = messages.get(timeout=_GRACE)
+            except queue.Empty:
+                message = None  # something that it started may hold the pipe
         if message is None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(min(left, _GRACE))
