@@ -1,8 +1,12 @@
-"""Economical motions on every arrangement and feed that has them: do they converge, and are they exact?
+"""Economical motions on every arrangement and feed that has them: do they converge, and are they
+exact?
 
-Work, air and exergy at the default call, a motion of fixed duration there and, for some, back. Three
-figures each: the objective, the same integral by SciPy along its own replay of the plan (how exact the
-reported figure is), and the objective on a mesh four times as fine (how far the optimum may be off).
+Work, air and exergy at the default call, a motion of fixed duration there and, for some, back.
+Three
+figures each: the objective, the same integral by SciPy along its own replay of the plan (how exact
+the
+reported figure is), and the objective on a mesh four times as fine (how far the optimum may be
+off).
 
 Run:  python benchmarks/economy.py [seed] [--fine]
 """
@@ -16,7 +20,7 @@ import verdict_study
 from scipy.integrate import trapezoid
 
 import pam_ocp as pam
-from pam_ocp.signals import signals
+from pam_ocp.core.signals import signals
 
 GOALS = {"work": 1.0, "air": 1e-3, "exergy": 10.0}
 """Term: its unit in SI."""
@@ -26,15 +30,39 @@ def plants(rng):
     """(words, plant, stops) of every arrangement with a regulator and with each kind of valve."""
     muscle = pam.muscle("DMSP-20-200N")
     reach = rng.uniform(0.006, 0.012)
-    feeds = {"regulator": lambda: pam.Regulator(), "spool": lambda: pam.SpoolValve(),
-             "on-off": lambda: pam.OnOffValves(), "ideal": lambda: pam.IdealPressure()}  # fmt: skip
+    feeds = {
+        "regulator": lambda: pam.Regulator(),
+        "spool": lambda: pam.SpoolValve(),
+        "on-off": lambda: pam.OnOffValves(),
+        "ideal": lambda: pam.IdealPressure(),
+    }
     makers = {
-        "hanging": lambda f: (pam.HangingLoad(muscle, rng.uniform(5, 15), feed=f), "x", 0.01, 0.01 + 2 * reach),
-        "spring": lambda f: (pam.SpringOverMuscle(muscle, 2.0, feed=f), "x", 0.005, 0.005 + 2 * reach),
-        "series": lambda f: (pam.SeriesLoad(muscle, rng.uniform(5, 15), feed=f), "x", 0.01, 0.01 + 2 * reach),
+        "hanging": lambda f: (
+            pam.HangingLoad(muscle, rng.uniform(5, 15), feed=f),
+            "x",
+            0.01,
+            0.01 + 2 * reach,
+        ),
+        "spring": lambda f: (
+            pam.SpringOverMuscle(muscle, 2.0, feed=f),
+            "x",
+            0.005,
+            0.005 + 2 * reach,
+        ),
+        "series": lambda f: (
+            pam.SeriesLoad(muscle, rng.uniform(5, 15), feed=f),
+            "x",
+            0.01,
+            0.01 + 2 * reach,
+        ),
         "slide": lambda f: (pam.AntagonisticSlide(muscle, 2.0, feed=f), "x", -reach, reach),
-        "joint": lambda f: (pam.AntagonisticJoint(muscle, feed=f), "theta", -30 * reach, 30 * reach),
-    }  # fmt: skip
+        "joint": lambda f: (
+            pam.AntagonisticJoint(muscle, feed=f),
+            "theta",
+            -30 * reach,
+            30 * reach,
+        ),
+    }
     for kind, make in makers.items():
         for feed, build in feeds.items():
             plant, name, a, b = make(build())

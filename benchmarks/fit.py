@@ -4,7 +4,8 @@
 
 A spreadsheet's solver (generalised reduced gradient) is a local method; SLSQP, the method of its
 kind in SciPy, stands for it. IPOPT (the solver of our last step, alone) and lmfit (where it is
-installed, else said so) start from the same points. Starts: each coefficient at its nominal size times 10^(-1 .. 1), of
+installed, else said so) start from the same points. Starts: each coefficient at its nominal size
+times 10^(-1 .. 1), of
 either sign. Success: the sum of squares is within one part in a million of the least one found.
 Times as ratios to ours in the same run.
 """
@@ -21,8 +22,8 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 
 import pam_ocp as pam
-from pam_ocp.fit import fit_force
-from pam_ocp.muscle.force import SixParameterLaw
+from pam_ocp.fitting import fit_force
+from pam_ocp.muscles.law import SixParameterLaw
 
 MUSCLES = {"DMSP-20-300": 0.300, "DMSP-10-250": 0.250}
 SIZES = np.array([10.0, 100.0, 0.1, 10.0, 100.0, 100.0])  # a1 .. a6 for p in bar, kappa in %
@@ -51,10 +52,12 @@ def squares_of(table: pam.ForceTable) -> tuple[Callable, Callable]:
 def slsqp(residuals: Callable, jacobian: Callable, start: np.ndarray) -> float:
     """The gradient method of a spreadsheet, with exact derivatives."""
     answer = minimize(
-        lambda z: float(np.sum(residuals(z) ** 2)), start,
-        jac=lambda z: 2 * jacobian(z).T @ residuals(z), method="SLSQP",
+        lambda z: float(np.sum(residuals(z) ** 2)),
+        start,
+        jac=lambda z: 2 * jacobian(z).T @ residuals(z),
+        method="SLSQP",
         options={"maxiter": 1000, "ftol": 1e-12},
-    )  # fmt: skip
+    )
     return float(answer.fun)
 
 
@@ -70,9 +73,11 @@ def ipopt(table: pam.ForceTable) -> Callable[[np.ndarray], float]:
     p, kappa = ca.DM(table.pressure / 1e5), ca.DM(table.contraction * 100)
     model = (a1 * p + a2) * ca.exp(a3 * kappa) + a4 * kappa * p + a5 * p + a6
     options = {
-        "print_time": False, "error_on_fail": False, "show_eval_warnings": False,
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
         "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 1000},
-    }  # fmt: skip
+    }
     nlp = {"x": z, "f": ca.sumsqr(model - ca.DM(table.force)) / 1e4}
     solver = ca.nlpsol("local", "ipopt", nlp, options)
     return lambda start: 1e4 * float(solver(x0=start)["f"])
@@ -95,9 +100,12 @@ def lmfit_of(table: pam.ForceTable) -> Callable[[np.ndarray], float] | None:
             parameters.add(f"z{i}", value=value)
         try:
             found = lmfit.minimize(
-                lambda q: residuals(vector(q)), parameters, Dfun=lambda q: jacobian(vector(q)),
-                col_deriv=False, max_nfev=4000,
-            )  # fmt: skip
+                lambda q: residuals(vector(q)),
+                parameters,
+                Dfun=lambda q: jacobian(vector(q)),
+                col_deriv=False,
+                max_nfev=4000,
+            )
         except ValueError:  # it gives up on numbers that overflow
             return float("inf")
         return float(found.chisqr)

@@ -1,16 +1,23 @@
-"""Do static fits hold on other people's tables? Random synthetic tables, all laws, intervals and bands.
+"""Do static fits hold on other people's tables? Random synthetic tables, all laws, intervals and
+bands.
 
     python benchmarks/fit_study.py 500 --seed 7 --out study.json
 
 Each table is sampled from a law of the library: a fit to one of the bundled maps, its coefficients
 moved by up to 10 %. Random too: 3 to 6 contraction levels (the first not always at rest), 5 to 14
-pressures, ramps up or up and down, in order of levels or of pressures, labelled or not, repeats, noise
-of 3 to 5 N for a muscle of 1500 N (in proportion for a smaller one) that follows itself along a ramp
-with a correlation of 0 to 0.9, slack cells at zero force, cells that are missing, units of the columns.
+pressures, ramps up or up and down, in order of levels or of pressures, labelled or not, repeats,
+noise
+of 3 to 5 N for a muscle of 1500 N (in proportion for a smaller one) that follows itself along a
+ramp
+with a correlation of 0 to 0.9, slack cells at zero force, cells that are missing, units of the
+columns.
 
-Counted: exceptions; how often the 95 % interval of a coefficient holds its true value, and how often
-the 95 % band of the mean force holds the true force, at 60 places of the table's range (both from the
-law that the table was sampled from). Coefficients and places that the data do not see (their error is
+Counted: exceptions; how often the 95 % interval of a coefficient holds its true value, and how
+often
+the 95 % band of the mean force holds the true force, at 60 places of the table's range (both from
+the
+law that the table was sampled from). Coefficients and places that the data do not see (their error
+is
 infinite, and the fit says so) are counted apart. Also written: for each law alone.
 """
 
@@ -61,7 +68,7 @@ _TRUTHS: dict[tuple[str, str], tuple[Any, dict[str, float]]] = {}
 
 
 def law_names() -> list[str]:
-    from pam_ocp.muscle.force import LAWS
+    from pam_ocp.muscles.law import LAWS
 
     return [*LAWS, *FREE_FORMS]
 
@@ -69,7 +76,7 @@ def law_names() -> list[str]:
 def truth(name: str, source: str, length: float, scale: float) -> tuple[Any, dict[str, float]]:
     """A law as fitted to a bundled map, and its known constants."""
     if (name, source) not in _TRUTHS:
-        from pam_ocp.fit.static import law_class
+        from pam_ocp.fitting.static.static import law_class
 
         known = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.25}
         constants = law_class(name).fixed_coefficients()
@@ -187,14 +194,24 @@ def judged(case: Case, random: np.random.Generator) -> dict[str, Any]:
     inside = (band.confidence[0] <= true) & (true <= band.confidence[1])
     fit.report(LEVEL)
     return {
-        "law": case.name, "levels": case.levels, "correlation": case.correlation, "cells": fit.n,
-        "coefficients": [int(sum(held)), len(held)], "open ends": len(ends) - sum(ends),
+        "law": case.name,
+        "levels": case.levels,
+        "correlation": case.correlation,
+        "cells": fit.n,
+        "coefficients": [int(sum(held)), len(held)],
+        "open ends": len(ends) - sum(ends),
         "unseen": len(intervals) - len(held),
-        "band": [int(inside[finite].sum()), int(finite.sum())], "no band": int((~finite).sum()),
-        "serial": None if fit.serial is None else fit.serial.correlation, "edge": list(fit.solver.at_bound), "names": {n: bool(low <= values[n] <= high)
-        for n, (low, high) in intervals.items() if seen[n]},
-        "mean width": float(np.mean(np.diff(band.confidence, axis=0)[0][finite])) if finite.any() else None,
-    }  # fmt: skip
+        "band": [int(inside[finite].sum()), int(finite.sum())],
+        "no band": int((~finite).sum()),
+        "serial": None if fit.serial is None else fit.serial.correlation,
+        "edge": list(fit.solver.at_bound),
+        "names": {
+            n: bool(low <= values[n] <= high) for n, (low, high) in intervals.items() if seen[n]
+        },
+        "mean width": float(np.mean(np.diff(band.confidence, axis=0)[0][finite]))
+        if finite.any()
+        else None,
+    }
 
 
 def study(count: int, seed: int, first: int = 0) -> list[dict[str, Any]]:
@@ -207,8 +224,11 @@ def study(count: int, seed: int, first: int = 0) -> list[dict[str, Any]]:
         try:
             found = judged(case, random)
         except Exception as error:
-            found = {"law": case.name, "error": f"{type(error).__name__}: {error}",
-                     "trace": traceback.format_exc()}  # fmt: skip
+            found = {
+                "law": case.name,
+                "error": f"{type(error).__name__}: {error}",
+                "trace": traceback.format_exc(),
+            }
         results.append({"number": number, **found, "seconds": time.process_time() - began})
     return results
 
@@ -222,10 +242,16 @@ def summary(results: list[dict[str, Any]]) -> str:
         parts[f"law {r['law']}"].append(r)
         parts[f"{r['levels']} levels"].append(r)
         parts[
-            f"errors {'follow' if r['correlation'] else 'alone'}, {'un' if r['serial'] is None else ''}seen"
+            f"errors {'follow' if r['correlation'] else 'alone'}, "
+            f"{'un' if r['serial'] is None else ''}seen"
         ].append(r)
-        parts[f"correlation {'0' if not r['correlation'] else '< 0.45' if r['correlation'] < 0.45 else '< 0.9'}"].append(r)  # fmt: skip
-    lines.append(f"{'':<34}{'tables':>7}{'coefficients':>14}{'band':>8}{'open':>6}{'unseen':>8}{'edge':>6}{'s':>7}")  # fmt: skip
+        parts[
+            "correlation "
+            + ("0" if not r["correlation"] else "< 0.45" if r["correlation"] < 0.45 else "< 0.9")
+        ].append(r)
+    lines.append(
+        f"{'':<34}{'tables':>7}{'coefficients':>14}{'band':>8}{'open':>6}{'unseen':>8}{'edge':>6}{'s':>7}"
+    )
     for name, rows in sorted(parts.items()):
         share = [
             100 * sum(r[key][0] for r in rows) / max(sum(r[key][1] for r in rows), 1)

@@ -1,4 +1,5 @@
-"""What a communication step of an exported FMU costs, in units of one step of Rodas4 (six right-hand
+"""What a communication step of an exported FMU costs, in units of one step of Rodas4 (six
+right-hand
 sides and one Jacobian): at rest, with jumps 100 and 10 steps apart, with jumps in each step.
 
     python benchmarks/fmu_step.py [runs]
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.fmu.compile import native
+from pam_ocp.export.compile import native
 
 PROGRAM = Path(__file__).with_name("step_cost.c")
 CASES = ("at rest", "jumps 100 steps apart", "jumps 10 steps apart", "jumps in each step")
@@ -32,11 +33,25 @@ def built(folder: Path) -> Path:
         archive.extractall(folder / "fmu")
     target = folder / "step_cost"
     subprocess.run(
-        [sys.executable, "-m", "ziglang", "cc", "-target", native().target, "-std=c11", "-O2",
-         "-ffp-contract=off", "-I", str(folder / "fmu" / "sources"), str(PROGRAM), "-o", str(target),
-         "-lm"],
+        [
+            sys.executable,
+            "-m",
+            "ziglang",
+            "cc",
+            "-target",
+            native().target,
+            "-std=c11",
+            "-O2",
+            "-ffp-contract=off",
+            "-I",
+            str(folder / "fmu" / "sources"),
+            str(PROGRAM),
+            "-o",
+            str(target),
+            "-lm",
+        ],
         check=True,
-    )  # fmt: skip
+    )
     return target
 
 

@@ -1,4 +1,5 @@
-"""How well can a level of contraction that was not measured be predicted, and what stands in the way?
+"""How well can a level of contraction that was not measured be predicted, and what stands in the
+way?
 
     python benchmarks/leave_one_out.py
 
@@ -128,7 +129,8 @@ def lines(table: pam.ForceTable) -> None:
         c = np.linalg.lstsq(a, table.force[here], rcond=None)[0]
         k = 100 * table.contraction[here].mean()
         print(
-            f"{k:5.2f} %{here.sum():>7}{c[0]:>12.2f}{c[1]:>10.1f}{rms(table.force[here] - a @ c):>12.2f}"
+            f"{k:5.2f} %{here.sum():>7}{c[0]:>12.2f}{c[1]:>10.1f}"
+            f"{rms(table.force[here] - a @ c):>12.2f}"
         )
 
 
@@ -153,7 +155,8 @@ def shifts(forms: Forms, level: np.ndarray, rest_length: float) -> None:
     every = np.ones(level.size, dtype=bool)
     plain, _, k = forms.fit(gain, offset, every)
     print(
-        f"length of one level free (braid's G, H = h0 + h1 exp; RMSE {np.sqrt(plain / level.size):.2f} N without):"
+        "length of one level free (braid's G, H = h0 + h1 exp; RMSE "
+        f"{np.sqrt(plain / level.size):.2f} N without):"
     )
     for i in range(level.max() + 1):
         here = level == i
@@ -169,7 +172,8 @@ def shifts(forms: Forms, level: np.ndarray, rest_length: float) -> None:
         ]
         at = int(np.argmin(outside))
         print(
-            f"  level {100 * forms.kappa[here].mean():5.2f} %: longer by {-1e3 * rest_length * SHIFTS[best]:+.2f} mm, "
+            f"  level {100 * forms.kappa[here].mean():5.2f} %: longer by "
+            f"{-1e3 * rest_length * SHIFTS[best]:+.2f} mm, "
             f"RMSE {np.sqrt(sums[best] / level.size):.2f} N, F = {f:.3g} (probability "
             f"{f_distribution.sf(f, 1, dof):.1g}); left out at best {outside[at]:.2f} N with "
             f"{-1e3 * rest_length * SHIFTS[::2][at]:+.2f} mm"

@@ -1,6 +1,7 @@
 """Do other starts lead to other plans? Random minimum-time tasks, each from twelve starts.
 
-Two first guesses (states held, or running between the equilibria), three durations of it, two barrier
+Two first guesses (states held, or running between the equilibria), three durations of it, two
+barrier
 strategies. Printed: how far the plan from the planner's own start is above the best of them.
 
 Run:  python benchmarks/local_optima.py [number of tasks]
@@ -30,7 +31,8 @@ def main(count: int = 20) -> None:
         gap = values[0] / min(values) - 1 if ends[0]["solved"] else float("inf")
         gaps["valve" if ", valve" in task.words else "regulator"].append(gap)
         print(
-            f"{len(values):2d} of 12 starts solved; own {values[0]:.6f} s, best {min(values):.6f} s, "
+            f"{len(values):2d} of 12 starts solved; own {values[0]:.6f} s, best {min(values):.6f} "
+            "s, "
             f"{gap:7.1e} above: {task.words.split(', {')[0]}",
             flush=True,
         )

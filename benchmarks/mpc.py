@@ -1,10 +1,12 @@
 """Step times of the controller on the planner's benchmark plant, in one run, as ratios to IPOPT.
 
-The plant of PAM-2DIR follows a square wave between the stops: steps of 5 ms, RK4 with two sub-steps,
+The plant of PAM-2DIR follows a square wave between the stops: steps of 5 ms, RK4 with two
+sub-steps,
 all limits soft, shifted warm start. IPOPT solves the same program from the same guess.
 
 Times are those of the thread on the processor, so that other programs do not enter; "wall" is the
-median by the clock. The garbage of the set-up is frozen first, as before any loop that must be on time.
+median by the clock. The garbage of the set-up is frozen first, as before any loop that must be on
+time.
 
 Run:  python benchmarks/mpc.py [horizon ...]
 """
@@ -16,7 +18,7 @@ from time import perf_counter, thread_time
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.plan.mpc import Mpc
+from pam_ocp.control.mpc.mpc import Mpc
 
 STEP, BAR = 0.005, 1e5
 COMMANDS = ("muscle1.command", "muscle2.command")
@@ -31,10 +33,13 @@ METHODS = (
 
 def benchmark_plant() -> pam.Plant:
     return pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"), mass=2.0, pre_contraction=0.10, stroke=0.016,
+        pam.muscle("DMSP-20-200N"),
+        mass=2.0,
+        pre_contraction=0.10,
+        stroke=0.016,
         damping=pam.ConstantDamping(20.0),
         feed=pam.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
-    )  # fmt: skip
+    )
 
 
 def run(
@@ -42,9 +47,13 @@ def run(
 ) -> tuple[Mpc, np.ndarray]:
     """The controller after so many steps, and the processor time of each after the first [s]."""
     mpc = Mpc(
-        plant, horizon=horizon, step=STEP, track={"x": 1.0}, rate=dict.fromkeys(COMMANDS, 0.1),
+        plant,
+        horizon=horizon,
+        step=STEP,
+        track={"x": 1.0},
+        rate=dict.fromkeys(COMMANDS, 0.1),
         **options,
-    )  # fmt: skip
+    )
     rest = plant.equilibrium(x=-0.014, stiffness=2e4)
     mpc.reset({n: rest[n] for n in COMMANDS})
     state, seconds = rest.x, []
@@ -59,8 +68,9 @@ def run(
         plan = mpc.prediction()  # the plant follows the model: the next state is the planned one
         state = np.clip(
             plan.array([v.name for v in plant.states])[1],
-            plant.vector("state", attribute="min"), plant.vector("state", attribute="max"),
-        )  # fmt: skip
+            plant.vector("state", attribute="min"),
+            plant.vector("state", attribute="max"),
+        )
     gc.unfreeze()
     return mpc, np.array(seconds[1:])
 
@@ -87,9 +97,11 @@ def main() -> None:
                 figures = [1e3 * f for f in (median, np.quantile(seconds, 0.99), worst)]
                 figures += [worst / median, 1e3 * done.median, 1e3 * qp]
                 print(
-                    f"{label:<46}" + "".join(f"{f:>11.2f}" for f in figures)
-                    + f"{median / base:>11.3f}{iterations:>11.1f}{done.fallbacks:>11d}", flush=True,
-                )  # fmt: skip
+                    f"{label:<46}"
+                    + "".join(f"{f:>11.2f}" for f in figures)
+                    + f"{median / base:>11.3f}{iterations:>11.1f}{done.fallbacks:>11d}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

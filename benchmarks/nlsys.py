@@ -5,16 +5,21 @@ Run:  python benchmarks/nlsys.py
 Four arrangements, each measured in one run with the same inputs, start, output times and outputs:
 
 1. one right-hand side;
-2. a whole ``control.input_output_response`` by the same solver at the same tolerances: there most of
+2. a whole ``control.input_output_response`` by the same solver at the same tolerances: there most
+of
    the time is Python's (SciPy's stepper, python-control's interpolation of the inputs), which both
    sides pay;
-3. a whole response that agrees with ``pam_ocp.simulate`` to 1e-6 of nominal: ``PlantSystem.response``
+3. a whole response that agrees with ``pam_ocp.simulation.simulate`` to 1e-6 of nominal:
+``PlantSystem.response``
    against ``input_output_response`` of the NumPy system, with the loosest tolerance that suffices;
-4. the same with inputs held over samples: ``input_output_response`` of ``as_nlsys(..., dt=)`` against
+4. the same with inputs held over samples: ``input_output_response`` of ``as_nlsys(..., dt=)``
+against
    that of a discrete-time system whose update integrates the NumPy right-hand side by SciPy.
 
-The NumPy side is what an engineer would write by hand: one array operation serves both muscles, constants
-are looked up beforehand, branches only where the model has them (the clamp at zero force, ISO 6358).
+The NumPy side is what an engineer would write by hand: one array operation serves both muscles,
+constants
+are looked up beforehand, branches only where the model has them (the clamp at zero force, ISO
+6358).
 The figures are seconds of one run on one machine: only their ratio means something.
 """
 
@@ -31,8 +36,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp.muscle.valves import SpoolValve
-from pam_ocp.nlsys import as_nlsys
+from pam_ocp.operating.nlsys import as_nlsys
+from pam_ocp.plants.valves import SpoolValve
 
 BAR = 1e5
 Array: TypeAlias = NDArray[np.float64]
@@ -163,10 +168,14 @@ def cases() -> list[Case]:
     return [
         Case("regulators", regulated, NumpySlide(regulated), outputs, 3 * BAR + BAR * wave, t),
         Case(
-            "spool valves", valves, NumpyValves(valves, overlap),
-            outputs + both("volume", "mass_flow", "supply_flow"), 0.3 * wave, t,
+            "spool valves",
+            valves,
+            NumpyValves(valves, overlap),
+            outputs + both("volume", "mass_flow", "supply_flow"),
+            0.3 * wave,
+            t,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def quickest(runs: dict[str, Callable[[], Any]], repeats: int = 5) -> tuple[dict[str, float], Any]:
@@ -189,18 +198,25 @@ START = dict.fromkeys(("muscle1.pressure", "muscle2.pressure"), 3 * BAR)
 def by_hand(case: Case, system: Any) -> Any:
     """The NumPy right-hand side as a system of python-control."""
     return control.nlsys(
-        case.by_hand.update, case.by_hand.output, states=system.nstates, inputs=system.ninputs,
+        case.by_hand.update,
+        case.by_hand.output,
+        states=system.nstates,
+        inputs=system.ninputs,
         outputs=system.noutputs,
-    )  # fmt: skip
+    )
 
 
 def solved(case: Case, system: Any, x0: Array, solver: str, rtol: float) -> Any:
     """``control.input_output_response`` with absolute tolerances of rtol times nominal."""
     atol = rtol * case.plant.vector("state", attribute="nominal")
     return control.input_output_response(
-        system, case.t, case.u, x0, solve_ivp_method=solver,
+        system,
+        case.t,
+        case.u,
+        x0,
+        solve_ivp_method=solver,
         solve_ivp_kwargs={"rtol": rtol, "atol": atol},
-    )  # fmt: skip
+    )
 
 
 def apart(case: Case, one: Any, other: Any) -> float:
@@ -258,15 +274,23 @@ def sampled(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, 
     def plain(rtol: float) -> Any:
         def update(t: float, x: Array, u: Array, params: dict[str, Any]) -> Array:
             motion = solve_ivp(
-                lambda s, z: case.by_hand.update(s, z, u, params), (0.0, dt), x, method=solver,
-                rtol=rtol, atol=rtol * nominal,
-            )  # fmt: skip
+                lambda s, z: case.by_hand.update(s, z, u, params),
+                (0.0, dt),
+                x,
+                method=solver,
+                rtol=rtol,
+                atol=rtol * nominal,
+            )
             return np.asarray(motion.y[:, -1])
 
         return control.nlsys(
-            update, case.by_hand.output, states=quick.nstates, inputs=quick.ninputs,
-            outputs=quick.noutputs, dt=dt,
-        )  # fmt: skip
+            update,
+            case.by_hand.output,
+            states=quick.nstates,
+            inputs=quick.ninputs,
+            outputs=quick.noutputs,
+            dt=dt,
+        )
 
     def run(system: Any) -> Any:
         return control.input_output_response(system, case.t, case.u, quick.x0)

@@ -31,9 +31,13 @@ SCALE = np.array([0.03, 1.0, 6 * BAR, 6 * BAR])
 
 def slide() -> pam.Plant:
     return pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"), 2.0, 0.10, stroke=0.016, damping=pam.ConstantDamping(20.0),
+        pam.muscle("DMSP-20-200N"),
+        2.0,
+        0.10,
+        stroke=0.016,
+        damping=pam.ConstantDamping(20.0),
         feed=pam.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
-    )  # fmt: skip
+    )
 
 
 @dataclass
@@ -54,9 +58,15 @@ class Result:
         worst = 0.0
         for k in range(N):
             run = solve_ivp(
-                lambda t, z, k=k: np.asarray(plant.function(z * SCALE, self.inputs[k], p)[0]).ravel() / SCALE,
-                (0, h), x / SCALE, method="DOP853", rtol=1e-11, atol=1e-11,
-            )  # fmt: skip
+                lambda t, z, k=k: (
+                    np.asarray(plant.function(z * SCALE, self.inputs[k], p)[0]).ravel() / SCALE
+                ),
+                (0, h),
+                x / SCALE,
+                method="DOP853",
+                rtol=1e-11,
+                atol=1e-11,
+            )
             x = run.y[:, -1] * SCALE
             worst = max(worst, float(np.max(np.abs(x - self.states[k + 1]) / SCALE)))
         return worst
@@ -86,9 +96,11 @@ def opti(plant: pam.Plant) -> Result:
         problem, variables = _opti(plant)
         problem.solver("ipopt")
         solver = ca.nlpsol(
-            "plain", "ipopt", {"x": problem.x, "f": problem.f, "g": problem.g},
+            "plain",
+            "ipopt",
+            {"x": problem.x, "f": problem.f, "g": problem.g},
             {"print_time": False, "expand": True, "ipopt": {"print_level": 0, "sb": "yes"}},
-        )  # fmt: skip
+        )
         start = problem.debug.value(problem.x, problem.initial())
         limits = (problem.debug.value(b) for b in (problem.lbg, problem.ubg))
         low, high = limits
@@ -102,9 +114,14 @@ def opti(plant: pam.Plant) -> Result:
     x[2:] *= BAR
     u *= BAR
     return Result(
-        "plain CasADi: Opti, Radau 3, expanded", float(duration.item()), firsts[0], min(solves),
-        solver.stats()["iter_count"], np.asarray(x).T, np.asarray(u).T,
-    )  # fmt: skip
+        "plain CasADi: Opti, Radau 3, expanded",
+        float(duration.item()),
+        firsts[0],
+        min(solves),
+        solver.stats()["iter_count"],
+        np.asarray(x).T,
+        np.asarray(u).T,
+    )
 
 
 def _opti(plant: pam.Plant) -> tuple[ca.Opti, tuple[Any, Any, Any]]:
@@ -112,9 +129,10 @@ def _opti(plant: pam.Plant) -> tuple[ca.Opti, tuple[Any, Any, Any]]:
     z, v = ca.SX.sym("z", 4), ca.SX.sym("v", 2)
     xdot = plant.function(z * units, v * BAR, p)[0] / units
     pulls = ca.Function(
-        "pulls", [plant.x, plant.u, plant.p],
+        "pulls",
+        [plant.x, plant.u, plant.p],
         [ca.vertcat(*(plant.expression(f"muscle{i}.tension") for i in (1, 2)))],
-    )(z * units, v * BAR, p)  # fmt: skip
+    )(z * units, v * BAR, p)
     model, tensions = ca.Function("model", [z, v], [xdot]), ca.Function("tensions", [z, v], [pulls])
     opti = ca.Opti()
     duration = opti.variable()
@@ -164,7 +182,8 @@ def main() -> None:
     print(f"{'way':<42}{'T [s]':>10}{'first':>8}{'solve':>8}{'iterations':>12}{'error':>10}")
     for r in results:
         print(
-            f"{r.name:<42}{r.duration:>10.6f}{r.first / reference.first:>8.2f}{r.solve / reference.solve:>8.2f}"
+            f"{r.name:<42}{r.duration:>10.6f}"
+            f"{r.first / reference.first:>8.2f}{r.solve / reference.solve:>8.2f}"
             f"{r.iterations:>12}{r.error(plant):>10.1e}"
         )
     few = pam.plan(
@@ -176,7 +195,8 @@ def main() -> None:
     ratio = few.statistics["solve_seconds"] / reference.solve
     print(f"pam_ocp: 6 x 9, input at the points: {few.duration:.6f} s, solve {ratio:.2f}")
     print(
-        f"(plain CasADi: first {reference.first:.2f} s, solve {reference.solve:.2f} s, Python {sys.version.split()[0]})"
+        f"(plain CasADi: first {reference.first:.2f} s, solve {reference.solve:.2f} s, Python "
+        f"{sys.version.split()[0]})"
     )
 
 

@@ -1,8 +1,10 @@
-"""How often the planner finds a motion from its own first guess, and what it says when there is none.
+"""How often the planner finds a motion from its own first guess, and what it says when there is
+none.
 
 100 random tasks that are feasible by construction: along the whole way a point of rest exists with
 every muscle taut and every pressure inside its range (found here by SciPy on the force law alone),
-and the time is free up to 10 s. 20 infeasible ones: what is named as the conflict is widened by what
+and the time is free up to 10 s. 20 infeasible ones: what is named as the conflict is widened by
+what
 is said to be missing, and then a motion must exist.
 
 Run:  python benchmarks/plan_study.py [number of tasks] [seed]
@@ -17,8 +19,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 import pam_ocp as pam
-from pam_ocp.plan.diagnosis import elastic
-from pam_ocp.plan.solver import Ipopt
+from pam_ocp.planning.solvers.diagnosis import elastic
+from pam_ocp.planning.solvers.solver import Ipopt
 
 MUSCLES = ("DMSP-20-200N", "DMSP-20-400N", "DMSP-20-300", "DMSP-10-250", "DMSP-20-300-wall")
 GRAVITY = 9.80665
@@ -136,9 +138,10 @@ def random_task(rng):
         if rng.random() < 0.3:
             arguments |= {"duration": 2.0, "minimise": "effort"}
         arguments["method"] = (
-            pam.Collocation(int(rng.integers(20, 60)), 3) if rng.random() < 0.6
+            pam.Collocation(int(rng.integers(20, 60)), 3)
+            if rng.random() < 0.6
             else pam.Collocation(int(rng.integers(5, 10)), 8, "polynomial")
-        )  # fmt: skip
+        )
         feed_words = "valve" if plant.inputs[0].min < 0 else "regulator"
         words = f"{muscle.name}, {words}, {feed_words}, {arguments}"
         return Task(words, plant, [{name: float(a)}, {name: float(b)}], arguments)
@@ -190,7 +193,9 @@ def solve(task):
 
 
 def conflict_is_true(error):
-    """Whether a motion exists once the named constraints are widened by what is said to be missing."""
+    """Whether a motion exists once the named constraints are widened by what is said to be
+    missing.
+    """
     failed = error.plan
     program = failed._solved.program
     wider = {}
@@ -236,7 +241,8 @@ def main(count=100, seed=1):
         if not plan.verified:
             doubtful.append((i, plan.replay_error, plan.replay.violation, task.words))
     print(
-        f"{solved} of {count} solved, {solved - len(doubtful)} verified by replay; median {np.median(times):.2f} s, longest {max(times):.2f} s"
+        f"{solved} of {count} solved, {solved - len(doubtful)} verified by replay; median "
+        f"{np.median(times):.2f} s, longest {max(times):.2f} s"
     )
     for i, deviation, violation, words in doubtful:
         print(f"{i:3d} replay {deviation:.1e}, violation {violation:.1e} of nominal: {words}")

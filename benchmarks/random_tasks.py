@@ -1,8 +1,11 @@
-"""Random planning tasks that are feasible by construction: every arrangement, feed, loss and load of the
+"""Random planning tasks that are feasible by construction: every arrangement, feed, loss and load
+of the
 library, and plants of one's own in odd coordinates.
 
-Feasible: along the whole way a point of rest exists with every muscle taut and every pressure inside
-its range, whatever friction does (found here by SciPy on the force law alone), and the time is free or
+Feasible: along the whole way a point of rest exists with every muscle taut and every pressure
+inside
+its range, whatever friction does (found here by SciPy on the force law alone), and the time is free
+or
 long. Nothing of the planner is asked.
 """
 
@@ -129,7 +132,7 @@ def loads(rng, scale, a, b):
     return (*made, "" if kind == "none" else str(kind))
 
 
-# ---- arrangements ---------------------------------------------------------------------------------
+# ---- arrangements --------------------------------------------------------------------------------
 def way(a, b):
     return np.linspace(a, b, 9)
 
@@ -238,15 +241,27 @@ def joint(rng, muscle):
         weight = link[0] * GRAVITY * link[1] * np.sin(s)
         for friction in (-dry, dry):
             if not pair_pulls(
-                muscle, muscle, 0.125 + arm * s / length, 0.125 - ratio * arm * s / length,
-                (need(s) + weight + friction) / arm, lost, 1 / ratio,
-            ):  # fmt: skip
+                muscle,
+                muscle,
+                0.125 + arm * s / length,
+                0.125 - ratio * arm * s / length,
+                (need(s) + weight + friction) / arm,
+                lost,
+                1 / ratio,
+            ):
                 return None
     source, feed_words = feed(rng, muscle)
     plant = pam.AntagonisticJoint(
-        muscle, inertia, arm, moment_arm2=arm * ratio, link_mass=link[0], link_length=link[1],
-        feed=source, losses=lossy, loads=loaded,
-    )  # fmt: skip
+        muscle,
+        inertia,
+        arm,
+        moment_arm2=arm * ratio,
+        link_mass=link[0],
+        link_length=link[1],
+        feed=source,
+        losses=lossy,
+        loads=loaded,
+    )
     words = told(f"{inertia:.2f} kg m2 on a joint", feed_words, loss_words, load_words)
     return plant, "theta", angle, words
 
@@ -284,7 +299,8 @@ def library_task(rng, maker=None):
         )
 
 
-# ---- plants of one's own ----------------------------------------------------------------------------
+# ---- plants of one's own
+# ----------------------------------------------------------------------------
 def gear(rng):
     plant, ratio = pam.Plant("gear"), rng.uniform(0.2, 5.0)
     x, v = plant.state("x"), plant.state("v")
@@ -408,9 +424,13 @@ def lever(rng):
     turn = plant.state("turn", unit="N.m.s", nominal=inertia)
     source, _ = feed(rng, muscle)
     part = plant.add_muscle(
-        "muscle", muscle, shortening=radius * theta, rate=radius * turn / inertia,
-        pre_contraction=0.03, feed=source,
-    )  # fmt: skip
+        "muscle",
+        muscle,
+        shortening=radius * theta,
+        rate=radius * turn / inertia,
+        pre_contraction=0.03,
+        feed=source,
+    )
     plant.der(theta, turn / inertia)
     weight = mass * GRAVITY * length * ca.sin(theta)
     plant.der(turn, radius * part.force - weight - 0.3 * turn / inertia)
@@ -423,7 +443,19 @@ def lever(rng):
     return plant, [{"theta": 0.2}, {"theta": goal}]
 
 
-OWN = (gear, momentum, rapidity, logarithm, swinging, two_masses, chain, jerk, first_order, rotated, lever)  # fmt: skip
+OWN = (
+    gear,
+    momentum,
+    rapidity,
+    logarithm,
+    swinging,
+    two_masses,
+    chain,
+    jerk,
+    first_order,
+    rotated,
+    lever,
+)
 
 
 def own_task(rng):

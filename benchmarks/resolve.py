@@ -1,10 +1,15 @@
-"""Planning again for other numbers: PAM-2DIR with another load or other stops, from a solved neighbour.
+"""Planning again for other numbers: PAM-2DIR with another load or other stops, from a solved
+neighbour.
 
-Two references, both of plain CasADi and IPOPT, started cold: ``Opti`` as its users write it (unscaled;
-case (a) alone, see plan.py), and the usual careful way: the scaled program with mapped stage functions,
+Two references, both of plain CasADi and IPOPT, started cold: ``Opti`` as its users write it
+(unscaled;
+case (a) alone, see plan.py), and the usual careful way: the scaled program with mapped stage
+functions,
 CasADi's own derivatives and IPOPT's defaults. Each figure is the best of ``REPEATS`` in this one
-process; ratios are those of the solver's time to the careful way's, and to Opti's in brackets. "call"
-is the whole call of the planner, with its independent replay. fatrop starts from the neighbour's primal
+process; ratios are those of the solver's time to the careful way's, and to Opti's in brackets.
+"call"
+is the whole call of the planner, with its independent replay. fatrop starts from the neighbour's
+primal
 values alone, so its "warm" is not IPOPT's.
 
 Run:  python benchmarks/resolve.py
@@ -27,7 +32,7 @@ import pam_ocp as pam
 sys.path.insert(0, str(Path(__file__).parent))
 from plan import BAR, N, opti, slide
 
-from pam_ocp.plan.guess import by_stops
+from pam_ocp.planning.transcription.guess import by_stops
 
 REPEATS = 5
 STOPS = [{"x": -0.015}, {"x": 0.015}]
@@ -44,13 +49,14 @@ METHODS = {
     "Radau 50 x 3, compiled": {"method": pam.Collocation(N, 3), "compiled": True},
     "Radau 6 x 9": {"method": pam.Collocation(6, 9, "polynomial", guarded=False)},
     "Radau 6 x 9, compiled": {
-        "method": pam.Collocation(6, 9, "polynomial", guarded=False), "compiled": True,
+        "method": pam.Collocation(6, 9, "polynomial", guarded=False),
+        "compiled": True,
     },
     "shooting 50 x 2": {"method": pam.Shooting(N, 2)},
     "shooting 50 x 2, compiled": {"method": pam.Shooting(N, 2), "compiled": True},
     "Radau 50 x 3, fatrop": {"method": pam.Collocation(N, 3), "solver": "fatrop"},
     "shooting 50 x 2, fatrop": {"method": pam.Shooting(N, 2), "solver": "fatrop"},
-}  # fmt: skip
+}
 
 
 class RateOfCommand:
@@ -66,9 +72,13 @@ class RateOfCommand:
         plant.der(pressure, change)
         plant.der(command, w)
         plant.constraint(
-            f"{name}.pressure_rate", change, unit="Pa/s", min=-40 * BAR, max=40 * BAR,
+            f"{name}.pressure_rate",
+            change,
+            unit="Pa/s",
+            min=-40 * BAR,
+            max=40 * BAR,
             nominal=10 * BAR,
-        )  # fmt: skip
+        )
         return pressure
 
 
@@ -93,13 +103,17 @@ def best(run: Callable[[], float]) -> float:
 
 
 def careful(case: Case) -> tuple[float, int]:
-    """(seconds, iterations) of the scaled program, differentiated by CasADi, IPOPT's defaults, cold."""
+    """(seconds, iterations) of the scaled program, differentiated by CasADi, IPOPT's defaults,
+    cold.
+    """
     planner = pam.Planner(case.plant, STOPS, method=pam.Collocation(N, 3), **case.wish)
     program = planner._program
     solver = ca.nlpsol(
-        "careful", "ipopt", program.nlp,
+        "careful",
+        "ipopt",
+        program.nlp,
         {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}},
-    )  # fmt: skip
+    )
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
     guess = np.clip(by_stops(program.problem, program.mesh), lbx, ubx)
 
@@ -142,10 +156,12 @@ def main() -> None:
     cases = [
         Case("(a) minimum time", slide(), {"cyclic": "mirrored"}, plain),
         Case(
-            "(b) least rate of command", commanded(),
-            {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}}, None,
+            "(b) least rate of command",
+            commanded(),
+            {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}},
+            None,
         ),
-    ]  # fmt: skip
+    ]
     print(f"{'':<18}{'solve':>7} (Opti){'call':>8}{'iterations':>16}{'objective':>13}")
     for case in cases:
         reference, iterations = careful(case)

@@ -1,9 +1,12 @@
 """Rest of plants whose muscles have memory: found, in balance, staying, and held by LQR and Mpc.
 
-Random cases over all arrangements, feeds and losses that are well-posed by construction: SciPy finds
-on the force laws alone, with the friction that the chosen memory keeps, pressures inside their range
+Random cases over all arrangements, feeds and losses that are well-posed by construction: SciPy
+finds
+on the force laws alone, with the friction that the chosen memory keeps, pressures inside their
+range
 under which all muscles are taut. Each is asked for by position, by position and stiffness, or by
-pressures; for a memory that is virgin, from above, from below, or given. What is found must balance by
+pressures; for a memory that is virgin, from above, from below, or given. What is found must balance
+by
 hand-written equations, and ``simulate`` must stay there for 1 s.
 
 Run:  python benchmarks/rest_study.py [cases] [seed] [controlled cases]
@@ -36,11 +39,17 @@ LOSSES = {
     "dry friction": (pam.CoulombFriction(12.0),),
     "bouc-wen": (pam.BoucWen(),),
     "maxwell-slip": (pam.MaxwellSlip(),),
-    "all memories": (pam.BoucWen(8.0, 0.01), pam.MaxwellSlip((5.0, 3.0), (0.002, 0.01)), pam.Creep()),
-}  # fmt: skip
+    "all memories": (
+        pam.BoucWen(8.0, 0.01),
+        pam.MaxwellSlip((5.0, 3.0), (0.002, 0.01)),
+        pam.Creep(),
+    ),
+}
 MEMORIES = ("virgin", "above", "below", "given")
 TAUT = 15.0
-"""Least tension [N] of a muscle of a well-posed case, and least distance from the largest pressure [%]."""
+"""Least tension [N] of a muscle of a well-posed case, and least distance from the largest pressure
+[%].
+"""
 
 
 @dataclass
@@ -52,7 +61,9 @@ class Case:
     muscles: tuple[Any, ...]
     mass: float
     position: float
-    """As a part of the stroke [0 .. 1] of the first muscle, or of what both muscles allow [-1 .. 1]."""
+    """As a part of the stroke [0 .. 1] of the first muscle, or of what both muscles allow [-1 ..
+    1].
+    """
     extra: dict[str, float] = field(default_factory=dict)
     way: str = "position"
 
@@ -67,20 +78,36 @@ class Case:
             return pam.HangingLoad(first, self.mass, **common)
         if self.kind == "spring":
             return pam.SpringOverMuscle(
-                first, self.mass, more["spring"], more["preload"], inclination=more["inclination"],
+                first,
+                self.mass,
+                more["spring"],
+                more["preload"],
+                inclination=more["inclination"],
                 **common,
-            )  # fmt: skip
+            )
         if self.kind == "series":
             return pam.SeriesLoad(first, self.mass, more["tendon"], **common)
         if self.kind == "slide":
             return pam.AntagonisticSlide(
-                first, self.mass, more["before"], muscle2=last, damping=pam.ConstantDamping(60.0),
+                first,
+                self.mass,
+                more["before"],
+                muscle2=last,
+                damping=pam.ConstantDamping(60.0),
                 **common,
-            )  # fmt: skip
+            )
         return pam.AntagonisticJoint(
-            first, 0.05, more["arm1"], more["before"], muscle2=last, moment_arm2=more["arm2"],
-            link_mass=self.mass, link_length=0.2, damping=pam.ConstantDamping(1.0), **common,
-        )  # fmt: skip
+            first,
+            0.05,
+            more["arm1"],
+            more["before"],
+            muscle2=last,
+            moment_arm2=more["arm2"],
+            link_mass=self.mass,
+            link_length=0.2,
+            damping=pam.ConstantDamping(1.0),
+            **common,
+        )
 
     # ---- by hand ----------------------------------------------------------------------------
     @property
@@ -94,10 +121,14 @@ class Case:
             low = max(low, 0.0)
             return float((low + self.position * (high - low)) * self.muscles[0].rest_length)
         return self.position * min(
-            min(self.extra["before"] - m.contraction_range[0], m.contraction_range[1] - self.extra["before"])
-            * float(m.rest_length) / arm
+            min(
+                self.extra["before"] - m.contraction_range[0],
+                m.contraction_range[1] - self.extra["before"],
+            )
+            * float(m.rest_length)
+            / arm
             for m, arm in zip(self.muscles, self.arms, strict=True)
-        )  # fmt: skip
+        )
 
     @property
     def arms(self) -> tuple[float, ...]:
@@ -195,16 +226,23 @@ def random_case(rng: np.random.Generator, kind: str, feed: str) -> Case:
         if pair and rng.uniform() < 0.4:
             muscles = (muscles[0], muscles[0])
         case = Case(
-            kind, feed, muscles, float(rng.uniform(2, 40) if not pair else rng.uniform(0.5, 3)),
+            kind,
+            feed,
+            muscles,
+            float(rng.uniform(2, 40) if not pair else rng.uniform(0.5, 3)),
             float(rng.uniform(-0.8, 0.8) if pair else rng.uniform(0.05, 0.85)),
             {
-                "before": float(rng.uniform(0.08, 0.14)), "pull": float(rng.uniform(60, 300)),
-                "arm1": float(rng.uniform(0.02, 0.05)), "arm2": float(rng.uniform(0.02, 0.05)),
-                "spring": float(rng.uniform(1e3, 1e4)), "preload": float(rng.uniform(50, 200)),
-                "inclination": float(rng.uniform(-1.0, 1.0)), "tendon": float(10 ** rng.uniform(4, 6)),
+                "before": float(rng.uniform(0.08, 0.14)),
+                "pull": float(rng.uniform(60, 300)),
+                "arm1": float(rng.uniform(0.02, 0.05)),
+                "arm2": float(rng.uniform(0.02, 0.05)),
+                "spring": float(rng.uniform(1e3, 1e4)),
+                "preload": float(rng.uniform(50, 200)),
+                "inclination": float(rng.uniform(-1.0, 1.0)),
+                "tendon": float(10 ** rng.uniform(4, 6)),
             },
             str(rng.choice(["position", "position and stiffness", "pressure"])),
-        )  # fmt: skip
+        )
         ends = [[a, b] for a in (-most, most) for b in (-most, most)]
         found = [case.pressures(f[: len(muscles)]) for f in ends]
         # a leak drains what is above the supply: nothing rests there
@@ -268,14 +306,23 @@ def asked(case: Case, losses: tuple[Any, ...], memory: str, rng: np.random.Gener
     if point.stability == "unstable":
         return answer
     run = pam.simulate(
-        plant, {v.name: float(u) for v, u in zip(plant.inputs, point.u, strict=True)}, duration=1.0,
+        plant,
+        {v.name: float(u) for v, u in zip(plant.inputs, point.u, strict=True)},
+        duration=1.0,
         start={v.name: float(x) for v, x in zip(plant.states, point.x, strict=True)},
-    )  # fmt: skip
+    )
     way = float(np.abs(run[case.named] - point[case.named]).max())
-    lost = 0.02 * sum(
-        arm * np.sum(loss.friction) for arm in case.arms for loss in losses
-        if isinstance(loss, (pam.BoucWen, pam.MaxwellSlip))
-    ) if any(abs(z) > 0.98 for z in point.memory.values()) else 0.0  # fmt: skip
+    lost = (
+        0.02
+        * sum(
+            arm * np.sum(loss.friction)
+            for arm in case.arms
+            for loss in losses
+            if isinstance(loss, (pam.BoucWen, pam.MaxwellSlip))
+        )
+        if any(abs(z) > 0.98 for z in point.memory.values())
+        else 0.0
+    )
     answer.moved = max(way - 2.0 * lost / stiffness(case, s, at, friction), 0.0)
     return answer
 
@@ -291,7 +338,8 @@ def stiffness(case: Case, s: float, pressures: list[float], friction: list[float
 
 
 def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float, float, int]:
-    """Distance from the set point behind 3 s, as a part of the stroke: of lqr with integral action and
+    """Distance from the set point behind 3 s, as a part of the stroke: of lqr with integral action
+    and
     a Kalman filter started 2 % of the stroke away, of an Mpc; and how often the Mpc failed."""
     plant = case.plant(losses)
     friction = case.friction(memory, losses, {})
@@ -309,14 +357,23 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     run = pam.closed_loop(plant, feedback, duration=3.0, dt=2e-3, start=start)
     left = abs(run[case.named][-1] - goal) / stroke
     mpc = pam.Mpc(
-        plant, horizon=25, step=0.02, track={case.named: 10.0}, rate={v.name: 0.02 for v in plant.inputs},
+        plant,
+        horizon=25,
+        step=0.02,
+        track={case.named: 10.0},
+        rate={v.name: 0.02 for v in plant.inputs},
         method="rosenbrock",
-    )  # fmt: skip
+    )
     loop = mpc.closed_loop(
-        plant, {case.named: away}, 2.0,
-        start={n: float(np.clip(v, plant.variable(n).min, plant.variable(n).max))
-               for n, v in point.values.items() if plant.variable(n).causality != "output"},
-    )  # fmt: skip
+        plant,
+        {case.named: away},
+        2.0,
+        start={
+            n: float(np.clip(v, plant.variable(n).min, plant.variable(n).max))
+            for n, v in point.values.items()
+            if plant.variable(n).causality != "output"
+        },
+    )
     last = abs(loop.trajectory[case.named][-1] - away) / stroke
     failed = mpc.statistics.failures
     return left, last, failed
@@ -350,8 +407,10 @@ def study(count: int, seed: int) -> dict[str, list[Answer]]:
             answer = asked(case, losses, memory, rng)
             answers[name].append(answer)
             if not answer.found or answer.missed > 1e-6 or answer.moved > 1e-5:
-                print(f"case {i} {case.kind}, {case.feed}, {name}, {memory}, {case.way}: "
-                      f"missed {answer.missed:.1e}, moved {answer.moved:.1e} {answer.words}")  # fmt: skip
+                print(
+                    f"case {i} {case.kind}, {case.feed}, {name}, {memory}, {case.way}: "
+                    f"missed {answer.missed:.1e}, moved {answer.moved:.1e} {answer.words}"
+                )
     return answers
 
 
@@ -361,9 +420,11 @@ def main(count: int = 60, seed: int = 1, controls: int = 10) -> None:
     print(f"{'losses':<16}{'cases':>7}{'found':>7}{'out of balance':>16}{'moves in 1 s':>14}")
     for name, rows in answers.items():
         found = [a for a in rows if a.found]
-        print(f"{name:<16}{len(rows):>7}{len(found):>7}"
-              f"{max((a.missed for a in found), default=np.nan):>16.1e}"
-              f"{np.nanmax([a.moved for a in found] or [np.nan]):>14.1e}")  # fmt: skip
+        print(
+            f"{name:<16}{len(rows):>7}{len(found):>7}"
+            f"{max((a.missed for a in found), default=np.nan):>16.1e}"
+            f"{np.nanmax([a.moved for a in found] or [np.nan]):>14.1e}"
+        )
     print(f"{time.process_time() - begun:.0f} s of processor time, seed {seed}\n")
     rng = np.random.default_rng(seed + 1000)
     print("distance from the set point, % of the stroke (lqr with integral, Mpc), and a plan")

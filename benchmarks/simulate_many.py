@@ -15,9 +15,10 @@ def main() -> None:
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"))
     cases = [*pam.sweep(mass=list(np.linspace(5, 100, 999))), {"parameters": {"mass": -1.0}}]
     common = {
-        "inputs": {"muscle.command": wave()}, "t": np.linspace(0.0, 2.5, 251),
+        "inputs": {"muscle.command": wave()},
+        "t": np.linspace(0.0, 2.5, 251),
         "interpolation": "linear",
-    }  # fmt: skip
+    }
 
     begin = perf_counter()
     alone = pam.simulate_many(plant, cases, **common)

@@ -1,11 +1,14 @@
 """Can a verdict be trusted? Random tasks at the default call, each verified plan replayed by SciPy.
 
-A plan is right when SciPy's Radau (1e-9, started anew at every break of the inputs) meets its states to
-the tolerance, and its bounds, path constraints, stops and rest hold between the points too. Counted are
-verified plans, verified ones that SciPy contradicts (there must be none), plans returned as unverified,
+A plan is right when SciPy's Radau (1e-9, started anew at every break of the inputs) meets its
+states to
+the tolerance, and its bounds, path constraints, stops and rest hold between the points too. Counted
+are
+verified plans, verified ones that SciPy contradicts (there must be none), plans returned as
+unverified,
 refusals (all wrong, since each task is feasible by construction) and tasks over the time limit.
 
-Run:  python benchmarks/verdict_study.py [number of tasks] [seed] [--first N] [--limit SECONDS] [--own]
+Run:  python benchmarks/verdict_study.py [tasks] [seed] [--first N] [--limit SECONDS] [--own]
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import random_tasks
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
-from pam_ocp.signals import signals
+from pam_ocp.core.signals import signals
 
 TOLERANCE = 1e-3
 """The default of plan, in units of nominal."""
@@ -30,7 +33,9 @@ MARGIN = 1.1
 
 
 def scipy_replay(plant, plan, samples=400):
-    """(times, states, largest miss of the planned states in nominals) by SciPy from the plan's inputs."""
+    """(times, states, largest miss of the planned states in nominals) by SciPy from the plan's
+    inputs.
+    """
     planned = plan.trajectory
     names = [v.name for v in plant.states]
     nominal = plant.vector("state", attribute="nominal")
@@ -80,8 +85,10 @@ def excess(plant, plan, t, states):
     c = np.asarray(plant.function(states.T, u.T, p)[2], float).T
     worst, where = 0.0, ""
     for variables, values in (
-        (plant.states, states), (plant.inputs, u), (plant.constraints, c),
-    ):  # fmt: skip
+        (plant.states, states),
+        (plant.inputs, u),
+        (plant.constraints, c),
+    ):
         for i, v in enumerate(variables):
             if v.memory:
                 continue
@@ -92,7 +99,8 @@ def excess(plant, plan, t, states):
 
 
 def missed_stops(plant, plan, task, states):
-    """Largest miss of the two stops' own values at the ends, in nominals (of tasks that are not cyclic:
+    """Largest miss of the two stops' own values at the ends, in nominals (of tasks that are not
+    cyclic:
     the end is stop 2)."""
     p, worst = plant.vector("parameter"), 0.0
     ends = [(task.stops[0], 0)] + ([] if task.arguments.get("cyclic") else [(task.stops[1], -1)])
@@ -130,16 +138,21 @@ def judged(index, task):
     right = max(miss, beyond, stops) <= MARGIN * TOLERANCE
     said = getattr(plan, "verified", plan.success)
     verdict = {
-        (True, True): "verified", (True, False): "WRONGLY VERIFIED",
-        (False, True): "unverified, but right", (False, False): "unverified",
-    }[said, right]  # fmt: skip
+        (True, True): "verified",
+        (True, False): "WRONGLY VERIFIED",
+        (False, True): "unverified, but right",
+        (False, False): "unverified",
+    }[said, right]
     figures = f"T = {plan.duration:.5g} s, objective {plan.objective:.5g}, "
     figures += f"miss {miss:.1e}, beyond {beyond:.1e} {where}, stops {stops:.1e}"
     if not said:
         figures += f"; {getattr(plan, 'verdict', '')}"
     return result | {
-        "verdict": verdict, "seconds": seconds, "why": figures, "objective": plan.objective,
-    }  # fmt: skip
+        "verdict": verdict,
+        "seconds": seconds,
+        "why": figures,
+        "objective": plan.objective,
+    }
 
 
 def _child(connection, index, seed, own):
@@ -149,10 +162,15 @@ def _child(connection, index, seed, own):
         connection.send(f"{task.words}, {task.arguments}")
         connection.send(judged(index, task))
     except Exception as error:  # a raw exception is a finding of its own
-        connection.send({
-            "index": index, "verdict": "RAISED", "seconds": np.nan, "words": "",
-            "why": f"{type(error).__name__}: {error}",
-        })  # fmt: skip
+        connection.send(
+            {
+                "index": index,
+                "verdict": "RAISED",
+                "seconds": np.nan,
+                "words": "",
+                "why": f"{type(error).__name__}: {error}",
+            }
+        )
 
 
 def limited(index, seed, own, limit):
@@ -196,8 +214,9 @@ def main():
         results.append(result)
         print(
             f"{index:4d} {result['verdict']:22s} {result['seconds']:6.1f} s  {result['words']}\n"
-            f"       {result['why']}", flush=True,
-        )  # fmt: skip
+            f"       {result['why']}",
+            flush=True,
+        )
     seconds = np.array([r["seconds"] for r in results])
     for verdict in sorted({r["verdict"] for r in results}):
         count = sum(r["verdict"] == verdict for r in results)

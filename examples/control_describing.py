@@ -1,9 +1,12 @@
 """Describing functions of a load on a muscle, and the limit cycle that a relay makes of it.
 
-A relay switches the command by +-D when the load passes its place: u = u0 - D sign(x - x0). Seen by its
+A relay switches the command by +-D when the load passes its place: u = u0 - D sign(x - x0). Seen by
+its
 first harmonic it sends a sine of amplitude 4 D / pi, so the loop swings at the frequency where the
-plant's describing function at this amplitude has a phase of -180 degrees, with the amplitude that the
-describing function then gives. The simulated loop swings so, to within what the higher harmonics do.
+plant's describing function at this amplitude has a phase of -180 degrees, with the amplitude that
+the
+describing function then gives. The simulated loop swings so, to within what the higher harmonics
+do.
 
 Run:  python examples/control_describing.py [folder for the results]
 """
@@ -16,7 +19,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import brentq
 
 import pam_ocp as pam
-from pam_ocp.design.describing import describing_function
+from pam_ocp.control.describing import describing_function
 
 BAR = 1e5
 STEP = 0.5 * BAR
@@ -61,9 +64,11 @@ def simulated(plant, point):
 
 def main(folder: Path) -> None:
     plant = pam.HangingLoad(
-        pam.muscle("DMSP-20-400N"), 20.0, damping=pam.ConstantDamping(150.0),
+        pam.muscle("DMSP-20-400N"),
+        20.0,
+        damping=pam.ConstantDamping(150.0),
         losses=[pam.CoulombFriction(8.0)],
-    )  # fmt: skip
+    )
     point = plant.equilibrium(x=0.05)
     amplitudes, hertz = np.array([0.02, 0.1, 0.4, 1.2]) * BAR, np.geomspace(0.3, 12.0, 40)
     found = describing_function(plant, "muscle.command", "x", amplitudes, hertz, point)
@@ -94,9 +99,10 @@ def main(folder: Path) -> None:
         )
     motion.legend(fontsize=8, loc="upper right")
     motion.set(
-        xlabel="t [s]", ylabel="x - x0 [mm]",
+        xlabel="t [s]",
+        ylabel="x - x0 [mm]",
         title=f"Relay of +-{STEP / BAR:g} bar: {actual:.2f} Hz, predicted {frequency:.2f} Hz",
-    )  # fmt: skip
+    )
     for axes in (gain, phase, motion):
         axes.grid(alpha=0.3)
     figure.savefig(folder / "control_describing.png", dpi=120)

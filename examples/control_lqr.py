@@ -11,11 +11,11 @@ import sys
 from pathlib import Path
 
 import pam_ocp as pam
-from pam_ocp.design.analysis import margins
-from pam_ocp.design.closed_loop import closed_loop
-from pam_ocp.design.kalman import WithEstimate, kalman
-from pam_ocp.design.lqr import lqr
-from pam_ocp.design.plots import plot_loop, plot_tracking
+from pam_ocp.control.analysis import margins
+from pam_ocp.control.estimators.stationary import WithEstimate, kalman
+from pam_ocp.control.loop import closed_loop
+from pam_ocp.control.lqr import lqr
+from pam_ocp.figures.control import plot_loop, plot_tracking
 
 DT = 1e-3
 STOP = 0.004
@@ -35,9 +35,12 @@ def main(folder: Path) -> None:
     regulator = lqr(plant, point, weights=weights, dt=DT)
     integral = lqr(plant, point, weights=weights, integral={"x": 100.0, "stiffness": 5.0}, dt=DT)
     watch = kalman(
-        plant, point, measured={"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0},
-        process={"v": 5.0, "muscle1.pressure": 1.0, "muscle2.pressure": 1.0}, dt=DT,
-    )  # fmt: skip
+        plant,
+        point,
+        measured={"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0},
+        process={"v": 5.0, "muscle1.pressure": 1.0, "muscle2.pressure": 1.0},
+        dt=DT,
+    )
     estimated = WithEstimate(integral, watch, also=["stiffness"])
 
     true = {"mass": 3.0, **weakened(plant, 0.95)}
@@ -61,9 +64,11 @@ def main(folder: Path) -> None:
     for label, m in found.items():
         print(f"{label}\n{m}")
     plot_tracking(
-        runs, ["x", "muscle1.pressure", "stiffness"], {"x": lambda t: STOP},
+        runs,
+        ["x", "muscle1.pressure", "stiffness"],
+        {"x": lambda t: STOP},
         "LQR and LQI about a stop, 50 % more mass, one muscle 5 % weaker",
-    ).savefig(folder / "control_lqr.png", dpi=120)  # fmt: skip
+    ).savefig(folder / "control_lqr.png", dpi=120)
     plot_loop(loops, found).savefig(folder / "control_lqr_margins.png", dpi=120)
 
 

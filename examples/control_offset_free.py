@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import pam_ocp as pam
-from pam_ocp.design.kalman import WithEstimate, kalman
-from pam_ocp.design.lqr import lqr
-from pam_ocp.design.offset_free import OffsetFree
+from pam_ocp.control.estimators.stationary import WithEstimate, kalman
+from pam_ocp.control.lqr import lqr
+from pam_ocp.control.offset_free import OffsetFree
 
 DT = 2e-3
 NOISE = {"theta": 5e-5}
@@ -26,9 +26,12 @@ def torque(t: float) -> float:
 
 def main(folder: Path) -> None:
     plant = pam.AntagonisticJoint(
-        pam.muscle("DMSP-20-400N"), inertia=0.05, link_mass=1.0, link_length=0.2,
+        pam.muscle("DMSP-20-400N"),
+        inertia=0.05,
+        link_mass=1.0,
+        link_length=0.2,
         loads=[pam.ExternalForce()],
-    )  # fmt: skip
+    )
     point = plant.equilibrium(theta=0.2, stiffness=25.0)
     plain = lqr(plant, point, dt=DT)
     integral = lqr(plant, point, integral={"theta": 60.0}, dt=DT)
@@ -45,9 +48,15 @@ def main(folder: Path) -> None:
     angle, pressure = figure.subplots(2, 1, sharex=True)
     for i, (label, controller) in enumerate(controllers.items()):
         run = pam.closed_loop(
-            plant, controller, duration=2.5, dt=DT, start=start, noise=NOISE,
-            parameters={"link_mass": 1.2}, disturbances={"external_force": torque},
-        )  # fmt: skip
+            plant,
+            controller,
+            duration=2.5,
+            dt=DT,
+            start=start,
+            noise=NOISE,
+            parameters={"link_mass": 1.2},
+            disturbances={"external_force": torque},
+        )
         late = np.degrees(np.mean(run["theta"][run.t > 2.0]) - 0.2)
         print(f"{label:<18} left at the end {late:+.3f} deg")
         angle.plot(run.t, np.degrees(run["theta"]), label=label, color=f"C{i}")

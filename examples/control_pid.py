@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.design.closed_loop import closed_loop
-from pam_ocp.design.pid import PID, PositionController, PressureLoop
-from pam_ocp.design.plots import plot_tracking
-from pam_ocp.design.references import moves
-from pam_ocp.muscle.valves import SpoolValve
+from pam_ocp.control.loop import closed_loop
+from pam_ocp.control.pid import PID, PositionController, PressureLoop
+from pam_ocp.control.references import moves
+from pam_ocp.figures.control import plot_tracking
+from pam_ocp.plants.valves import SpoolValve
 
 DT = 2e-3
 
@@ -40,24 +40,36 @@ def main(folder: Path) -> None:
     runs = {}
     for label, (plant, feedforward, time_constant) in kinds.items():
         controller = PositionController(
-            plant, reference, PID.placed(3.0), dt=DT, stiffness=25.0, feedforward=feedforward,
+            plant,
+            reference,
+            PID.placed(3.0),
+            dt=DT,
+            stiffness=25.0,
+            feedforward=feedforward,
             inner=PressureLoop(plant, time_constant),
-        )  # fmt: skip
+        )
         first = dict(
             zip(("muscle1.pressure", "muscle2.pressure"), controller.pressures(0.0), strict=True)
         )
         true = {"inertia": 0.06, "link_mass": 1.2}
         run = closed_loop(
-            plant, controller, duration=2.5, dt=DT, start=first, parameters=true,
+            plant,
+            controller,
+            duration=2.5,
+            dt=DT,
+            start=first,
+            parameters=true,
             noise={"theta": 2e-5},
-        )  # fmt: skip
+        )
         error = run["theta"] - np.array([reference(t)[0] for t in run.t])
         print(f"{label:<22} largest error {np.degrees(np.abs(error).max()):6.3f} deg")
         runs[label] = run
     figure = plot_tracking(
-        runs, ["theta", "muscle1.pressure", "stiffness"], {"theta": lambda t: reference(t)[0]},
+        runs,
+        ["theta", "muscle1.pressure", "stiffness"],
+        {"theta": lambda t: reference(t)[0]},
         "PID on a joint, 20 % more inertia than believed",
-    )  # fmt: skip
+    )
     figure.savefig(folder / "control_pid.png", dpi=120)
 
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.design.closed_loop import closed_loop
-from pam_ocp.design.lqr import lqr
-from pam_ocp.design.plots import plot_tracking
-from pam_ocp.design.references import moves
-from pam_ocp.design.schedule import scheduled_lqr
+from pam_ocp.control.loop import closed_loop
+from pam_ocp.control.lqr import lqr
+from pam_ocp.control.references import moves
+from pam_ocp.control.schedule import scheduled_lqr
+from pam_ocp.figures.control import plot_tracking
 
 DT = 2e-3
 ANGLE = moves([0.0, 0.5, -0.5, 0.0], [0.2, 1.2, 2.4], duration=0.7)
@@ -42,10 +42,13 @@ def main(folder: Path) -> None:
     controllers = {
         "one LQI": lqr(joint, middle, setpoint=place, dt=DT, **cost),
         "scheduled LQI": scheduled_lqr(
-            joint, {"theta": np.linspace(-0.6, 0.6, 9), "stiffness": np.linspace(12.0, 36.0, 7)},
-            place, dt=DT, **cost,
+            joint,
+            {"theta": np.linspace(-0.6, 0.6, 9), "stiffness": np.linspace(12.0, 36.0, 7)},
+            place,
+            dt=DT,
+            **cost,
         ),
-    }  # fmt: skip
+    }
     runs = {
         label: closed_loop(
             joint, controller, duration=4.2, dt=DT, start=begin, parameters={"link_mass": 1.2}
@@ -59,10 +62,11 @@ def main(folder: Path) -> None:
         )
         print(f"{label:<15} largest error {np.degrees(angle):.2f} deg, {stiffness:.2f} N m/rad")
     plot_tracking(
-        runs, ["theta", "stiffness", "muscle1.pressure"],
+        runs,
+        ["theta", "stiffness", "muscle1.pressure"],
         {n: lambda t, n=n: place(t)[n] for n in ("theta", "stiffness")},
         "Position and stiffness of a joint, 20 % more mass of the link",
-    ).savefig(folder / "control_schedule.png", dpi=120)  # fmt: skip
+    ).savefig(folder / "control_schedule.png", dpi=120)
 
 
 if __name__ == "__main__":

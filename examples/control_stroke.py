@@ -1,4 +1,5 @@
-"""How well a load can be moved and seen along its stroke, and how it swings over pressure and place.
+"""How well a load can be moved and seen along its stroke, and how it swings over pressure and
+place.
 
 Run:  python examples/control_stroke.py [folder for the results]
 """
@@ -9,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.design.analysis import along_stroke, mode_map
-from pam_ocp.design.plots import plot_mode_map, plot_stroke
+from pam_ocp.control.analysis import along_stroke, mode_map
+from pam_ocp.figures.control import plot_mode_map, plot_stroke
 
 BAR = 1e5
 
@@ -28,9 +29,11 @@ def main(folder: Path) -> None:
     # the mass stays 20 kg; a constant force (here as another gravity) holds it at every place
     plant = pam.HangingLoad(muscle, 20.0, damping=pam.ConstantDamping(100.0))
     found = mode_map(
-        plant, {"muscle.command": np.linspace(1 * BAR, 6 * BAR, 21), "x": np.linspace(0, 0.1, 31)},
-        free=["gravity"], within={"muscle.force": (10.0, np.inf)},
-    )  # fmt: skip
+        plant,
+        {"muscle.command": np.linspace(1 * BAR, 6 * BAR, 21), "x": np.linspace(0, 0.1, 31)},
+        free=["gravity"],
+        within={"muscle.force": (10.0, np.inf)},
+    )
     inside = found.frequency[np.isfinite(found.frequency)]
     print(f"natural frequency {inside.min():.2f} .. {inside.max():.2f} Hz")
     plot_mode_map(found, "20 kg on a DMSP-20-400N, damping 100 N s/m").savefig(

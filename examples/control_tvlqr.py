@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.design.closed_loop import closed_loop
-from pam_ocp.design.plots import plot_tracking
-from pam_ocp.design.tvlqr import OpenLoop, tvlqr
+from pam_ocp.control.loop import closed_loop
+from pam_ocp.control.tvlqr import OpenLoop, tvlqr
+from pam_ocp.figures.control import plot_tracking
 
 BAR = 1e5
 DT = 1e-3
@@ -30,16 +30,20 @@ def planned() -> tuple[pam.Plant, pam.Trajectory]:
     )
     pressures = [f"muscle{i}.{n}" for i in (1, 2) for n in ("pressure", "command")]
     plan = pam.plan(
-        plant, stops=[{"x": -0.012}, {"x": 0.012}], minimise="time",
+        plant,
+        stops=[{"x": -0.012}, {"x": 0.012}],
+        minimise="time",
         bounds=dict.fromkeys(pressures, (1.2 * BAR, 4.5 * BAR)),
-    )  # fmt: skip
+    )
     return plant, plan.replay.trajectory
 
 
 def compared(
     plant: pam.Plant, motion: pam.Trajectory
 ) -> dict[tuple[float, float], dict[str, pam.Trajectory]]:
-    """Runs {(mass factor, force factor of muscle 1): {"open loop": ..., "time-varying LQR": ...}}."""
+    """Runs {(mass factor, force factor of muscle 1): {"open loop": ..., "time-varying LQR":
+    ...}}.
+    """
     feedback = tvlqr(plant, motion, weights={"x": 300.0, "v": 3.0}, integral={"x": 3e4}, dt=DT)
     start = {v.name: motion[v.name][0] for v in plant.states}
     runs = {}
@@ -48,13 +52,18 @@ def compared(
         true = {n: force * float(plant.variable(n).start) for n in law}
         runs[mass, force] = {
             label: closed_loop(
-                plant, controller, duration=motion.duration, dt=DT, start=start,
+                plant,
+                controller,
+                duration=motion.duration,
+                dt=DT,
+                start=start,
                 parameters={"mass": 2.0 * mass, **true},
             )
             for label, controller in (
-                ("open loop", OpenLoop(plant, motion, DT)), ("time-varying LQR", feedback),
+                ("open loop", OpenLoop(plant, motion, DT)),
+                ("time-varying LQR", feedback),
             )
-        }  # fmt: skip
+        }
     return runs
 
 
@@ -77,10 +86,11 @@ def main(folder: Path) -> None:
         for label, run in runs[mass, 0.95].items()
     }
     plot_tracking(
-        shown, ["x", "muscle1.command", "muscle2.command"],
+        shown,
+        ["x", "muscle1.command", "muscle2.command"],
         {"x": lambda t: float(np.interp(t, motion.t, motion["x"]))},
         "Planned motion with +-30 % mass, muscle 1 with 5 % less force",
-    ).savefig(folder / "control_tvlqr.png", dpi=120)  # fmt: skip
+    ).savefig(folder / "control_tvlqr.png", dpi=120)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,10 @@
 
 The law is fitted to a measured table and its coefficients are drawn from the fit's covariance; each
 draw rests at its own place under the same pressures. That is the uncertainty of one muscle in one
-laboratory, and small. Muscles differ more: a second cloud adds a scatter of 10 % in the force of each
-muscle (an assumption; published sets differ by 14 to 27 %). The same LQI is looked at on all of them.
+laboratory, and small. Muscles differ more: a second cloud adds a scatter of 10 % in the force of
+each
+muscle (an assumption; published sets differ by 14 to 27 %). The same LQI is looked at on all of
+them.
 
 Run:  python examples/control_uncertainty.py [folder for the results]
 """
@@ -15,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.design.analysis import bode_cloud, margins_over
-from pam_ocp.design.lqr import lqr
-from pam_ocp.design.plots import plot_bode_cloud
+from pam_ocp.control.analysis import bode_cloud, margins_over
+from pam_ocp.control.lqr import lqr
+from pam_ocp.figures.control import plot_bode_cloud
 
 BAR = 1e5
 DRAWS = 60
@@ -58,8 +60,10 @@ def main(folder: Path) -> None:
         phase = np.array([min(m.phase) for m, _ in found])
         slowest = np.array([poles.real.max() for _, poles in found])
         print(
-            f"scatter {scatter:.0%}: 95 % of {DRAWS} draws in a band at most {np.max(high / low):.2f} "
-            f"wide, phase margin {phase.min():.1f} .. {phase.max():.1f} deg, slowest closed-loop pole "
+            f"scatter {scatter:.0%}: 95 % of {DRAWS} draws in a band at most "
+            f"{np.max(high / low):.2f} "
+            f"wide, phase margin {phase.min():.1f} .. {phase.max():.1f} deg, slowest closed-loop "
+            "pole "
             f"{slowest.min():.2f} .. {slowest.max():.2f} 1/s"
         )
         extra = f" and {scatter:.0%} scatter of force" if scatter else ""

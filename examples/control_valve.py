@@ -1,6 +1,7 @@
 """Control by proportional valves: the dead zone inverted, from closed valves at rest.
 
-20 kg hang on a muscle behind a spool valve that stays closed over 15 % of its travel to either side. An LQR and an
+20 kg hang on a muscle behind a spool valve that stays closed over 15 % of its travel to either
+side. An LQR and an
 Mpc lift them by 30 mm; both choose the valve's opening and send the command that gives it. Beside
 them the LQR's openings sent as if they were commands: small ones are lost in the dead zone.
 
@@ -12,9 +13,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pam_ocp as pam
-from pam_ocp.design.closed_loop import closed_loop
-from pam_ocp.design.plots import plot_tracking
-from pam_ocp.muscle.valves import SpoolValve
+from pam_ocp.control.loop import closed_loop
+from pam_ocp.figures.control import plot_tracking
+from pam_ocp.plants.valves import SpoolValve
 
 DT = 2e-3
 
@@ -43,9 +44,11 @@ def main(folder: Path) -> None:
     for label, run in runs.items():
         print(f"{label:<22} after 1 s {1e3 * abs(run['x'][-1] - 0.08):7.4f} mm from the set point")
     figure = plot_tracking(
-        runs, ["x", "muscle.pressure", "muscle.command"], {"x": lambda t: 0.08},
+        runs,
+        ["x", "muscle.pressure", "muscle.command"],
+        {"x": lambda t: 0.08},
         "20 kg behind a valve with a wide dead zone",
-    )  # fmt: skip
+    )
     figure.savefig(folder / "control_valve.png", dpi=120)
     path = pam.export_fmu(
         pam.state_feedback_controller(feedback), folder / "valve_controller.fmu", platforms="native"

@@ -19,7 +19,8 @@ Run:  python examples/fit_joint.py [folder for the results] [mpi_arm_64_episodes
 
 The data are those of Büchler et al. (MPI for Intelligent Systems) in the repository
 ALRhub/action-conditional-rkn, here as columns episode, t_s, q1_rad .. q4_rad, p1_norm .. p8_norm.
-Without a path they are looked for in the folder PAM_OCP_DATA or ../shared/data; where there are none, a
+Without a path they are looked for in the folder PAM_OCP_DATA or ../shared/data; where there are
+none, a
 synthetic arm takes their place. --full fits from crude starts (minutes), not from the values below.
 """
 
@@ -35,8 +36,8 @@ import casadi as ca
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.fit.free_run import FreeRun, FreeRunFit, fit_free_run, free_run
-from pam_ocp.muscle.force import clamp
+from pam_ocp.fitting.dynamic.free_run import FreeRun, FreeRunFit, fit_free_run, free_run
+from pam_ocp.muscles.law import clamp
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -56,30 +57,102 @@ CREEP = {1: 0.02, 2: 0.02, 3: 0.03, 4: 0.1}
 CRUDE: dict[int, dict[str, float]] = {
     1: {"gain1": 130, "gain2": 130},
     2: {"gain3": 130, "gain4": 130, "pre3": -13, "pre4": -13},
-    3: {"gain5": 450, "gain6": 450, "pre5": -180, "pre6": -180, "load_cos": -40, "grip5": 0.4, "grip6": 0.4},
+    3: {
+        "gain5": 450,
+        "gain6": 450,
+        "pre5": -180,
+        "pre6": -180,
+        "load_cos": -40,
+        "grip5": 0.4,
+        "grip6": 0.4,
+    },
     4: {"gain7": 800, "gain8": 800, "pre7": -320, "pre8": -320},
-}  # fmt: skip
+}
 """Starts from nothing but sizes: joints 3 and 4 pull only above 0.4 of full pressure."""
 
 FOUND: dict[int, dict[str, float]] = {
-    1: {"friction": 1.12, "gain1": 144, "gain_slope1": 8.58, "pre1": -14.5, "stiff1": -48.1,
-        "stiff_slope1": 1.07, "grip1": 0.248, "gain2": 133, "gain_slope2": 65.7, "pre2": -11.3,
-        "stiff2": 36.6, "stiff_slope2": 25.3, "grip2": 0.258, "press3": 9.26, "press4": 8.9,
-        "damping": 8.47, "load_sin": 1.84, "load_cos": 3.42},
-    2: {"friction": 0.0541, "gain3": 173, "gain_slope3": 89, "pre3": -4.62, "stiff3": -16.7,
-        "stiff_slope3": -10.1, "grip3": 0.566, "gain4": 67.8, "gain_slope4": 42.4, "pre4": 21.9,
-        "stiff4": 33.7, "stiff_slope4": 10.6, "grip4": 0.0544, "damping": 11.2, "load_sin": 1.75,
-        "load_cos": -21.4},
-    3: {"friction": 0.0146, "gain5": 329, "gain_slope5": -19.8, "pre5": -162, "stiff5": -87.7,
-        "stiff_slope5": -13, "grip5": 0.486, "gain6": 352, "gain_slope6": -55.5, "pre6": -161,
-        "stiff6": 48.6, "stiff_slope6": -29.7, "grip6": 0.575, "press7": 9.22, "press8": 14.5,
-        "damping": 5.4, "load_sin": 26.3, "load_cos": -32.9, "stop": -1.61, "stop_damping": 48.5,
-        "stop_stiffness": 7730},
-    4: {"friction": 45.6, "gain7": 970, "gain_slope7": 251, "pre7": -367, "stiff7": -245,
-        "stiff_slope7": -103, "grip7": 0.279, "gain8": 1050, "gain_slope8": -56.7, "pre8": -390,
-        "stiff8": 213, "stiff_slope8": -66.4, "grip8": 0.203, "press5": 164, "press6": 77.4,
-        "damping": 35.8, "load_sin": -90.8, "load_cos": 11.4},
-}  # fmt: skip
+    1: {
+        "friction": 1.12,
+        "gain1": 144,
+        "gain_slope1": 8.58,
+        "pre1": -14.5,
+        "stiff1": -48.1,
+        "stiff_slope1": 1.07,
+        "grip1": 0.248,
+        "gain2": 133,
+        "gain_slope2": 65.7,
+        "pre2": -11.3,
+        "stiff2": 36.6,
+        "stiff_slope2": 25.3,
+        "grip2": 0.258,
+        "press3": 9.26,
+        "press4": 8.9,
+        "damping": 8.47,
+        "load_sin": 1.84,
+        "load_cos": 3.42,
+    },
+    2: {
+        "friction": 0.0541,
+        "gain3": 173,
+        "gain_slope3": 89,
+        "pre3": -4.62,
+        "stiff3": -16.7,
+        "stiff_slope3": -10.1,
+        "grip3": 0.566,
+        "gain4": 67.8,
+        "gain_slope4": 42.4,
+        "pre4": 21.9,
+        "stiff4": 33.7,
+        "stiff_slope4": 10.6,
+        "grip4": 0.0544,
+        "damping": 11.2,
+        "load_sin": 1.75,
+        "load_cos": -21.4,
+    },
+    3: {
+        "friction": 0.0146,
+        "gain5": 329,
+        "gain_slope5": -19.8,
+        "pre5": -162,
+        "stiff5": -87.7,
+        "stiff_slope5": -13,
+        "grip5": 0.486,
+        "gain6": 352,
+        "gain_slope6": -55.5,
+        "pre6": -161,
+        "stiff6": 48.6,
+        "stiff_slope6": -29.7,
+        "grip6": 0.575,
+        "press7": 9.22,
+        "press8": 14.5,
+        "damping": 5.4,
+        "load_sin": 26.3,
+        "load_cos": -32.9,
+        "stop": -1.61,
+        "stop_damping": 48.5,
+        "stop_stiffness": 7730,
+    },
+    4: {
+        "friction": 45.6,
+        "gain7": 970,
+        "gain_slope7": 251,
+        "pre7": -367,
+        "stiff7": -245,
+        "stiff_slope7": -103,
+        "grip7": 0.279,
+        "gain8": 1050,
+        "gain_slope8": -56.7,
+        "pre8": -390,
+        "stiff8": 213,
+        "stiff_slope8": -66.4,
+        "grip8": 0.203,
+        "press5": 164,
+        "press6": 77.4,
+        "damping": 35.8,
+        "load_sin": -90.8,
+        "load_cos": 11.4,
+    },
+}
 """Where the full fit ended, rounded: a quick fit starts here."""
 
 
@@ -123,7 +196,7 @@ def joint(j: int) -> pam.Plant:
     return plant
 
 
-# ---- data -----------------------------------------------------------------------------------------
+# ---- data ----------------------------------------------------------------------------------------
 def find_data(given: Path | None = None) -> Path | None:
     """The file that was named, or the one in PAM_OCP_DATA or ../shared/data; None without any."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -170,14 +243,21 @@ def fit(j: int, arm: list[pam.Trajectory], full: bool = False) -> FreeRunFit:
     """Joint j fitted to the training episodes: polished from values found before, or in full."""
     plant = joint(j).with_values(CRUDE[j] if full else FOUND[j])
     return fit_free_run(
-        plant, records_of(j, arm[:TRAINING]), [v.name for v in plant.parameters],
-        horizon=HORIZON, every=0.1, steps=4, evaluations=40 if full else 3,
-    )  # fmt: skip
+        plant,
+        records_of(j, arm[:TRAINING]),
+        [v.name for v in plant.parameters],
+        horizon=HORIZON,
+        every=0.1,
+        steps=4,
+        evaluations=40 if full else 3,
+    )
 
 
 # ---- linear models ------------------------------------------------------------------------------
 class ARX:
-    """q(k) linear in the past 5 angles and in 5 pressures of each muscle, from that at k - lag on."""
+    """q(k) linear in the past 5 angles and in 5 pressures of each muscle,
+    from that at k - lag on.
+    """
 
     def __init__(self, angles: dict[int, tuple[int, ...]], lag: int = 0) -> None:
         """angles : for each joint the joints whose angles and pressures its regression holds."""

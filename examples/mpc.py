@@ -1,7 +1,9 @@
 """Model predictive control against an FMU that carries 30 % more mass and is pushed by a force.
 
-The controller and its Kalman filter know the slide with 2 kg and no force. The FMU moves 2.6 kg, and
-from 1 s on 40 N push it. Position and pressures are measured with noise; mass, force and velocity are
+The controller and its Kalman filter know the slide with 2 kg and no force. The FMU moves 2.6 kg,
+and
+from 1 s on 40 N push it. Position and pressures are measured with noise; mass, force and velocity
+are
 estimated, and the estimates are what the controller plans with.
 
 Run:  python examples/mpc.py [folder for the results]
@@ -13,7 +15,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 import pam_ocp as pam
-from pam_ocp.plan.closed_loop import ClosedLoop
+from pam_ocp.control.mpc_loop import ClosedLoop
 
 STEP = 0.005
 PUSH, MASS = 40.0, 2.6
@@ -22,10 +24,15 @@ PUSH, MASS = 40.0, 2.6
 def pushed_slide(muscle: pam.Muscle) -> pam.Plant:
     """A slide that a force from outside pushes, which no controller can choose."""
     return pam.AntagonisticSlide(
-        muscle, 2.0, 0.10, stroke=0.016, damping=pam.ConstantDamping(20.0),
+        muscle,
+        2.0,
+        0.10,
+        stroke=0.016,
+        damping=pam.ConstantDamping(20.0),
         feed=pam.Regulator(0.05, max_pressure=6e5, max_rate=40e5),
-        loads=(pam.ExternalForce("push"),), name="pushed_slide",
-    )  # fmt: skip
+        loads=(pam.ExternalForce("push"),),
+        name="pushed_slide",
+    )
 
 
 def wanted(t: float) -> float:
@@ -40,20 +47,32 @@ def run(plant: pam.Plant, fmu: Path, estimating: bool) -> ClosedLoop:
     start = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs)}
     model = plant.with_values(start)
     controller = pam.Mpc(
-        model, horizon=40, step=STEP, delay=1, track={"x": 1.0, "stiffness": 0.05},
+        model,
+        horizon=40,
+        step=STEP,
+        delay=1,
+        track={"x": 1.0, "stiffness": 0.05},
         rate={"muscle1.command": 0.05, "muscle2.command": 0.05},
-    )  # fmt: skip
+    )
     unknown = {"mass": (0.5, 0.05), "push": (20.0, 100.0)} if estimating else {}
     observer = pam.KalmanFilter(
-        model, step=STEP, unknown=unknown, process={"v": 0.01},
+        model,
+        step=STEP,
+        unknown=unknown,
+        process={"v": 0.01},
         measured={"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0},
         uncertainty={"x": 1e-4, "v": 1e-3, "muscle1.pressure": 1e3, "muscle2.pressure": 1e3},
-    )  # fmt: skip
+    )
     return controller.closed_loop(
-        fmu, {"x": wanted, "stiffness": 2e4}, duration=3.0, estimator=observer,
+        fmu,
+        {"x": wanted, "stiffness": 2e4},
+        duration=3.0,
+        estimator=observer,
         disturbances={"push": lambda t: PUSH if t >= 1.0 else 0.0},
-        parameters={"mass": MASS}, start=start, seed=1,
-    )  # fmt: skip
+        parameters={"mass": MASS},
+        start=start,
+        seed=1,
+    )
 
 
 def draw(blind: ClosedLoop, seeing: ClosedLoop) -> Figure:
@@ -92,9 +111,13 @@ def draw(blind: ClosedLoop, seeing: ClosedLoop) -> Figure:
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
     handles = [*load.get_lines(), *mass.get_lines()]
     load.legend(
-        handles, [h.get_label() for h in handles], loc="center left", bbox_to_anchor=(1.1, 0.5),
-        frameon=False, fontsize="small",
-    )  # fmt: skip
+        handles,
+        [h.get_label() for h in handles],
+        loc="center left",
+        bbox_to_anchor=(1.1, 0.5),
+        frameon=False,
+        fontsize="small",
+    )
     for ax in (motion, error, pressure, load):
         ax.grid(True, color="#dddddd", lw=0.6)
     return figure

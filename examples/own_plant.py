@@ -12,7 +12,9 @@ import pam_ocp as pam
 
 
 def pendulum(muscle: pam.Muscle) -> pam.Plant:
-    """m L^2 theta'' = r F - m g L sin(theta) - c theta', the muscle pulling on a lever of radius r."""
+    """m L^2 theta'' = r F - m g L sin(theta) - c theta',
+    the muscle pulling on a lever of radius r.
+    """
     plant = pam.Plant("pendulum", "a pneumatic muscle swinging a pendulum")
     theta = plant.state("theta", unit="rad", min=-0.3, max=1.2, description="angle from below")
     omega = plant.state("omega", unit="rad/s", description="angular velocity")

@@ -34,9 +34,12 @@ def planar_arm(muscle: pam.Muscle) -> pam.Plant:
         pull = 0
         for side, sign in (("flexor", 1), ("extensor", -1)):
             attached = arm.add_muscle(
-                f"{side}{i + 1}", muscle, shortening=sign * radius * q[i], rate=sign * radius * w[i],
+                f"{side}{i + 1}",
+                muscle,
+                shortening=sign * radius * q[i],
+                rate=sign * radius * w[i],
                 pre_contraction=0.12,
-            )  # fmt: skip
+            )
             pull += sign * radius * attached.force
         torques.append(arm.output(f"torque{i + 1}", pull, unit="N.m"))
 
@@ -69,8 +72,18 @@ def main(folder: Path) -> None:
         arm, stops=[{"q1": 0.0, "q2": 0.0}, {"q1": 0.7, "q2": 0.6}], duration=(0.05, 2.0)
     )
     print(lift)
-    lift.trajectory.plot(["q1", "q2", "torque1", "torque2", "flexor1.command", "extensor1.command",
-                          "flexor2.command", "extensor2.command"]).savefig(folder / "arm.png", dpi=120)  # fmt: skip
+    lift.trajectory.plot(
+        [
+            "q1",
+            "q2",
+            "torque1",
+            "torque2",
+            "flexor1.command",
+            "extensor1.command",
+            "flexor2.command",
+            "extensor2.command",
+        ]
+    ).savefig(folder / "arm.png", dpi=120)
     held = arm.equilibrium(
         {"q1": 0.7, "q2": 0.6, "extensor1.pressure": 2.5e5, "extensor2.pressure": 2.5e5}
     )

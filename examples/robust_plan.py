@@ -1,6 +1,7 @@
 """One input for muscles that differ: the spread at the stops, and what bounding it costs.
 
-A force law is fitted to a measured table. Slides are drawn from the fit's covariance, with the scatter
+A force law is fitted to a measured table. Slides are drawn from the fit's covariance, with the
+scatter
 of strength between specimens of a muscle (2 %) on top, each muscle by itself. The quickest cycle
 between two stops is planned for the nominal slide alone, and so that 95 % of all slides come within
 0.3 mm of it at the stops: planned for six, tried on 200 others, planned again with the worst of
@@ -16,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.plan.robust import robust_plan
+from pam_ocp.planning.studies.robust import robust_plan
 
 SCATTER = 0.02
 WIDTH = 3e-4
@@ -49,10 +50,15 @@ def main(folder: Path) -> None:
         muscle, 5.0, 0.12, damping=pam.ConstantDamping(60.0), feed=pam.Regulator(0.05, 6e5, 40e5)
     )
     found = robust_plan(
-        plant, [{"x": -0.015}, {"x": 0.015}], cyclic=True, duration=(0.03, 0.5),
-        draws=lambda count, seed: slides(fit, count, seed), seed=1, spread={"x": WIDTH},
+        plant,
+        [{"x": -0.015}, {"x": 0.015}],
+        cyclic=True,
+        duration=(0.03, 0.5),
+        draws=lambda count, seed: slides(fit, count, seed),
+        seed=1,
+        spread={"x": WIDTH},
         method=pam.Collocation(20, 4),
-    )  # fmt: skip
+    )
     print(found)
     others = found.judge(found.verify(slides(fit, 100, seed=4321)))
     print(f"of 100 slides of another seed {others.kept.sum()} keep it")

@@ -1,4 +1,5 @@
-"""Vibration of a load on one muscle: why it dies out at constant pressure, and how feedback keeps it.
+"""Vibration of a load on one muscle: why it dies out at constant pressure, and how feedback keeps
+it.
 
 Run:  python examples/vibration.py [folder for the pictures]
 """
@@ -10,8 +11,8 @@ import numpy as np
 
 import pam_ocp as pam
 from pam_ocp import vibration
-from pam_ocp.plant.regulated import RegulatedLoad
-from pam_ocp.vibration.pictures import plot_backbone, plot_phase
+from pam_ocp.figures.vibration import plot_backbone, plot_phase
+from pam_ocp.plants.regulated import RegulatedLoad
 
 BAR = 1e5
 
@@ -39,8 +40,10 @@ def free(muscle: pam.Muscle, folder: Path) -> None:
             undamped, {"muscle.pressure": bar * BAR}, np.linspace(0.001, largest_offset, 12)
         )
         found = curves[f"{bar} bar"]
-        print(f"backbone at {bar} bar: {found.frequencies[0]:.4f} Hz at 1 mm, "
-              f"{found.frequencies[-1]:.4f} Hz let go at {largest_offset * 1e3:.0f} mm")  # fmt: skip
+        print(
+            f"backbone at {bar} bar: {found.frequencies[0]:.4f} Hz at 1 mm, "
+            f"{found.frequencies[-1]:.4f} Hz let go at {largest_offset * 1e3:.0f} mm"
+        )
     plot_backbone(curves).savefig(folder / "backbone.png", dpi=120)
 
 
@@ -52,8 +55,10 @@ def border(plant: pam.Plant, rest: dict[str, float], folder: Path) -> vibration.
         plant, "muscle.gain", (1e5, 5e7), "muscle.lag", np.geomspace(0.005, 1.0, 40), rest
     )
     i = int(np.nanargmin(found.border))
-    print(f"the least gain that can vibrate is {found.border[i] / BAR:.2f} bar/m, "
-          f"at a lag of {found.values[i]:.3f} s")  # fmt: skip
+    print(
+        f"the least gain that can vibrate is {found.border[i] / BAR:.2f} bar/m, "
+        f"at a lag of {found.values[i]:.3f} s"
+    )
     found.plot().savefig(folder / "hopf_border.png", dpi=120)
     point = vibration.hopf(plant, "muscle.gain", (1e5, 1e7), rest)
     print(point)
@@ -69,8 +74,10 @@ def cycles(point: vibration.HopfPoint, name: str, folder: Path, step: float) -> 
     print(f"{len(branch.cycles)} cycles; {branch.ended}")
     gain = point.plant.variable("muscle.gain")
     for i in branch.folds:
-        print(f"  the branch turns back at {gain.shown(branch.values[i])}, "
-              f"amplitude {1e3 * branch.amplitudes('x')[i]:.1f} mm")  # fmt: skip
+        print(
+            f"  the branch turns back at {gain.shown(branch.values[i])}, "
+            f"amplitude {1e3 * branch.amplitudes('x')[i]:.1f} mm"
+        )
     slack = next((c for c in branch.cycles if any(c.slack.values())), None)
     if slack is not None:
         print(

@@ -1,4 +1,5 @@
-"""pam_ocp: pneumatic artificial muscles, from a measured table to a verified optimal motion and an FMU.
+"""pam_ocp: pneumatic artificial muscles, from a measured table to a verified optimal motion and an
+FMU.
 
 Three nouns (Muscle, Plant, Trajectory) and five verbs (simulate, fit, plan, linearize, export)
 around one symbolic CasADi model. SI units inside; pressures are gauge; contraction is a fraction.
@@ -6,310 +7,206 @@ around one symbolic CasADi model. SI units inside; pressures are gauge; contract
 
 from __future__ import annotations
 
-from .animate import animate_plan
-from .design.analysis import along_stroke, bode_cloud, margins, margins_over, mode_map
-from .design.branch import equilibrium_branch
-from .design.closed_loop import closed_loop
-from .design.describing import DescribingFunction, describing_function, muscle_characteristic
-from .design.inverse import InverseDynamics
-from .design.kalman import WithEstimate, kalman
-from .design.lqr import lqr
-from .design.offset_free import OffsetFree
-from .design.pid import PID, PositionController, PressureLoop
-from .design.rest import equilibria, equilibrium_path
-from .design.schedule import scheduled_lqr
-from .design.tvlqr import OpenLoop, tvlqr
-from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
-from .errors import (
-    ExportError,
-    FitError,
-    InputError,
-    PamError,
-    PlanError,
-    PlanWarning,
-    SimulationError,
-    UnknownNameError,
-)
-from .fit.branches import Hysteresis, LackOfFit, fit_branches, hysteresis, lack_of_fit
-from .fit.compare import LawComparison, compare_laws
-from .fit.design import CellDesign
-from .fit.dynamic import fit_plant
-from .fit.experiment_design import design_cells, design_experiment, design_signal
-from .fit.free_run import FreeRun, FreeRunFit, fit_free_run, free_run
-from .fit.plant_fit import PlantFit
-from .fit.records import read_record, read_records
-from .fit.saved_plant import load_plant_fit
-from .fit.shared import JointForceFit, fit_forces
-from .fit.signal_design import SignalDesign
-from .fit.static import ForceFit, fit_force
-from .fit.tables import ForceTable, read_table
-from .fmu import (
-    check_fmu,
-    export_fmu,
-    export_motion,
-    export_ssp,
-    pid_controller,
-    save_input_table,
-    state_feedback_controller,
-)
-from .linear import linearize, linearize_along, linearize_grid, modes
-from .load_study import LoadStudy, load_study
-from .many import ManySimulations, draws, simulate_many, sweep
-from .muscle.braid import CorrectedLaw, GeometricLaw
-from .muscle.catalogue import muscle, muscle_names
-from .muscle.empirical import (
-    FiveParameterLaw,
-    HildebrandtLaw,
-    LengthScaledLaw,
-    ThreeElementLaw,
-    TwoSlopeThreeElementLaw,
-)
-from .muscle.force import LAWS, ForceLaw, SixParameterLaw, coefficient
-from .muscle.free import own_law, polynomial_law, spline_law
-from .muscle.gas import (
-    BraidVolume,
-    ConsistentVolume,
-    Gas,
-    PolynomialVolume,
-    closed_stiffness,
-    conductance_from_flow,
-    iso6358,
-    muscle_volume,
-)
-from .muscle.hysteresis import BoucWen, Creep, MaxwellSlip
-from .muscle.losses import ConstantDamping, CoulombFriction, DirectionalDamping, StiffnessDamping
-from .muscle.muscle import Muscle
-from .muscle.muscle_file import load_muscle, save_muscle
-from .muscle.validity import ValidityWarning
-from .muscle.valves import OnOffValves, SpoolValve, Tube
-from .muscle.wall import ThickWallLaw
-from .nlsys import as_nlsys
-from .plan.estimate import KalmanFilter
-from .plan.mesh import Collocation, Shooting
-from .plan.moving_horizon import MovingHorizonEstimator
-from .plan.mpc import Mpc
-from .plan.pareto import Pareto, pareto
-from .plan.problem import TIME
-from .plan.problem_file import load_problem
-from .plan.profile import Profile
-from .plan.result import Plan
-from .plan.robust import RobustPlan, robust_plan
-from .plan.saved import load_plan
-from .plan.solve import Planner, plan
-from .plan.spread import Spread
-from .plan.verdict import Verdict
-from .plan.wording import Avoid, Constraint, Phase, Stop
-from .plant.actuator import IdealPressure, Regulator
-from .plant.allocation import Allocation, AllocationError, common_and_difference, pressures_of
-from .plant.antagonist import AntagonisticSlide
-from .plant.elastic import SeriesLoad, SpringOverMuscle
-from .plant.joint import AntagonisticJoint
-from .plant.loads import Damper, DryFriction, ExternalForce, Inertia, Spring, Wall
-from .plant.opening import Inversion
-from .plant.plant import Plant
-from .plant.regulated import PositionFeedback, RegulatedLoad
-from .plant.single import HangingLoad
-from .plausible import UnitWarning
-from .plot_plan import plot_costates
-from .simulate import simulate
-from .trajectory import Comparison, Trajectory
-from .validation import RecordComparison, compare_with_record
-from .variables import Variable
-from .vibration import (
-    VibrationError,
-    backbone,
-    continue_cycle,
-    energy,
-    free_vibration,
-    hopf,
-    hopf_border,
-    limit_cycle,
-    stability_path,
-)
-from .work import StrokeWork, stroke_work
+import importlib
+from typing import Any
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "LAWS",
-    "PID",
-    "TIME",
-    "Allocation",
-    "AllocationError",
-    "AntagonisticJoint",
-    "AntagonisticSlide",
-    "Avoid",
-    "BoucWen",
-    "BraidVolume",
-    "CellDesign",
-    "Collocation",
-    "Comparison",
-    "ConsistentVolume",
-    "ConstantDamping",
-    "Constraint",
-    "CorrectedLaw",
-    "CoulombFriction",
-    "Creep",
-    "Damper",
-    "DescribingFunction",
-    "DirectionalDamping",
-    "DryFriction",
-    "EquilibriumError",
-    "ExportError",
-    "ExternalForce",
-    "FitError",
-    "FiveParameterLaw",
-    "ForceFit",
-    "ForceLaw",
-    "ForceTable",
-    "FreeRun",
-    "FreeRunFit",
-    "Gas",
-    "GeometricLaw",
-    "HangingLoad",
-    "HildebrandtLaw",
-    "Hysteresis",
-    "IdealPressure",
-    "Inertia",
-    "InputError",
-    "InverseDynamics",
-    "Inversion",
-    "JointForceFit",
-    "KalmanFilter",
-    "LackOfFit",
-    "LawComparison",
-    "LengthScaledLaw",
-    "LoadStudy",
-    "ManySimulations",
-    "MaxwellSlip",
-    "MovingHorizonEstimator",
-    "Mpc",
-    "Muscle",
-    "OffsetFree",
-    "OnOffValves",
-    "OpenLoop",
-    "OperatingPoint",
-    "PamError",
-    "Pareto",
-    "Phase",
-    "Plan",
-    "PlanError",
-    "PlanWarning",
-    "Planner",
-    "Plant",
-    "PlantFit",
-    "PolynomialVolume",
-    "PositionController",
-    "PositionFeedback",
-    "PressureLoop",
-    "Profile",
-    "RecordComparison",
-    "RegulatedLoad",
-    "Regulator",
-    "RobustPlan",
-    "SeriesLoad",
-    "Shooting",
-    "SignalDesign",
-    "SimulationError",
-    "SixParameterLaw",
-    "SpoolValve",
-    "Spread",
-    "Spring",
-    "SpringOverMuscle",
-    "StiffnessDamping",
-    "Stop",
-    "StrokeWork",
-    "ThickWallLaw",
-    "ThreeElementLaw",
-    "Trajectory",
-    "Tube",
-    "TwoSlopeThreeElementLaw",
-    "UnitWarning",
-    "UnknownNameError",
-    "ValidityWarning",
-    "Variable",
-    "Verdict",
-    "VibrationError",
-    "Wall",
-    "WithEstimate",
-    "along_stroke",
-    "animate_plan",
-    "as_nlsys",
-    "backbone",
-    "bode_cloud",
-    "check_fmu",
-    "closed_loop",
-    "closed_stiffness",
-    "coefficient",
-    "common_and_difference",
-    "compare_laws",
-    "compare_with_record",
-    "conductance_from_flow",
-    "continue_cycle",
-    "describing_function",
-    "design_cells",
-    "design_experiment",
-    "design_signal",
-    "draws",
-    "energy",
-    "equilibria",
-    "equilibrium",
-    "equilibrium_branch",
-    "equilibrium_path",
-    "export_fmu",
-    "export_motion",
-    "export_ssp",
-    "fit_branches",
-    "fit_force",
-    "fit_forces",
-    "fit_free_run",
-    "fit_plant",
-    "free_run",
-    "free_vibration",
-    "hopf",
-    "hopf_border",
-    "hysteresis",
-    "iso6358",
-    "kalman",
-    "lack_of_fit",
-    "limit_cycle",
-    "linearize",
-    "linearize_along",
-    "linearize_grid",
-    "load_muscle",
-    "load_plan",
-    "load_plant_fit",
-    "load_problem",
-    "load_study",
-    "lqr",
-    "margins",
-    "margins_over",
-    "mode_map",
-    "modes",
-    "muscle",
-    "muscle_characteristic",
-    "muscle_names",
-    "muscle_volume",
-    "own_law",
-    "pareto",
-    "pid_controller",
-    "plan",
-    "plot_costates",
-    "polynomial_law",
-    "pressures_of",
-    "read_record",
-    "read_records",
-    "read_table",
-    "robust_plan",
-    "save_input_table",
-    "save_muscle",
-    "scheduled_lqr",
-    "simulate",
-    "simulate_many",
-    "spline_law",
-    "stability_path",
-    "state_feedback_controller",
-    "stroke_work",
-    "sweep",
-    "tvlqr",
-]
+_HOMES: dict[str, str] = {
+    "LAWS": "muscles.law",
+    "PID": "control.pid",
+    "TIME": "planning.problem.problem",
+    "Allocation": "operating.allocation",
+    "AllocationError": "operating.allocation",
+    "AntagonisticJoint": "plants.joint",
+    "AntagonisticSlide": "plants.slide",
+    "Avoid": "planning.problem.wording",
+    "BoucWen": "plants.memory",
+    "BraidVolume": "muscles.gas",
+    "CellDesign": "fitting.experiments.cells",
+    "Collocation": "planning.transcription.mesh",
+    "Comparison": "core.trajectory",
+    "ConsistentVolume": "muscles.gas",
+    "ConstantDamping": "plants.losses",
+    "Constraint": "planning.problem.wording",
+    "CorrectedLaw": "muscles.laws.braid",
+    "CoulombFriction": "plants.losses",
+    "Creep": "plants.memory",
+    "Damper": "plants.loads",
+    "DescribingFunction": "control.describing",
+    "DirectionalDamping": "plants.losses",
+    "DryFriction": "plants.loads",
+    "EquilibriumError": "operating.equilibrium",
+    "ExportError": "core.errors",
+    "ExternalForce": "plants.loads",
+    "FitError": "core.errors",
+    "FiveParameterLaw": "muscles.laws.empirical",
+    "ForceFit": "fitting.static.static",
+    "ForceLaw": "muscles.law",
+    "ForceTable": "fitting.tables.force_table",
+    "FreeRun": "fitting.dynamic.free_run",
+    "FreeRunFit": "fitting.dynamic.free_run",
+    "Gas": "muscles.gas",
+    "GeometricLaw": "muscles.laws.braid",
+    "HangingLoad": "plants.hanging",
+    "HildebrandtLaw": "muscles.laws.empirical",
+    "Hysteresis": "fitting.static.branches",
+    "IdealPressure": "plants.feeds",
+    "Inertia": "plants.loads",
+    "InputError": "core.errors",
+    "InverseDynamics": "control.inverse",
+    "Inversion": "plants.opening",
+    "JointForceFit": "fitting.static.shared",
+    "KalmanFilter": "control.estimators.extended_kalman",
+    "LackOfFit": "fitting.static.branches",
+    "LawComparison": "fitting.static.ranking",
+    "LengthScaledLaw": "muscles.laws.empirical",
+    "LoadStudy": "studies.loads",
+    "ManySimulations": "simulation.many",
+    "MaxwellSlip": "plants.memory",
+    "MovingHorizonEstimator": "control.estimators.moving_horizon",
+    "Mpc": "control.mpc.mpc",
+    "Muscle": "muscles.muscle",
+    "OffsetFree": "control.offset_free",
+    "OnOffValves": "plants.valves",
+    "OpenLoop": "control.tvlqr",
+    "OperatingPoint": "operating.equilibrium",
+    "PamError": "core.errors",
+    "Pareto": "planning.studies.pareto",
+    "Phase": "planning.problem.wording",
+    "Plan": "planning.result",
+    "PlanError": "core.errors",
+    "PlanWarning": "core.errors",
+    "Planner": "planning.planner",
+    "Plant": "plants.plant",
+    "PlantFit": "fitting.dynamic.plant_fit",
+    "PolynomialVolume": "muscles.gas",
+    "PositionController": "control.pid",
+    "PositionFeedback": "plants.regulated",
+    "PressureLoop": "control.pid",
+    "Profile": "planning.problem.profile",
+    "RecordComparison": "simulation.compare",
+    "RegulatedLoad": "plants.regulated",
+    "Regulator": "plants.feeds",
+    "RobustPlan": "planning.studies.robust",
+    "SeriesLoad": "plants.elastic",
+    "Shooting": "planning.transcription.mesh",
+    "SignalDesign": "fitting.experiments.signals",
+    "SimulationError": "core.errors",
+    "SixParameterLaw": "muscles.law",
+    "SpoolValve": "plants.valves",
+    "Spread": "planning.studies.spread",
+    "Spring": "plants.loads",
+    "SpringOverMuscle": "plants.elastic",
+    "StiffnessDamping": "plants.losses",
+    "Stop": "planning.problem.wording",
+    "StrokeWork": "simulation.work",
+    "ThickWallLaw": "muscles.laws.thick_wall",
+    "ThreeElementLaw": "muscles.laws.empirical",
+    "Trajectory": "core.trajectory",
+    "Tube": "plants.valves",
+    "TwoSlopeThreeElementLaw": "muscles.laws.empirical",
+    "UnitWarning": "core.plausible",
+    "UnknownNameError": "core.errors",
+    "ValidityWarning": "muscles.validity",
+    "Variable": "core.variables",
+    "Verdict": "planning.verdict",
+    "VibrationError": "vibration",
+    "Wall": "plants.loads",
+    "WithEstimate": "control.estimators.stationary",
+    "along_stroke": "control.analysis",
+    "animate_plan": "figures.film",
+    "as_nlsys": "operating.nlsys",
+    "backbone": "vibration",
+    "bode_cloud": "control.analysis",
+    "check_fmu": "export",
+    "closed_loop": "control.loop",
+    "closed_stiffness": "muscles.gas",
+    "coefficient": "muscles.law",
+    "common_and_difference": "operating.allocation",
+    "compare_laws": "fitting.static.ranking",
+    "compare_with_record": "simulation.compare",
+    "conductance_from_flow": "muscles.gas",
+    "continue_cycle": "vibration",
+    "describing_function": "control.describing",
+    "design_cells": "fitting.experiments.experiments",
+    "design_experiment": "fitting.experiments.experiments",
+    "design_signal": "fitting.experiments.experiments",
+    "draws": "simulation.many",
+    "energy": "vibration",
+    "equilibria": "operating.several",
+    "equilibrium": "operating.equilibrium",
+    "equilibrium_branch": "operating.branch",
+    "equilibrium_path": "operating.several",
+    "export_fmu": "export",
+    "export_motion": "export",
+    "export_ssp": "export",
+    "fit_branches": "fitting.static.branches",
+    "fit_force": "fitting.static.static",
+    "fit_forces": "fitting.static.shared",
+    "fit_free_run": "fitting.dynamic.free_run",
+    "fit_plant": "fitting.dynamic.dynamic",
+    "free_run": "fitting.dynamic.free_run",
+    "free_vibration": "vibration",
+    "hopf": "vibration",
+    "hopf_border": "vibration",
+    "hysteresis": "fitting.static.branches",
+    "iso6358": "muscles.gas",
+    "kalman": "control.estimators.stationary",
+    "lack_of_fit": "fitting.static.branches",
+    "limit_cycle": "vibration",
+    "linearize": "operating.linear",
+    "linearize_along": "operating.linear",
+    "linearize_grid": "operating.linear",
+    "load_muscle": "muscles.muscle_file",
+    "load_plan": "planning.saved_plan",
+    "load_plant_fit": "fitting.dynamic.saved_plant",
+    "load_problem": "planning.problem.problem_file",
+    "load_study": "studies.loads",
+    "lqr": "control.lqr",
+    "margins": "control.analysis",
+    "margins_over": "control.analysis",
+    "mode_map": "control.analysis",
+    "modes": "operating.linear",
+    "muscle": "muscles.catalogue",
+    "muscle_characteristic": "control.describing",
+    "muscle_names": "muscles.catalogue",
+    "muscle_volume": "muscles.gas",
+    "own_law": "muscles.laws.user_defined",
+    "pareto": "planning.studies.pareto",
+    "pid_controller": "export",
+    "plan": "planning.planner",
+    "plot_costates": "figures.plan",
+    "polynomial_law": "muscles.laws.user_defined",
+    "pressures_of": "operating.allocation",
+    "read_record": "fitting.tables.records",
+    "read_records": "fitting.tables.records",
+    "read_table": "fitting.tables.force_table",
+    "robust_plan": "planning.studies.robust",
+    "save_input_table": "export",
+    "save_muscle": "muscles.muscle_file",
+    "scheduled_lqr": "control.schedule",
+    "simulate": "simulation.simulate",
+    "simulate_many": "simulation.many",
+    "spline_law": "muscles.laws.user_defined",
+    "stability_path": "vibration",
+    "state_feedback_controller": "export",
+    "stroke_work": "simulation.work",
+    "sweep": "simulation.many",
+    "tvlqr": "control.tvlqr",
+}
+"""Module in which each public name stands; it is imported at the first use of the name."""
+
+__all__ = list(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

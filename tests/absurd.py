@@ -1,6 +1,8 @@
-"""Sloppy, wrong and absurd calls, each with what it is answered: ``python tests/absurd.py`` prints them.
+"""Sloppy, wrong and absurd calls, each with what it is answered: ``python tests/absurd.py`` prints
+them.
 
-A call works (WORKS), warns with the unit that was probably meant (its fragment stands behind WARNS), or
+A call works (WORKS), warns with the unit that was probably meant (its fragment stands behind
+WARNS), or
 is refused in one sentence that holds a fragment.
 """
 
@@ -100,7 +102,10 @@ CALLS: dict[str, tuple[Call, str]] = {
     "damping=numpy scalar": (lambda: pam.HangingLoad(NAME, damping=np.float64(20)), WORKS),
     "damping='20 N.s/m'": (lambda: pam.HangingLoad(NAME, damping="20 N.s/m"), WORKS),
     "damping=-1": (lambda: pam.HangingLoad(NAME, damping=-1), "must be >= 0"),
-    "damping=the class": (lambda: pam.HangingLoad(NAME, damping=pam.ConstantDamping), "ConstantDamping(...)"),
+    "damping=the class": (
+        lambda: pam.HangingLoad(NAME, damping=pam.ConstantDamping),
+        "ConstantDamping(...)",
+    ),
     "damping=Spring": (lambda: pam.HangingLoad(NAME, damping=pam.Spring(1e3)), "give components"),
     "loads=Spring(...)": (lambda: pam.HangingLoad(NAME, loads=pam.Spring(1e3)), WORKS),
     "loads=[Spring(...)]": (lambda: pam.HangingLoad(NAME, loads=[pam.Spring(1e3)]), WORKS),
@@ -117,7 +122,7 @@ CALLS: dict[str, tuple[Call, str]] = {
     "limits=0.5": (lambda: pam.AntagonisticJoint(NAME, limits=0.5), "give (low, high)"),
     "limits=('a', 'b')": (lambda: pam.AntagonisticJoint(NAME, limits=("a", "b")), "limits"),
     "Plant('two words')": (lambda: pam.Plant("two words"), "use letters"),
-    # ---- numbers ----------------------------------------------------------------------------------
+    # ---- numbers ---------------------------------------------------------------------------------
     "mass='5 kg'": (lambda: pam.HangingLoad(NAME, "5 kg"), WORKS),
     "mass='5 mm'": (lambda: pam.HangingLoad(NAME, "5 mm"), "measures something else"),
     "mass='five'": (lambda: pam.HangingLoad(NAME, "five"), "give a number with its unit"),
@@ -135,34 +140,79 @@ CALLS: dict[str, tuple[Call, str]] = {
     "with_values(mass=[1, 2])": (lambda: plant().with_values(mass=[1, 2]), "is not a number"),
     "with_values(3)": (lambda: plant().with_values(3), "give values by name"),
     "with_values(masse=2)": (lambda: plant().with_values(masse=2), "did you mean"),
-    "with_values(an output)": (lambda: plant().with_values({"muscle.force": 1}), "follows from the others"),
-    "pre_contraction=10 for 10 %": (lambda: pam.AntagonisticSlide(NAME, pre_contraction=10), "did you mean 10 %"),
-    "pre_contraction='10 %'": (lambda: pam.AntagonisticSlide(NAME, pre_contraction="10 %"), "measures something"),
-    "Regulator(max_pressure='6 bar')": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_pressure="6 bar")), WORKS),
+    "with_values(an output)": (
+        lambda: plant().with_values({"muscle.force": 1}),
+        "follows from the others",
+    ),
+    "pre_contraction=10 for 10 %": (
+        lambda: pam.AntagonisticSlide(NAME, pre_contraction=10),
+        "did you mean 10 %",
+    ),
+    "pre_contraction='10 %'": (
+        lambda: pam.AntagonisticSlide(NAME, pre_contraction="10 %"),
+        "measures something",
+    ),
+    "Regulator(max_pressure='6 bar')": (
+        lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_pressure="6 bar")),
+        WORKS,
+    ),
     "Regulator(lag='50 ms')": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator("50 ms")), WORKS),
     "Regulator(lag=0)": (lambda: pam.Regulator(0), "must be > 0"),
-    # ---- units ------------------------------------------------------------------------------------
-    "max_pressure=6 for bar": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_pressure=6)), WARNS + "6 bar"),
-    "IdealPressure(0.6) for MPa": (lambda: pam.HangingLoad(NAME, feed=pam.IdealPressure(0.6)), WARNS + "0.6 MPa"),
-    "max_rate=40 for bar/s": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_rate=40)), WARNS + "40 bar/s"),
+    # ---- units -----------------------------------------------------------------------------------
+    "max_pressure=6 for bar": (
+        lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_pressure=6)),
+        WARNS + "6 bar",
+    ),
+    "IdealPressure(0.6) for MPa": (
+        lambda: pam.HangingLoad(NAME, feed=pam.IdealPressure(0.6)),
+        WARNS + "0.6 MPa",
+    ),
+    "max_rate=40 for bar/s": (
+        lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_rate=40)),
+        WARNS + "40 bar/s",
+    ),
     "lag=50 for ms": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator(50)), WARNS + "50 ms"),
     "mass=5000 for g": (lambda: pam.HangingLoad(NAME, 5000), WARNS + "5000 g"),
     "stroke=15 for mm": (lambda: pam.AntagonisticSlide(NAME, stroke=15), "did you mean 15 mm"),
     "moment_arm=40 for mm": (lambda: pam.AntagonisticJoint(NAME, moment_arm=40), WARNS + "40 mm"),
-    "limits=(-10, 10) for deg": (lambda: pam.AntagonisticJoint(NAME, limits=(-10, 10)), "did you mean 10 deg"),
-    "inclination=30 for deg": (lambda: pam.HangingLoad(NAME, inclination=30), "did you mean 30 deg"),
+    "limits=(-10, 10) for deg": (
+        lambda: pam.AntagonisticJoint(NAME, limits=(-10, 10)),
+        "did you mean 10 deg",
+    ),
+    "inclination=30 for deg": (
+        lambda: pam.HangingLoad(NAME, inclination=30),
+        "did you mean 30 deg",
+    ),
     "rest_length=300 for mm": (lambda: pam.Muscle(muscle().law, 300), WARNS + "300 mm"),
     "diameter=20 for mm": (lambda: pam.Muscle(muscle().law, 0.3, diameter=20), WARNS + "20 mm"),
-    "pressure_range=(0, 6) for bar": (lambda: pam.Muscle(muscle().law, 0.3, pressure_range=(0, 6)), WARNS + "6 bar"),
-    "Gas(temperature=20) for degC": (lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(gas=pam.Gas(temperature=20))), WARNS + "20 degC"),
-    "supply=6 for bar": (lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(supply=6)), WARNS + "6 bar"),
-    "conductance=700 l/min": (lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(conductance=700)), WARNS + "conductance_from_flow"),
-    "Tube(volume=10) for ml": (lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(tube=pam.Tube(volume=10))), WARNS + "10 cm3"),
-    "start pressure 3 for bar": (lambda: plant().with_values({"muscle.pressure": 3.0}), WARNS + "3 bar"),
+    "pressure_range=(0, 6) for bar": (
+        lambda: pam.Muscle(muscle().law, 0.3, pressure_range=(0, 6)),
+        WARNS + "6 bar",
+    ),
+    "Gas(temperature=20) for degC": (
+        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(gas=pam.Gas(temperature=20))),
+        WARNS + "20 degC",
+    ),
+    "supply=6 for bar": (
+        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(supply=6)),
+        WARNS + "6 bar",
+    ),
+    "conductance=700 l/min": (
+        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(conductance=700)),
+        WARNS + "conductance_from_flow",
+    ),
+    "Tube(volume=10) for ml": (
+        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(tube=pam.Tube(volume=10))),
+        WARNS + "10 cm3",
+    ),
+    "start pressure 3 for bar": (
+        lambda: plant().with_values({"muscle.pressure": 3.0}),
+        WARNS + "3 bar",
+    ),
     "start pressure 1e3 Pa": (lambda: plant().with_values({"muscle.pressure": 1e3}), WORKS),
     "start pressure 0": (lambda: plant().with_values({"muscle.pressure": 0}), WORKS),
     "x=0.1 mm": (lambda: plant().with_values(x=1e-4), WORKS),
-    # ---- expressions ------------------------------------------------------------------------------
+    # ---- expressions -----------------------------------------------------------------------------
     "math.sin(x)": (lambda: own(lambda x, v: -math.sin(x)), "casadi.sin"),
     "float(x)": (lambda: own(lambda x, v: -float(x)), "holds the constant nan"),
     "x*inf": (lambda: own(lambda x, v: x * math.inf), "holds the constant inf"),
@@ -171,13 +221,25 @@ CALLS: dict[str, tuple[Call, str]] = {
     "der(v, None)": (lambda: own(lambda x, v: None), "is no expression"),
     "der(v, MX)": (lambda: own(lambda x, v: ca.MX.sym("x")), "is no expression"),
     "der(v, column)": (lambda: own(lambda x, v: ca.vertcat(x, v)), "give a scalar"),
-    "moment arm with math.cos": (lambda: pam.AntagonisticJoint(NAME, moment_arm=lambda a: 0.04 * math.cos(a)), "casadi.sin"),
-    "moment arm with if": (lambda: pam.AntagonisticJoint(NAME, moment_arm=lambda a: 0.04 if a > 0 else 0.03), "casadi.if_else"),
-    "own_law with math.exp": (lambda: own_law(lambda p, kappa, a: a * p * math.exp(-kappa)), "casadi.sin"),
-    "own_law with if": (lambda: own_law(lambda p, kappa, a: a * p if kappa > 0 else p), "casadi.if_else"),
+    "moment arm with math.cos": (
+        lambda: pam.AntagonisticJoint(NAME, moment_arm=lambda a: 0.04 * math.cos(a)),
+        "casadi.sin",
+    ),
+    "moment arm with if": (
+        lambda: pam.AntagonisticJoint(NAME, moment_arm=lambda a: 0.04 if a > 0 else 0.03),
+        "casadi.if_else",
+    ),
+    "own_law with math.exp": (
+        lambda: own_law(lambda p, kappa, a: a * p * math.exp(-kappa)),
+        "casadi.sin",
+    ),
+    "own_law with if": (
+        lambda: own_law(lambda p, kappa, a: a * p if kappa > 0 else p),
+        "casadi.if_else",
+    ),
     "own_law with casadi.exp": (lambda: own_law(lambda p, kappa, a: a * p * ca.exp(-kappa)), WORKS),
     "output of nan": (lambda: own(lambda x, v: v).output("y", math.nan), "holds the constant nan"),
-    # ---- equilibrium ------------------------------------------------------------------------------
+    # ---- equilibrium -----------------------------------------------------------------------------
     "equilibrium(x='20 mm')": (lambda: plant().equilibrium(x="20 mm"), WORKS),
     "equilibrium(x=20)": (lambda: plant().equilibrium(x=20), "did you mean 20 mm"),
     "equilibrium(x=None)": (lambda: plant().equilibrium(x=None), "is not a number"),
@@ -185,8 +247,11 @@ CALLS: dict[str, tuple[Call, str]] = {
     "equilibrium(0.02)": (lambda: plant().equilibrium(0.02), "give values by name"),
     "equilibrium()": (lambda: plant().equilibrium(), "needs 1 condition"),
     "equilibrium(muscle)": (lambda: pam.equilibrium(muscle(), x=0.02), "not a Plant"),
-    "equilibrium(command=3 for bar)": (lambda: plant().equilibrium({"muscle.command": 3.0, "mass": 1e-3}), WARNS + "3 bar"),
-    # ---- simulate ---------------------------------------------------------------------------------
+    "equilibrium(command=3 for bar)": (
+        lambda: plant().equilibrium({"muscle.command": 3.0, "mass": 1e-3}),
+        WARNS + "3 bar",
+    ),
+    # ---- simulate --------------------------------------------------------------------------------
     "simulate(start=operating point)": (lambda: run(start=rest()), WORKS),
     "simulate(start=[0, 0, 0])": (lambda: run(start=[0, 0, 0]), "give values by name"),
     "simulate(start={x: '5 mm'})": (lambda: run(start={"x": "5 mm"}), WORKS),
@@ -194,9 +259,18 @@ CALLS: dict[str, tuple[Call, str]] = {
     "simulate(inputs=3e5)": (lambda: run(inputs=3e5), "give {name: value}"),
     "simulate(inputs={..: '3 bar'})": (lambda: run(inputs={"muscle.command": "3 bar"}), WORKS),
     "simulate(inputs={..: 3.0})": (lambda: run(inputs={"muscle.command": 3.0}), WARNS + "3 bar"),
-    "simulate(inputs={..: [1, 2]})": (lambda: run(inputs={"muscle.command": [1, 2]}, t=[0, 0.01], duration=None), WARNS + "2 bar"),
-    "simulate(inputs={..: None})": (lambda: run(inputs={"muscle.command": None}), "is not a number"),
-    "simulate(inputs={..: ['a']})": (lambda: run(inputs={"muscle.command": ["a", "b"]}), "numbers only"),
+    "simulate(inputs={..: [1, 2]})": (
+        lambda: run(inputs={"muscle.command": [1, 2]}, t=[0, 0.01], duration=None),
+        WARNS + "2 bar",
+    ),
+    "simulate(inputs={..: None})": (
+        lambda: run(inputs={"muscle.command": None}),
+        "is not a number",
+    ),
+    "simulate(inputs={..: ['a']})": (
+        lambda: run(inputs={"muscle.command": ["a", "b"]}),
+        "numbers only",
+    ),
     "simulate(inputs={..: []})": (lambda: run(inputs={"muscle.command": []}), "0 samples"),
     "simulate(duration='20 ms')": (lambda: run(duration="20 ms"), WORKS),
     "simulate(duration=-1)": (lambda: run(duration=-1), "must be > 0"),
@@ -213,8 +287,11 @@ CALLS: dict[str, tuple[Call, str]] = {
     "simulate(parameters={'x': 1})": (lambda: run(parameters={"x": 1}), "x is a state"),
     "simulate(parameters=[1])": (lambda: run(parameters=[1]), "give values by name"),
     "simulate(muscle)": (lambda: pam.simulate(muscle(), duration=1), "put the muscle into one"),
-    # ---- closed loop ------------------------------------------------------------------------------
-    "closed_loop(controller=None)": (lambda: pam.closed_loop(plant(), None, duration=1), "is not called with"),
+    # ---- closed loop -----------------------------------------------------------------------------
+    "closed_loop(controller=None)": (
+        lambda: pam.closed_loop(plant(), None, duration=1),
+        "is not called with",
+    ),
     "controller answers None": (lambda: looped(None), "give inputs by name"),
     "controller answers a number": (lambda: looped(3e5), "give inputs by name"),
     "controller answers a text": (lambda: looped({"muscle.command": "high"}), "is not a number"),
@@ -224,30 +301,52 @@ CALLS: dict[str, tuple[Call, str]] = {
     "closed_loop(dt=0)": (lambda: looped({}, dt=0), "must be > 0"),
     "closed_loop(delay=0.5)": (lambda: looped({}, delay=0.5), "whole number"),
     "closed_loop(noise={..: -1})": (lambda: looped({}, noise={"x": -1.0}), "must be >= 0"),
-    "closed_loop(disturbances={..: 3})": (lambda: looped({}, disturbances={"muscle.command": 3.0}), WARNS + "3 bar"),
-    # ---- studies and plans ------------------------------------------------------------------------
+    "closed_loop(disturbances={..: 3})": (
+        lambda: looped({}, disturbances={"muscle.command": 3.0}),
+        WARNS + "3 bar",
+    ),
+    # ---- studies and plans
+    # ------------------------------------------------------------------------
     "load_study(pressures=[2, 3])": (lambda: pam.load_study(NAME, [20], [2, 3]), WARNS + "2 bar"),
     "load_study(masses=20)": (lambda: pam.load_study(NAME, 20, 3e5, duration=0.5), WORKS),
-    "load_study(pressures='3 bar')": (lambda: pam.load_study(NAME, "20 kg", "3 bar", duration=0.5), WORKS),
+    "load_study(pressures='3 bar')": (
+        lambda: pam.load_study(NAME, "20 kg", "3 bar", duration=0.5),
+        WORKS,
+    ),
     "load_study(masses=[])": (lambda: pam.load_study(NAME, []), "at least one value"),
     "load_study(masses=[-1])": (lambda: pam.load_study(NAME, [-1]), "must be > 0"),
-    "load_study(step=0.2 for bar)": (lambda: pam.load_study(NAME, 20, 3e5, step=0.2, duration=0.5), WARNS + "0.2"),
+    "load_study(step=0.2 for bar)": (
+        lambda: pam.load_study(NAME, 20, 3e5, step=0.2, duration=0.5),
+        WARNS + "0.2",
+    ),
     "load_study(plant)": (lambda: pam.load_study(plant()), "give a Muscle"),
-    "plan(bounds=(0, 4) for bar)": (lambda: posed(bounds={"muscle1.pressure": (0, 4)}), WARNS + "4 bar"),
+    "plan(bounds=(0, 4) for bar)": (
+        lambda: posed(bounds={"muscle1.pressure": (0, 4)}),
+        WARNS + "4 bar",
+    ),
     "plan(stops in mm)": (lambda: posed(stops=[{"x": -10}, {"x": 10}]), "-10"),
     "plan(bounds crossed)": (lambda: posed(bounds={"x": (0.01, -0.01)}), "crossed"),
-    "plan(bounds of text)": (lambda: posed(bounds={"x": ("low", "high")}), "give a number with its unit"),
+    "plan(bounds of text)": (
+        lambda: posed(bounds={"x": ("low", "high")}),
+        "give a number with its unit",
+    ),
     "stroke_work(plant)": (lambda: pam.stroke_work(plant()), "give what simulate() returned"),
-    "stroke_work(end before begin)": (lambda: pam.stroke_work(motion(), 0.01, 0.005), "give a part of"),
+    "stroke_work(end before begin)": (
+        lambda: pam.stroke_work(motion(), 0.01, 0.005),
+        "give a part of",
+    ),
     "plan(stops='20 mm')": (lambda: posed(stops=[{"x": "-10 mm"}, {"x": "10 mm"}]), WORKS),
-    "plan(stop pressure 3 for bar)": (lambda: posed(stops=[{"x": 0, "muscle1.pressure": 3}, {"x": 0.01}]), WARNS + "3 bar"),
+    "plan(stop pressure 3 for bar)": (
+        lambda: posed(stops=[{"x": 0, "muscle1.pressure": 3}, {"x": 0.01}]),
+        WARNS + "3 bar",
+    ),
     "muscle('no-such')": (lambda: pam.muscle("no-such"), "muscle"),
     "muscle(3)": (lambda: pam.muscle(3), "muscle"),
     "linearize(plant, 3)": (lambda: plant().linearize(3), "give an OperatingPoint"),
     "Spring('stiff')": (lambda: pam.Spring("stiff"), "give a number"),
     "Spring(-1)": (lambda: pam.Spring(-1), "must be >= 0"),
     "Wall(side=0)": (lambda: pam.Wall(0.01, side=0), "stops motion"),
-}  # fmt: skip
+}
 
 
 def answer(call: Call) -> tuple[str, str]:

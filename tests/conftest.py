@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.integrate import solve_ivp
 import pam_ocp as pam
 
 BAR = 1e5
+ROOMS = sorted({p.parent.name for p in Path(__file__).parent.glob("*/test_*.py")})
 
 
 @pytest.fixture
@@ -57,7 +59,9 @@ def scipy_states(
     method: str = "DOP853",
     rtol: float = 1e-11,
 ) -> Any:
-    """States (n, nx) at ``t`` by SciPy, a jump of the inputs allowed at each t (right-hand value)."""
+    """States (n, nx) at ``t`` by SciPy,
+    a jump of the inputs allowed at each t (right-hand value).
+    """
     p, nominal = plant.vector("parameter"), plant.vector("state", attribute="nominal")
     x = plant.vector("state") if x0 is None else np.asarray(x0, float)
 
@@ -94,3 +98,17 @@ def fmus(tmp_path_factory):
 def fmu(request, fmus):
     """One version after the other."""
     return fmus[request.param]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark each test with its room: ``pytest -m planning``."""
+    for item in items:
+        room = item.path.parent.name
+        if room in ROOMS:
+            item.add_marker(room)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The rooms are the folders of the tests."""
+    for room in ROOMS:
+        config.addinivalue_line("markers", f"{room}: tests of this room")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from conftest import BAR, benchmark_slide
 
-from pam_ocp.fmu import export_fmu
-from pam_ocp.fmu.runner import Runner, UnpackedFmu
+from pam_ocp.export import export_fmu
+from pam_ocp.export.runner import Runner, UnpackedFmu
 
 VERSIONS = ("2.0", "3.0")
 KINDS = ("CoSimulation", "ModelExchange")
@@ -48,7 +48,8 @@ def bars_every(step: float, duration: float, seed: int = 7) -> tuple[Any, Any]:
 def coupled(
     path: Path, folder: Path, steps: int, step: float, wires: dict[str, str], seen: tuple[str, ...]
 ) -> dict[str, Any]:
-    """A system (SSP) stepped here: all step, then all hand over. The first inputs are 0, as in FMPy.
+    """A system (SSP) stepped here: all step, then all hand over. The first inputs are 0, as in
+    FMPy.
 
     wires : {sink: source}; returns their values and those of ``seen`` (component.variable) by step.
     """

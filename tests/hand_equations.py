@@ -1,7 +1,9 @@
 """The equations of muscles, feeds, losses, loads and arrangements, written out with math alone.
 
-From docs/model.md, the docstrings' formulas and the published tables; nothing of pam_ocp is used, so
-that the plants can be held against it. A muscle is a name of ``SETS`` with a rest length; states and
+From docs/model.md, the docstrings' formulas and the published tables; nothing of pam_ocp is used,
+so
+that the plants can be held against it. A muscle is a name of ``SETS`` with a rest length; states
+and
 inputs are mappings by name.
 """
 
@@ -63,7 +65,8 @@ class Fibre:
         return math.pi / 4 * self.diameter**2 * self.length + self.length / 1e7 * grown
 
 
-# ---- losses: (p, kappa, speed of shortening, states) -> force against contraction, derivatives -----
+# ---- losses: (p, kappa, speed of shortening, states) -> force against contraction, derivatives
+# -----
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,8 @@ def maxwell(friction: tuple[float, ...], widths: tuple[float, ...], edge: float)
     return Loss(lambda z, *_: sum(f * z[f"slip{i + 1}"] for i, f in enumerate(friction)), rates)
 
 
-# ---- feeds: (z, u, fibre, kappa, speed of shortening) -> derivatives, outputs ----------------------
+# ---- feeds: (z, u, fibre, kappa, speed of shortening) -> derivatives, outputs
+# ----------------------
 
 
 def orifice(p1: float, p2: float, conductance: float, b: float, warm: float) -> float:
@@ -182,11 +186,15 @@ class Valves:
         rates["pressure"] = self.n * (AIR * self.warm * net - inside * growing) / volume
         exergy = drawn * AIR * self.warm * math.log(source / self.ambient)
         return rates, {
-            "volume": volume, "mass_flow": net, "supply_flow": drawn, "exergy_flow": exergy,
-        }  # fmt: skip
+            "volume": volume,
+            "mass_flow": net,
+            "supply_flow": drawn,
+            "exergy_flow": exergy,
+        }
 
 
-# ---- a muscle at work ------------------------------------------------------------------------------
+# ---- a muscle at work
+# ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -215,14 +223,17 @@ class Puller:
         assert abs(tension - lost) > 1.0, "within the rounding of the clamp"
         force = max(tension - lost, 0.0)
         outputs |= {
-            "force": force, "contraction": kappa, "power": force * v,
+            "force": force,
+            "contraction": kappa,
+            "power": force * v,
             "stiffness": self.fibre.stiffness(p, kappa),
-        }  # fmt: skip
+        }
         named = [{f"{self.name}.{k}": value for k, value in d.items()} for d in (rates, outputs)]
         return force, named[0], named[1]
 
 
-# ---- loads: (position, velocity, inputs) -> force, and mass that moves along -----------------------
+# ---- loads: (position, velocity, inputs) -> force, and mass that moves along
+# -----------------------
 
 
 @dataclass(frozen=True)
@@ -262,7 +273,7 @@ def wall_force(
     return -side * elastic * max(factor, 0.0)
 
 
-# ---- damping ---------------------------------------------------------------------------------------
+# ---- damping -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -279,7 +290,8 @@ class Viscous:
         return 2 * self.ratio * math.sqrt(mass * rounded)
 
 
-# ---- arrangements: states and inputs -> (derivatives, outputs) -------------------------------------
+# ---- arrangements: states and inputs -> (derivatives, outputs)
+# -------------------------------------
 
 
 @dataclass(frozen=True)
@@ -303,9 +315,11 @@ class Hanging(Arrangement):
         force, rates, outputs = one.at(x, u, x["x"] / one.fibre.length, x["v"])
         k = outputs["muscle.stiffness"]
         push = (
-            force - self.mass * GRAVITY * math.sin(self.inclination)
-            - self.damping(self.mass, k) * x["v"] + self.loads.force(x["x"], x["v"], u)
-        )  # fmt: skip
+            force
+            - self.mass * GRAVITY * math.sin(self.inclination)
+            - self.damping(self.mass, k) * x["v"]
+            + self.loads.force(x["x"], x["v"], u)
+        )
         motion = {"x": x["v"], "v": push / (self.mass + self.loads.inertia)}
         return {**motion, **rates}, {**outputs, "stiffness": k}
 
@@ -324,9 +338,12 @@ class Sprung(Arrangement):
         k = outputs["muscle.stiffness"] + self.spring
         bias = self.preload + self.spring * x["x"]
         push = (
-            force - bias - self.mass * GRAVITY * math.sin(self.inclination)
-            - self.damping(self.mass, k) * x["v"] + self.loads.force(x["x"], x["v"], u)
-        )  # fmt: skip
+            force
+            - bias
+            - self.mass * GRAVITY * math.sin(self.inclination)
+            - self.damping(self.mass, k) * x["v"]
+            + self.loads.force(x["x"], x["v"], u)
+        )
         motion = {"x": x["v"], "v": push / (self.mass + self.loads.inertia)}
         return {**motion, **rates}, {**outputs, "stiffness": k, "spring_force": bias}
 
@@ -371,9 +388,11 @@ class Joint(Arrangement):
         k = -(above - below) / (2 * h)  # -d(torque)/dtheta, all else held
         mass, length = self.link
         push = (
-            torque - mass * GRAVITY * length * math.sin(theta)
-            - self.damping(self.mass, k) * omega + self.loads.force(theta, omega, u)
-        )  # fmt: skip
+            torque
+            - mass * GRAVITY * length * math.sin(theta)
+            - self.damping(self.mass, k) * omega
+            + self.loads.force(theta, omega, u)
+        )
         motion = {"theta": omega, "omega": push / (self.mass + self.loads.inertia)}
         return {**motion, **rates}, {**outputs, "stiffness": k, "torque": torque}
 
@@ -397,9 +416,11 @@ class Series(Arrangement):
         load = pull - self.mass * GRAVITY + self.loads.force(x["x"], x["v"], u)
         end = force - pull - self.damping(self.fitting, k) * w
         motion = {
-            "x": x["v"], "v": load / (self.mass + self.loads.inertia),
-            "muscle.shortening": w, "muscle.velocity": end / self.fitting,
-        }  # fmt: skip
+            "x": x["v"],
+            "v": load / (self.mass + self.loads.inertia),
+            "muscle.shortening": w,
+            "muscle.velocity": end / self.fitting,
+        }
         series = k * k_t / (k + k_t)
         return {**motion, **rates}, {**outputs, "stiffness": series, "tendon_force": pull}
 

@@ -1,4 +1,6 @@
-"""Units that mean harm: a plant's FMU whose functions do what the environment variable HOSTILE says."""
+"""Units that mean harm: a plant's FMU whose functions do what the environment variable HOSTILE
+says.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,8 @@ from pathlib import Path
 
 from conftest import benchmark_slide
 
-from pam_ocp.fmu import export_fmu
-from pam_ocp.fmu.compile import compile_library, native
+from pam_ocp.export import export_fmu
+from pam_ocp.export.compile import compile_library, native
 
 _SOURCE = r"""
 #include <stdio.h>
@@ -44,9 +46,13 @@ static void harm(const char *place) {
     if (IS("_exit0")) _Exit(0);
     if (IS("exit3")) exit(3);
     if (IS("spin")) for (;;) zero = 0;
-    if (IS("stack")) { char big[1 << 16]; memset(big, zero, sizeof big); harm(place); zero = big[9]; }
+    if (IS("stack")) { char big[1 << 16];
+        memset(big, zero, sizeof big);
+        harm(place);
+        zero = big[9]; }
     if (IS("memory")) for (;;) { volatile char *p = malloc(1 << 26); p[0] = 1; }
-    if (IS("print")) for (int i = 0; i < 2000; i++) { printf("{\"done\": true}\n"); fprintf(stderr, "noise\n"); }
+    if (IS("print")) for (int i = 0; i < 2000; i++) {
+        printf("{\"done\": true}\n"); fprintf(stderr, "noise\n"); }
 #ifndef _WIN32
     if (IS("hang")) { tell_pid(getpid()); for (;;) pause(); }
     if (IS("killed")) kill(getpid(), SIGKILL);

@@ -69,8 +69,15 @@ def main():
             first = done - e.BEGIN, done - begin
     x, u, duration = (np.asarray(v) for v in ca.Function("v", [opti.x], list(unknowns))(w))
     iterations = solver.stats()["iter_count"]
-    e.report("plain CasADi: Opti, Radau 3, expanded", first, min(seconds), iterations,
-             duration.item(), x, u.T[:, :, None])  # fmt: skip
+    e.report(
+        "plain CasADi: Opti, Radau 3, expanded",
+        first,
+        min(seconds),
+        iterations,
+        duration.item(),
+        x,
+        u.T[:, :, None],
+    )
 
 
 main()

@@ -26,14 +26,19 @@ def controller():
     mpc.settings.collocation_deg, mpc.settings.nl_cons_check_colloc_points = 3, True
     mpc.settings.store_full_solution = False
     mpc.settings.nlpsol_opts = {
-        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0, "expand": True
-    }  # fmt: skip
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "print_time": 0,
+        "expand": True,
+    }
     mpc.set_objective(mterm=duration, lterm=ca.SX(0))
     mpc.set_rterm(u1=0.0, u2=0.0)
     for kind, names, low, high in (
-        ("_x", ("x",), -e.STROKE, e.STROKE), ("_x", ("p1", "p2"), 0, e.LARGEST),
-        ("_x", ("duration",), 0.02, 1.0), ("_u", INPUTS, 0, e.LARGEST),
-    ):  # fmt: skip
+        ("_x", ("x",), -e.STROKE, e.STROKE),
+        ("_x", ("p1", "p2"), 0, e.LARGEST),
+        ("_x", ("duration",), 0.02, 1.0),
+        ("_u", INPUTS, 0, e.LARGEST),
+    ):
         for name in names:
             mpc.bounds["lower", kind, name], mpc.bounds["upper", kind, name] = low, high
     for i, force in enumerate(e.forces(x, p1, p2, exp=ca.exp)):
@@ -45,9 +50,14 @@ def controller():
     start, end = mpc.opt_x["_x", 0, 0, -1], mpc.opt_x["_x", N, 0, -1]
     f1, f2 = e.forces(start[0], start[2], start[3], exp=ca.exp)
     mpc.nlp_cons[0] = ca.vertcat(
-        start[0] + e.STOP, start[1], f1 - f2, end[0] + start[0], end[1], end[2] - start[3],
+        start[0] + e.STOP,
+        start[1],
+        f1 - f2,
+        end[0] + start[0],
+        end[1],
+        end[2] - start[3],
         end[3] - start[2],
-    )  # fmt: skip
+    )
     mpc.nlp_cons_lb[0] = mpc.nlp_cons_ub[0] = np.zeros((7, 1))
     # the tool checks collocation points, of which the start of an interval is none
     for k in range(N):
@@ -83,8 +93,15 @@ def main():
     states = np.hstack([np.asarray(found["_x", k, 0, -1]).reshape(-1, 1) for k in range(N + 1)])
     inputs = np.array([np.asarray(found["_u", k, 0]).ravel() for k in range(N)])
     iterations = mpc.solver_stats["iter_count"]
-    e.report("do-mpc: Radau 3, expanded", first, min(seconds), iterations, states[4, 0],
-             states[:4], inputs[:, :, None])  # fmt: skip
+    e.report(
+        "do-mpc: Radau 3, expanded",
+        first,
+        min(seconds),
+        iterations,
+        states[4, 0],
+        states[:4],
+        inputs[:, :, None],
+    )
 
 
 main()

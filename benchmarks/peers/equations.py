@@ -1,4 +1,5 @@
-"""PAM-2DIR for tools that know nothing of pam_ocp: the plant's equations in m, m/s, bar, and its limits.
+"""PAM-2DIR for tools that know nothing of pam_ocp: the plant's equations in m, m/s, bar, and its
+limits.
 
 Written with plain arithmetic and a given ``exp``, so that any tool's symbols may be put in; run.py
 compares them with the Plant. The six coefficients are those of the DMSP-20-200N, for p in bar.
@@ -12,8 +13,13 @@ BEGIN = time.perf_counter()
 """Imported first by every peer: the start of its process, up to the interpreter's own."""
 
 A1, A2, A3, A4, A5, A6 = (
-    -4.00180705, 292.4620246, -32.930845, -933.564098, 294.0538256, -280.498151
-)  # fmt: skip
+    -4.00180705,
+    292.4620246,
+    -32.930845,
+    -933.564098,
+    294.0538256,
+    -280.498151,
+)
 MASS, DAMPING, LAG, LENGTH, CONTRACTION, STOP = 2.0, 20.0, 0.05, 0.2, 0.10, 0.015
 LARGEST, RATE, STROKE = 6.0, 40.0, 0.016
 INTERVALS, GUESS = 50, 0.15
@@ -36,16 +42,29 @@ def slopes(x, v, p1, p2, u1, u2, exp=math.exp):
 def report(name, first, solve, iterations, duration, states, inputs, breaks=None, points=(0.0,)):
     """Print a result for run.py.
 
-    first : seconds to the first result, since BEGIN and since the imports. solve : of the solver alone,
-    the best of some. iterations : of IPOPT, or None. states : (4, intervals + 1). inputs : (intervals, 2, len(points)), whose
-    polynomial through ``points`` in 0 .. 1 of each interval is the input there. breaks : fractions of
+    first : seconds to the first result, since BEGIN and since the imports. solve : of the solver
+    alone,
+    the best of some. iterations : of IPOPT, or None. states : (4, intervals + 1). inputs :
+    (intervals, 2, len(points)), whose
+    polynomial through ``points`` in 0 .. 1 of each interval is the input there. breaks : fractions
+    of
     the duration at which intervals meet; equal intervals by default.
     """
     n = len(inputs)
-    print("RESULT " + json.dumps({
-        "name": name, "whole": first[0], "first": first[1], "solve": solve, "iterations": iterations,
-        "duration": float(duration), "states": [[float(v) for v in row] for row in states],
-        "inputs": [[[float(v) for v in u] for u in interval] for interval in inputs],
-        "breaks": list(breaks) if breaks is not None else [k / n for k in range(n + 1)],
-        "points": [float(p) for p in points],
-    }))  # fmt: skip
+    print(
+        "RESULT "
+        + json.dumps(
+            {
+                "name": name,
+                "whole": first[0],
+                "first": first[1],
+                "solve": solve,
+                "iterations": iterations,
+                "duration": float(duration),
+                "states": [[float(v) for v in row] for row in states],
+                "inputs": [[[float(v) for v in u] for u in interval] for interval in inputs],
+                "breaks": list(breaks) if breaks is not None else [k / n for k in range(n + 1)],
+                "points": [float(p) for p in points],
+            }
+        )
+    )

@@ -24,10 +24,13 @@ def main():
     method, name = METHODS[sys.argv[1] if len(sys.argv) > 1 else "held"]
     begin = perf_counter()
     plant = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"), e.MASS, e.CONTRACTION, stroke=e.STROKE,
+        pam.muscle("DMSP-20-200N"),
+        e.MASS,
+        e.CONTRACTION,
+        stroke=e.STROKE,
         damping=pam.ConstantDamping(e.DAMPING),
         feed=pam.Regulator(e.LAG, max_pressure=1e5 * e.LARGEST, max_rate=1e5 * e.RATE),
-    )  # fmt: skip
+    )
     stops, seconds = [{"x": -e.STOP}, {"x": e.STOP}], []
     for again in range(3):
         plan = pam.plan(plant, stops, cyclic="mirrored", method=method)
@@ -44,8 +47,17 @@ def main():
     within = 1e-5 * t.at(times.ravel()).array(t.named("input"))
     inputs = within.reshape(len(ends) - 1, count, 2).transpose(0, 2, 1)
     states = (t.array(t.named("state")) * scale)[::degree].T
-    e.report(name, first, min(seconds), plan.statistics["iterations"], plan.duration, states,
-             inputs, ends / ends[-1], points)  # fmt: skip
+    e.report(
+        name,
+        first,
+        min(seconds),
+        plan.statistics["iterations"],
+        plan.duration,
+        states,
+        inputs,
+        ends / ends[-1],
+        points,
+    )
 
 
 main()

@@ -65,8 +65,15 @@ def main():
     x = np.array([found.sample(s, grid="control")[1] for s in states])
     u = np.array([found.sample(s, grid="control")[1] for s in inputs])[:, : e.INTERVALS]
     stats = found.stats
-    e.report(f"rockit: {name}, expanded", first, min(seconds), stats["iter_count"],
-             found.value(ocp.T), x, u.T[:, :, None])  # fmt: skip
+    e.report(
+        f"rockit: {name}, expanded",
+        first,
+        min(seconds),
+        stats["iter_count"],
+        found.value(ocp.T),
+        x,
+        u.T[:, :, None],
+    )
 
 
 main()

@@ -1,7 +1,9 @@
 """PAM-2DIR (a) by other optimal-control tools, each in a process and an environment of its own.
 
-The problem is that of benchmarks/plan.py: minimum time over 30 mm, half a cycle whose second half is its
-mirror image, 50 intervals of constant input. Every tool states it in its own words (``*_peer.py``), with
+The problem is that of benchmarks/plan.py: minimum time over 30 mm, half a cycle whose second half
+is its
+mirror image, 50 intervals of constant input. Every tool states it in its own words (``*_peer.py``),
+with
 equations.py as the plant; the runner compares those equations with the Plant before anything else.
 
 - whole: seconds from the start of the process to the first result, imports included.
@@ -12,7 +14,7 @@ equations.py as the plant; the runner compares those equations with the Plant be
 
 Figures are ratios to plain CasADi (Opti, Radau of degree 3, unscaled, expanded) in the same run.
 
-Run:  python benchmarks/peers/run.py --install [TOOL ...]   (once: an environment per tool, in the cache)
+Run:  python benchmarks/peers/run.py --install [TOOL ...]   (once: an environment per tool)
       python benchmarks/peers/run.py [TOOL ...]
 """
 
@@ -42,10 +44,16 @@ TOOLS = {
 OWN = ("casadi_opti", "pam_ocp")
 """Run by this interpreter."""
 WAYS = (
-    ("casadi_opti", ""), ("pam_ocp", "held"), ("pam_ocp", "fine"), ("pam_ocp", "high"),
-    ("rockit", "collocation"), ("rockit", "shooting"), ("yapss", "low"), ("yapss", "high"),
+    ("casadi_opti", ""),
+    ("pam_ocp", "held"),
+    ("pam_ocp", "fine"),
+    ("pam_ocp", "high"),
+    ("rockit", "collocation"),
+    ("rockit", "shooting"),
+    ("yapss", "low"),
+    ("yapss", "high"),
     ("dompc", ""),
-)  # fmt: skip
+)
 """(peer, which of its ways), in the order of the table."""
 LIMIT = 600.0
 """Seconds after which a process is given up."""
@@ -120,7 +128,7 @@ def check_equations() -> None:
     sys.path.insert(0, str(HERE.parent))
     from plan import slide
 
-    from pam_ocp.muscle.force import SLACK_WIDTH
+    from pam_ocp.muscles.law import SLACK_WIDTH
 
     plant, random = slide(), np.random.default_rng(0)
     parameters, checked = plant.vector("parameter"), 0
@@ -147,9 +155,11 @@ def run(tool: str, way: str) -> Result | str:
     try:
         done = subprocess.run(
             [str(interpreter(tool)), str(HERE / f"{tool}_peer.py"), *([way] if way else [])],
-            capture_output=True, text=True,
-            timeout=LIMIT, env=_environment(),
-        )  # fmt: skip
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+            env=_environment(),
+        )
     except subprocess.TimeoutExpired:
         return f"no result in {LIMIT:.0f} s"
     line = next((li for li in done.stdout.splitlines() if li.startswith("RESULT ")), None)
@@ -173,7 +183,10 @@ def main() -> None:
     if options.install:
         install(tools)
     check_equations()
-    head = f"{'tool':<44}{'T [s]':>10}{'whole':>8}{'first':>8}{'solve':>8}{'iterations':>12}{'error':>10}"
+    head = (
+        f"{'tool':<44}{'T [s]':>10}{'whole':>8}{'first':>8}"
+        f"{'solve':>8}{'iterations':>12}{'error':>10}"
+    )
     print(head)
     base: Result | None = None
     for tool, way in WAYS:
@@ -189,12 +202,16 @@ def main() -> None:
         base = base or best
         ratios = (getattr(best, e) / getattr(base, e) for e in ("whole", "first", "solve"))
         print(
-            f"{best.name:<44}{best.duration:>10.6f}" + "".join(f"{r:>8.2f}" for r in ratios)
-            + f"{best.iterations or '-':>12}{best.error():>10.1e}", flush=True,
-        )  # fmt: skip
+            f"{best.name:<44}{best.duration:>10.6f}"
+            + "".join(f"{r:>8.2f}" for r in ratios)
+            + f"{best.iterations or '-':>12}{best.error():>10.1e}",
+            flush=True,
+        )
     if base:
-        print(f"({base.name}: whole {base.whole:.2f} s, first {base.first:.2f} s, "
-              f"solve {base.solve:.2f} s)")  # fmt: skip
+        print(
+            f"({base.name}: whole {base.whole:.2f} s, first {base.first:.2f} s, "
+            f"solve {base.solve:.2f} s)"
+        )
 
 
 if __name__ == "__main__":

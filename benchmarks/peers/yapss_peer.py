@@ -30,8 +30,12 @@ def state_problem(intervals, degree):
         start, end = arg.phase[0].initial_state, arg.phase[0].final_state
         f1, f2 = e.forces(start[0], start[2], start[3], exp=exp)
         arg.discrete[:] = (
-            end[0] + start[0], end[1] + start[1], end[2] - start[3], end[3] - start[2], f1 - f2
-        )  # fmt: skip
+            end[0] + start[0],
+            end[1] + start[1],
+            end[2] - start[3],
+            end[3] - start[2],
+            f1 - f2,
+        )
 
     ocp.functions.objective, ocp.functions.continuous = objective, continuous
     ocp.functions.discrete = discrete
@@ -79,9 +83,16 @@ def main():
     index = [int(np.argmin(np.abs(time - b))) for b in breaks]
     points = (at[:degree] - breaks[0]) / (breaks[1] - breaks[0])
     control = np.asarray(phase.control).reshape(2, intervals, degree).transpose(1, 0, 2)
-    e.report(f"yapss: LGR {intervals} x {degree}, input at the points", first,
-             min(seconds), None,
-             phase.final_time, np.asarray(phase.state)[:, index], control, points=points)  # fmt: skip
+    e.report(
+        f"yapss: LGR {intervals} x {degree}, input at the points",
+        first,
+        min(seconds),
+        None,
+        phase.final_time,
+        np.asarray(phase.state)[:, index],
+        control,
+        points=points,
+    )
 
 
 main()

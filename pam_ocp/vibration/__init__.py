@@ -14,13 +14,13 @@ Every result is a frozen dataclass that prints and plots itself.
 
 from __future__ import annotations
 
-from .branch import CycleBranch, continue_cycle
+from ..numerics.newton import VibrationError
+from ..operating.along import StabilityPath, stability_path
 from .cycle import LimitCycle, limit_cycle
+from .cycle_branch import CycleBranch, continue_cycle
 from .energy import Energy, energy
 from .free import Backbone, FreeVibration, backbone, free_vibration
 from .hopf import HopfBorder, HopfPoint, hopf, hopf_border
-from .numerics import VibrationError
-from .rest import StabilityPath, stability_path
 
 __all__ = [
     "Backbone",

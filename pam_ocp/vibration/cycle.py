@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_count, require_positive
-from ..plant.plant import Plant, require_plant
-from ..signals import signals
-from ..simulate import evaluated, simulate
-from ..trajectory import Trajectory
-from .collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
+from ..core.errors import InputError, require_count, require_positive
+from ..core.signals import signals
+from ..core.trajectory import Trajectory
+from ..numerics.newton import Array, VibrationError, smooth
+from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
+from ..plants.plant import Plant, require_plant
+from ..simulation.simulate import evaluated, simulate
 from .hopf import HopfPoint
-from .numerics import Array, VibrationError, smooth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +66,9 @@ class LimitCycle:
 
     @property
     def stable(self) -> bool:
-        """Whether neighbouring motions are drawn in: all other multipliers inside the unit circle."""
+        """Whether neighbouring motions are drawn in:
+        all other multipliers inside the unit circle.
+        """
         return bool(np.all(np.abs(self.multipliers[1:]) < 1))
 
     @property
@@ -86,7 +88,8 @@ class LimitCycle:
 
     @cached_property
     def closing_error(self) -> float:
-        """How far :func:`pam_ocp.simulate` (rtol 1e-12) misses its start after one period, / nominal.
+        """How far :func:`pam_ocp.simulation.simulate` (rtol 1e-12) misses its start after one
+        period, / nominal.
 
         The true accuracy of the collocation; an unstable cycle's multiplier enlarges it.
         """
@@ -122,13 +125,13 @@ class LimitCycle:
 
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portrait: rate over state."""
-        from .pictures import plot_phase
+        from ..figures.vibration import plot_phase
 
         return plot_phase([self.trajectory], state, self.plant, labels=[f"{self.frequency:.3f} Hz"])
 
     def plot_multipliers(self) -> Figure:
         """Floquet multipliers and the unit circle."""
-        from .pictures import plot_multipliers
+        from ..figures.vibration import plot_multipliers
 
         return plot_multipliers(self)
 
@@ -305,6 +308,12 @@ def finished(periodic: Periodic, orbit: Orbit, settings: Settings) -> LimitCycle
         if v.name.endswith(".tension")
     }
     return LimitCycle(
-        plant, trajectory, orbit.period, periodic.multipliers(orbit),
-        float(periodic.errors(orbit).max()), slack, orbit, settings,
-    )  # fmt: skip
+        plant,
+        trajectory,
+        orbit.period,
+        periodic.multipliers(orbit),
+        float(periodic.errors(orbit).max()),
+        slack,
+        orbit,
+        settings,
+    )

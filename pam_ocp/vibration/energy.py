@@ -10,7 +10,7 @@ to the same E after a period, so none exists with c > 0, and with c = 0 every mo
 energy that it was given. Conditions: pressures constant (no gas being compressed, no feedback), one
 position, c >= 0, dry friction not falling below zero. It holds for any force law, with or without
 the clamp F >= 0, because F then depends on x alone. Sustained vibration needs an active element:
-see :class:`pam_ocp.plant.regulated.RegulatedLoad`.
+see :class:`pam_ocp.plants.regulated.RegulatedLoad`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from ..errors import InputError
-from ..plant.plant import Plant
-from ..trajectory import Trajectory
-from .numerics import Array
+from ..core.errors import InputError
+from ..core.trajectory import Trajectory
+from ..numerics.newton import Array
+from ..plants.plant import Plant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ class Energy:
 
     def plot(self) -> Figure:
         """Energies over time, and the power lost."""
-        from .pictures import plot_energy
+        from ..figures.vibration import plot_energy
 
         return plot_energy(self)
 
@@ -70,8 +70,9 @@ def energy(
 
     Parameters
     ----------
-    plant : with one position whose velocity is a state, as ``HangingLoad(..., feed=IdealPressure())``.
-    trajectory : a motion of it, as :func:`pam_ocp.simulate` returns.
+    plant : with one position whose velocity is a state, as ``HangingLoad(...,
+    feed=IdealPressure())``.
+    trajectory : a motion of it, as :func:`pam_ocp.simulation.simulate` returns.
     position : the position's name. mass : name of the parameter, or the inertia itself [kg, kg m2].
 
     R is mass times the plant's acceleration at zero velocity. Its integral is exact to rounding:
@@ -102,8 +103,11 @@ def energy(
     )
     potential = -_integral(resultant, pieces, x)
     return Energy(
-        trajectory.t, float(m) * v**2 / 2, potential - potential[0], float(m) * v * (moving - resting)
-    )  # fmt: skip
+        trajectory.t,
+        float(m) * v**2 / 2,
+        potential - potential[0],
+        float(m) * v * (moving - resting),
+    )
 
 
 def _row(plant: Plant, mass: str) -> int:
@@ -118,9 +122,10 @@ def _require_constant(plant: Plant, trajectory: Trajectory, moving: set[str]) ->
         column = trajectory[variable.name]
         if variable.name not in moving and np.ptp(column) > 1e-9 * variable.nominal:
             remedy = (
-                "leave out losses with memory" if variable.memory
+                "leave out losses with memory"
+                if variable.memory
                 else "use IdealPressure() and constant inputs"
-            )  # fmt: skip
+            )
             raise InputError(
                 f"{variable.name} moves between {variable.shown(column.min())} and "
                 f"{variable.shown(column.max())}: the energy function holds only while it is "
@@ -144,8 +149,9 @@ def _expressions(plant: Plant, position: str, velocity: str) -> tuple[ca.Functio
     arguments = [x, v, others, plant.u, plant.p]
     found = ca.substitute(
         [plant.expression(f"der({velocity})"), ca.vertcat(*kinks) if kinks else ca.SX(1)],
-        [plant.x], [ca.vertcat(*z)],
-    )  # fmt: skip
+        [plant.x],
+        [ca.vertcat(*z)],
+    )
     return ca.Function("a", arguments, [found[0]]), ca.Function("kinks", arguments, [found[1]])
 
 

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..equilibrium import OperatingPoint, equilibrium
-from ..errors import InputError, require_finite, require_positive
-from ..memory import Memory, carried
-from ..plant.plant import Plant, Values
-from ..simulate import simulate
-from ..trajectory import Trajectory
-from .numerics import Array, Smooth, VibrationError, smooth
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.trajectory import Trajectory
+from ..numerics.newton import Array, Smooth, VibrationError, smooth
+from ..operating.equilibrium import OperatingPoint, equilibrium
+from ..operating.held import Memory, carried
+from ..plants.plant import Plant, Values
+from ..simulation.simulate import simulate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,7 +87,7 @@ class FreeVibration:
 
     def plot_phase(self) -> Figure:
         """Phase portrait: rate over state."""
-        from .pictures import plot_phase
+        from ..figures.vibration import plot_phase
 
         return plot_phase(
             [self.trajectory], self.state, self.point.plant, labels=["free vibration"]
@@ -95,7 +95,7 @@ class FreeVibration:
 
     def plot_envelope(self) -> Figure:
         """The state over time with the envelope through its turning points; frequency below."""
-        from .pictures import plot_envelope
+        from ..figures.vibration import plot_envelope
 
         return plot_envelope(self)
 
@@ -118,7 +118,7 @@ class Backbone:
 
     def plot(self) -> Figure:
         """Frequency over amplitude."""
-        from .pictures import plot_backbone
+        from ..figures.vibration import plot_backbone
 
         return plot_backbone({"": self})
 
@@ -148,7 +148,8 @@ def free_vibration(
     state : the state that is displaced and watched.
     cycles : length of the record, in periods of the plant linearised at rest.
     samples : per such period. rtol : of the integrator.
-    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`; on the way from rest to the
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.operating.equilibrium`; on the way
+    from rest to the
         offset it has followed the motion. The swing is measured about the place where it ends.
 
     Frequencies come from passages through rest, located on polynomials of degree 5 that use the
@@ -169,9 +170,12 @@ def free_vibration(
     x0.update(carried(plant, point.x, point.u, variable.name, offset))
     x0[variable.name] += offset
     trajectory = simulate(
-        plant, dict(zip([v.name for v in plant.inputs], point.u, strict=True)), start=x0,
-        t=np.linspace(0.0, cycles * period, int(np.ceil(cycles * samples)) + 1), rtol=rtol,
-    )  # fmt: skip
+        plant,
+        dict(zip([v.name for v in plant.inputs], point.u, strict=True)),
+        start=x0,
+        t=np.linspace(0.0, cycles * period, int(np.ceil(cycles * samples)) + 1),
+        rtol=rtol,
+    )
     return _measured(plant, point, trajectory, variable.name)
 
 
@@ -207,10 +211,15 @@ def _measured(
     cycle = np.searchsorted(crossings, turns) - 1
     inside = [deviations[cycle == i] for i in range(len(crossings) - 1)]
     return FreeVibration(
-        trajectory, point, state, crossings,
-        np.array([np.max(d) for d in inside]), np.array([np.min(d) for d in inside]),
-        (turns, deviations), settled,
-    )  # fmt: skip
+        trajectory,
+        point,
+        state,
+        crossings,
+        np.array([np.max(d) for d in inside]),
+        np.array([np.min(d) for d in inside]),
+        (turns, deviations),
+        settled,
+    )
 
 
 def _settled(curve: Smooth) -> float | None:
@@ -240,7 +249,11 @@ def backbone(
         free_vibration(plant, point, float(a), state=state, cycles=4.0, rtol=rtol) for a in starts
     ]
     return Backbone(
-        plant.variable(state).name, point, starts,
-        *(np.array([getattr(m, key)[0] for m in motions])
-          for key in ("frequencies", "amplitudes", "lows", "highs")),
-    )  # fmt: skip
+        plant.variable(state).name,
+        point,
+        starts,
+        *(
+            np.array([getattr(m, key)[0] for m in motions])
+            for key in ("frequencies", "amplitudes", "lows", "highs")
+        ),
+    )

@@ -14,12 +14,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..equilibrium import OperatingPoint
-from ..errors import InputError, PamError
-from ..memory import Memory
-from ..plant.plant import Plant, Values
-from .numerics import Array, VibrationError, casadi_equations, newton
-from .rest import Rest, StabilityPath, stability_path
+from ..core.errors import InputError, PamError
+from ..numerics.newton import Array, VibrationError, casadi_equations, newton
+from ..operating.along import Rest, StabilityPath, stability_path
+from ..operating.equilibrium import OperatingPoint
+from ..operating.held import Memory
+from ..plants.plant import Plant, Values
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,7 +65,8 @@ class HopfPoint:
         side = "above" if self.crossing > 0 else "below"
         kind = "supercritical" if self.supercritical else "subcritical"
         return (
-            f"Hopf point at {variable.name} = {variable.shown(self.value)}: {self.frequency:.4f} Hz, "
+            f"Hopf point at {variable.name} = {variable.shown(self.value)}: {self.frequency:.4f} "
+            "Hz, "
             f"unstable {side}, {kind}"
         )
 
@@ -99,7 +100,7 @@ class HopfBorder:
 
     def plot(self) -> Figure:
         """The border over the two parameters, with its frequency below."""
-        from .pictures import plot_border
+        from ..figures.vibration import plot_border
 
         return plot_border(self)
 
@@ -120,7 +121,8 @@ def hopf(
     Parameters
     ----------
     parameter : name of the parameter (or input) that varies between the ends of ``bracket``.
-    conditions, memory : of the equilibria, as for :func:`pam_ocp.equilibrium`. Hysteresis sticks in
+    conditions, memory : of the equilibria, as for :func:`pam_ocp.operating.equilibrium`. Hysteresis
+    sticks in
         small motion about rest; larger motion slides, which damps it more than the point says.
     points : how many points of rest are looked at to find a change of sign.
 
@@ -169,7 +171,9 @@ def _crossing(path: StabilityPath) -> Array:
 
 
 def _augmented(rest: Rest) -> ca.Function:
-    """(w, constants, c) -> (residual, Jacobian); w as in :func:`_crossing`, c fixes the phase of q."""
+    """(w, constants, c) -> (residual, Jacobian); w as in :func:`_crossing`,
+    c fixes the phase of q.
+    """
     z, lam, constants, found = rest.symbols()
     nx = rest.nx
     omega, real, imaginary = ca.SX.sym("omega"), ca.SX.sym("re", nx), ca.SX.sym("im", nx)
@@ -184,9 +188,10 @@ def _augmented(rest: Rest) -> ca.Function:
     )
     w = ca.vertcat(z, lam, omega, real, imaginary)
     return ca.Function(
-        "augmented", [w, constants, ca.vertcat(c_real, c_imaginary)],
+        "augmented",
+        [w, constants, ca.vertcat(c_real, c_imaginary)],
         [residual, ca.jacobian(residual, w)],
-    )  # fmt: skip
+    )
 
 
 def _solved(rest: Rest, augmented: ca.Function, start: Array) -> HopfPoint:
@@ -204,9 +209,15 @@ def _solved(rest: Rest, augmented: ca.Function, start: Array) -> HopfPoint:
     q = q / q[np.argmax(np.abs(q))]
     crossing, lyapunov = _direction(rest, z, w[n], omega, q)
     return HopfPoint(
-        rest.at(z, value), rest.variable.name, value, omega / (2 * np.pi), crossing, lyapunov,
-        q * rest.nominal[:nx], residual,
-    )  # fmt: skip
+        rest.at(z, value),
+        rest.variable.name,
+        value,
+        omega / (2 * np.pi),
+        crossing,
+        lyapunov,
+        q * rest.nominal[:nx],
+        residual,
+    )
 
 
 def _direction(
@@ -215,10 +226,11 @@ def _direction(
     """d Re(s)/d(parameter) along the path of rest, and the first Lyapunov coefficient."""
     nx = rest.nx
     a, turned, b, c = (
-        np.asarray(m) for m in rest.plant.cached(
+        np.asarray(m)
+        for m in rest.plant.cached(
             ("hopf", rest.variable.name, rest.names), lambda: _derivatives(rest)
         )(z, lam, rest.constants)
-    )  # fmt: skip
+    )
     poles, left = np.linalg.eig(a.T)
     p = left[:, np.argmin(np.abs(poles - 1j * omega))]
     crossing = float((p @ turned @ q / (p @ q)).real) / rest.variable.nominal
@@ -252,9 +264,10 @@ def _derivatives(rest: Rest) -> ca.Function:
     second = ca.densify(along_z[:, :nx])
     third = ca.jacobian(ca.vec(second), z)[:, :nx]
     return ca.Function(
-        "derivatives", [z, lam, constants],
+        "derivatives",
+        [z, lam, constants],
         [a, ca.densify(ca.reshape(turned, nx, nx)), second, ca.densify(third)],
-    )  # fmt: skip
+    )
 
 
 def hopf_border(
@@ -270,7 +283,8 @@ def hopf_border(
     memory: Memory = "virgin",
     **more: float,
 ) -> HopfBorder:
-    """The border between rest and vibration: ``parameter`` at the Hopf point, for values of ``over``.
+    """The border between rest and vibration: ``parameter`` at the Hopf point, for values of
+    ``over``.
 
     ``hopf_border(plant, "muscle.gain", (1e5, 2e7), "muscle.lag", lags, x=0.04, ...)``. Each point
     starts from its neighbour; where that fails, ``bracket`` is searched as by :func:`hopf`.
@@ -318,14 +332,20 @@ def _near(
     points: int,
     memory: Memory,
 ) -> HopfPoint:
-    """The Hopf point next to the last one if it lies in the bracket, else a search of the bracket."""
+    """The Hopf point next to the last one if it lies in the bracket,
+    else a search of the bracket.
+    """
     if last is not None:
         rest = Rest(plant, parameter, given, memory)
         q = last.mode / rest.nominal[: rest.nx]
-        start = np.concatenate([
-            np.concatenate([last.point.x, last.point.u]) / rest.nominal,
-            [last.value / rest.variable.nominal, 2 * np.pi * last.frequency], q.real, q.imag,
-        ])  # fmt: skip
+        start = np.concatenate(
+            [
+                np.concatenate([last.point.x, last.point.u]) / rest.nominal,
+                [last.value / rest.variable.nominal, 2 * np.pi * last.frequency],
+                q.real,
+                q.imag,
+            ]
+        )
         try:
             found = _solved(rest, _augmented(rest), start)
             if bracket[0] <= found.value <= bracket[1]:

@@ -28,7 +28,9 @@ def needs_run() -> None:
 
 
 def importer(module: str) -> ModuleType:
-    """The module of an importer; a skip with the reason when it, or a system library, is missing."""
+    """The module of an importer; a skip with the reason when it, or a system library,
+    is missing.
+    """
     try:
         return importlib.import_module(module)
     except (ImportError, OSError, RuntimeError) as error:

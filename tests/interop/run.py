@@ -1,8 +1,10 @@
-"""The FMUs in other people's importers: ``python tests/interop/run.py``, in the project's environment.
+"""The FMUs in other people's importers: ``python tests/interop/run.py``, in the project's
+environment.
 
 Makes a virtual environment beside this file, installs each importer there, exports the FMUs and the
 reference motions with this interpreter, runs the tests, and prints what every importer deviates by.
-An importer that cannot be installed or loaded is a skip that says why; one that disagrees is a failure.
+An importer that cannot be installed or loaded is a skip that says why; one that disagrees is a
+failure.
 Nothing is fetched for what is installed already. Further arguments go to pytest.
 """
 

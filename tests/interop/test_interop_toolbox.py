@@ -1,4 +1,6 @@
-"""FMU Manipulation Toolbox: its checks, a container around the FMU, a binary made of the sources."""
+"""FMU Manipulation Toolbox: its checks, a container around the FMU,
+a binary made of the sources.
+"""
 
 from __future__ import annotations
 
@@ -100,8 +102,14 @@ def test_a_container_around_it_moves_alike(inner: str, outer: str, tmp_path: Pat
     }
     (tmp_path / "box.json").write_text(json.dumps(description))
     toolbox(
-        "fmucontainer", "-container", "box.json", "-fmu-directory", str(tmp_path),
-        "-fmi", outer, folder=tmp_path,
-    )  # fmt: skip
+        "fmucontainer",
+        "-container",
+        "box.json",
+        "-fmu-directory",
+        str(tmp_path),
+        "-fmi",
+        outer,
+        folder=tmp_path,
+    )
     rows = run(tmp_path / "box.fmu", motion, motion.results, {})
     motion.check(TOOLBOX, f"FMI {inner} CS in a container of FMI {outer}", rows)

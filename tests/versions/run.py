@@ -1,8 +1,11 @@
-"""The oldest and the newest set of dependencies: ``python tests/versions/run.py [oldest|newest] ...``.
+"""The oldest and the newest set of dependencies: ``python tests/versions/run.py [oldest|newest]
+...``.
 
 Each set gets a virtual environment beside this file: "oldest" what oldest.txt pins, on Python 3.10;
-"newest" what pip finds, on the newest Python of this machine. A part of the tests runs in each, chosen
-to touch every dependency. A machine without such a Python skips that set, and says so; a set that cannot
+"newest" what pip finds, on the newest Python of this machine. A part of the tests runs in each,
+chosen
+to touch every dependency. A machine without such a Python skips that set, and says so; a set that
+cannot
 be installed, or a test that fails, is a failure. Nothing is fetched for what is installed already.
 """
 
@@ -20,11 +23,23 @@ ROOT = HERE.parent.parent
 PIP = ("-m", "pip", "--disable-pip-version-check", "install", "--quiet")
 OLDEST_PYTHON = (3, 10)
 TESTS = (
-    "test_cli.py", "test_design_lqr.py", "test_doors.py", "test_fit_static.py", "test_fmu_interface.py",
-    "test_fmu_simulation.py", "test_linear.py", "test_nlsys.py", "test_package.py", "test_plan.py",
-    "test_plants.py", "test_plot_plan.py", "test_records.py", "test_simulate.py", "test_tables.py",
-    "test_trajectory.py",
-)  # fmt: skip
+    "cli/test_cli.py",
+    "control/test_design_lqr.py",
+    "core/test_doors.py",
+    "fitting/test_fit_static.py",
+    "export/test_fmu_interface.py",
+    "export/test_fmu_simulation.py",
+    "operating/test_linear.py",
+    "operating/test_nlsys.py",
+    "package/test_package.py",
+    "planning/test_plan.py",
+    "plants/test_plants.py",
+    "figures/test_plot_plan.py",
+    "fitting/test_records.py",
+    "simulation/test_simulate.py",
+    "fitting/test_tables.py",
+    "core/test_trajectory.py",
+)
 
 
 def pythons() -> dict[tuple[int, int], str]:
@@ -73,8 +88,14 @@ def run(name: str) -> int:
         else ["--upgrade", "--upgrade-strategy", "eager", *sorted(pinned())]
     )
     python = install(HERE / f".venv-{name}", known[version], wanted)
-    print(subprocess.run([str(python), "-m", "pip", "freeze", "--exclude-editable"],
-                         capture_output=True, text=True, check=True).stdout)  # fmt: skip
+    print(
+        subprocess.run(
+            [str(python), "-m", "pip", "freeze", "--exclude-editable"],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+    )
     command = [
         str(python),
         "-m",

@@ -1,0 +1,311 @@
+"""The command ``pam-ocp fit-plant``: parameters of a plant from measured records."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import InputError
+from ..core.quantities import known_keys, pair, quantity, read_toml, table
+
+if TYPE_CHECKING:
+    from ..core.trajectory import Trajectory
+    from ..fitting.dynamic.plant_fit import PlantFit
+    from ..plants.plant import Plant
+    from ..simulation.compare import RecordComparison
+
+__all__ = ["add_fit_plant"]
+
+EPILOG = """\
+Records: CSV (also TSV, XLSX, NPZ, MAT, Parquet) with a column for the time, for every input of the
+plant and for at least one state or output, named as the plant's variables ('_' for '.'), with
+units:
+
+  time [s],muscle1_command [bar],muscle2_command [bar],x [mm]
+
+'pam-ocp fit-plant --plant FILE.toml --variables' lists the names that can be measured and freed.
+
+A study file (TOML) for --plant holds the plant, and may hold all the rest; what the command line
+says comes first. Values are numbers in SI, or texts with a unit; plain keys come before tables:
+
+  records = ["run1.csv", "run2.csv"]      # beside this file
+  validate = ["run3.csv"]
+  free = ["damping", "muscle*.lag"]       # a pattern: these are equal
+  outputs = ["x"]                         # default: all that was measured
+  delay = ["0 ms", "50 ms"]               # of the inputs; two values: find it
+  offsets = ["x"]                         # sensors with an unknown offset; also: gains
+  noise = { x = "0.02 mm" }               # default: from the residuals
+  process_noise = { v = 0.01 }            # of the plant itself [unit/sqrt(s)]; wants noise
+  input_noise = { "muscle1.command" = "0.05 bar" }   # measured inputs err, too; wants noise
+  bounds = { damping = [1.0, 100.0] }
+  inputs = { "muscle2.command" = "3 bar" }   # constant, and no column
+  columns = { x = "pot" }                 # variable = header; also: units, time
+  interpolation = "previous"              # of the inputs: "previous" (held) or "linear";
+                                          # by default as the file says, else both are tried
+  split = "episode"                       # column at whose changes a file is cut into records
+  method = "collocation"                  # also: degree, step
+
+  [plant]                                 # as for 'pam-ocp plan'
+  arrangement = "AntagonisticSlide"
+  muscle = "DMSP-20-200N"                 # or a muscle file that 'pam-ocp fit' wrote
+  mass = "2 kg"
+  feed = { kind = "Regulator", lag = "50 ms", max_pressure = "6 bar" }
+
+Exit code: 0, or 1 when the records do not allow the fit (the message says why), 2 for a file or an
+option that cannot be meant.
+"""
+_READING = ("columns", "units", "time", "interpolation", "max_gap", "split")
+_FITTING = (
+    "outputs",
+    "delay",
+    "offsets",
+    "gains",
+    "noise",
+    "input_noise",
+    "process_noise",
+    "bounds",
+    "inputs",
+    "method",
+    "degree",
+    "step",
+)
+_OWN = ("plant", "muscle", "set", "records", "validate", "free")
+
+
+def add_fit_plant(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    fit = commands.add_parser(
+        "fit-plant",
+        help="fit parameters of a plant to measured records",
+        description="Fit parameters of a plant (damping, lag, coefficients of its muscles, ...) to "
+        "measured time series; print values with intervals, and how well other records are met.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    fit.add_argument("records", nargs="*", type=Path, metavar="RECORD", help="measured time series")
+    fit.add_argument(
+        "--plant",
+        required=True,
+        metavar="PLANT",
+        help="a study file (.toml, see below), or a plant as in 'export'",
+    )
+    fit.add_argument("--muscle", metavar="MUSCLE", help="name in the catalogue, or a muscle file")
+    fit.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="known value of a parameter, or where a free one starts, as mass=2kg (may be "
+        "repeated)",
+    )
+    fit.add_argument("--free", nargs="+", metavar="NAME", help="parameters to fit")
+    fit.add_argument("--outputs", nargs="+", metavar="NAME", help="what to compare (default: all)")
+    fit.add_argument(
+        "--delay",
+        nargs="+",
+        metavar="T",
+        help="delay of the inputs, or two values: find it between",
+    )
+    fit.add_argument(
+        "--noise", nargs="+", metavar="NAME=VALUE", help="standard deviations, as x=0.02mm"
+    )
+    fit.add_argument("--interpolation", choices=("previous", "linear"), help="of the inputs")
+    fit.add_argument(
+        "--validate",
+        nargs="+",
+        type=Path,
+        metavar="RECORD",
+        help="other records, to be met with the fitted values",
+    )
+    fit.add_argument("--variables", action="store_true", help="list the plant's variables, and end")
+    fit.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE.png",
+        help="draw records and fit; further ones as FILE-2.png, validation as FILE-validate.png",
+    )
+    fit.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.json",
+        help="write the fit (pam_ocp.load_plant_fit reads it)",
+    )
+    fit.set_defaults(run=_fit_plant)
+
+
+def _fit_plant(options: argparse.Namespace) -> int:
+    from ..core.errors import FitError
+
+    study, plant = _study(options)
+    if options.variables:
+        print(_variables(plant))
+        return 0
+    records, others = (_records(study, plant, name) for name in ("records", "validate"))
+    if not records:
+        raise InputError("no record: give files, or records = [...] in the study file")
+    if "free" not in study:
+        raise InputError(
+            "--free is missing: name the parameters to fit; --variables lists the plant's"
+        )
+    from ..fitting.dynamic.dynamic import fit_plant
+
+    try:
+        fit = fit_plant(plant, records, study["free"], **_arguments(study, plant))
+    except FitError as error:
+        print(f"pam-ocp fit-plant: {error}", file=sys.stderr)
+        return 1
+    print(fit.report())
+    checked = fit.validate(others) if others else []
+    for number, comparison in enumerate(checked, start=1):
+        print(f"[[Validation]] record {number}, only its initial state estimated")
+        print("\n".join(f"    {line}" for line in str(comparison).splitlines()[1:]))
+    for path in _written(fit, checked, options):
+        print(f"-> {path}")
+    return 0
+
+
+def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
+    """What the file says, and the command line over it; and the plant."""
+    from ..plants.plant_file import muscle_of, named_plant, plant_of
+
+    study: dict[str, Any] = {}
+    folder = None
+    if options.plant.endswith(".toml"):
+        study, folder = read_toml(options.plant), Path(options.plant).parent
+        known_keys(options.plant, study, (*_OWN, *_READING, *_FITTING))
+    study["folder"] = folder
+    for name in ("free", "outputs", "interpolation", "delay"):
+        if getattr(options, name) is not None:
+            study[name] = getattr(options, name)
+    for name in ("records", "validate"):
+        given = getattr(options, name)
+        study[name] = given or [(folder or Path()) / n for n in _list(name, study.get(name, []))]
+    if options.noise is not None:
+        study["noise"] = _pairs("--noise", options.noise)
+    described = study.get("plant", options.plant)
+    if isinstance(described, Mapping):
+        changed = {"muscle": _from_here(options.muscle)} if options.muscle else {}
+        plant = plant_of({**described, **changed}, "plant", folder)
+    elif described == options.plant and options.plant.endswith(".toml"):
+        raise InputError(
+            f"{options.plant} describes no plant: give a [plant] table, or plant = NAME"
+        )
+    else:
+        name = _from_here(options.muscle) or study.get("muscle", "DMSP-20-300")
+        plant = named_plant(described, muscle_of(name, "muscle", folder), folder)
+    values = {**table("set", study.get("set", {})), **_pairs("--set", options.set)}
+    return study, plant.with_values(
+        {n: quantity(f"set.{n}", v, plant.variable(n).unit) for n, v in values.items()}
+    )
+
+
+def _from_here(muscle: str | None) -> str | None:
+    """A muscle file named on the command line lies in the working folder, not beside the study."""
+    from ..muscles.muscle_file import ENDINGS
+
+    return str(Path(muscle).absolute()) if muscle and muscle.endswith(ENDINGS) else muscle
+
+
+def _records(study: Mapping[str, Any], plant: Plant, name: str) -> list[Trajectory]:
+    from ..fitting.tables.records import read_records
+
+    reading = {n: study[n] for n in _READING if n in study and n != "split"}
+    found: list[Trajectory] = []
+    for path in study[name]:
+        found += read_records(path, plant, split=study.get("split"), **reading)
+    return found
+
+
+def _arguments(study: Mapping[str, Any], plant: Plant) -> dict[str, Any]:
+    """Arguments of fit_plant, in SI."""
+    found: dict[str, Any] = {n: study[n] for n in ("method", "degree") if n in study}
+    for name in ("outputs", "offsets", "gains"):
+        if name in study:
+            found[name] = _list(name, study[name])
+    for name, per in (
+        ("noise", ""),
+        ("inputs", ""),
+        ("input_noise", ""),
+        ("process_noise", "/sqrt(s)"),
+    ):
+        if name in study:
+            found[name] = {
+                n: quantity(f"{name}.{n}", v, *(() if per else (plant.variable(n).unit,)))
+                for n, v in table(name, study[name]).items()
+            }
+    if "bounds" in study:
+        found["bounds"] = _bounds(study, plant)
+    if "step" in study:
+        found["step"] = quantity("step", study["step"], "s")
+    if "delay" in study:
+        given = study["delay"] if isinstance(study["delay"], list) else [study["delay"]]
+        ends = [quantity("delay", v, "s") for v in given]
+        if len(ends) > 2:
+            raise InputError(f"delay: {len(ends)} values; give one, or two to find it between")
+        found["delay"] = ends[0] if len(ends) == 1 else (ends[0], ends[1])
+    return found
+
+
+def _bounds(study: Mapping[str, Any], plant: Plant) -> dict[str, tuple[float, float]]:
+    found = {}
+    for name, ends in table("bounds", study["bounds"]).items():
+        low, high = pair(f"bounds.{name}", ends, plant.variable(name.replace("*", "1")).unit)
+        found[name] = (
+            -float("inf") if low is None else low,
+            float("inf") if high is None else high,
+        )
+    return found
+
+
+def _list(where: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{where} = {value!r}: give a list, as [{value!r}]")
+    return value
+
+
+def _pairs(option: str, texts: list[str]) -> dict[str, str]:
+    found = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not value:
+            raise InputError(f"{option} {text}: give NAME=VALUE, as mass=2kg or mass=2.0")
+        found[name.strip()] = value
+    return found
+
+
+def _variables(plant: Plant) -> str:
+    """What can be measured, what must be, and what can be freed."""
+    lines = [f"{plant.name}: {plant.description}"]
+    for title, variables in (
+        ("inputs (a column each, or inputs = {...})", plant.inputs),
+        ("states and outputs (columns)", (*plant.states, *plant.outputs)),
+        ("parameters (free, or set)", plant.parameters),
+    ):
+        lines.append(title)
+        for v in variables:
+            value = f"{v.shown(v.start):>14}" if v.start is not None else f"{v.display_unit:>14}"
+            lines.append(f"  {v.name:<28}{value}  {v.description}")
+    return "\n".join(lines)
+
+
+def _written(
+    fit: PlantFit, checked: list[RecordComparison], options: argparse.Namespace
+) -> list[Path]:
+    """Write all files asked for."""
+    done: list[Path] = []
+    if options.out:
+        done.append(fit.save(options.out))
+    if options.plot:
+        from ..core.files import atomic_path
+
+        for comparisons, ending in ((fit.comparisons, ""), (checked, "-validate")):
+            for number, comparison in enumerate(comparisons, start=1):
+                tail = f"-{number}" if number > 1 else ""
+                target = options.plot.with_stem(f"{options.plot.stem}{ending}{tail}")
+                with atomic_path(target) as temporary:
+                    comparison.plot().savefig(temporary, dpi=130)
+                done.append(target)
+    return done

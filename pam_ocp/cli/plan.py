@@ -1,0 +1,173 @@
+"""The command ``pam-ocp plan``: a planning problem as a file, solved, checked and drawn."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import InputError, PlanError, PlanWarning
+
+if TYPE_CHECKING:
+    from ..planning.result import Plan
+
+__all__ = ["add_plan"]
+
+EPILOG = """\
+A problem file (TOML). Values are numbers in SI, or texts with a unit; plain keys come first:
+
+  cyclic = true                     # or false, or "mirrored" (second half by symmetry)
+  minimise = { time = 1.0, effort = 1e-4 }   # or one term, as "time"
+  duration = { min = "20 ms", max = "1 s" }  # of each leg; or "0.2 s", "free", or a list
+  tolerance = 1e-6                  # of the verdict (1e-3): the mesh is refined until it is met
+  starts = 1                        # how many starts to try (4 with valves or a tendon, else 1)
+
+  [plant]
+  arrangement = "AntagonisticSlide" # HangingLoad, AntagonisticJoint, ..., or FILE.py:NAME
+  muscle = "DMSP-20-200N"           # see 'pam-ocp muscles'; or a muscle file (.toml, .json)
+  mass = "2 kg"
+  pre_contraction = "10 %"
+  feed = { kind = "Regulator", lag = "50 ms", max_pressure = "6 bar", max_rate = "40 bar/s" }
+
+  [[stops]]                         # at least two; the motion rests there
+  x = "-15 mm"
+
+  [[stops]]
+  x = "15 mm"
+  dwell = "0.1 s"                   # or rest = false for a via point
+
+  [bounds]                          # "name" = [low, high] or { min = ..., max = ... }
+  "muscle1.force" = { min = "20 N" }
+
+Further keys: rest, phases, constraints, track, budgets, design, integrand, final, method, options;
+docs/planning.md tells all of them.
+
+Exit code: 0 a verified plan was found (the solver converged, an independent integration agrees, and
+all limits hold between the points too), 1 none was found (the message names the constraints in
+conflict), 2 the file says something that cannot be meant, 3 a plan was found but is not verified
+(its first line says which figure failed; the files asked for are written).
+"""
+
+
+def add_plan(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    plan = commands.add_parser(
+        "plan",
+        help="plan an optimal motion from a problem file",
+        description="Plan the optimal motion that a problem file asks for, check it by a tight "
+        "independent integration, and print how far to trust it.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    plan.add_argument("problem", type=Path, metavar="FILE.toml", help="the problem, see below")
+    for option, ending, words in (
+        ("--out", "npz", "write the plan itself (pam_ocp.load_plan reads it)"),
+        (
+            "--csv",
+            "csv",
+            "write the motion as a table: states, inputs and outputs over time, in SI",
+        ),
+        ("--plot", "png", "draw the motion, with limits, stops and active constraints"),
+        ("--animate", "gif", "draw the plant moving"),
+        ("--fmu-inputs", "csv", "write the inputs as a table that FMI tools replay"),
+    ):
+        plan.add_argument(option, type=Path, metavar=f"FILE.{ending}", help=words)
+    plan.add_argument("--progress", action="store_true", help="show each iteration as it runs")
+    plan.add_argument("--log", action="store_true", help="print the solver's iterations afterwards")
+    plan.set_defaults(run=_plan)
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from ..planning.planner import plan
+    from ..planning.problem.problem_file import load_problem
+
+    _check_endings(options)
+    plant, arguments = load_problem(options.problem)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PlanWarning)  # said below
+            found = plan(plant, **arguments, progress=options.progress)
+    except InputError as error:
+        raise InputError(f"{options.problem}: {error}") from error
+    except PlanError as error:
+        if options.log and error.plan is not None:
+            print(_log(error.plan))
+        print(f"pam-ocp plan: {options.problem}: {error}", file=sys.stderr)
+        return 1
+    if options.log:
+        print(_log(found))
+    print(found)
+    for written in _written(found, options):
+        print(f"-> {written}")
+    if not found.verified:
+        print(f"pam-ocp plan: {options.problem}: the plan is {found.verdict}", file=sys.stderr)
+        return NOT_VERIFIED
+    return 0
+
+
+NOT_VERIFIED = 3
+"""Exit code."""
+
+ENDINGS = {
+    "out": (".npz",),
+    "csv": (".csv",),
+    "plot": (".png", ".pdf", ".svg"),
+    "animate": (".gif",),
+    "fmu_inputs": (".csv",),
+}
+"""What each option can write: asked before a long solve, not after it."""
+
+
+def _check_endings(options: argparse.Namespace) -> None:
+    for option, endings in ENDINGS.items():
+        target: Path | None = getattr(options, option)
+        if target is None:
+            continue
+        shown = f"--{option.replace('_', '-')} {target}"
+        if target.suffix.lower() not in endings:
+            raise InputError(f"{shown}: give a name that ends in {' or '.join(endings)}")
+        if not target.parent.is_dir():
+            raise InputError(f"{shown}: the folder {target.parent} does not exist; create it first")
+
+
+def _written(plan: Plan, options: argparse.Namespace) -> list[Path]:
+    """Write all files asked for."""
+    done: list[Path] = []
+    if options.out:
+        done.append(plan.save(options.out))
+    if options.csv:
+        done.append(plan.trajectory.save(options.csv))
+    if options.plot:
+        from ..core.files import atomic_path
+
+        with atomic_path(options.plot) as temporary:
+            plan.plot().savefig(temporary, dpi=130)
+        done.append(options.plot)
+    if options.animate:
+        from ..figures.film import animate_plan
+
+        done.append(animate_plan(plan, options.animate))
+    if options.fmu_inputs:
+        from ..export import save_input_table
+
+        done.append(save_input_table(plan.trajectory, options.fmu_inputs))
+    return done
+
+
+def _log(plan: Plan) -> str:
+    """The solver's iterations as a table."""
+    columns = {
+        "obj": "objective",
+        "inf_pr": "violation",
+        "inf_du": "dual infeas.",
+        "mu": "barrier",
+        "alpha_pr": "step",
+    }
+    known = [c for c in columns if plan.log and c in plan.log[0]]
+    lines = [f"{'iter':>5}" + "".join(f"{columns[c]:>15}" for c in known)]
+    lines += [
+        f"{i:>5}" + "".join(f"{entry[c]:>15.6g}" for c in known) for i, entry in enumerate(plan.log)
+    ]
+    return "\n".join(lines)

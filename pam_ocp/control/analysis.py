@@ -1,0 +1,352 @@
+"""How good a loop is, and how well a plant can be moved and seen: margins, clouds, stroke, maps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.errors import InputError, require_positive
+from ..operating.equilibrium import EquilibriumError, OperatingPoint
+from ..operating.linear import linearize, modes
+from ..operating.several import equilibrium_path
+from ..plants.plant import Plant, Values
+from .lqr import StateFeedback
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = [
+    "BodeCloud",
+    "Margins",
+    "ModeMap",
+    "Stroke",
+    "along_stroke",
+    "bode_cloud",
+    "frequency_response",
+    "gramian",
+    "margins",
+    "margins_over",
+    "mode_map",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def frequency_response(system: control.StateSpace, hertz: ArrayLike) -> NDArray[np.complex128]:
+    """C (s I - A)^-1 B + D at frequencies [Hz]: (n, outputs, inputs).
+
+    As ``system(2j pi f)``, which solves one frequency after the other in Python: clouds and margins
+    ask for some 100 000 of them, so all are solved at once here.
+    """
+    a, b, c, d = (np.asarray(getattr(system, n)) for n in ("A", "B", "C", "D"))
+    s = 2j * np.pi * np.asarray(hertz, float)[:, None, None]
+    return np.asarray(c @ np.linalg.solve(s * np.eye(len(a)) - a, b.astype(complex)[None]) + d)
+
+
+# ---- margins ------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Margins:
+    """Of a loop broken at each of its inputs in turn, the others closed; and of all at once.
+
+    gain : factor by which the gain may rise (inf: any). phase : [deg]. crossover : [Hz].
+    modulus : smallest distance of the Nyquist curve from -1, 1/modulus is the largest sensitivity.
+    all_inputs : smallest singular value of I + L over frequency: as modulus, all inputs at once.
+    """
+
+    inputs: tuple[str, ...]
+    gain: tuple[float, ...]
+    phase: tuple[float, ...]
+    crossover: tuple[float, ...]
+    modulus: tuple[float, ...]
+    all_inputs: float
+
+    def __str__(self) -> str:
+        lines = [f"{'input':<22}{'gain':>8}{'phase':>10}{'crossover':>12}{'modulus':>9}"]
+        lines += [
+            f"{n:<22}{g:>8.3g}{p:>6.1f} deg{c:>9.3g} Hz{m:>9.3f}"
+            for n, g, p, c, m in zip(
+                self.inputs, self.gain, self.phase, self.crossover, self.modulus, strict=True
+            )
+        ]
+        return "\n".join([*lines, f"smallest singular value of I + L: {self.all_inputs:.3f}"])
+
+
+def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) -> Margins:
+    """Margins of a square loop gain L under negative feedback, as ``StateFeedback.loop``.
+
+    By ``control.stability_margins`` for each input; modulus over 2000 frequencies in ``hertz``.
+    """
+    import control
+
+    if not isinstance(loop, control.StateSpace):
+        raise InputError(
+            f"margins: loop is a {type(loop).__name__}, not a control.StateSpace, such as "
+            "StateFeedback.loop"
+        )
+    if loop.ninputs != loop.noutputs:
+        raise InputError(f"margins: the loop has {loop.ninputs} inputs and {loop.noutputs} outputs")
+    a, b, k = (np.asarray(getattr(loop, n)) for n in ("A", "B", "C"))
+    frequency = np.geomspace(*hertz, 2000)
+    found = []
+    for i in range(loop.ninputs):
+        others = [j for j in range(loop.ninputs) if j != i]
+        single = control.ss(a - b[:, others] @ k[others], b[:, [i]], k[[i]], 0)
+        gains, phases, _, _, crossings, _ = control.stability_margins(single, returnall=True)
+        nearest = int(np.argmin(np.abs(phases))) if len(phases) else None
+        response = frequency_response(single, frequency)
+        found.append(
+            (
+                min((g for g in gains if g > 1), default=np.inf),
+                np.inf if nearest is None else phases[nearest],
+                np.nan if nearest is None else crossings[nearest] / (2 * np.pi),
+                np.abs(1 + response).min(),
+            )
+        )
+    response = frequency_response(loop, frequency)
+    least = np.linalg.svd(np.eye(loop.ninputs) + response, compute_uv=False)[:, -1].min()
+    gain, phase, crossover, modulus = (
+        tuple(float(v) for v in column) for column in zip(*found, strict=True)
+    )
+    return Margins(tuple(loop.input_labels), gain, phase, crossover, modulus, float(least))
+
+
+def margins_over(
+    feedback: StateFeedback, cases: Iterable[Mapping[str, Any]], conditions: Values
+) -> list[tuple[Margins, NDArray[np.complex128]]]:
+    """Margins and closed-loop poles of one feedback on plants with other parameters.
+
+    cases : as :func:`pam_ocp.draws` and :func:`pam_ocp.sweep` give them ({"parameters": {...}}).
+    conditions : of rest for each of them; with integral action the integrated outputs keep theirs.
+    """
+    results = []
+    for case in cases:
+        moved = feedback.point.plant.with_values(case.get("parameters", {}))
+        point = moved.equilibrium(conditions, guess=feedback.point)
+        system = linearize(moved, point, inputs=feedback.inputs)
+        other = replace(feedback, system=system, point=point)
+        results.append((margins(other.loop), other.poles))
+    return results
+
+
+# ---- clouds -------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class BodeCloud:
+    """Frequency responses of many plants of one kind.
+
+    frequency : (n,) [Hz]. nominal : (n,) complex, responses : (cases, n) complex, SI.
+    points : the points of rest of the cases.
+    """
+
+    source: str
+    output: str
+    frequency: Array
+    nominal: NDArray[np.complex128]
+    responses: NDArray[np.complex128] = field(repr=False)
+    points: tuple[OperatingPoint, ...] = field(repr=False)
+
+    def band(self, level: float = 0.95) -> tuple[Array, Array]:
+        """Magnitudes between which this share of the responses lies at each frequency."""
+        if not 0 < level < 1:
+            raise InputError(f"level = {level:g} must lie in 0 .. 1")
+        size = np.abs(self.responses)
+        low, high = np.quantile(size, [(1 - level) / 2, (1 + level) / 2], axis=0)
+        return np.asarray(low), np.asarray(high)
+
+
+def bode_cloud(
+    plant: Plant,
+    conditions: Values,
+    cases: Sequence[Mapping[str, Any]],
+    *,
+    source: str,
+    output: str,
+    hertz: tuple[float, float] = (0.1, 100.0),
+    count: int = 200,
+) -> BodeCloud:
+    """Responses from an input to a state or output, each case at its own point of rest.
+
+    cases : [{"parameters": {...}}], from :func:`pam_ocp.draws` over a fit's covariance, say.
+    conditions : of rest, the same for all. Raises EquilibriumError when a case has none.
+    """
+    if not cases:
+        raise InputError("bode_cloud: cases is empty")
+    frequency = np.geomspace(*hertz, count)
+    middle = plant.equilibrium(conditions)
+
+    def response(point: OperatingPoint) -> NDArray[np.complex128]:
+        system = linearize(point.plant, point, inputs=[source], outputs=[output])
+        return frequency_response(system, frequency)[:, 0, 0]
+
+    points = tuple(
+        plant.with_values(case.get("parameters", {})).equilibrium(conditions, guess=middle)
+        for case in cases
+    )
+    return BodeCloud(
+        plant.variable(source).name,
+        plant.variable(output).name,
+        frequency,
+        response(middle),
+        np.array([response(p) for p in points]),
+        points,
+    )
+
+
+# ---- along the stroke ---------------------------------------------------------------------------
+def gramian(a: Array, b: Array, horizon: float) -> Array:
+    """Controllability gramian over a finite time [s]: integral of exp(A t) B B' exp(A' t).
+
+    Exists for any A. By doubling, W(2h) = W(h) + exp(A h) W(h) exp(A' h), from h so short that the
+    series of its integrand ends; observability: ``gramian(A.T, C.T, horizon)``.
+    """
+    from scipy.linalg import expm
+
+    size = float(np.linalg.norm(a, 2)) * require_positive("horizon", horizon, "s")
+    doublings = max(0, int(np.ceil(np.log2(max(size, 1e-12) / 0.1))))
+    h, n = horizon / 2**doublings, len(a)
+    # van Loan: the exponential of one block matrix holds exp(A' h) and the integral
+    block = expm(np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]]) * h)
+    phi = block[n:, n:].T
+    w = phi @ block[:n, n:]
+    for _ in range(doublings):
+        w = w + phi @ w @ phi.T
+        phi = phi @ phi
+    return np.asarray((w + w.T) / 2)
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Measures at points of rest along one variable, in units of nominal.
+
+    reach : (n,) how far the position can be moved within the horizon by inputs of unit energy
+        (integral of (u/nominal)^2 = 1 s). weakest : the same in the direction of the states that is
+        hardest to move (0: not controllable). visible : response of the outputs over the horizon to
+        the state that is hardest to see (0: not observable).
+    frequency [Hz], damping : of the slowest oscillation (NaN where there is none).
+    """
+
+    name: str
+    values: Array
+    points: tuple[OperatingPoint, ...] = field(repr=False)
+    reach: Array
+    weakest: Array
+    visible: Array
+    frequency: Array
+    damping: Array
+    outputs: tuple[str, ...]
+    horizon: float
+
+
+def along_stroke(
+    plant: Plant,
+    name: str,
+    values: Iterable[float],
+    conditions: Values | None = None,
+    *,
+    outputs: Sequence[str] | None = None,
+    horizon: float = 0.2,
+) -> Stroke:
+    """Controllability and observability along a path of equilibria, by finite-time gramians.
+
+    name, values, conditions : see :func:`equilibrium_path`. outputs : what is measured; by default
+    the positions. horizon : [s], to be about as long as a motion.
+    """
+    path = equilibrium_path(plant, name, values, conditions)
+    seen = list(plant.positions) if outputs is None else [plant.variable(n).name for n in outputs]
+    if not seen:
+        raise InputError(f"along_stroke: {plant.name!r} has no position; name the outputs")
+    controls = [v.name for v in plant.inputs if not v.disturbance]
+    states = [v for v in plant.states if v.memory != "held"]  # which stick to the others
+    nominal = np.array([v.nominal for v in states])
+    effort = np.array([plant.variable(n).nominal for n in controls])
+    scale = np.array([plant.variable(n).nominal for n in seen])
+    place = [v.name for v in states].index(next(iter(plant.positions), plant.states[0].name))
+    rows = []
+    for point in path.points:
+        system = linearize(point.plant, point, inputs=controls, outputs=seen, stuck=True)
+        a = np.asarray(system.A) * nominal / nominal[:, None]
+        b = np.asarray(system.B) * effort / nominal[:, None]
+        c = np.asarray(system.C) * nominal / scale[:, None]
+        reached, shown = gramian(a, b, horizon), gramian(a.T, c.T, horizon)
+        least = [max(float(np.linalg.eigvalsh(w)[0]), 0.0) ** 0.5 for w in (reached, shown)]
+        swing = modes(system)
+        rows.append((reached[place, place] ** 0.5, *least, *(swing[0] if swing else (np.nan,) * 2)))
+    reach, weakest, visible, frequency, damping = np.array(rows, dtype=float).T
+    return Stroke(
+        path.name,
+        path.values,
+        path.points,
+        reach,
+        weakest,
+        visible,
+        frequency,
+        damping,
+        tuple(seen),
+        horizon,
+    )
+
+
+# ---- maps ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class ModeMap:
+    """Natural frequency [Hz] and damping ratio of the slowest oscillation over two variables.
+
+    axes : {name: values} of the two; frequency, damping, stable : (n_1, n_2), NaN (False) where
+    there is no equilibrium within the bounds (and ``within``), or no oscillation.
+    """
+
+    plant: Plant
+    axes: dict[str, Array]
+    frequency: Array = field(repr=False)
+    damping: Array = field(repr=False)
+    stable: NDArray[np.bool_] = field(repr=False)
+
+
+def mode_map(
+    plant: Plant,
+    axes: Mapping[str, ArrayLike],
+    conditions: Values | None = None,
+    *,
+    free: Sequence[str] = (),
+    within: Mapping[str, tuple[float, float]] | None = None,
+) -> ModeMap:
+    """Modes at the points of rest over two conditions.
+
+    ``mode_map(hanging, {"muscle.command": p, "x": x}, free=["gravity"])`` keeps the mass and lets a
+    constant force hold it at every (p, x). conditions, free : see :func:`equilibrium`.
+    within : {state, input or output: (low, high)} outside which nothing is shown, such as
+        ``{"muscle.force": (10.0, inf)}``: near slack a muscle is no spring.
+    """
+    grid = {plant.variable(n).name: np.asarray(v, float) for n, v in axes.items()}
+    if len(grid) != 2:
+        raise InputError(f"mode_map takes two axes; {len(grid)} given")
+    (outer, rows), (inner, columns) = grid.items()
+    shape = len(rows), len(columns)
+    frequency, damping = np.full(shape, np.nan), np.full(shape, np.nan)
+    stable = np.zeros(shape, dtype=bool)
+    for i, value in enumerate(rows):
+        for j, point in _row(plant, {**(conditions or {}), outer: value}, inner, columns, free):
+            if any(not low <= point[n] <= high for n, (low, high) in (within or {}).items()):
+                continue
+            stable[i, j] = point.stability == "stable"
+            swing = modes(linearize(point.plant, point, outputs=[], stuck=True))
+            if swing:
+                frequency[i, j], damping[i, j] = swing[0]
+    return ModeMap(plant, grid, frequency, damping, stable)
+
+
+def _row(
+    plant: Plant, given: Values, name: str, values: Array, free: Sequence[str]
+) -> list[tuple[int, OperatingPoint]]:
+    """Points of one row, from whichever end there is one."""
+    for order in (1, -1):
+        try:
+            path = equilibrium_path(plant, name, values[::order], given, free=free)
+        except EquilibriumError:
+            continue
+        numbers = range(len(values))[::order]
+        return list(zip(numbers, path.points, strict=False))
+    return []

@@ -1,0 +1,245 @@
+"""KalmanFilter: states, and unknown parameters, disturbances or offsets, from noisy measurements.
+
+Extended Kalman filter, continuous in the model and discrete in the measurements (Jazwinski,
+Stochastic
+Processes and Filtering Theory, 1970, ch. 8), with exact Jacobians of the integrated step.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...plants.plant import Plant, Values, require_plant
+from ..mpc.step import Givens, Step, StepMethod
+
+__all__ = ["Estimate", "Estimator", "KalmanFilter"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+PROCESS = 1e-2
+"""Default process noise of a state, in units of nominal, per square root of a second."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an estimator knows at one moment, by name [SI]."""
+
+    state: dict[str, float]
+    values: dict[str, float]
+    """Of the unknowns: parameters, disturbances, ``der(STATE)``."""
+    deviation: dict[str, float]
+    """Standard deviation of states and unknowns."""
+
+
+class Estimator(ABC):
+    """What every estimator of a plant has: the model's step and measurements, noise, and the start.
+
+    Derived are :class:`KalmanFilter`, where the arguments are explained, and
+    MovingHorizonEstimator.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        step: float,
+        measured: Mapping[str, float],
+        process: Mapping[str, float] | None = None,
+        unknown: Mapping[str, tuple[float, float]] | None = None,
+        start: Values | None = None,
+        uncertainty: Mapping[str, float] | None = None,
+        method: StepMethod = "rk4",
+        substeps: int = 2,
+    ) -> None:
+        require_plant(plant)
+        self.plant, self.given, how = plant, Givens(plant), Step(step, method, substeps)
+        self.step = float(step)
+        if not measured:
+            raise InputError("measured is empty: name at least one state or output and its noise")
+        self.measured = [plant.variable(n) for n in measured]
+        for variable in self.measured:
+            if variable.causality not in ("state", "output"):
+                raise InputError(
+                    f"measured: {variable.name} is a {variable.causality}; give states or outputs"
+                )
+        self.noise = np.array(
+            [require_positive(f"measured[{n!r}]", s) for n, s in measured.items()]
+        )
+        self._noise: Array = self.noise / np.array([v.nominal for v in self.measured])
+        self.unknown = [self.given.name(n) for n in unknown or {}]
+        self._at = np.array([self.given.names.index(n) for n in self.unknown], dtype=int)
+        nx = len(plant.states)
+        self._scale = np.concatenate(
+            [plant.vector("state", attribute="nominal"), self.given.nominal[self._at]]
+        )
+        self.names = (*(v.name for v in plant.states), *self.unknown)
+        pairs = [_pair(n, v) for n, v in (unknown or {}).items()]
+        spread = {v.name: v.nominal for v in plant.states}
+        spread |= _deviations(plant, uncertainty, "uncertainty")
+        drift = {v.name: PROCESS * v.nominal for v in plant.states}
+        drift |= dict.fromkeys(plant.positions, 0.0) | _deviations(plant, process, "process")
+        first = np.array([*(spread[v.name] for v in plant.states), *(a for a, _ in pairs)])
+        density = np.array([*(drift[v.name] for v in plant.states), *(b for _, b in pairs)])
+        self._density = np.diag((density / self._scale) ** 2)
+        self.covariance: Array = np.diag((first / self._scale) ** 2)
+        """Of states and unknowns, in units of nominal."""
+        self._q = self.given.vector()
+        self._z = np.concatenate([plant.vector("state", start), self._q[self._at]]) / self._scale
+        low, high = self.given.low[self._at], self.given.high[self._at]
+        self._low = np.concatenate([np.full(nx, -np.inf), low]) / self._scale
+        self._high = np.concatenate([np.full(nx, np.inf), high]) / self._scale
+        self._functions(how)
+
+    def _functions(self, how: Step) -> None:
+        """Prediction with its Jacobian over a step and half a step,
+        and measurement with its own.
+        """
+        plant, given, nx = self.plant, self.given, len(self.plant.states)
+        z, u = ca.SX.sym("z", len(self.names)), ca.SX.sym("u", len(given.controls))
+        x, unknown = ca.vertsplit(z, [0, nx, len(self.names)])  # not z[nx:]: a row if z is a scalar
+        rest = ca.SX.sym("q", len(given.names))
+        q = ca.SX(rest)
+        for i, j in enumerate(self._at):
+            q[int(j)] = unknown[i] * self._scale[nx + i]
+
+        def after(length: float) -> ca.SX:
+            scaled = u / np.array([v.nominal for v in given.controls])
+            return ca.vertcat(how.expression(given, x, scaled, q, length), unknown)
+
+        whole, half = after(self.step), after(self.step / 2)
+        jacobians = [ca.densify(ca.jacobian(e, z)) for e in (whole, half)]
+        self._predict = ca.Function("predict", [z, u, rest], [whole, *jacobians])
+        inputs, p, _ = given.parts(q, u)
+        nominal = np.array([v.nominal for v in self.measured])
+        seen = ca.substitute(
+            [plant.expression(v.name) for v in self.measured],
+            [plant.x, plant.u, plant.p],
+            [x * self._scale[:nx], inputs, p],
+        )
+        value = ca.vertcat(*seen) / nominal
+        self._measure = ca.Function(
+            "measure", [z, u, rest], [value, ca.densify(ca.jacobian(value, z))]
+        )
+
+    # ---- using it -------------------------------------------------------------------------------
+    @property
+    def estimate(self) -> Estimate:
+        """The present knowledge."""
+        nx = len(self.plant.states)
+        values = self._z * self._scale
+        deviation = np.sqrt(np.diag(self.covariance)) * self._scale
+        named = dict(zip(self.names, (float(v) for v in values), strict=True))
+        return Estimate(
+            {n: named[n] for n in self.names[:nx]},
+            {n: named[n] for n in self.names[nx:]},
+            dict(zip(self.names, (float(d) for d in deviation), strict=True)),
+        )
+
+    @abstractmethod
+    def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
+        """Take measured values in, by name [SI];
+        ``inputs`` matter for outputs that depend on them.
+        """
+
+    @abstractmethod
+    def predict(self, inputs: Values | None = None) -> Estimate:
+        """Go one step on, under inputs (by name [SI]; start values for those not named)."""
+
+    def _seen(self, measurement: Values) -> Array:
+        """Measured values in units of nominal; NaN for those not in the measurement."""
+        given = {self.plant.variable(n).name: require_finite(n, v) for n, v in measurement.items()}
+        for name in given:
+            if name not in {v.name for v in self.measured}:
+                raise UnknownNameError("measured variable", name, [v.name for v in self.measured])
+        return np.array([given.get(v.name, np.nan) / v.nominal for v in self.measured])
+
+    def _step_noise(self, a: Array, half: Array) -> Array:
+        """Covariance that the noise adds in a step,
+        from the Jacobians over the step and its half.
+        """
+        # Simpson's rule for the integral of exp(A s) Q exp(A s)' over the step
+        turned = np.swapaxes(a, -1, -2), np.swapaxes(half, -1, -2)
+        noise: Array = a @ self._density @ turned[0] + 4 * half @ self._density @ turned[1]
+        return self.step / 6 * (noise + self._density)
+
+    def _inputs(self, inputs: Values | None) -> Array:
+        """Controls [SI]; disturbances named among the inputs are taken as known."""
+        everything = self.plant.vector("input", inputs)
+        values = {v.name: everything[i] for i, v in enumerate(self.plant.inputs)}
+        for variable in self.given.disturbances:
+            if variable.name not in self.unknown:
+                self._q[self.given.names.index(variable.name)] = values[variable.name]
+        return np.array([values[v.name] for v in self.given.controls])
+
+
+class KalmanFilter(Estimator):
+    """Extended Kalman filter of a plant.
+
+    Parameters
+    ----------
+    plant : the model.
+    step : time between two calls of :meth:`predict` [s].
+    measured : {state or output: standard deviation of its noise > 0} [SI].
+    process : {state: standard deviation that unmodelled effects add per square root of a second};
+        by default 1 % of nominal for states that are not named, and 0 for positions (x' = v).
+    unknown : {parameter, disturbance input or "der(STATE)": (initial standard deviation, drift per
+        square root of a second)}; they are estimated as random walks, and held inside their bounds.
+    start : initial states by name (start values by default); the unknowns start at the plant's.
+    uncertainty : {state: initial standard deviation}; by default its nominal.
+    method, substeps : of the integration over a step, see Step.
+
+    ``correct(measurement)`` takes the measurement in, ``predict(inputs)`` goes one step on. Without
+    an unknown the filter is the linear Kalman filter when the plant is linear.
+
+    Raises InputError for values, UnknownNameError for names that cannot be meant.
+    """
+
+    def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
+        seen = self._seen(measurement)
+        present = np.flatnonzero(np.isfinite(seen))
+        value, jacobian = (
+            np.asarray(m) for m in self._measure(self._z, self._inputs(inputs), self._q)
+        )
+        c, r = jacobian[present], np.diag(self._noise[present] ** 2)
+        spread = c @ self.covariance @ c.T + r
+        gain = np.linalg.solve(spread, c @ self.covariance).T
+        self._z = self._z + gain @ (seen - value.ravel())[present]
+        self._z = np.clip(self._z, self._low, self._high)
+        keep = np.eye(len(self._z)) - gain @ c
+        self.covariance = keep @ self.covariance @ keep.T + gain @ r @ gain.T  # Joseph's form
+        return self.estimate
+
+    def predict(self, inputs: Values | None = None) -> Estimate:
+        z, a, half = (np.asarray(m) for m in self._predict(self._z, self._inputs(inputs), self._q))
+        self._z = z.ravel()
+        self.covariance = a @ self.covariance @ a.T + self._step_noise(a, half)
+        return self.estimate
+
+
+def _pair(name: str, value: Any) -> tuple[float, float]:
+    try:
+        first, drift = value
+    except (TypeError, ValueError):
+        raise InputError(
+            f"unknown[{name!r}] = {value!r}: give (initial standard deviation, drift per sqrt(s))"
+        ) from None
+    label = f"unknown[{name!r}]"
+    return require_positive(label, first, zero=True), require_positive(label, drift, zero=True)
+
+
+def _deviations(plant: Plant, given: Mapping[str, float] | None, argument: str) -> dict[str, float]:
+    found = {}
+    for name, value in (given or {}).items():
+        variable = plant.variable(name)
+        if variable.causality != "state":
+            raise InputError(f"{argument}: {variable.name} is a {variable.causality}; give states")
+        found[variable.name] = require_positive(f"{argument}[{name!r}]", value, zero=True)
+    return found

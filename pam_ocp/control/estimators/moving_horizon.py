@@ -1,0 +1,290 @@
+"""MovingHorizonEstimator: the states and unknowns of the last steps, fitted to all their
+measurements.
+
+At each measurement the trajectory of the window is the most probable one under the model, the noise
+and
+the bounds (Rao, Rawlings, Mayne, IEEE Trans. Automat. Control 48, 2003); what came before the
+window
+enters as an arrival cost carried on by the extended Kalman filter. Solved by Gauss-Newton steps on
+the
+condensed problem: its unknowns are the window's start and the noise of each step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError, require_count, require_finite, require_positive
+from ...plants.plant import Plant, Values
+from ..mpc.step import StepMethod
+from .extended_kalman import Estimate, Estimator
+
+__all__ = ["MovingHorizonEstimator"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+TOLERANCE = 1e-9
+"""Change of the window's trajectory, in units of nominal, that ends the Gauss-Newton steps."""
+
+
+class MovingHorizonEstimator(Estimator):
+    """Moving-horizon estimation of a plant's states and unknowns.
+
+    Parameters
+    ----------
+    horizon : number of steps looked back.
+    bounds : {state or unknown: (low, high)} [SI], None for an open end; narrows the bounds of
+    states and
+        parameters that the plant declares, which always hold, all over the window.
+    robust : residuals beyond so many standard deviations count linearly, not squared (Huber, Ann.
+    Math.
+        Statist. 35, 1964; 1.345 is usual): outliers lose their pull. None: all squared.
+    iterations : at most so many Gauss-Newton steps per measurement.
+    plant, step, measured, process, unknown, start, uncertainty, method, substeps : see
+    KalmanFilter.
+
+    On a linear plant, without active bounds and with ``robust=None``, it is the Kalman filter.
+    Measuring the same variable twice before the next :meth:`predict` replaces its value.
+
+    Raises InputError for values, UnknownNameError for names that cannot be meant.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        step: float,
+        measured: Mapping[str, float],
+        horizon: int = 10,
+        bounds: Mapping[str, Any] | None = None,
+        robust: float | None = None,
+        iterations: int = 3,
+        process: Mapping[str, float] | None = None,
+        unknown: Mapping[str, tuple[float, float]] | None = None,
+        start: Values | None = None,
+        uncertainty: Mapping[str, float] | None = None,
+        method: StepMethod = "rk4",
+        substeps: int = 2,
+    ) -> None:
+        require_count("horizon", horizon)
+        require_count("iterations", iterations)
+        super().__init__(
+            plant,
+            step=step,
+            measured=measured,
+            process=process,
+            unknown=unknown,
+            start=start,
+            uncertainty=uncertainty,
+            method=method,
+            substeps=substeps,
+        )
+        self.horizon, self.iterations = horizon, iterations
+        self.robust = math.inf if robust is None else require_positive("robust", robust)
+        self._narrow(bounds or {})
+        self._prior, self._prior_covariance = self._z.copy(), self.covariance.copy()
+        self._last = 0
+        """Index of the present node: how many steps the window has."""
+        self._nodes: Array = np.tile(self._z[:, None], horizon + 1)
+        self._values = np.full((horizon + 1, len(self.measured)), np.nan)
+        self._controls = np.zeros((2, len(self.given.controls), horizon + 1))
+        """Of each node: when it was measured, and on the step that follows."""
+        self._givens = np.tile(self._q[None, :, None], (2, 1, horizon + 1))
+        self._steps = self._predict.map(horizon)
+        self._looks = self._measure.map(horizon + 1)
+        self._bounded = np.flatnonzero(np.isfinite(self._low) | np.isfinite(self._high))
+        self._qp: ca.Function | None = None
+
+    def _narrow(self, bounds: Mapping[str, Any]) -> None:
+        """Bounds of states and unknowns in units of nominal: the plant's, narrowed."""
+        states = self.plant.states
+        nx = len(states)
+        self._low[:nx] = [v.min for v in states] / self._scale[:nx]
+        self._high[:nx] = [v.max for v in states] / self._scale[:nx]
+        for name, value in bounds.items():
+            i = self.names.index(self._estimated(name))
+            low, high = _range(name, value)
+            self._low[i] = max(self._low[i], low / self._scale[i])
+            self._high[i] = min(self._high[i], high / self._scale[i])
+            if self._low[i] > self._high[i]:
+                raise InputError(f"bounds[{name!r}] = {value!r} leave nothing of the plant's own")
+
+    def _estimated(self, name: str) -> str:
+        """The full name of a state or unknown."""
+        full = name if name in self.names else self.plant.variable(name).name
+        if full not in self.names:
+            raise InputError(
+                f"bounds: {full} is not estimated; give one of {', '.join(self.names)}"
+            )
+        return full
+
+    # ---- using it -------------------------------------------------------------------------------
+    def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
+        """Take measured values in, by name [SI], and fit the window anew."""
+        k, seen = self._last, self._seen(measurement)
+        self._controls[0, :, k], self._givens[0, :, k] = self._inputs(inputs), self._q
+        self._values[k] = np.where(np.isfinite(seen), seen, self._values[k])
+        for _ in range(self.iterations):
+            if self._improve() <= TOLERANCE:
+                break
+        self._z = self._nodes[:, k].copy()
+        return self.estimate
+
+    def predict(self, inputs: Values | None = None) -> Estimate:
+        """Go one step on, under inputs; the window moves when it is full."""
+        k = self._last
+        self._controls[1, :, k], self._givens[1, :, k] = self._inputs(inputs), self._q
+        z, a, half = (
+            np.asarray(e)
+            for e in self._predict(self._nodes[:, k], self._controls[1, :, k], self._q)
+        )
+        self.covariance = a @ self.covariance @ a.T + self._step_noise(a, half)
+        if k == self.horizon:
+            self._arrive()
+            for array in (self._nodes, self._controls, self._givens):
+                array[..., :-1] = array[..., 1:]
+            self._values[:-1] = self._values[1:]
+        self._last = k = min(k + 1, self.horizon)
+        self._nodes[:, k] = self._z = np.clip(z.ravel(), self._low, self._high)
+        self._values[k] = np.nan
+        return self.estimate
+
+    @property
+    def window(self) -> dict[str, Array]:
+        """The fitted trajectory of the window by name [SI], oldest first, one value a step."""
+        rows = self._nodes[:, : self._last + 1] * self._scale[:, None]
+        return dict(zip(self.names, rows, strict=True))
+
+    # ---- the fit --------------------------------------------------------------------------------
+    def _improve(self) -> float:
+        """One Gauss-Newton step of the window's trajectory; returns its largest change."""
+        from scipy.linalg import cho_factor, cho_solve
+
+        last = self._last
+        offset, spread = self._condensed()
+        residual, slope = self._residuals()
+        error = residual + np.einsum("kij,kj->ki", slope, offset)
+        jacobian = (slope @ spread).reshape(error.size, -1)
+        hessian = np.eye(jacobian.shape[1]) + jacobian.T @ jacobian
+        gradient = jacobian.T @ error.ravel()
+        factor = cho_factor(hessian)
+        unknowns = -cho_solve(factor, gradient)
+        change = offset + spread @ unknowns
+        if self._outside(change):
+            unknowns = self._constrained(hessian, gradient, offset, spread, unknowns)
+            change = offset + spread @ unknowns
+        fitted = self._nodes[:, : last + 1] + change.T
+        self._nodes[:, : last + 1] = np.clip(fitted.T, self._low, self._high).T  # rounding
+        self.covariance = spread[last] @ cho_solve(factor, spread[last].T)
+        return float(np.max(np.abs(change), initial=0.0))
+
+    def _condensed(self) -> tuple[Array, Array]:
+        """Each node's change as offset + spread @ (start, noise), all unknowns of unit variance."""
+        last, n, nodes = self._last, len(self._z), self._nodes
+        z, jacobians, halves = (
+            np.asarray(e)
+            for e in self._steps(nodes[:, :-1], self._controls[1, :, :-1], self._givens[1, :, :-1])
+        )
+        a, half = (
+            e.reshape(n, self.horizon, n).transpose(1, 0, 2)[:last] for e in (jacobians, halves)
+        )
+        roots = _root(np.concatenate([self._prior_covariance[None], self._step_noise(a, half)]))
+        offset, spread = np.zeros((last + 1, n)), np.zeros((last + 1, n, n * (last + 1)))
+        offset[0], spread[0, :, :n] = self._prior - nodes[:, 0], roots[0]
+        for k in range(last):
+            known = n * (k + 1)
+            offset[k + 1] = z[:, k] - nodes[:, k + 1] + a[k] @ offset[k]
+            spread[k + 1, :, :known] = a[k] @ spread[k, :, :known]
+            spread[k + 1, :, known : known + n] = roots[k + 1]
+        return offset, spread
+
+    def _residuals(self) -> tuple[Array, Array]:
+        """(model - measured) over standard deviations, weighted, and its Jacobian, of each node."""
+        last, n = self._last, len(self._z)
+        value, jacobian = (
+            np.asarray(e) for e in self._looks(self._nodes, self._controls[0], self._givens[0])
+        )
+        slope = jacobian.reshape(len(self.measured), self.horizon + 1, n).transpose(1, 0, 2)
+        residual = (value.T - self._values) / self._noise
+        weight = np.sqrt(self._weights(residual))
+        residual = np.where(weight > 0, np.nan_to_num(residual), 0.0) * weight
+        slope = slope * (weight / self._noise)[:, :, None]
+        return residual[: last + 1], slope[: last + 1]
+
+    def _weights(self, residual: Array) -> Array:
+        """Of squared residuals: 0 where nothing was measured, Huber's beyond the threshold."""
+        size = np.abs(np.nan_to_num(residual))
+        huber = np.where(size > self.robust, self.robust / np.maximum(size, 1e-300), 1.0)
+        weights: Array = np.where(np.isfinite(residual), huber, 0.0)
+        return weights
+
+    def _arrive(self) -> None:
+        """Carry what is known of the window's first node on to its second."""
+        z, u, q = self._nodes[:, 0], self._controls[:, :, 0], self._givens[:, :, 0]
+        value, c = (np.asarray(e) for e in self._measure(z, u[0], q[0]))
+        residual = (value.ravel() - self._values[0]) / self._noise
+        weight = self._weights(residual)
+        present = np.flatnonzero(weight)
+        covariance, mean = self._prior_covariance, self._prior
+        if len(present):
+            c, noise = c[present], np.diag(self._noise[present] ** 2 / weight[present])
+            gain = np.linalg.solve(c @ covariance @ c.T + noise, c @ covariance).T
+            expected = value.ravel()[present] + c @ (mean - z)
+            mean = mean + gain @ (self._values[0][present] - expected)
+            keep = np.eye(len(z)) - gain @ c
+            covariance = keep @ covariance @ keep.T + gain @ noise @ gain.T
+        following, a, half = (np.asarray(e) for e in self._predict(z, u[1], q[1]))
+        self._prior = following.ravel() + a @ (mean - z)
+        self._prior_covariance = a @ covariance @ a.T + self._step_noise(a, half)
+
+    # ---- bounds ---------------------------------------------------------------------------------
+    def _limits(self) -> tuple[Array, Array]:
+        """How far bounded states and unknowns of each node may change."""
+        nodes = self._nodes[self._bounded, : self._last + 1].T
+        return self._low[self._bounded] - nodes, self._high[self._bounded] - nodes
+
+    def _outside(self, change: Array) -> bool:
+        low, high = self._limits()
+        change = change[:, self._bounded]
+        return bool(np.any(change < low - TOLERANCE) or np.any(change > high + TOLERANCE))
+
+    def _constrained(
+        self, hessian: Array, gradient: Array, offset: Array, spread: Array, free: Array
+    ) -> Array:
+        """The step that keeps the bounds: a dense quadratic program by an active-set method."""
+        matrix = spread[:, self._bounded].reshape(-1, len(free))
+        start = offset[:, self._bounded].ravel()
+        low, high = (e.ravel() - start for e in self._limits())
+        if self._qp is None or self._qp.size1_in("a") != len(matrix):
+            dense = {"h": ca.Sparsity.dense(*hessian.shape), "a": ca.Sparsity.dense(*matrix.shape)}
+            self._qp = ca.conic("window", "daqp", dense, {"error_on_fail": False})
+        result = self._qp(h=hessian, g=gradient, a=matrix, lba=low, uba=high)
+        found = np.asarray(result["x"]).ravel()
+        solved = self._qp.stats()["success"] and np.all(np.isfinite(found))
+        return found if solved else free
+
+
+def _root(covariance: Array) -> Array:
+    """A factor G of each covariance = G G', which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return root
+
+
+def _range(name: str, value: Any) -> tuple[float, float]:
+    try:
+        low, high = value
+    except (TypeError, ValueError):
+        raise InputError(f"bounds[{name!r}] = {value!r}: give (low, high)") from None
+    label = f"bounds[{name!r}]"
+    low = -math.inf if low is None else require_finite(label, low)
+    high = math.inf if high is None else require_finite(label, high)
+    if low > high:
+        raise InputError(f"{label} = {value!r}: the bounds are crossed")
+    return low, high

@@ -1,0 +1,256 @@
+"""Kalman filter about a stop, and state feedback from its estimate (LQG)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError, require_positive
+from ...operating.equilibrium import OperatingPoint
+from ...operating.linear import inside, linearize
+from ...operating.stuck import Stuck
+from ...plants.opening import Inversion
+from ...plants.plant import Plant, Values, require_plant
+from ..loop import Controller, Measured
+
+__all__ = ["KalmanFilter", "WithEstimate", "kalman"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass
+class KalmanFilter:
+    """Estimate of all states from a few measured outputs, by the plant's linear model at a point.
+
+    gain : (states and disturbances, measured), stationary. In each sample: ``correct(measured)``,
+    then ``predict(inputs)`` to the next one. ``disturbance`` : {input: estimate} of those
+    estimated.
+    inversion : for a plant fed by valves, whose openings are the linear model's inputs: ``predict``
+    takes commands (or openings), and an estimated offset is one of the opening.
+    """
+
+    point: OperatingPoint
+    measured: list[str]
+    gain: Array
+    dt: float
+    system: Any = field(repr=False)
+    """python-control's sampled system, x[k+1] = A x[k] + B u[k]; disturbances are its last states.
+    """
+    disturbances: list[str] = field(default_factory=list)
+    inversion: Inversion | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        self._a, self._b, self._c, self._d = (
+            np.asarray(getattr(self.system, n)) for n in ("A", "B", "C", "D")
+        )
+        self._y0 = np.array([self.point[n] for n in self.measured])
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the point itself."""
+        self.deviation: Array = np.zeros(len(self._a))
+        self._u: Array = np.zeros(self._b.shape[1])
+
+    def correct(self, measured: Measured) -> Array:
+        """The estimated states (nx,) after a measurement."""
+        y = np.array([measured[n] for n in self.measured]) - self._y0
+        error = y - self._c @ self.deviation - self._d @ self._u
+        self.deviation = self.deviation + self.gain @ error
+        return np.asarray(self.point.x + self.deviation[: len(self.point.x)])
+
+    @property
+    def disturbance(self) -> dict[str, float]:
+        """The estimated disturbances by name [SI]."""
+        found = self.deviation[len(self.point.x) :]
+        return {n: self.point[n] + float(d) for n, d in zip(self.disturbances, found, strict=True)}
+
+    def predict(self, inputs: Mapping[str, float]) -> None:
+        """Go on to the next sample under inputs by name (kept within the plant's range)."""
+        variables = self.point.plant.inputs
+        if self.inversion:
+            inputs = self.inversion.openings(inputs)
+        u = np.array([np.clip(inputs.get(v.name, v.start or 0.0), v.min, v.max) for v in variables])
+        self._u = u - self.point.u
+        self._u[[v.name in self.disturbances for v in variables]] = 0.0  # they are states here
+        self.deviation = self._a @ self.deviation + self._b @ self._u
+
+
+def kalman(
+    plant: Plant,
+    at: OperatingPoint | Values | None = None,
+    *,
+    measured: Mapping[str, float],
+    process: float | Mapping[str, float] = 1.0,
+    disturbances: Mapping[str, float] | None = None,
+    dt: float = 1e-3,
+) -> KalmanFilter:
+    """The stationary Kalman filter about a point of rest, for a sampling time ``dt`` [s].
+
+    measured : {state or output: standard deviation of its noise [SI]}, of each sample.
+    process : what drives the states besides the inputs, in units of nominal per sqrt(s): a number
+        for all, or {state: value} (others 0). The mass not known well is noise on the velocity.
+    disturbances : {input: drift [SI per sqrt(s)]} of inputs that are not known but estimated with
+    the
+        states, as constants that drift: an external force, or a command's unknown offset. At most
+        as
+        many as measured values. See :class:`OffsetFree`.
+
+    By ``control.dlqe``'s Riccati equation on the exactly sampled system in units of nominal.
+    Raises InputError when the states cannot be told from what is measured.
+    """
+    require_plant(plant)
+    inversion, at = inside(plant, at)
+    plant = at.plant
+    names = [plant.variable(n).name for n in measured]
+    noise = np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
+    unknown = inversion.names(disturbances or {})
+    # held memories stick to the motion about the point: estimated from it, as no pole tells of them
+    follow, known = at.stuck, plant.vector("state", attribute="nominal")
+    linear = linearize(plant, at, outputs=names, dt=dt, stuck=True)
+    states = known[follow.kept]
+    system = _with_disturbances(plant, linear, list(unknown), states)
+    sizes = [plant.variable(n).nominal for n in unknown]
+    if isinstance(process, Mapping):
+        given = {plant.variable(n).name: float(v) for n, v in process.items()}
+        drive = np.array([given.get(plant.states[i].name, 0.0) for i in follow.kept])
+    else:
+        drive = np.full(len(states), require_positive("process", process))
+    drift = [
+        require_positive(f"disturbances[{n!r}]", v) / size
+        for (n, v), size in zip(unknown.items(), sizes, strict=True)
+    ]
+    nominal = np.concatenate([states, sizes])
+    gain = _stationary(system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * dt)
+    gain = follow.lift(more=len(unknown)) @ gain
+    system = _of_all_states(plant, system, follow)
+    return KalmanFilter(
+        at, names, gain, dt, system, list(unknown), inversion if inversion else None
+    )
+
+
+def _of_all_states(plant: Plant, system: Any, follow: Stuck) -> Any:
+    """The sampled system with held memories as states that follow the others."""
+    import control
+
+    if not len(follow.held):
+        return system
+    labels, more = system.state_labels, len(system.A) - len(follow.kept)
+    lift, pick = follow.lift(more=more), follow.pick(more)
+    names = [v.name.replace(".", "_") for v in plant.states]
+    return control.ss(
+        lift @ system.A @ pick,
+        lift @ system.B,
+        system.C @ pick,
+        system.D,
+        system.dt,
+        states=[*names, *labels[len(labels) - more :]],
+        inputs=system.input_labels,
+        outputs=system.output_labels,
+        name=system.name,
+        remove_useless_states=False,
+    )
+
+
+def _with_disturbances(plant: Plant, system: Any, disturbances: list[str], x: Array) -> Any:
+    """The sampled system with some of its inputs as further states that stay as they are.
+
+    x : nominals of its states.
+
+    Raises InputError when what is measured cannot tell them from the states (the condition of
+    Pannocchia and Rawlings, AIChE Journal 49 (2003) 426-437).
+    """
+    import control
+
+    if not disturbances:
+        return system
+    inputs = [v.name for v in plant.inputs]
+    wrong = [n for n in disturbances if n not in inputs]
+    if wrong:
+        raise InputError(
+            f"disturbances: {wrong[0]} is a {plant.variable(wrong[0]).causality}; name inputs of "
+            "the "
+            f"plant ({', '.join(inputs)}), such as that of an ExternalForce"
+        )
+    columns = [inputs.index(n) for n in disturbances]
+    a, b, c, d = (np.asarray(getattr(system, n)) for n in "ABCD")
+    n, m = len(a), len(columns)
+    y = np.abs(c).max(axis=1, initial=1e-300)
+    u = np.array([plant.inputs[i].nominal for i in columns])
+    pencil = np.block(
+        [
+            [(a - np.eye(n)) * x / x[:, None], b[:, columns] * u / x[:, None]],
+            [c * x / y[:, None], d[:, columns] * u / y[:, None]],
+        ]
+    )
+    pencil = pencil / np.maximum(np.abs(pencil).max(axis=0), 1e-300)
+    if m > len(c) or np.linalg.matrix_rank(pencil, tol=1e-9) < n + m:
+        raise InputError(
+            f"disturbances: {', '.join(disturbances)} cannot be told from the states by "
+            f"{len(c)} measured value(s); measure more, or estimate fewer"
+        )
+    whole = np.block([[a, b[:, columns]], [np.zeros((m, n)), np.eye(m)]])
+    return control.ss(
+        whole,
+        np.vstack([b, np.zeros((m, b.shape[1]))]),
+        np.hstack([c, d[:, columns]]),
+        d,
+        system.dt,
+        inputs=system.input_labels,
+        outputs=system.output_labels,
+        name=system.name,
+        states=[*system.state_labels, *(f"{n.replace('.', '_')}_unknown" for n in disturbances)],
+    )
+
+
+def _stationary(system: Any, names: list[str], nominal: Array, noise: Array, drive: Array) -> Array:
+    """The gain that corrects the present estimate, in SI; ``drive`` : variances per sample."""
+    import control
+
+    a = np.asarray(system.A) * nominal / nominal[:, None]
+    c = np.asarray(system.C) * nominal / noise[:, None]
+    try:
+        gain, covariance, _ = control.dlqe(a, np.eye(len(a)), c, np.diag(drive), np.eye(len(noise)))
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise InputError(
+            f"kalman: the states cannot be told from {', '.join(names)} ({error}); measure more, "
+            "or "
+            "add process noise"
+        ) from None
+    # dlqe's gain corrects the prediction for the next sample; this one corrects the present one
+    p = np.asarray(covariance)
+    present = p @ c.T @ np.linalg.inv(c @ p @ c.T + np.eye(len(noise)))
+    if not np.all(np.isfinite(gain)):
+        raise InputError(f"kalman: no stationary filter exists for {', '.join(names)}")
+    return np.asarray(present * nominal[:, None] / noise)
+
+
+@dataclass
+class WithEstimate:
+    """A controller that sees the filter's estimate in place of the states, and what is measured.
+
+    Outputs that the filter does not measure stay visible only if named in ``also``.
+    """
+
+    controller: Controller
+    filter: KalmanFilter
+    also: Sequence[str] = ()
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self.controller.reset()
+        self.filter.reset()
+
+    def __call__(self, t: float, measured: Measured) -> Mapping[str, float]:
+        """See :class:`Controller`."""
+        estimate = self.filter.correct(measured)
+        states = [v.name for v in self.filter.point.plant.states]
+        seen = dict(zip(states, estimate.tolist(), strict=True))
+        visible = [n for n in (*self.filter.measured, *self.also) if n not in seen]
+        seen.update({n: measured[n] for n in visible})
+        inputs = self.controller(t, seen)
+        self.filter.predict(inputs)
+        return inputs

@@ -1,0 +1,348 @@
+"""LQR and LQI about a stop, by python-control's solvers with the plant's nominals as scales."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, require_positive
+from ..operating.equilibrium import OperatingPoint
+from ..operating.linear import inside, linearize, no_influence
+from ..plants.opening import Inversion
+from ..plants.plant import Plant, Values, require_plant
+from .loop import Measured
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["StateFeedback", "Weighting", "lqr"]
+
+Array: TypeAlias = NDArray[np.float64]
+LEAST_WEIGHT = 0.3
+"""Of each state [per nominal] where the weights given leave a motion without cost and decay."""
+DECAY = 1e-8
+"""A pole of the closed loop slower than this part of the fastest rate counts as none."""
+Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """The cost: the sum of (weight value / nominal)^2 over states, outputs and inputs, per second.
+
+    weights : {state or output: weight}; by default 10 for each position, 1 for each velocity. Where
+        these leave a motion that neither decays nor costs anything (the co-contraction of a pair on
+        closed valves), every state gets ``LEAST_WEIGHT`` besides.
+    effort : weight of each input, a number or {input: weight}.
+    integral : {state or output: weight of its integrated error [per s]}.
+    """
+
+    plant: Plant
+    weights: Mapping[str, float] | None = None
+    effort: float | Mapping[str, float] = 1.0
+    integral: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def inputs(self) -> list[str]:
+        """The inputs that a controller chooses: all but disturbances."""
+        return [v.name for v in self.plant.inputs if not v.disturbance]
+
+    @property
+    def integrated(self) -> list[str]:
+        return [self.plant.variable(n).name for n in self.integral]
+
+    def scales(self, names: list[str]) -> Array:
+        return np.array([self.plant.variable(n).nominal for n in names])
+
+    def checked(self) -> tuple[dict[str, float], Array]:
+        """{weighted state or output: weight} and R, in units of nominal."""
+        given = self.weights
+        if given is None:
+            given = {
+                n: w for p, v in self.plant.positions.items() for n, w in ((p, 10.0), (v, 1.0))
+            }
+        rows = {
+            self.plant.variable(n).name: require_positive(n, w, zero=True) for n, w in given.items()
+        }
+        allowed = {v.name for v in (*self.plant.states, *self.plant.outputs)}
+        for name in [*rows, *self.integrated]:
+            if name not in allowed:
+                raise InputError(
+                    f"weights: {name} is no state or output but of kind "
+                    f"{self.plant.variable(name).causality}; "
+                    "weigh states and outputs, and inputs by effort"
+                )
+        if isinstance(self.effort, Mapping):
+            named = {self.plant.variable(n).name: w for n, w in self.effort.items()}
+            missing = [n for n in self.inputs if n not in named]
+            if missing:
+                raise InputError(f"effort: no weight for the input {missing[0]}")
+            efforts = [require_positive(f"effort[{n!r}]", named[n]) for n in self.inputs]
+        else:
+            efforts = [require_positive("effort", self.effort)] * len(self.inputs)
+        return rows, np.diag(np.square(efforts))
+
+    def scaled(
+        self, a: Array, b: Array, c: Array, all_outputs: list[str]
+    ) -> tuple[Array, Array, Array, Array]:
+        """A, B, Q, R in units of nominal, with the integrals of the errors as last states.
+
+        c : rows of ``all_outputs`` over the states.
+        """
+        rows, r = self.checked()
+        nominal = self.plant.vector("state", attribute="nominal")
+        a = a * nominal / nominal[:, None]
+        b = b * self.scales(self.inputs) / nominal[:, None]
+        c = c * nominal / self.scales(all_outputs)[:, None]
+        weighted = c[[all_outputs.index(n) for n in rows]] * np.array([*rows.values()])[:, None]
+        integrated = c[[all_outputs.index(n) for n in self.integrated]]
+        n, k = len(a), len(integrated)
+        a = np.block([[a, np.zeros((n, k))], [integrated, np.zeros((k, k))]])
+        b = np.vstack([b, np.zeros((k, b.shape[1]))])
+        q = np.zeros((n + k, n + k))
+        q[:n, :n] = weighted.T @ weighted
+        q[n:, n:] = np.diag(np.square([float(self.integral[m]) for m in self.integral]))
+        return a, b, q, r
+
+    def unscaled(self, k: Array) -> tuple[Array, Array]:
+        """Gains (over states, over integrals) in SI, of gains in units of nominal."""
+        n = len(self.plant.states)
+        effort = self.scales(self.inputs)[:, None]
+        return (
+            k[:, :n] * effort / self.plant.vector("state", attribute="nominal"),
+            k[:, n:] * effort / self.scales(self.integrated),
+        )
+
+
+class Integrals:
+    """Integrated errors, frozen for the samples in which an input is at its end."""
+
+    def __init__(self, names: list[str]) -> None:
+        self.names = names
+        self.reset()
+
+    def reset(self) -> None:
+        self.values = np.zeros(len(self.names))
+
+    def add(self, error: Array, dt: float, saturated: bool) -> None:
+        if not saturated:
+            self.values = self.values + dt * error
+
+
+def saturated(u: Array, low: Array, high: Array) -> bool:
+    """Whether an input is asked for beyond its range."""
+    return bool(np.any((u < low) | (u > high)))
+
+
+def sent(inversion: Inversion | None, inputs: list[str], u: Array) -> dict[str, float]:
+    """A controller's answer by name: openings become the commands that give them."""
+    answer = dict(zip(inputs, u.tolist(), strict=True))
+    return inversion.commands(answer) if inversion else answer
+
+
+@dataclass
+class StateFeedback:
+    """u = u0 - K (x - x0) - Ki integral(y - wanted): a Controller for :func:`closed_loop`.
+
+    K : (inputs, states), Ki : (inputs, integrated outputs), SI units. ``closed`` : python-control's
+    system of the closed loop (linear), ``loop`` : the loop broken at the inputs, for margins.
+    inversion : for a plant fed by valves, whose openings are u (then ``point`` and ``inputs`` speak
+    of
+    them): the commands that give these openings are sent.
+    """
+
+    point: OperatingPoint
+    inputs: list[str]
+    K: Array
+    Ki: Array
+    integrated: list[str]
+    dt: float
+    setpoint: Setpoint = None
+    system: Any = field(default=None, repr=False)
+    inversion: Inversion | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        plant = self.point.plant
+        names = [v.name for v in plant.inputs]
+        self._columns = [names.index(n) for n in self.inputs]
+        self._states = [v.name for v in plant.states]
+        self._low, self._high = (
+            plant.vector("input", attribute=a)[self._columns] for a in ("min", "max")
+        )
+        self._integrals = Integrals(self.integrated)
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self._integrals.reset()
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """Values that the integrated outputs are to reach: the point's, or the set point's."""
+        given = self.setpoint(t) if callable(self.setpoint) else (self.setpoint or {})
+        named = {self.point.plant.variable(n).name: v for n, v in given.items()}
+        return {n: named.get(n, self.point[n]) for n in self.integrated}
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        x = np.array([measured[n] for n in self._states])
+        u = self.point.u[self._columns] - self.K @ (x - self.point.x)
+        u = u - self.Ki @ self._integrals.values
+        if self.integrated:
+            goal = self.wanted(t)
+            error = np.array([measured[n] - goal[n] for n in self.integrated])
+            self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
+        return sent(self.inversion, self.inputs, u)
+
+    def _augmented(self) -> tuple[Array, Array, Array]:
+        """A, B with the integrals as last states, and all gains; continuous time, all states."""
+        a, b = np.asarray(self.system.A), np.asarray(self.system.B)
+        labels = [n.replace(".", "_") for n in self.integrated]
+        c = np.asarray(self.system.C)[[self.system.output_labels.index(n) for n in labels]]
+        n, k = len(a), len(c)
+        a = np.block([[a, np.zeros((n, k))], [c, np.zeros((k, k))]])
+        return a, np.vstack([b, np.zeros((k, b.shape[1]))]), np.hstack([self.K, self.Ki])
+
+    def _stuck(
+        self, a: Array, b: Array, k: Array, nominal: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """A, B and gains without held memories, which stick to the other states."""
+        more = len(self.integrated)
+        lift, pick = self.point.stuck.lift(nominal, more), self.point.stuck.pick(more)
+        return pick @ a @ lift, pick @ b, k @ lift
+
+    @property
+    def loop(self) -> control.StateSpace:
+        """K (s I - A)^-1 B, in units of the inputs' nominals: the loop broken at the inputs."""
+        import control
+
+        a, b, k = self._augmented()
+        plant = self.point.plant
+        effort = np.array([plant.variable(n).nominal for n in self.inputs])
+        states = np.concatenate(
+            [plant.vector("state", attribute="nominal")]
+            + [[plant.variable(n).nominal] for n in self.integrated]
+        )
+        a, b = a * states / states[:, None], b * effort / states[:, None]
+        k = k * states / effort[:, None]
+        a, b, k = self._stuck(a, b, k, self.point.plant.vector("state", attribute="nominal"))
+        labels = [n.replace(".", "_") for n in self.inputs]
+        return control.ss(
+            a,
+            b,
+            k,
+            np.zeros((len(k), len(k))),
+            inputs=labels,
+            outputs=[f"{n}_fed" for n in labels],
+            name="loop",
+        )
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Of the closed loop [1/s], sorted by falling real part."""
+        a, b, k = self._stuck(*self._augmented())
+        found = np.linalg.eigvals(a - b @ k)
+        return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
+
+
+def stationary(
+    a: Array, b: Array, q: Array, r: Array, states: int, dt: float | None = None
+) -> tuple[Array, Array, Array]:
+    """Gains, solution P of the Riccati equation and Q of a feedback that is seen to stabilise.
+
+    The first ``states`` get the least weight where without it none is found. dt : sampled, inputs
+    held.
+    Raises ValueError when none is found.
+    """
+    import control
+
+    least = np.zeros_like(q)
+    least[:states, :states] = LEAST_WEIGHT**2 * np.eye(states)
+    reason: object = "a pole stays on the imaginary axis"
+    for used in (q, q + least):
+        try:
+            if dt is None:
+                k, p, poles = control.lqr(a, b, used, r)
+                decay = -np.real(poles)
+            else:
+                held = control.ss(a, b, np.zeros((1, len(a))), np.zeros((1, b.shape[1]))).sample(dt)
+                k, p, poles = control.dlqr(held.A, held.B, used * dt, r * dt)
+                decay = -np.log(np.maximum(np.abs(poles), 1e-300)) / dt
+        except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
+            reason = error
+            continue
+        # the solver's own residual is not looked at by python-control: its poles tell
+        fastest = max(float(np.abs(decay).max()), float(np.abs(a).max()))
+        if np.all(np.isfinite(k)) and decay.min() > DECAY * fastest:
+            return np.asarray(k), np.asarray(p), used
+    raise ValueError(reason)
+
+
+def lqr(
+    plant: Plant,
+    at: OperatingPoint | Values | None = None,
+    *,
+    weights: Mapping[str, float] | None = None,
+    effort: float | Mapping[str, float] = 1.0,
+    integral: Mapping[str, float] | None = None,
+    setpoint: Setpoint = None,
+    dt: float = 1e-3,
+    sampled: bool = False,
+) -> StateFeedback:
+    """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
+
+    A plant fed by valves is controlled by its openings (``plant.in_openings()``), from closed rest
+    too;
+    the commands that give them are sent. ``effort`` may name either. Held memories (hysteresis)
+    stick
+    to the motion about the point: K has zeros for them.
+
+    at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
+    setpoint : {integrated output: value} to reach, or a function of time giving one.
+    dt : sampling time [s] of the controller. sampled : design for inputs held over dt
+        (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
+
+    Raises InputError when no input has an influence at the point, or when no stabilising feedback
+    exists (a state that is a pure integral, such as the totals of a gas feed, or an integrated
+    output
+    that the inputs cannot move).
+    """
+    require_plant(plant)
+    require_positive("dt", dt, "s")
+    inversion, at = inside(plant, at)
+    plant = at.plant
+    if isinstance(effort, Mapping):
+        effort = inversion.names(effort)
+    weighting = Weighting(plant, weights, effort, integral or {})
+    outputs = [v.name for v in (*plant.states, *plant.outputs)]
+    system = linearize(plant, at, inputs=weighting.inputs)
+    no_influence("lqr", plant, np.asarray(system.B), weighting.inputs)
+    a, b, q, r = weighting.scaled(
+        np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
+    )
+    # held memories stick: no input reaches them, and nothing is fed back from them
+    nominal = at.plant.vector("state", attribute="nominal")
+    lift, pick = (
+        at.stuck.lift(nominal, len(weighting.integrated)),
+        at.stuck.pick(len(weighting.integrated)),
+    )
+    a, b, q = pick @ a @ lift, pick @ b, lift.T @ q @ lift
+    try:
+        k = stationary(a, b, q, r, len(at.stuck.kept), dt if sampled else None)[0]
+    except ValueError as error:
+        raise InputError(
+            f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
+            "integrals that the inputs cannot move, and totals of gas feeds"
+        ) from None
+    gains = weighting.unscaled(k @ pick)
+    return StateFeedback(
+        at,
+        weighting.inputs,
+        *gains,
+        weighting.integrated,
+        dt,
+        setpoint,
+        system,
+        inversion if inversion else None,
+    )

@@ -1,0 +1,469 @@
+"""Mpc: model predictive control of any plant by multiple shooting and SQP."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import (
+    InputError,
+    UnknownNameError,
+    require_count,
+    require_finite,
+    require_positive,
+)
+from ...core.signals import PiecewisePolynomial
+from ...core.trajectory import Trajectory
+from ...core.variables import Variable
+from ...planning.solvers.narrowing import rounded
+from ...plants.opening import Inversion
+from ...plants.plant import Plant, Values
+from ...simulation.simulate import evaluated
+from .mpc_statistics import MpcStatistics, MpcStep
+from .shooting import Limit, Penalty, Shooting
+from .sqp import Ipopt, Outcome, Sqp
+from .step import Givens, Step, StepMethod
+
+if TYPE_CHECKING:
+    from ..mpc_loop import ClosedLoop
+
+__all__ = ["Mpc", "MpcStatistics", "MpcStep"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+FIRST_ITERATIONS = 30
+"""Of the first solve, which has no solution to start from."""
+
+KINKS = 0.5
+"""Place between the widest roundings (0) and the plant's own (1) at which a controller sees kinks:
+one
+step of Newton's method a sample does not settle on sharper ones."""
+FINER = 8
+"""How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
+
+
+class Mpc:
+    """Receding-horizon control: at each step, the best inputs over a horizon; the first is applied.
+
+    minimises  sum over nodes  w/2 ((y - reference)/nominal)^2 + r/2 ((u - u before)/nominal)^2
+
+    Parameters
+    ----------
+    plant : the model. Inputs marked as disturbances are not for the controller to choose. Of
+    muscles
+        fed by valves it chooses the openings (``plant.in_openings()``), which move the flow through
+        zero, where commands have a dead zone, and gives the commands that make exactly these;
+        weights and bounds may name either. ``plant.in_commands()`` leaves commands as they are.
+    horizon : number of steps looked ahead, of ``step`` seconds each.
+    track : {state, output or input: weight w >= 0}.
+    rate : {input: weight r >= 0} on its change from step to step. Weights on changes leave no
+    steady
+        error; weights on inputs (in ``track``) pull away from the reference of the others.
+    terminal : {state or output: weight at the last node}; by default that of ``track``.
+    bounds : {state, input, output or constraint: (low, high)}, None for an open end; narrows the
+        plant's own bounds and path constraints, which always hold.
+    soft : limits of all but inputs may give way where they cannot be kept (after a disturbance, or
+        with a noisy state), at the price ``penalty`` on the largest violation per node, in units of
+        nominal. With False they are hard, and a step may fail.
+    iterations : at most so many SQP steps per call; 1 is the real-time iteration (Diehl et al.,
+        SIAM J. Control Optim. 43, 2005). The first call takes as many as it needs.
+    work : no further SQP step is begun in a call once its quadratic programs took so many
+    iterations of
+        the interior-point method (known with "hpipm"). Usual calls take 5 to 7; after a jump of the
+        reference the solution is completed over the calls that follow, so that no call takes much
+        longer than the others; a larger number tracks jumps a little better. None: no limit. The
+        first call has none either.
+    delay : 0 when the inputs are applied at once, 1 when they take effect a step later: the state
+    is
+        then predicted to that time with the inputs applied meanwhile.
+    method, substeps : of the integration from node to node, see Step ("rosenbrock" for stiff
+    plants).
+    solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program.
+    tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
+
+    Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
+    When the SQP fails, IPOPT is asked; :attr:`statistics` says how often, how often that failed
+    too, and
+    how often the solution applied had not converged. No step is replayed: :meth:`prediction_error`
+    does
+    that of the last one.
+
+    Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for
+    names. The
+    first call warns of an input that has no influence where the plant stands (a dead zone that is
+    not
+    declared): no solver of this kind finds out of it.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        horizon: int,
+        step: float,
+        track: Mapping[str, float],
+        rate: Mapping[str, float] | None = None,
+        terminal: Mapping[str, float] | None = None,
+        bounds: Mapping[str, Any] | None = None,
+        soft: bool = True,
+        penalty: float = 100.0,
+        iterations: int = 3,
+        work: int | None = 12,
+        delay: int = 0,
+        method: StepMethod = "rk4",
+        substeps: int = 2,
+        solver: Literal["hpipm", "piqp", "ipopt"] = "hpipm",
+        tolerance: float = 1e-3,
+    ) -> None:
+        counts = [("horizon", horizon, 1), ("iterations", iterations, 1)]
+        if work is not None:
+            counts.append(("work", work, 1))
+        for argument, value, least in counts:
+            require_count(argument, value, least)
+        if delay not in (0, 1):
+            raise InputError(f"delay = {delay!r}: give 0 (at once) or 1 (one step later)")
+        require_positive("penalty", penalty)
+        require_positive("tolerance", tolerance)
+        self.plant, self.horizon, self.step, self.delay = plant, horizon, float(step), delay
+        self.iterations, self.work = iterations, math.inf if work is None else work
+        self.inversion = inversion = Inversion(plant)
+        self.model = rounded(inversion.inner, KINKS)
+        """The plant as the program sees it: with openings in place of the commands of valves, and
+        the
+        kinks of friction and hysteresis rounded off over wider widths."""
+        self.given = Givens(self.model)
+        if not self.given.controls:
+            raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
+        how = Step(step, method, substeps)
+        track, terminal = inversion.names(track), terminal and inversion.names(terminal)
+        penalties = _penalties(self.model, track, terminal)
+        rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
+        limits = _limits(self.model, self.given, inversion.bounds(_pairs(plant, bounds)), soft)
+        self.program = Shooting(
+            self.given,
+            how,
+            horizon,
+            penalties,
+            {n: w for n, w in rated.items() if w > 0},
+            limits,
+            (penalty, penalty),
+        )
+        self._only_ipopt = solver == "ipopt"
+        self._sqp = Sqp(self.program, "hpipm" if solver == "ipopt" else solver, tolerance)
+        self._ipopt: Ipopt | None = None
+        self._how, self._advance = how, self._predictor(how)
+        self._fine: ca.Function | None = None
+        self.reset()
+
+    def reset(self, inputs: Values | None = None) -> None:
+        """Forget solutions and statistics;
+        ``inputs`` are those applied now (start values if None).
+        """
+        values = self.plant.vector("input", inputs)
+        values = self.inversion.rows(values[None, :])[0]
+        names = [v.name for v in self.model.inputs]
+        chosen = [names.index(v.name) for v in self.given.controls]
+        self._applied: Array = values[chosen] / self.program.u_nominal
+        self._warm = False
+        self._steps: list[MpcStep] = []
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Names of the plant's inputs that :meth:`control` answers."""
+        return tuple(v.name for v in self.plant.inputs if not v.disturbance)
+
+    @property
+    def statistics(self) -> MpcStatistics:
+        """Times and iterations of the calls since the last :meth:`reset`."""
+        return MpcStatistics(tuple(self._steps))
+
+    def closed_loop(
+        self,
+        real: Plant | str | os.PathLike[str],
+        reference: Mapping[str, Any],
+        duration: float,
+        **options: Any,
+    ) -> ClosedLoop:
+        """Run against a plant or an FMU, with noise, disturbances and an estimator.
+
+        Arguments as for :func:`pam_ocp.control.mpc_loop.closed_loop`.
+        """
+        from ..mpc_loop import closed_loop
+
+        return closed_loop(self, real, reference, duration, **options)
+
+    # ---- one step -------------------------------------------------------------------------------
+    def control(
+        self,
+        state: Values | Sequence[float] | Array,
+        reference: Mapping[str, Any] | None = None,
+        values: Values | None = None,
+    ) -> dict[str, float]:
+        """The inputs to apply from now on (with ``delay=1``: from the next step on), by name [SI].
+
+        state : all states of the plant by name, or in order [SI].
+        reference : {tracked name: number, or horizon + 1 values from the moment on at which the
+            inputs take effect}; the start values for what is not named.
+        values : of parameters, disturbance inputs, or "der(STATE)" for a constant added to a
+            state's derivative: what an estimator found [SI].
+        """
+        begin = perf_counter()
+        x = self._state(state) / self.program.x_nominal
+        q = self.given.vector(values)
+        if self.delay:
+            x = np.asarray(self._advance(x, self._applied, q)).ravel()
+        point = self._sqp.point
+        self._references(reference or {})
+        point.set_given(q)
+        self._guess(x)
+        if not self._steps:
+            self._warn_of_dead_inputs(x, q)
+        limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
+        kept = point.w.copy()
+        fallback = failed = False
+        if self._only_ipopt:
+            outcome = self._by_ipopt()
+        else:
+            outcome = self._sqp.solve(limit, self.work if self._warm else math.inf)
+            if not outcome.usable:
+                fallback = True
+                point.w[:] = kept
+                outcome = self._by_ipopt()
+        if not outcome.usable:
+            failed = True
+            point.w[:] = kept
+        self._warm = not failed
+        self._applied = self._first_inputs()
+        self._steps.append(
+            MpcStep(
+                perf_counter() - begin,
+                outcome.qp_seconds,
+                outcome.iterations,
+                outcome.work,
+                outcome.step,
+                outcome.converged,
+                fallback,
+                failed,
+            )
+        )
+        si = self._applied * self.program.u_nominal
+        chosen = {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
+        return self.inversion.commands(chosen, q[: len(self.plant.parameters)])
+
+    def prediction(self) -> Trajectory:
+        """The planned motion of the last call,
+        from the moment on at which the inputs take effect.
+        """
+        p, point = self.program, self._sqp.point
+        nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
+        states: Array = np.column_stack([nodes[: p.nx], end[: p.nx]]).T * p.x_nominal
+        begin = p.nx + len(p.rated)
+        chosen = nodes[begin : begin + p.nu].T * p.u_nominal
+        chosen = np.vstack([chosen, chosen[-1]])
+        n = len(self.plant.parameters)
+        columns = dict(zip((v.name for v in self.given.controls), chosen.T, strict=True))
+        for i, v in enumerate(self.given.disturbances):
+            columns[v.name] = np.full(len(chosen), point.given[n + i])
+        inputs = np.column_stack([columns[v.name] for v in self.model.inputs])
+        if self.inversion:
+            inputs = self.inversion.sent(inputs, point.given[:n])
+        t: Array = self.step * np.arange(self.horizon + 1.0)
+        held = PiecewisePolynomial(t, inputs[:-1, None, :])
+        model = self.plant.with_values(
+            {v.name: point.given[i] for i, v in enumerate(self.plant.parameters)}
+        )
+        return evaluated(model, t, states, held)
+
+    def prediction_error(self) -> float:
+        """How far the last call's prediction is from its own model's motion, in units of nominal.
+
+        The largest difference, over the steps of the horizon, between the next node and the step
+        from
+        the node before with substeps ``FINER`` times finer: the error of the integration, and what
+        an
+        SQP that was not run to its end leaves of defects. Takes some milliseconds; a controller
+        does
+        not do it by itself.
+        """
+        p, point = self.program, self._sqp.point
+        if self._fine is None:
+            how = replace(self._how, substeps=FINER * self._how.substeps)
+            self._fine = self._predictor(how)
+        nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
+        states: Array = np.column_stack([nodes[: p.nx], end[: p.nx]])
+        begin = p.nx + len(p.rated)
+        exact = self._fine(states[:, :-1], nodes[begin : begin + p.nu], point.given)
+        worst = float(np.max(np.abs(np.asarray(exact, float) - states[:, 1:])))
+        return worst if np.isfinite(worst) else math.inf
+
+    # ---- inside ---------------------------------------------------------------------------------
+    def _predictor(self, how: Step) -> ca.Function:
+        p = self.program
+        return ca.Function("predict", [p.x, p.u, p.q], [how.expression(self.given, p.x, p.u, p.q)])
+
+    def _warn_of_dead_inputs(self, x: Array, q: Array) -> None:
+        p = self.program
+        step = self._advance(p.x, p.u, p.q)
+        slopes = ca.Function("slopes", [p.x, p.u, p.q], [ca.densify(ca.jacobian(step, p.u))])
+        effect = np.abs(np.asarray(slopes(x, self._applied, q))).max(axis=0, initial=0.0)
+        for variable, size in zip(self.given.controls, effect, strict=True):
+            if size <= 1e-12:
+                warnings.warn(
+                    f"Mpc: {variable.name} has no influence where the plant stands: its slope is "
+                    "0, as "
+                    "in a dead zone, and it will hardly be moved. Declare the dead zone "
+                    "(plant.dead_zone(command, width)), so that its inverse is used",
+                    stacklevel=3,
+                )
+
+    def _by_ipopt(self) -> Outcome:
+        if self._ipopt is None:
+            self._ipopt = Ipopt(self.program)
+        return self._ipopt.solve(self._sqp.point)
+
+    def _state(self, state: Values | Sequence[float] | Array) -> Array:
+        names = [v.name for v in self.plant.states]
+        if isinstance(state, Mapping):
+            given = {self.plant.variable(n).name: v for n, v in state.items()}
+            missing = [n for n in names if n not in given]
+            if missing:
+                raise InputError(f"state: {missing[0]} is missing; give all of {', '.join(names)}")
+            state = [given[n] for n in names]
+        values = np.asarray(state, dtype=float)
+        if values.shape != (len(names),) or not np.all(np.isfinite(values)):
+            raise InputError(
+                f"state = {values}: give one finite number for each of {', '.join(names)}"
+            )
+        return values
+
+    def _references(self, reference: Mapping[str, Any]) -> None:
+        given = self.inversion.references(reference, self.horizon + 1)
+        tracked = {p.variable.name: i for i, p in enumerate(self.program.penalties)}
+        for i, penalty in enumerate(self.program.penalties):
+            self._sqp.point.references[:, i] = penalty.variable.start or 0.0
+        for name, value in given.items():
+            if name not in tracked:
+                raise UnknownNameError("tracked variable", name, tracked)
+            column = np.asarray(value, dtype=float)
+            if column.shape not in ((), (self.horizon + 1,)) or not np.all(np.isfinite(column)):
+                raise InputError(
+                    f"reference[{name!r}] has shape {column.shape}: give a finite number or "
+                    f"{self.horizon + 1} of them (horizon + 1)"
+                )
+            self._sqp.point.references[:, tracked[name]] = column
+
+    def _guess(self, x: Array) -> None:
+        """The last solution one step on; at first the state and the inputs as they are."""
+        p, point = self.program, self._sqp.point
+        states = p.nx + len(p.rated)
+        if self._warm:
+            nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
+            nodes[:, :-1] = nodes[:, 1:]
+            nodes[: p.nx, -1] = end[: p.nx]
+            nodes[p.nx : states, -1] = nodes[states : states + p.nu, -1][p.rated]
+            end[: p.nx] = np.asarray(
+                self._advance(end[: p.nx], nodes[states : states + p.nu, -1], point.given)
+            ).ravel()
+            point.unknowns[p.at], point.unknowns[p.at_last] = nodes, end
+        else:
+            node = np.zeros(p.y_size)
+            node[: p.nx], node[p.nx : states] = x, self._applied[p.rated]
+            node[states : states + p.nu] = self._applied
+            point.unknowns[:] = 0.0
+            point.unknowns[p.at] = node[:, None]
+            point.unknowns[p.at_last[: p.nx]] = x
+        point.start[: p.nx], point.start[p.nx :] = x, self._applied[p.rated]
+
+    def _first_inputs(self) -> Array:
+        """The first inputs of the solution, held to their bounds against rounding."""
+        p = self.program
+        at = p.at[p.nx + len(p.rated) : p.nx + len(p.rated) + p.nu, 0]
+        inputs: Array = np.clip(self._sqp.point.w[at], p.w_low[at], p.w_high[at])
+        return inputs
+
+
+# ---- checking the arguments ---------------------------------------------------------------------
+
+
+def _weights(
+    plant: Plant, given: Mapping[str, float], argument: str, allowed: tuple[str, ...]
+) -> dict[str, float]:
+    weights = {}
+    for name, weight in given.items():
+        variable = plant.variable(name)
+        if variable.causality not in allowed or variable.disturbance:
+            kind = "disturbance" if variable.disturbance else variable.causality
+            raise InputError(
+                f"{argument}: {variable.name} is a {kind}; give {' or '.join(allowed)} variables"
+            )
+        label = f"{argument}[{variable.name!r}]"
+        weights[variable.name] = require_positive(label, weight, zero=True)
+    return weights
+
+
+def _penalties(
+    plant: Plant, track: Mapping[str, float], terminal: Mapping[str, float] | None
+) -> list[Penalty]:
+    weights = _weights(plant, track, "track", ("state", "output", "input"))
+    last = weights
+    if terminal is not None:
+        last = _weights(plant, terminal, "terminal", ("state", "output"))
+    names = list(dict.fromkeys([*weights, *last]))
+    if not any(w > 0 for w in weights.values()):
+        raise InputError(f"track = {dict(track)}: at least one weight must be > 0")
+    return [
+        Penalty(plant.variable(n), plant.expression(n), weights.get(n, 0.0), last.get(n, 0.0))
+        for n in names
+    ]
+
+
+def _limits(
+    plant: Plant, given: Givens, bounds: Mapping[str, tuple[float, float]], soft: bool
+) -> list[Limit]:
+    """The plant's bounds and path constraints, narrowed by ``bounds``."""
+    narrowed = dict(bounds)
+    limits = []
+    for variable in (*plant.states, *given.controls, *plant.constraints, *plant.outputs):
+        low, high = narrowed.pop(variable.name, (-math.inf, math.inf))
+        low, high = max(low, variable.min), min(high, variable.max)
+        if low > high:
+            raise InputError(
+                f"bounds[{variable.name!r}] leave nothing of the plant's own "
+                f"{variable.shown(variable.min)} .. {variable.shown(variable.max)}"
+            )
+        if math.isfinite(low) or math.isfinite(high):
+            gives = soft and variable.causality != "input"
+            limits.append(Limit(variable, plant.expression(variable.name), low, high, gives))
+    if narrowed:
+        name = next(iter(narrowed))
+        raise InputError(f"bounds: {name} is a parameter or a disturbance and cannot be bounded")
+    return limits
+
+
+def _pairs(plant: Plant, bounds: Mapping[str, Any] | None) -> dict[str, tuple[float, float]]:
+    inner = plant.in_openings()
+    found = {}
+    for name, value in (bounds or {}).items():
+        opening = Inversion(plant).opening_of(name)
+        variable = inner.variable(opening) if opening else plant.variable(name)
+        found[variable.name] = _pair(variable, value)
+    return found
+
+
+def _pair(variable: Variable, value: Any) -> tuple[float, float]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
+        raise InputError(f"bounds[{variable.name!r}] = {value!r}: give (low, high)")
+    low = -math.inf if value[0] is None else require_finite(f"bounds[{variable.name!r}]", value[0])
+    high = math.inf if value[1] is None else require_finite(f"bounds[{variable.name!r}]", value[1])
+    if low > high:
+        raise InputError(f"bounds[{variable.name!r}] = {value!r}: the bounds are crossed")
+    return low, high

@@ -1,0 +1,83 @@
+"""What a model predictive controller's steps took, and how they ended."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MpcStatistics", "MpcStep"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MpcStep:
+    """What one call of :meth:`Mpc.control` did."""
+
+    seconds: float
+    qp_seconds: float
+    """Of ``seconds``, spent in the QP solver (or in IPOPT)."""
+    iterations: int
+    work: int
+    """Iterations of the interior-point method in all quadratic programs (0 where it is not told).
+    """
+    last_step: float
+    """Largest change in the last iteration, in units of nominal."""
+    converged: bool
+    fallback: bool
+    """The SQP failed and IPOPT was asked."""
+    failed: bool
+    """IPOPT failed too: the inputs are those of the plan before, one step on."""
+
+
+@dataclass(frozen=True)
+class MpcStatistics:
+    """Of all calls of :meth:`Mpc.control` so far; the first call, which starts cold, apart."""
+
+    steps: tuple[MpcStep, ...]
+
+    @property
+    def seconds(self) -> Array:
+        """Of each call after the first [s]."""
+        return np.array([s.seconds for s in self.steps[1:]] or [math.nan])
+
+    @property
+    def median(self) -> float:
+        """Median time of a call [s]."""
+        return float(np.median(self.seconds))
+
+    @property
+    def worst(self) -> float:
+        """Longest time of a call [s]."""
+        return float(np.max(self.seconds))
+
+    @property
+    def fallbacks(self) -> int:
+        """How often IPOPT had to be asked."""
+        return sum(s.fallback for s in self.steps)
+
+    @property
+    def failures(self) -> int:
+        """How often there was no solution at all."""
+        return sum(s.failed for s in self.steps)
+
+    @property
+    def unconverged(self) -> int:
+        """How often a solution was applied whose last change was above the controller's tolerance:
+        its
+        iterations were used up, or its ``work`` was."""
+        return sum(not s.converged and not s.failed for s in self.steps)
+
+    def __str__(self) -> str:
+        iterations = [s.iterations for s in self.steps[1:]] or [0]
+        return (
+            f"{len(self.steps)} steps: median {1e3 * self.median:.2f} ms, worst "
+            f"{1e3 * self.worst:.2f} ms, iterations {np.median(iterations):.0f} (at most "
+            f"{max(iterations)}), IPOPT asked {self.fallbacks} times, failed {self.failures} "
+            "times, "
+            f"not converged {self.unconverged} times"
+        )

@@ -1,0 +1,209 @@
+"""Sequential quadratic programming with the Gauss-Newton Hessian, on the program of shooting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Literal, TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError
+from ...planning.solvers.interrupt import Watch
+from .shooting import UNBOUNDED, Linearisation, Shooting
+from .stage_qp import StageQp, available
+
+__all__ = ["Ipopt", "Outcome", "QpSolver", "Sqp"]
+
+Array: TypeAlias = NDArray[np.float64]
+QpSolver: TypeAlias = Literal["hpipm", "piqp"]
+
+HPIPM: dict[str, Any] = {"mode": "speed_abs", "iter_max": 60, "res_m_max": 1e-6}
+"""For CasADi's interface, used where StageQp is not available: its barriers at the open ends of
+bounds
+make the matrices ill-conditioned, and steps less exact again when the complementarity gap is
+smaller."""
+MISS = 1e-3
+"""Largest violation of a QP's rows by its solution, in units of nominal, that still counts as
+solved.
+"""
+DAMPING = (1e-2, 1e-1)
+"""Of Levenberg and Marquardt: first and largest; grows by 4 when a step is longer than the one
+before.
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a solve ended. ``step`` is the largest change in the last iteration,
+    in units of nominal.
+    """
+
+    usable: bool
+    converged: bool
+    iterations: int
+    step: float
+    qp_seconds: float
+    work: int = 0
+    """Iterations of the interior-point method in all quadratic programs, where known."""
+
+
+class Sqp:
+    """Full Gauss-Newton steps from where ``point`` stands, a QP each, until they are small.
+
+    The Gauss-Newton Hessian leaves out the curvature of the constraints; where that makes steps
+    cycle, damping is added, which slows them down and does not move the solution.
+    """
+
+    def __init__(self, program: Shooting, solver: QpSolver, tolerance: float) -> None:
+        if solver not in get_args(QpSolver):
+            raise InputError(f"solver = {solver!r}: choose 'hpipm', 'piqp' or 'ipopt'")
+        self.program, self.tolerance = program, tolerance
+        self.point = Linearisation(program)
+        self.direction = np.zeros(program.size)
+        self._diagonal = _diagonal(program)
+        self._stages: StageQp | None = None
+        if solver == "hpipm" and available():
+            self._stages = self._call = StageQp(self.point, self.direction)
+            return
+        self._buffer, self._call = self._quadratic(solver).buffer()
+        point = self.point
+        for i, argument in enumerate(
+            (point.h, point.gradient, point.a, point.a_low, point.a_high, point.w_low, point.w_high)
+        ):
+            self._buffer.set_arg(i, memoryview(argument))  # type: ignore
+        self._buffer.set_res(0, memoryview(self.direction))  # type: ignore
+
+    def _quadratic(self, solver: QpSolver) -> ca.Function:
+        """The QP solver. Wrapped: a bare one overwrites the pointers that a buffer keeps."""
+        p = self.program
+        options: dict[str, Any] = {"error_on_fail": False, "print_time": False}
+        if solver == "hpipm":
+            options |= {**p.dimensions, "hpipm": HPIPM}
+        conic = ca.conic("qp", solver, {"h": p.h_sparsity, "a": p.a_sparsity}, options)
+        rows = len(p.a_low)
+        h, a = ca.MX.sym("h", p.h_sparsity), ca.MX.sym("a", p.a_sparsity)
+        g, lba, uba, lbx, ubx = (ca.MX.sym("v", n) for n in (p.size, rows, rows, p.size, p.size))
+        out = conic(h=h, g=g, a=a, lba=lba, uba=uba, lbx=lbx, ubx=ubx)
+        # HPIPM's interface writes its multipliers even where nobody asks for them
+        results = [out["x"], out["lam_a"], out["lam_x"]]
+        return ca.Function("step", [h, g, a, lba, uba, lbx, ubx], results)
+
+    def solve(self, iterations: int, work: float = np.inf) -> Outcome:
+        """At most so many steps from ``point.unknowns``, which is left at the solution.
+
+        No further step is begun after ``work`` iterations of the interior-point method in all.
+        """
+        point, spent, before, damping, done = self.point, 0.0, np.inf, 0.0, 0
+        for k in range(1, iterations + 1):
+            point()
+            if damping:
+                point.h[self._diagonal] += damping
+            begin = perf_counter()
+            self._call()
+            spent += perf_counter() - begin
+            done += self._stages.iterations if self._stages else 0
+            if not self._solved():
+                return Outcome(False, False, k, np.inf, spent, done)
+            point.w += self.direction
+            size = float(np.max(np.abs(self.direction)))
+            if size <= self.tolerance:
+                return Outcome(True, True, k, size, spent, done)
+            if done >= work:
+                break
+            if size > before:
+                damping = min(max(4 * damping, DAMPING[0]), DAMPING[1])
+            before = size
+        return Outcome(True, False, k, size, spent, done)
+
+    def _solved(self) -> bool:
+        """Whether the direction meets the QP's rows:
+        solvers disagree on how they report failure.
+        """
+        p, point = self.program, self.point
+        rows = np.bincount(p.a_rows, point.a * self.direction[p.a_columns], minlength=len(p.a_low))
+        miss = max(float(np.max(point.a_low - rows)), float(np.max(rows - point.a_high)))
+        return bool(miss <= MISS)  # False for NaN too
+
+
+def _diagonal(program: Shooting) -> NDArray[np.intp]:
+    """Where the Hessian's stored diagonal entries stand among its entries."""
+    rows, columns = program.h_sparsity.get_triplet()
+    return np.flatnonzero(np.array(rows) == np.array(columns))
+
+
+def _infinite(bounds: Array) -> Array:
+    """Bounds of the QP with its stand-in for infinity taken back."""
+    open_ends: Array = np.copysign(np.inf, bounds)
+    return np.where(np.abs(bounds) >= UNBOUNDED, open_ends, bounds)
+
+
+LONGEST = 5.0
+"""Processor seconds of one solve by IPOPT; a controller that waits longer has lost its plant."""
+
+
+class Ipopt:
+    """The same program by IPOPT with exact Hessian: slower, and sure. Made at its first use."""
+
+    def __init__(self, program: Shooting) -> None:
+        self.program = p = program
+        n, inner, last = p.horizon, p.inner, p.last
+        w, start = ca.MX.sym("w", p.size), ca.MX.sym("start", p.nx + len(p.rated))
+        references = ca.MX.sym("r", len(p.penalties), n + 1)
+        q = ca.MX.sym("q", len(p.given.names))
+        everything = ca.vertcat(w, start, 0)
+        y = ca.reshape(everything[p.at.T.ravel().tolist()], p.y_size, n)
+        values = inner.values.map(n)(y, references[:, :n], ca.repmat(q, 1, n))
+        end = last.values(everything[p.at_last.tolist()], references[:, n], q)
+        split, size, end_size = inner.size * n, values.shape[0], end.shape[0]
+        results = ca.vertcat(ca.vec(values), end, 0)
+        at = np.where(
+            p.value_at < split,
+            p.value_at // inner.size * size + p.value_at % inner.size,
+            size * n + np.minimum(p.value_at - split, end_size),
+        )
+        nlp: dict[str, Any] = {
+            "x": w,
+            "p": ca.veccat(start, references, q),
+            "f": ca.sum2(values[size - 1, :]) + end[end_size - 1],
+            "g": results[at.tolist()] - everything[p.other_at.tolist()],
+        }
+        options = {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": 1e-6,
+            "max_iter": 200,
+            "mu_init": 1e-2,
+            "max_cpu_time": LONGEST,
+        }
+        self._watch = Watch(p.size, nlp["g"].numel(), nlp["p"].numel())
+        outer: dict[str, Any] = {
+            "print_time": False,
+            "expand": True,
+            "ipopt": options,
+            "iteration_callback": self._watch,
+        }
+        self._solver = ca.nlpsol("mpc", "ipopt", nlp, outer)
+        self._bounds = {
+            "lbx": _infinite(p.w_low),
+            "ubx": _infinite(p.w_high),
+            "lbg": _infinite(p.a_low),
+            "ubg": _infinite(p.a_high),
+        }
+
+    def solve(self, point: Linearisation) -> Outcome:
+        """From ``point.unknowns``, which is left at the solution when there is one."""
+        begin = perf_counter()
+        guess = np.where(np.isfinite(point.w), point.w, 0.0)
+        p = np.concatenate([point.start, point.references.ravel(), point.given])
+        with self._watch.during():
+            result = self._solver(x0=guess, p=p, **self._bounds)
+        stats = self._solver.stats()
+        if stats["success"]:
+            point.w[:] = np.asarray(result["x"]).ravel()
+        spent = perf_counter() - begin
+        return Outcome(
+            bool(stats["success"]), bool(stats["success"]), int(stats["iter_count"]), 0.0, spent
+        )

@@ -1,0 +1,140 @@
+"""A plant's discrete step: how the state follows from one sample to the next, the inputs held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import (
+    InputError,
+    UnknownNameError,
+    require_count,
+    require_finite,
+    require_positive,
+)
+from ...plants.plant import Plant, Values
+
+__all__ = ["Givens", "Step", "StepMethod"]
+
+Array: TypeAlias = NDArray[np.float64]
+StepMethod: TypeAlias = Literal["rk4", "rosenbrock"]
+
+
+class Givens:
+    """What a controller or an estimator is told from outside, as one vector q.
+
+    q holds the plant's parameters, its disturbance inputs, and an offset for each derivative, named
+    ``der(STATE)``: x' = f(x, u, p) + offset. An offset stands for whatever the model leaves out.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.disturbances = tuple(v for v in plant.inputs if v.disturbance)
+        self.controls = tuple(v for v in plant.inputs if not v.disturbance)
+        named = (*plant.parameters, *self.disturbances)
+        self.names = (*(v.name for v in named), *(f"der({v.name})" for v in plant.states))
+        rates = plant.vector("state", attribute="nominal")
+        self.nominal = np.concatenate([[v.nominal for v in named], rates])
+        free = np.full(len(plant.states), np.inf)
+        self.low = np.concatenate([[v.min for v in named], -free])
+        self.high = np.concatenate([[v.max for v in named], free])
+        self._start = np.concatenate([[v.start for v in named], np.zeros(len(plant.states))])
+
+    def name(self, name: str) -> str:
+        """The full name of a parameter, disturbance or ``der(STATE)``. Raises UnknownNameError."""
+        inner = name[4:-1] if name.startswith("der(") and name.endswith(")") else ""
+        if inner:
+            full = f"der({self.plant.variable(inner).name})"
+        else:
+            full = self.plant.variable(name).name
+        if full not in self.names:
+            raise UnknownNameError("parameter, disturbance or der(STATE)", name, self.names)
+        return full
+
+    def vector(self, values: Values | None = None) -> Array:
+        """q with the plant's start values, single ones replaced by name [SI]."""
+        q: Array = self._start.copy()
+        for name, value in (values or {}).items():
+            full = self.name(name)
+            number = require_finite(full, value)
+            if not full.startswith("der("):
+                number = self.plant.variable(full).check(number)
+            q[self.names.index(full)] = number
+        return q
+
+    def parts(self, q: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """(all inputs of the plant, parameters, offsets) from q and the control inputs [SI]."""
+        n, nd = len(self.plant.parameters), len(self.disturbances)
+        # not q[:n], which is a row where q is a scalar
+        p, disturbances, offsets = ca.vertsplit(q, [0, n, n + nd, len(self.names)])
+        given = {v.name: disturbances[i] for i, v in enumerate(self.disturbances)}
+        given |= {v.name: u[i] for i, v in enumerate(self.controls)}
+        inputs = ca.SX(ca.vertcat(*(given[v.name] for v in self.plant.inputs)))
+        return inputs, p, offsets
+
+
+@dataclass(frozen=True)
+class Step:
+    """How one node follows from the one before, the inputs held.
+
+    length : [s]. method : "rk4" (explicit, order 4) or "rosenbrock" (RODAS3: linearly implicit,
+    order 3, L-stable, for stiff plants). substeps : equal steps of the method in one step.
+    """
+
+    length: float
+    method: StepMethod = "rk4"
+    substeps: int = 2
+
+    def __post_init__(self) -> None:
+        require_positive("step", self.length, "s")
+        if self.method not in get_args(StepMethod):
+            raise InputError(f"method = {self.method!r}: choose 'rk4' or 'rosenbrock'")
+        require_count("substeps", self.substeps)
+
+    def expression(self, given: Givens, x: ca.SX, u: ca.SX, q: ca.SX, length: Any = None) -> ca.SX:
+        """The state after the step from x; x and u in units of nominal, q in SI."""
+        plant = given.plant
+        scale = plant.vector("state", attribute="nominal")
+        state, control = ca.SX.sym("x", len(scale)), ca.SX.sym("u", len(given.controls))
+        known = ca.SX.sym("q", len(given.names))
+        u_si = control * np.array([v.nominal for v in given.controls])
+        inputs, p, offset = given.parts(known, u_si)
+        slope = (plant.function(state * scale, inputs, p)[0] + offset) / scale
+        slopes = ca.Function("slopes", [state, control, known], [slope, ca.jacobian(slope, state)])
+        h = (self.length if length is None else length) / self.substeps
+        advance = _rk4 if self.method == "rk4" else _rodas3
+        for _ in range(self.substeps):
+            x = advance(lambda z: slopes(z, u, q), x, h)
+        return x
+
+
+def _rk4(slopes: Any, x: ca.SX, h: Any) -> ca.SX:
+    """The classical method of Runge and Kutta."""
+    k1 = slopes(x)[0]
+    k2 = slopes(x + h / 2 * k1)[0]
+    k3 = slopes(x + h / 2 * k2)[0]
+    k4 = slopes(x + h * k3)[0]
+    return ca.SX(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+
+_RODAS3_M = (2.0, 0.0, 1.0, 1.0)
+_RODAS3_A = ((), (0.0,), (2.0, 0.0), (2.0, 0.0, 1.0))
+_RODAS3_C = ((), (4.0,), (1.0, -1.0), (1.0, -1.0, -8.0 / 3.0))
+"""Sandu, Verwer, Blom, Spee, Carmichael, Potra, Atmospheric Environment 31 (1997) 3459; gamma 1/2.
+"""
+
+
+def _rodas3(slopes: Any, x: ca.SX, h: Any) -> ca.SX:
+    """RODAS3: four stages of linear equations with one matrix."""
+    matrix = ca.SX.eye(x.numel()) * (2.0 / h) - slopes(x)[1]
+    stages: list[ca.SX] = []
+    for row_a, row_c in zip(_RODAS3_A, _RODAS3_C, strict=True):
+        inner = x + sum((a * k for a, k in zip(row_a, stages, strict=True)), ca.SX(0))
+        right = slopes(inner)[0]
+        right += sum((c / h * k for c, k in zip(row_c, stages, strict=True)), ca.SX(0))
+        stages.append(ca.solve(matrix, right))
+    return ca.SX(x + sum((m * k for m, k in zip(_RODAS3_M, stages, strict=True)), ca.SX(0)))

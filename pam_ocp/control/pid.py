@@ -1,0 +1,186 @@
+"""PID on position with feed-forward by the exact inverse; pressure loops below it (a cascade)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, require_positive
+from ..plants.opening import Inversion
+from ..plants.plant import Plant
+from .inverse import InverseDynamics
+from .loop import Measured
+from .references import Reference
+
+__all__ = ["PID", "PositionController", "PressureLoop"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass
+class PID:
+    """u = kp e + ki integral(e) + kd d(e)/dt, the derivative filtered by ``filter_time`` [s].
+
+    Sampled by backward differences. The integral is frozen while the caller says that the output
+    is saturated and the error would drive it further (no wind-up).
+    """
+
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    filter_time: float = 2e-3
+    _integral: float = field(default=0.0, repr=False)
+    _slope: float = field(default=0.0, repr=False)
+    _last: float | None = field(default=None, repr=False)
+
+    @classmethod
+    def placed(cls, frequency: float, damping: float = 1.0, filter_time: float = 2e-3) -> PID:
+        """For a double integrator (output: an acceleration): poles -w and -w (zeta +-
+        sqrt(zeta^2-1)).
+
+        frequency : w/(2 pi) [Hz]; to be some five times below the bandwidth of what gives the
+        force.
+        """
+        w = 2 * np.pi * require_positive("frequency", frequency, "Hz")
+        z = require_positive("damping", damping)
+        return cls((1 + 2 * z) * w**2, w**3, (1 + 2 * z) * w, filter_time)
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._integral, self._slope, self._last = 0.0, 0.0, None
+
+    def __call__(self, error: float, dt: float, saturated: bool = False) -> float:
+        """The output for an error, ``dt`` seconds after the call before."""
+        if self._last is not None:
+            share = self.filter_time / (self.filter_time + dt)
+            self._slope = share * self._slope + (1 - share) * (error - self._last) / dt
+        self._last = error
+        if not (saturated and error * self._integral > 0):
+            self._integral += error * dt
+        return self.kp * error + self.ki * self._integral + self.kd * self._slope
+
+
+class PressureLoop:
+    """The inner loop: from wanted pressures to the plant's inputs, whatever feeds the muscles.
+
+    time_constant : of the closed pressure loop [s]. A ``Regulator`` gets the command
+        p + lag/time_constant (p_wanted - p), which makes it as quick as that (None: p_wanted
+        itself);
+        pressures that are inputs are simply set.
+    gain : opening of a valve per pressure error [1/Pa], for spool and on/off valves; the command
+    that
+        gives this opening is sent, so that the dead zone of a spool leaves no error.
+    """
+
+    def __init__(
+        self, plant: Plant, time_constant: float | None = None, gain: float = 2e-5
+    ) -> None:
+        self.gain = require_positive("gain", gain, "1/Pa")
+        self.inversion = Inversion(plant)
+        names = {v.name: v for v in plant.variables}
+        self._rules: list[Callable[[Mapping[str, float], Measured], dict[str, float]]] = []
+        muscles = [n.removesuffix(".pressure") for n in names if n.endswith(".pressure")]
+        for m in muscles:
+            command = names.get(f"{m}.command")
+            if names[f"{m}.pressure"].causality == "input":
+                self._rules.append(lambda p, y, m=m: {f"{m}.pressure": p[m]})  # type: ignore[misc]
+            elif command is not None and command.causality == "input" and command.unit == "Pa":
+                self._rules.append(self._regulator(plant, m, time_constant))
+            elif command is not None and command.causality == "input":
+                self._rules.append(self._spool(m))
+            elif f"{m}.fill" in names:
+                self._rules.append(self._on_off(m))
+            else:
+                raise InputError(
+                    f"PressureLoop: nothing in {plant.name!r} sets the pressure of {m}; give it a "
+                    "feed"
+                )
+
+    def _regulator(
+        self, plant: Plant, m: str, time_constant: float | None
+    ) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
+        ratio = 0.0
+        if time_constant is not None:
+            lag = float(plant.variable(f"{m}.lag").start or 0.0)
+            ratio = lag / require_positive("time_constant", time_constant, "s")
+
+        def rule(p: Mapping[str, float], y: Measured) -> dict[str, float]:
+            now = y[f"{m}.pressure"]
+            return {f"{m}.command": now + ratio * (p[m] - now) if ratio else p[m]}
+
+        return rule
+
+    def _spool(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
+        name = self.inversion.name(f"{m}.command")  # the opening where the plant declares one
+        return lambda p, y: {name: self._opening(p[m] - y[f"{m}.pressure"])}
+
+    def _on_off(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
+        def rule(p: Mapping[str, float], y: Measured) -> dict[str, float]:
+            opening = self._opening(p[m] - y[f"{m}.pressure"])
+            return {f"{m}.fill": max(opening, 0.0), f"{m}.vent": max(-opening, 0.0)}
+
+        return rule
+
+    def _opening(self, error: float) -> float:
+        return float(np.clip(self.gain * error, -1.0, 1.0))
+
+    def __call__(self, wanted: Mapping[str, float], measured: Measured) -> dict[str, float]:
+        """Inputs by name for wanted pressures {muscle: Pa}."""
+        inputs: dict[str, float] = {}
+        for rule in self._rules:
+            inputs.update(rule(wanted, measured))
+        return self.inversion.commands(inputs)
+
+
+class PositionController:
+    """Position loop: PID plus feed-forward by the exact inverse of the plant's equations.
+
+    The PID gives an acceleration, to which the reference's is added; the inverse at the reference
+    turns both (and the wanted stiffness of a pair) into pressures, an inner loop those into inputs.
+
+    plant : what the controller believes the plant to be. reference : position, see ``references``.
+    pid : in 1/s^2 per unit of position; see :meth:`PID.placed`.
+    stiffness : wanted stiffness of a pair [N/m or N m/rad], a number or a function of time.
+    inner : a :class:`PressureLoop`; by default one that passes commands on.
+    feedforward : False leaves the reference's motion to the PID alone (for comparison).
+    dt : sampling time [s], that of :func:`closed_loop`.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        reference: Reference,
+        pid: PID,
+        *,
+        dt: float,
+        stiffness: float | Callable[[float], float] | None = None,
+        inner: PressureLoop | None = None,
+        feedforward: bool = True,
+    ) -> None:
+        self.inverse = InverseDynamics(plant)
+        self.reference, self.pid, self.dt = reference, pid, require_positive("dt", dt, "s")
+        self.stiffness, self.feedforward = stiffness, feedforward
+        self.inner = inner or PressureLoop(plant)
+        self._saturated = False
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self.pid.reset()
+        self._saturated = False
+
+    def pressures(self, t: float, acceleration: float = 0.0) -> Array:
+        """Pressures that move the believed plant along the reference, plus an acceleration."""
+        at = self.reference(t if self.feedforward else 0.0)
+        stiffness = self.stiffness(t) if callable(self.stiffness) else self.stiffness
+        return self.inverse(at[0], at[1], at[2] + acceleration, stiffness)
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        error = self.reference(t)[0] - measured[self.inverse.position]
+        p = self.pressures(t, self.pid(error, self.dt, self._saturated))
+        self._saturated = bool(np.any((p <= self.inverse.low) | (p >= self.inverse.high)))
+        return self.inner(dict(zip(self.inverse.muscles, p.tolist(), strict=True)), measured)

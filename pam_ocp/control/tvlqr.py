@@ -1,0 +1,260 @@
+"""Time-varying LQR along a planned motion: the Riccati differential equation, backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.errors import InputError, require_positive
+from ..core.trajectory import Trajectory
+from ..operating.linear import LinearAlong, linearize_along, no_influence
+from ..operating.stuck import Stuck
+from ..plants.opening import Inversion
+from ..plants.plant import Plant, require_plant
+from .loop import Measured
+from .lqr import Integrals, Weighting, saturated, sent, stationary
+
+__all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+class OpenLoop:
+    """A Controller that plays the inputs of a motion, whatever happens (for comparison)."""
+
+    def __init__(self, plant: Plant, motion: Trajectory, dt: float) -> None:
+        self.motion, self.dt = motion, require_positive("dt", dt, "s")
+        self.inputs = [v.name for v in plant.inputs if not v.disturbance]
+        self._all = list(motion.named("input"))
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+
+    def planned(self, t: float) -> Array:
+        """The inputs to hold over the sample from t on: those of its middle."""
+        middle = float(np.clip(t + self.dt / 2, self.motion.t[0], self.motion.t[-1]))
+        if self.motion.signals is not None:
+            row = self.motion.signals(middle)[0]
+            return np.array([row[self._all.index(n)] for n in self.inputs])
+        return np.array([np.interp(middle, self.motion.t, self.motion[n]) for n in self.inputs])
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        return dict(zip(self.inputs, self.planned(t).tolist(), strict=True))
+
+
+@dataclass
+class TrajectoryFeedback:
+    """u = u(t) - K(t) (x - x(t)) - Ki(t) integral(y - y(t)): a Controller along a motion.
+
+    t : (n,) [s]; K : (n, inputs, states), Ki : (n, inputs, integrated), SI units; P : (n, N, N),
+    the
+    solution of the Riccati equation in units of nominal (cost to go = z' P z, z in nominals).
+    For a plant fed by valves u stands for the openings (``inputs``); commands are sent.
+    """
+
+    plant: Plant
+    motion: Trajectory = field(repr=False)
+    t: Array
+    K: Array = field(repr=False)
+    Ki: Array = field(repr=False)
+    P: Array = field(repr=False)
+    integrated: list[str]
+    dt: float
+
+    def __post_init__(self) -> None:
+        self._open = OpenLoop(self.plant, self.motion, self.dt)
+        self._inversion = Inversion(self.plant)
+        inner = self._inversion.inner
+        self.inputs = [v.name for v in inner.inputs if not v.disturbance]
+        self._states = [v.name for v in self.plant.states]
+        self._x = self.motion.array(self._states)
+        self._y = self.motion.array(self.integrated)
+        chosen = [inner.variable(n) for n in self.inputs]
+        self._low, self._high = (np.array([getattr(v, a) for v in chosen]) for a in ("min", "max"))
+        self._integrals = Integrals(self.integrated)
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self._integrals.reset()
+
+    def _row(self, t: float, values: Array, times: Array) -> Array:
+        i = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2))
+        share = float(np.clip((t - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0))
+        return np.asarray(values[i] + share * (values[i + 1] - values[i]))
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        x = np.array([measured[n] for n in self._states])
+        planned = self._planned(t)
+        u = planned - self._row(t, self.K, self.t) @ (x - self._row(t, self._x, self.motion.t))
+        u = u - self._row(t, self.Ki, self.t) @ self._integrals.values
+        if self.integrated:
+            y = np.array([measured[n] for n in self.integrated])
+            error = y - self._row(t, self._y, self.motion.t)
+            self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
+        return sent(self._inversion, self.inputs, u)
+
+    def _planned(self, t: float) -> Array:
+        """The motion's inputs, commands as the openings that they give."""
+        planned = self._open.planned(t)
+        if not self._inversion:
+            return planned
+        named = dict(zip(self._open.inputs, planned.tolist(), strict=True))
+        inner = self._inversion.openings(named)
+        return np.array([inner[n] for n in self.inputs])
+
+
+def tvlqr(
+    plant: Plant,
+    motion: Trajectory,
+    *,
+    weights: Mapping[str, float] | None = None,
+    effort: float | Mapping[str, float] = 1.0,
+    integral: Mapping[str, float] | None = None,
+    final: ArrayLike | None = None,
+    t: ArrayLike | None = None,
+    dt: float = 1e-3,
+    rtol: float = 1e-8,
+) -> TrajectoryFeedback:
+    """Time-varying LQR along a motion of the plant (a plan's trajectory or its replay).
+
+    -P' = A'P + P A - P B R^-1 B'P + Q, P(end) = ``final``, solved backwards by SciPy along exact
+    A(t), B(t); K = R^-1 B'P.
+
+    weights, effort, integral : see :class:`Weighting`, in units of nominal.
+    final : P at the end (in units of nominal); by default that of the stationary LQR there, so that
+        the plant can be held where the motion ends.
+    A plant fed by valves is controlled by its openings, which leave no stretch without influence;
+    the
+    motion holds its commands, as a plan does.
+
+    t : times at which A, B and K are taken; by default the motion's samples.
+    dt : sampling time [s] of the controller.
+
+    Raises InputError for a motion without the plant's states and inputs, or when no stationary LQR
+    exists at the end (give ``final``).
+    """
+    from scipy.integrate import solve_ivp
+
+    require_plant(plant)
+    if not isinstance(motion, Trajectory):
+        raise InputError(
+            f"motion is a {type(motion).__name__}, not a Trajectory of the plant, such as "
+            "plan.trajectory"
+        )
+    inversion = Inversion(plant)
+    if isinstance(effort, Mapping):
+        effort = inversion.names(effort)
+    weighting = Weighting(inversion.inner, weights, effort, integral or {})
+    outputs = [v.name for v in (*plant.states, *plant.outputs)]
+    sampled = motion if t is None else motion.at(t)
+    if inversion:
+        sampled = in_openings(inversion, sampled)
+    along = linearize_along(inversion.inner, sampled, inputs=weighting.inputs)
+    no_influence("tvlqr", inversion.inner, along.B, weighting.inputs)
+    a, b, q, r = _along(weighting, along, outputs)
+    size, inverse = a.shape[-1], np.linalg.inv(r)
+    follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)
+    nominal, more = along.plant.vector("state", attribute="nominal"), len(weighting.integrated)
+    stuck = follow.lift(nominal, more), follow.pick(more)
+    end, least = _final(final, a[-1], b[-1], q[-1], r, stuck, len(follow.kept))
+    q = q + least
+
+    def riccati(time: float, flat: Any) -> Any:
+        i = int(np.clip(np.searchsorted(along.t, time, side="right") - 1, 0, len(along.t) - 2))
+        share = (time - along.t[i]) / (along.t[i + 1] - along.t[i])
+        at, bt, qt = (m[i] + share * (m[i + 1] - m[i]) for m in (a, b, q))
+        p = flat.reshape(size, size)
+        pb = p @ bt
+        return -(at.T @ p + p @ at - pb @ inverse @ pb.T + qt).ravel()
+
+    # entries differ by decades; the largest at the end, or what Q piles up, says what is small
+    span = along.t[-1] - along.t[0]
+    large = max(float(np.abs(end).max()), float(np.abs(q).max() * span), 1e-300)
+    solution = solve_ivp(
+        riccati,
+        (along.t[-1], along.t[0]),
+        end.ravel(),
+        method="LSODA",
+        t_eval=along.t[::-1],
+        rtol=rtol,
+        atol=1e-3 * rtol * large,
+    )
+    if not solution.success:
+        raise InputError(
+            f"tvlqr: the Riccati equation could not be integrated ({solution.message})"
+        )
+    p = solution.y.T[::-1].reshape(-1, size, size)
+    p = (p + p.swapaxes(1, 2)) / 2
+    gains = [weighting.unscaled(inverse @ bt.T @ pt) for bt, pt in zip(b, p, strict=True)]
+    return TrajectoryFeedback(
+        plant,
+        motion,
+        along.t,
+        np.array([k for k, _ in gains]),
+        np.array([k for _, k in gains]),
+        p,
+        weighting.integrated,
+        require_positive("dt", dt, "s"),
+    )
+
+
+def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
+    """A motion with the openings that its commands give, in place of the commands."""
+    names = [v.name for v in inversion.plant.inputs]
+    missing = [n for n in names if n not in motion]
+    if missing:
+        raise InputError(
+            f"the motion holds no column {missing[0]!r} of plant {inversion.plant.name!r}"
+        )
+    rows = inversion.rows(motion.array(names))
+    states = [v.name for v in inversion.plant.states if v.name in motion]
+    columns = {n: motion[n] for n in states}
+    columns |= {v.name: rows[:, i] for i, v in enumerate(inversion.inner.inputs)}
+    return Trajectory(motion.t, columns, [inversion.inner.variable(n) for n in columns])
+
+
+def _along(
+    weighting: Weighting, along: LinearAlong, outputs: list[str]
+) -> tuple[Array, Array, Array, Array]:
+    """A(t), B(t) with integrals and Q(t), in units of nominal (weighted outputs bend Q), and R."""
+    rows = [
+        weighting.scaled(a, b, c, outputs)
+        for a, b, c in zip(along.A, along.B, along.C, strict=True)
+    ]
+    a, b, q, r = (np.array(m) for m in zip(*rows, strict=True))
+    return a, b, q, r[0]
+
+
+def _final(
+    final: ArrayLike | None,
+    a: Array,
+    b: Array,
+    q: Array,
+    r: Array,
+    stuck: tuple[Array, Array],
+    states: int,
+) -> tuple[Array, Array]:
+    """P at the end, and what the stationary LQR there needed of weight besides Q.
+
+    stuck : (lift, pick) of Stuck, by which held memories are left out of the ``states``.
+    """
+    if final is not None:
+        given = np.asarray(final, float)
+        if given.shape != a.shape:
+            raise InputError(f"final has shape {given.shape}; the Riccati matrix has {a.shape}")
+        return given, np.zeros_like(q)
+    try:
+        lift, pick = stuck
+        kept = lift.T @ q @ lift
+        _, p, used = stationary(pick @ a @ lift, pick @ b, kept, r, states)
+    except ValueError as error:
+        raise InputError(
+            f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
+        ) from None
+    return pick.T @ p @ pick, pick.T @ (used - kept) @ pick

@@ -1,0 +1,1 @@
+"""What stands below all physics: errors, variables, units, files, signals, trajectories."""

@@ -1,0 +1,147 @@
+"""Values that are far from any usual one, and the unit that was probably meant.
+
+One table per kind of quantity serves all doors: :meth:`Variable.check` (start values, parameters,
+conditions, inputs), bounds and stops of plans, studies, and the arguments that never become a
+variable.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .units import unit as unit_of
+
+__all__ = ["UnitWarning", "Usual", "doubt", "meant", "meant_within"]
+
+FAR = 100.0
+"""What a variable calls its nominal size says what is usual for it: only so many times more is
+doubted.
+"""
+DIGITS = 5
+"""A number of more digits was computed, not typed, and is not doubted: a pressure may decay to
+0.137 Pa.
+"""
+ZERO_CELSIUS = 273.15
+
+
+class UnitWarning(UserWarning):
+    """A value is so far from any usual one that another unit was probably meant."""
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Sizes |value| from ``least`` to ``most`` [SI] pass, and 0; beyond, one of ``units`` was
+    meant.
+
+    typical : of several units the one is named that brings the value nearest to this size [SI].
+    """
+
+    least: float
+    most: float
+    units: tuple[str, ...]
+    typical: float
+    remedy: str = "check its unit"
+    """What to say where none of the units fits."""
+
+
+_USUAL: dict[str, Usual] = {
+    "Pa": Usual(1e3, 1e8, ("bar", "kPa", "MPa", "psi"), 3e5),
+    "Pa/s": Usual(1e4, 1e11, ("bar/s", "kPa/s", "MPa/s"), 4e6),
+    "m": Usual(0.0, 4.0, ("mm", "cm", "in"), 0.05),
+    "m/s": Usual(0.0, 200.0, ("mm/s", "cm/s"), 0.5),
+    "kg": Usual(0.0, 1e3, ("g",), 5.0),
+    "K": Usual(100.0, 2e3, ("degC",), 293.15),
+    "rad": Usual(0.0, 2 * math.pi, ("deg",), 0.5),
+    "m3": Usual(0.0, 0.5, ("l", "cm3", "mm3"), 1e-4),
+    "m3/(s.Pa)": Usual(
+        0.0, 1e-3, (), 1e-8, "conductance_from_flow(...) makes it from a nominal flow in l/min"
+    ),
+    "Hz": Usual(0.0, 1e5, (), 1.0),
+}
+_TIME_CONSTANT = Usual(0.0, 5.0, ("ms",), 0.05)
+_BY_KIND = {unit_of(name).exponents: usual for name, usual in _USUAL.items()}
+
+
+def _in_si(value: float, unit: str) -> float:
+    return value + ZERO_CELSIUS if unit == "degC" else value * unit_of(unit).factor
+
+
+def _typed(value: float) -> bool:
+    """Whether a person wrote this number: it has few digits."""
+    return value == float(f"{value:.{DIGITS}g}")
+
+
+def meant(value: float, unit: str, usual: Usual | None = None) -> str | None:
+    """What was probably meant by ``value`` [unit, SI], as "3 bar = 3e+05 Pa"; None when it is
+    usual.
+
+    "" when it is unusual, and no unit known here makes it usual.
+    """
+    usual = usual or _BY_KIND.get(unit_of(unit).exponents)
+    size = abs(value)
+    if usual is None or size == 0 or not math.isfinite(value) or not _typed(value):
+        return None
+    if usual.least <= size <= usual.most:
+        return None
+    found = [(_in_si(value, name), name) for name in usual.units]
+    inside = [(v, name) for v, name in found if usual.least <= abs(v) <= usual.most]
+    if not inside:
+        return ""
+    best, name = min(inside, key=lambda pair: abs(math.log(abs(pair[0]) / usual.typical)))
+    return f"{value:g} {name} = {best:g} {unit}"
+
+
+def meant_within(value: float, unit: str, low: float, high: float) -> str:
+    """A remedy for a value outside ``low`` .. ``high``: the unit in which it lies inside, or ""."""
+    usual = _BY_KIND.get(unit_of(unit).exponents)
+    names = usual.units if usual else ("%",) if unit == "1" else ()
+    for name in names:
+        inside = _in_si(value, name)
+        if low <= inside <= high and _typed(value):
+            return (
+                f"; did you mean {value:g} {name} = {inside:g}{'' if unit == '1' else f' {unit}'}?"
+            )
+    return ""
+
+
+def doubt(
+    argument: str, value: Any, unit: str, *, nominal: float = 0.0, time_constant: bool = False
+) -> bool:
+    """Warn (UnitWarning) when the numbers ``value`` [unit] are far from any usual ones; True then.
+
+    Of arrays the largest number counts. nominal : a size at which large numbers are no wonder.
+    time_constant : seconds of a lag, not of a duration.
+    """
+    if isinstance(value, float):
+        largest = value
+    else:
+        numbers = np.atleast_1d(np.asarray(value, dtype=float))
+        largest = float(numbers.flat[int(np.argmax(np.abs(numbers)))]) if numbers.size else 0.0
+    usual = _TIME_CONSTANT if time_constant else _BY_KIND.get(unit_of(unit).exponents)
+    probable = meant(largest, unit, usual)
+    large = usual is not None and abs(largest) > usual.most
+    if usual is None or probable is None or (large and abs(largest) < FAR * nominal):
+        return False
+    hint = f"did you mean {probable}?" if probable else usual.remedy
+    warnings.warn(
+        f"{argument} = {largest:g} {unit} is far from any usual value; {hint}",
+        UnitWarning,
+        stacklevel=_outside(),
+    )
+    return True
+
+
+def _outside() -> int:
+    """How far up the stack the user's own code stands, as ``warnings.warn`` counts it in doubt."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back is not None:
+        level, frame = level + 1, frame.f_back
+        if frame.f_globals.get("__name__", "").partition(".")[0] != "pam_ocp":
+            return level
+    return 2

@@ -1,0 +1,237 @@
+"""Input signals: piecewise polynomials of time, made from whatever a user has.
+
+Constants, samples (held or joined by lines), functions of time and trajectories all become one
+exact form, so that an integrator never steps over a jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from math import comb
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError
+
+if TYPE_CHECKING:
+    from ..plants.plant import Plant
+    from .trajectory import Trajectory
+
+__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "signals"]
+
+Array: TypeAlias = NDArray[np.float64]
+Interpolation: TypeAlias = Literal["previous", "linear"]
+Inputs: TypeAlias = "Mapping[str, Any] | Trajectory | PiecewisePolynomial | None"
+
+FUNCTION_TOLERANCE = 1e-9
+"""A function of time is replaced by cubics that follow it to this part of the input's nominal."""
+SHORTEST_PIECE = 1e-9
+"""... down to pieces of this length [s], where a jump is taken for a jump."""
+
+
+@dataclass(frozen=True)
+class PiecewisePolynomial:
+    """Signals u_i(t) = sum_j c[k, j, i] (t - breaks[k])^j on breaks[k] <= t < breaks[k + 1].
+
+    breaks : (n + 1,) times [s], rising. coefficients : (n, degree + 1, number of signals).
+    Outside the breaks the first and the last value are held.
+    """
+
+    breaks: Array
+    coefficients: Array
+
+    @property
+    def degree(self) -> int:
+        return int(self.coefficients.shape[1]) - 1
+
+    def __call__(self, t: ArrayLike) -> Array:
+        """Values (number of times, number of signals); the right-hand value at a jump."""
+        inside = np.clip(np.atleast_1d(np.asarray(t, float)), self.breaks[0], self.breaks[-1])
+        piece = np.searchsorted(self.breaks, inside, side="right") - 1
+        piece = np.clip(piece, 0, len(self.breaks) - 2)
+        s = inside - self.breaks[piece]
+        powers = s[:, None] ** np.arange(self.degree + 1)
+        return np.asarray(np.einsum("tj,tji->ti", powers, self.coefficients[piece]))
+
+    def shifted(self, breaks: Array) -> PiecewisePolynomial:
+        """The same signals on finer breaks (which must hold the old ones that lie inside)."""
+        inside = np.clip(breaks[:-1], self.breaks[0], self.breaks[-1])
+        piece = np.clip(
+            np.searchsorted(self.breaks, inside + 1e-12 * (1 + abs(inside)), side="right") - 1,
+            0,
+            len(self.breaks) - 2,
+        )
+        s = inside - self.breaks[piece]
+        old = self.coefficients[piece]
+        new = np.zeros_like(old)
+        n = self.degree + 1
+        for j in range(n):  # Taylor shift: (s + h)^m = sum_j binom(m, j) s^(m-j) h^j
+            for m in range(j, n):
+                new[:, j] += comb(m, j) * (s ** (m - j))[:, None] * old[:, m]
+        outside = (breaks[:-1] < self.breaks[0]) | (breaks[:-1] >= self.breaks[-1])
+        new[outside, 1:] = 0.0
+        new[outside, 0] = self(breaks[:-1][outside])
+        late = breaks[:-1] >= self.breaks[-1]
+        if late.any():
+            new[late, 0] = self.final()
+        return PiecewisePolynomial(np.asarray(breaks, float), new)
+
+    def final(self) -> Array:
+        """The value at the last break, from the left."""
+        h = self.breaks[-1] - self.breaks[-2]
+        return np.asarray((h ** np.arange(self.degree + 1)) @ self.coefficients[-1])
+
+
+def signals(
+    plant: Plant,
+    inputs: Inputs,
+    t: Array,
+    interpolation: Interpolation = "previous",
+) -> PiecewisePolynomial:
+    """The inputs of a plant over [t[0], t[-1]] as one piecewise polynomial.
+
+    inputs : {name: number | array of len(t) | function of time | (times, values)}, a Trajectory, or
+        None; inputs that are not named keep their start value.
+    interpolation : how arrays run between the samples ("previous" holds, "linear" joins).
+    """
+    if isinstance(inputs, PiecewisePolynomial):
+        if inputs.coefficients.shape[2] != len(plant.inputs):
+            raise InputError(
+                f"inputs hold {inputs.coefficients.shape[2]} signals, the plant has "
+                f"{len(plant.inputs)} inputs"
+            )
+        return inputs
+    if interpolation not in ("previous", "linear"):
+        raise InputError(f"interpolation = {interpolation!r}: choose 'previous' (held) or 'linear'")
+    given = _by_name(plant, inputs)
+    if inputs is not None and not isinstance(inputs, Mapping):
+        if inputs.signals is not None:
+            names = inputs.named("input")
+            order = [names.index(v.name) for v in plant.inputs]
+            return PiecewisePolynomial(
+                inputs.signals.breaks, inputs.signals.coefficients[:, :, order]
+            )
+        interpolation = inputs.interpolation
+    pieces = [
+        _one(variable, given.get(variable.name, variable.start), t, interpolation)
+        for variable in plant.inputs
+    ]
+    return _joined(pieces, t)
+
+
+def _by_name(plant: Plant, inputs: Any) -> dict[str, Any]:
+    if inputs is None:
+        return {}
+    if isinstance(inputs, Mapping):
+        given = {plant.variable(name).name: value for name, value in inputs.items()}
+        wrong = [n for n in given if plant.variable(n).causality != "input"]
+        if wrong:
+            raise InputError(
+                f"inputs: {wrong[0]} is a {plant.variable(wrong[0]).causality} of the plant, not "
+                "an "
+                f"input; its inputs are {', '.join(v.name for v in plant.inputs)}"
+            )
+        return given
+    if not hasattr(inputs, "interpolation"):
+        raise InputError(
+            f"inputs is a {type(inputs).__name__}: give {{name: value}}, such as "
+            f"{{{plant.inputs[0].name if plant.inputs else 'name'!r}: 3e5}}, or a Trajectory"
+        )
+    missing = [v.name for v in plant.inputs if v.name not in inputs.names]
+    if missing:
+        raise InputError(f"inputs: the trajectory holds no column {missing[0]!r}")
+    return {v.name: (inputs.t, inputs[v.name]) for v in plant.inputs}
+
+
+def numbers(argument: str, value: Any) -> Array:
+    """``value`` as an array of finite numbers; InputError when it is none."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{argument}: {type(value).__name__} does not hold numbers only") from None
+    if not np.all(np.isfinite(array)):
+        row = int(np.argmin(np.isfinite(array.ravel())))
+        raise InputError(f"{argument}: sample {row} is {array.ravel()[row]}; all must be finite")
+    return array
+
+
+def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> PiecewisePolynomial:
+    if callable(value):
+        return _from_function(variable, value, t)
+    label = f"input {variable.name}"
+    if isinstance(value, tuple) and len(value) == 2:
+        times, samples = (numbers(label, v) for v in value)
+    elif np.ndim(value) == 0:
+        constant = np.full((1, 1, 1), variable.check(value))
+        return PiecewisePolynomial(np.array([t[0], t[-1]]), constant)
+    else:
+        times, samples = t, numbers(label, value)
+    variable.doubt(samples)
+    if samples.shape != times.shape or samples.ndim != 1 or len(samples) < 2:
+        raise InputError(
+            f"input {variable.name}: {samples.size} samples for {times.size} times; "
+            "give a number, one value per time, a (times, values) pair, or a function of time"
+        )
+    if not np.all(np.diff(times) > 0):
+        raise InputError(f"input {variable.name}: the times must rise from sample to sample")
+    if interpolation == "previous":
+        return PiecewisePolynomial(times, samples[:-1, None, None])
+    slopes = np.diff(samples) / np.diff(times)
+    return PiecewisePolynomial(times, np.stack([samples[:-1], slopes], axis=1)[:, :, None])
+
+
+def _from_function(
+    variable: Any, function: Callable[[float], float], t: Array
+) -> PiecewisePolynomial:
+    """Cubic pieces through four Chebyshev points, halved until they follow the function."""
+
+    def sample(time: float) -> float:
+        value = np.asarray(function(float(time)), float)
+        if value.size != 1 or not np.isfinite(value).all():
+            raise InputError(
+                f"input {variable.name}: the function gives {value} at t = {time:g} s; "
+                "it must give one finite number"
+            )
+        return float(value.reshape(()))
+
+    nodes = (1 - np.cos(np.pi * (np.arange(4) + 0.5) / 4)) / 2
+    inverse = np.linalg.inv(nodes[:, None] ** np.arange(4))
+    probes = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-9])
+    done: list[tuple[float, Array]] = []
+    stack = list(pairwise(t))[::-1]
+    while stack:
+        a, b = stack.pop()
+        h = b - a
+        cubic = inverse @ [sample(a + h * s) for s in nodes]
+        error = max(abs(sample(a + h * s) - (s ** np.arange(4)) @ cubic) for s in probes)
+        if error <= FUNCTION_TOLERANCE * variable.nominal or h <= SHORTEST_PIECE:
+            done.append((a, cubic / h ** np.arange(4)))
+        else:
+            stack += [(a + h / 2, b), (a, a + h / 2)]
+    breaks = np.array([a for a, _ in done] + [t[-1]])
+    return PiecewisePolynomial(breaks, np.array([c for _, c in done])[:, :, None])
+
+
+def _joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:
+    """Several signals on the union of their breaks, over [t[0], t[-1]]."""
+    inside = [p.breaks[(p.breaks > t[0]) & (p.breaks < t[-1])] for p in pieces]
+    breaks = merged(np.concatenate([t[[0, -1]], *inside]))
+    degree = max((p.degree for p in pieces), default=0)
+    coefficients = np.zeros((len(breaks) - 1, degree + 1, len(pieces)))
+    for i, p in enumerate(pieces):
+        coefficients[:, : p.degree + 1, i] = p.shifted(breaks).coefficients[:, :, 0]
+    return PiecewisePolynomial(breaks, coefficients)
+
+
+def merged(times: Array) -> Array:
+    """Sorted times without those that differ only by rounding."""
+    times = np.sort(times)
+    keep = np.concatenate([[True], np.diff(times) > 1e-12 * (1 + np.abs(times[1:]))])
+    keep[-1] = True
+    if len(times) > 1 and not np.diff(times)[-1] > 1e-12 * (1 + abs(times[-1])):
+        keep[-2] = len(times) == 2
+    return np.asarray(times[keep])

@@ -1,0 +1,398 @@
+"""Trajectory: named time series with units.
+
+What a simulation, a plan and an FMU's replay return, and what a measured record is.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError, UnknownNameError
+from .files import atomic_path
+from .signals import Interpolation, PiecewisePolynomial
+from .variables import Causality, Variable
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["HELD", "Comparison", "Event", "Trajectory", "interpolation_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+HELD = "inputs_held"
+"""Column of a CSV file that says how its inputs ran: 1 held from sample to sample, 0 joined by
+lines.
+"""
+
+
+def interpolation_of(held: Array, label: str) -> Interpolation:
+    """What the column ``inputs_held`` of a file says. Raises InputError for other values than 0 or
+    1.
+    """
+    if np.all(held == 1):
+        return "previous"
+    if np.all(held == 0):
+        return "linear"
+    raise InputError(
+        f"{label}: column {HELD!r} must hold 1 (inputs held from sample to sample) or 0 (joined "
+        "by lines) "
+        "in all rows"
+    )
+
+
+@dataclass(frozen=True)
+class Event:
+    """A zero crossing of the variable ``name`` at ``time`` [s]; ``rising`` when it grows."""
+
+    time: float
+    name: str
+    rising: bool
+
+
+class Trajectory:
+    """Time series of named variables on common times.
+
+    Parameters
+    ----------
+    t : (n,) times [s], rising.
+    columns : {name: (n,) values in SI}.
+    variables : what the columns are (unit, causality, nominal, description), in order of display.
+    interpolation : how inputs ran between samples: "previous" (held) or "linear". None: not known;
+    they
+        count as linear, and ``interpolation_known`` is False, so that a fit tries both. Files keep
+        it:
+        .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
+    events : zero crossings that a simulation located (they are not saved to files).
+    signals : the inputs (in the order of their columns) exactly as they ran, also between samples;
+        None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
+
+    ``trajectory["x"]`` gives the samples of one variable; ``_`` may stand for ``.`` in names.
+    """
+
+    def __init__(
+        self,
+        t: ArrayLike,
+        columns: Mapping[str, ArrayLike],
+        variables: Sequence[Variable] | None = None,
+        interpolation: Interpolation | None = None,
+        events: Sequence[Event] = (),
+        signals: PiecewisePolynomial | None = None,
+    ) -> None:
+        self.signals = signals
+        self.events: tuple[Event, ...] = tuple(events)
+        self.t: Array = np.array(t, dtype=float)
+        if self.t.ndim != 1 or self.t.size == 0:
+            raise InputError(f"t has shape {self.t.shape}; give a row of at least one time")
+        if not np.all(np.isfinite(self.t)) or not np.all(np.diff(self.t) > 0):
+            row = int(np.argmax(~(np.diff(self.t) > 0))) + 1
+            raise InputError(f"t must rise from sample to sample; it does not at sample {row}")
+        if interpolation not in ("previous", "linear", None):
+            raise InputError(f"interpolation = {interpolation!r}: choose 'previous' or 'linear'")
+        self.interpolation_known = interpolation is not None or signals is not None
+        self.interpolation: Interpolation = interpolation or "linear"
+        if variables is None:
+            variables = [Variable(name, "output") for name in columns]
+        self.variables: tuple[Variable, ...] = tuple(variables)
+        self._columns: dict[str, Array] = {}
+        for variable in self.variables:
+            if variable.name not in columns:
+                raise UnknownNameError("column", variable.name, columns)
+            column = np.array(columns[variable.name], dtype=float)
+            if column.shape != self.t.shape:
+                raise InputError(
+                    f"column {variable.name!r} has shape {column.shape}, the times {self.t.shape}"
+                )
+            # samples of an input that is known in between must not drift from it
+            column.setflags(write=signals is None or variable.causality != "input")
+            self._columns[variable.name] = column
+
+    # ---- reading ----------------------------------------------------------------------------
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self._columns)
+
+    def variable(self, name: str) -> Variable:
+        """The variable of this name. Raises UnknownNameError with the nearest names."""
+        for variable in self.variables:
+            if name in (variable.name, variable.name.replace(".", "_")):
+                return variable
+        raise UnknownNameError("column of the trajectory", name, self.names)
+
+    def __getitem__(self, name: str) -> Array:
+        return self._columns[self.variable(name).name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    def named(self, causality: Causality) -> tuple[str, ...]:
+        """Names of all columns of a causality ("state", "input", "output")."""
+        return tuple(v.name for v in self.variables if v.causality == causality)
+
+    def array(self, names: Sequence[str]) -> Array:
+        """The columns of these names, side by side: (n, len(names))."""
+        return np.column_stack([self[n] for n in names]) if names else np.empty((len(self), 0))
+
+    def row(self, index: int) -> dict[str, float]:
+        """All values at one sample, by name."""
+        return {name: float(column[index]) for name, column in self._columns.items()}
+
+    def at(self, t: ArrayLike) -> Trajectory:
+        """The same variables at other times [s] inside the record.
+
+        Inputs follow ``signals`` or else ``interpolation``; all else is joined by straight lines.
+        """
+        times = np.atleast_1d(np.asarray(t, float))
+        slack = 1e-9 * (1 + abs(self.t[-1]))
+        if times.min() < self.t[0] - slack or times.max() > self.t[-1] + slack:
+            raise InputError(
+                f"t = {times.min():g} .. {times.max():g} s leaves the record "
+                f"{self.t[0]:g} .. {self.t[-1]:g} s"
+            )
+        held = np.clip(np.searchsorted(self.t, times + slack, side="right") - 1, 0, len(self) - 1)
+        exact = (
+            dict(zip(self.named("input"), self.signals(times).T, strict=True))
+            if self.signals
+            else {}
+        )
+        columns = {
+            v.name: exact[v.name]
+            if v.name in exact
+            else self._columns[v.name][held]
+            if v.causality == "input" and self.interpolation == "previous"
+            else np.interp(times, self.t, self._columns[v.name])
+            for v in self.variables
+        }
+        return Trajectory(times, columns, self.variables, self._between, (), self.signals)
+
+    @property
+    def _between(self) -> Interpolation | None:
+        """As the constructor takes it."""
+        return self.interpolation if self.interpolation_known else None
+
+    def running(self, interpolation: Interpolation) -> Trajectory:
+        """The same samples, the inputs known to have run so between them ("previous" or
+        "linear").
+        """
+        return Trajectory(self.t, self._columns, self.variables, interpolation, self.events)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Trajectory {self.t[0]:g} .. {self.t[-1]:g} s, {len(self)} samples of "
+            f"{', '.join(self.names)}>"
+        )
+
+    # ---- comparing --------------------------------------------------------------------------
+    def compare(self, other: Trajectory, names: Sequence[str] | None = None) -> Comparison:
+        """How far ``other`` is from this trajectory, variable by variable, at this one's times."""
+        shared = [n for n in self.names if n in other] if names is None else list(names)
+        if not shared:
+            raise InputError("the two trajectories have no column in common")
+        sampled = other if np.array_equal(self.t, other.t) else other.at(self.t)
+        rows = []
+        for name in shared:
+            variable = self.variable(name)
+            difference = sampled[name] - self[name]
+            rows.append(
+                Deviation(
+                    variable,
+                    largest=float(np.max(np.abs(difference))),
+                    time=float(self.t[int(np.argmax(np.abs(difference)))]),
+                    rms=float(np.sqrt(np.mean(difference**2))),
+                )
+            )
+        return Comparison(tuple(rows))
+
+    # ---- saving -----------------------------------------------------------------------------
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write to ``.csv`` (name and unit as header), ``.npz`` (everything) or ``.parquet``.
+
+        Raises InputError for another ending. An existing file is replaced only when all is written.
+        """
+        target = Path(path)
+        writers = {
+            ".csv": self._write_csv,
+            ".npz": self._write_npz,
+            ".parquet": self._write_parquet,
+        }
+        writer = writers.get(target.suffix.lower())
+        if writer is None:
+            raise InputError(f"{target.name}: save as one of {', '.join(writers)}")
+        with atomic_path(target) as temporary:
+            writer(temporary)
+        return target
+
+    def _write_csv(self, path: Path) -> None:
+        marked = self.interpolation_known and bool(self.named("input"))
+        mark = [HELD] if marked else []
+        held = np.full((len(self), len(mark)), float(self.interpolation == "previous"))
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time [s]", *(f"{v.name} [{v.unit}]" for v in self.variables), *mark])
+            writer.writerows(
+                [repr(float(c)) for c in line]
+                for line in np.column_stack([self.t, self.array(self.names), held])
+            )
+
+    def _write_npz(self, path: Path) -> None:
+        with path.open("wb") as file:
+            np.savez_compressed(
+                file,
+                allow_pickle=False,
+                t=self.t,
+                data=self.array(self.names),
+                meta=np.array(self._meta()),
+            )
+
+    def _meta(self) -> str:
+        content: dict[str, Any] = {
+            "interpolation": self._between,
+            "variables": [asdict(v) for v in self.variables],
+        }
+        if self.signals is not None:
+            content["signals"] = [self.signals.breaks.tolist(), self.signals.coefficients.tolist()]
+        return json.dumps(content)
+
+    def _write_parquet(self, path: Path) -> None:
+        frame = self.to_pandas()
+        frame.attrs = {"pam_ocp": self._meta()}
+        frame.to_parquet(path)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A DataFrame with one column per variable, indexed by time [s]."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise InputError("to_pandas needs pandas: pip install pam_ocp[studies]") from None
+        return pd.DataFrame(dict(self._columns), index=pd.Index(self.t, name="time"))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Read what :meth:`save` wrote. A CSV keeps names and units; its columns are outputs."""
+        source = Path(path)
+        if not source.is_file():
+            raise InputError(f"{source}: no such file")
+        readers = {".csv": cls._read_csv, ".npz": cls._read_npz, ".parquet": cls._read_parquet}
+        reader = readers.get(source.suffix.lower())
+        if reader is None:
+            raise InputError(f"{source.name}: load from one of {', '.join(readers)}")
+        return reader(source)
+
+    @classmethod
+    def _read_csv(cls, path: Path) -> Trajectory:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            header, *lines = csv.reader(file)
+        if not header or header[0].partition(" ")[0] != "time":
+            raise InputError(
+                f"{path.name}: the first column is {header[:1]}, it must be 'time [s]'"
+            )
+        try:
+            data = np.array([[float(c) for c in line] for line in lines])
+        except ValueError as error:
+            raise InputError(f"{path.name}: {error}; every cell must be a number") from None
+        if data.ndim != 2 or data.shape[1] != len(header):
+            raise InputError(f"{path.name}: the rows do not all have {len(header)} cells")
+        variables, between = [], None
+        if HELD in header:
+            between = interpolation_of(data[:, header.index(HELD)], path.name)
+            data = np.delete(data, header.index(HELD), axis=1)
+            header.remove(HELD)
+        for head in header[1:]:
+            name, _, unit = head.partition(" [")
+            variables.append(Variable(name, "output", unit=unit.rstrip("]") or "1"))
+        columns = {v.name: data[:, i + 1] for i, v in enumerate(variables)}
+        return cls(data[:, 0], columns, variables, between)
+
+    @classmethod
+    def _read_npz(cls, path: Path) -> Trajectory:
+        with np.load(path, allow_pickle=False) as file:
+            return cls._from_meta(str(file["meta"]), file["t"], file["data"])
+
+    @classmethod
+    def _read_parquet(cls, path: Path) -> Trajectory:
+        try:
+            import pandas as pd
+        except ImportError:
+            raise InputError(
+                "Parquet needs pandas and pyarrow: pip install pam_ocp[studies]"
+            ) from None
+        frame = pd.read_parquet(path)
+        return cls._from_meta(frame.attrs["pam_ocp"], frame.index.to_numpy(), frame.to_numpy())
+
+    @classmethod
+    def _from_meta(cls, meta: str, t: Array, data: Array) -> Trajectory:
+        content = json.loads(meta)
+        variables = [Variable(**v) for v in content["variables"]]
+        columns = {v.name: data[:, i] for i, v in enumerate(variables)}
+        signals = None
+        if "signals" in content:
+            breaks, coefficients = content["signals"]
+            signals = PiecewisePolynomial(np.array(breaks), np.array(coefficients))
+        return cls(t, columns, variables, content["interpolation"], (), signals)
+
+    # ---- looking ----------------------------------------------------------------------------
+    def plot(self, names: Sequence[str] | None = None) -> Figure:
+        """A figure with one panel per unit, over time. Returns the matplotlib Figure."""
+        from ..figures.trajectory import plot_trajectory
+
+        return plot_trajectory(self, names)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Difference of two trajectories in one variable [its unit]."""
+
+    variable: Variable
+    largest: float
+    time: float
+    rms: float
+
+    @property
+    def relative(self) -> float:
+        """Largest difference in units of the variable's nominal."""
+        return self.largest / self.variable.nominal
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Differences of two trajectories, one Deviation per shared variable."""
+
+    deviations: tuple[Deviation, ...]
+
+    @property
+    def largest(self) -> float:
+        """The largest difference of all, in units of nominal."""
+        return max(d.relative for d in self.deviations)
+
+    def __getitem__(self, name: str) -> Deviation:
+        for deviation in self.deviations:
+            if deviation.variable.name == name:
+                return deviation
+        raise UnknownNameError("compared column", name, [d.variable.name for d in self.deviations])
+
+    def __str__(self) -> str:
+        lines = [f"{'variable':<24}{'largest':>14}{'rms':>14}{'/ nominal':>12}{'at t [s]':>12}"]
+        lines += [
+            f"{d.variable.name:<24}{d.variable.shown(d.largest):>14}{d.variable.shown(d.rms):>14}"
+            f"{d.relative:>12.2e}{d.time:>12.5g}"
+            for d in self.deviations
+        ]
+        return "\n".join(lines)

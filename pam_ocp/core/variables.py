@@ -1,0 +1,165 @@
+"""Variable: one named quantity of a plant, with all that a reader or a tool wants to know of it."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from . import units
+from .errors import InputError
+from .plausible import doubt, meant_within
+from .quantities import quantity
+
+__all__ = ["Causality", "Memory", "Variable"]
+
+Causality = Literal["state", "input", "parameter", "output", "constraint"]
+Memory = Literal["", "held", "settling"]
+
+ROUNDING = 1e-6
+"""A value of a state so little outside its range, in units of nominal, is the end of the range."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A named quantity.
+
+    Parameters
+    ----------
+    name : letters, digits and underscores; parts joined by dots (``muscle1.pressure``).
+    causality : "state", "input", "parameter", "output" or "constraint".
+    unit : SI unit in Modelica's spelling (``"N.s/m"``); ``"1"`` for a pure number.
+    start : initial value of a state, default of an input, value of a parameter [unit].
+    min, max : allowed range [unit].
+    nominal : a typical size, > 0 [unit]; scales solvers and tolerances.
+    description : one line for people.
+    tunable : for parameters: may change while a simulation runs.
+    disturbance : for inputs: not for a controller to choose; plans and equilibria hold it at start.
+    memory : for states: "held" keeps at rest whatever value in min .. max the past has left
+        (hysteresis: rest is a continuum, and a point on it has to be chosen); "settling" forgets
+        slowly and rests where its own equation says (creep).
+    widest : for parameters that round off a kink: the width at which planning a motion begins, to
+    be
+        narrowed to the parameter's value; 0 for all others.
+    display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
+    """
+
+    name: str
+    causality: Causality
+    unit: str = "1"
+    start: float | None = None
+    min: float = -math.inf
+    max: float = math.inf
+    nominal: float = 1.0
+    description: str = ""
+    tunable: bool = False
+    display_unit: str = ""
+    disturbance: bool = False
+    memory: Memory = ""
+    widest: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not _NAME.match(self.name):
+            raise InputError(
+                f"name {self.name!r} of a variable: use letters, digits and underscores, "
+                "starting with a letter, parts joined by dots"
+            )
+        measured = units.unit(self.unit)
+        if not self.display_unit:
+            object.__setattr__(self, "display_unit", units.display_unit(self.unit))
+        elif not units.unit(self.display_unit).compatible(measured):
+            raise InputError(
+                f"{self.name}: display_unit {self.display_unit!r} does not measure the same "
+                f"quantity as unit {self.unit!r}"
+            )
+        if not (math.isfinite(self.nominal) and self.nominal > 0):
+            raise InputError(f"{self.name}: nominal = {self.nominal} must be finite and > 0")
+        if math.isnan(self.min) or math.isnan(self.max) or self.min > self.max:
+            raise InputError(
+                f"{self.name}: min = {self.min:g} must not lie above max = {self.max:g}"
+            )
+        if self.memory not in ("", "held", "settling"):
+            raise InputError(f"{self.name}: memory = {self.memory!r}; choose 'held' or 'settling'")
+        if self.memory and self.causality != "state":
+            raise InputError(f"{self.name}: only states have memory, this is a {self.causality}")
+        if self.memory == "held" and not (math.isfinite(self.min) and math.isfinite(self.max)):
+            raise InputError(f"{self.name}: a held memory needs a finite min and max")
+        if not (math.isfinite(self.max) and self.doubt(self.max, "max")):
+            self._check_start()
+
+    def _check_start(self) -> None:
+        if self.start is not None:
+            object.__setattr__(self, "start", self.check(self.start, "start"))
+
+    def number(self, value: Any, argument: str = "value") -> float:
+        """``value`` as a float [unit]; a text such as "20 mm" or "3 bar" is one too.
+
+        InputError when it is no number. Infinite and NaN pass here.
+        """
+        if isinstance(value, str):
+            return quantity(f"{self.name}: {argument}", value, self.unit)
+        if isinstance(value, bool | np.bool_) or np.ndim(value) > 0:
+            raise InputError(f"{self.name}: {argument} = {value!r} is not a number")
+        try:
+            return float(value)
+        except (TypeError, ValueError, RuntimeError):
+            raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
+
+    def check(self, value: Any, argument: str = "value") -> float:
+        """``value`` as a float; InputError when it is no finite number in [min, max].
+
+        A state may lie outside by the rounding of an integrator or a solver, ROUNDING nominals:
+        then
+        it is the end of its range. Warns (UnitWarning) when the value is so far from any usual one
+        that another unit was meant.
+        """
+        number = self.number(value, argument)
+        if not math.isfinite(number):
+            raise InputError(f"{self.name}: {argument} = {number} must be finite")
+        if self.causality == "state":
+            nearest = min(max(number, self.min), self.max)
+            if abs(number - nearest) <= ROUNDING * self.nominal:
+                number = nearest
+        if not self.min <= number <= self.max:
+            raise InputError(
+                f"{self.name}: {argument} = {self.shown(number)} is outside "
+                f"{self.shown(self.min)} .. {self.shown(self.max)}"
+                + meant_within(number, self.unit, self.min, self.max)
+            )
+        self.doubt(number, argument)
+        return number
+
+    def doubt(self, value: Any, argument: str = "value") -> bool:
+        """Warn (UnitWarning), and say so, when numbers [unit] are far from any usual ones."""
+        constant = self.unit == "s" and self.causality == "parameter"
+        return doubt(
+            f"{self.name}: {argument}",
+            value,
+            self.unit,
+            nominal=self.nominal,
+            time_constant=constant,
+        )
+
+    def with_start(self, value: Any) -> Variable:
+        """The same variable with another start value, checked against min and max."""
+        return replace(self, start=self.number(value, "start"))
+
+    @property
+    def display_factor(self) -> float:
+        """SI value per display unit: value_SI = display_factor * value_displayed."""
+        return units.unit(self.display_unit).factor / units.unit(self.unit).factor
+
+    def shown(self, value: float) -> str:
+        """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``."""
+        text = f"{value / self.display_factor + 0.0:.6g}"
+        return text if self.display_unit == "1" else f"{text} {self.display_unit}"
+
+    @property
+    def label(self) -> str:
+        """Name and display unit, for an axis or a column head."""
+        return self.name if self.display_unit == "1" else f"{self.name} [{self.display_unit}]"

@@ -1,0 +1,265 @@
+"""From C sources to shared libraries for every platform, on one machine, with a cache."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform as host
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata, util
+from pathlib import Path
+
+from ..core.errors import ExportError, UnknownNameError
+from .cache import cache_folder, home_folder, keep, kept, usable_folder
+from .runtime import c_sources
+
+__all__ = [
+    "PLATFORMS",
+    "Platform",
+    "cache_folder",
+    "compile_library",
+    "native",
+    "platforms_named",
+    "universal",
+]
+
+
+@dataclass(frozen=True)
+class Platform:
+    """A platform: its name in FMI 3, its folder in FMI 2, zig's name for it, the file's ending."""
+
+    name: str
+    folder2: str
+    target: str
+    suffix: str
+    on_request: bool = False
+    """Built only when asked for by name."""
+
+    @property
+    def is_darwin(self) -> bool:
+        return self.suffix == ".dylib"
+
+
+PLATFORMS = {
+    p.name: p
+    for p in (
+        Platform("x86_64-linux", "linux64", "x86_64-linux-gnu.2.17", ".so"),
+        Platform("aarch64-linux", "aarch64-linux", "aarch64-linux-gnu.2.17", ".so"),
+        Platform("x86_64-windows", "win64", "x86_64-windows-gnu", ".dll"),
+        Platform("x86_64-darwin", "darwin64", "x86_64-macos.11.0", ".dylib"),
+        Platform("aarch64-darwin", "darwin64", "aarch64-macos.11.0", ".dylib"),
+        Platform("x86-linux", "linux32", "x86-linux-gnu.2.17", ".so", on_request=True),
+        Platform("x86-windows", "win32", "x86-windows-gnu", ".dll", on_request=True),
+        Platform("aarch64-windows", "aarch64-windows", "aarch64-windows-gnu", ".dll", True),
+    )
+}
+"""Every platform that can be built, by its name. On 32-bit x86 zig computes with SSE2, so that the
+bits are those of x86_64."""
+
+_WINDOWS_SOURCE = "windows.c"
+_WINDOWS_FLAGS = (
+    "-nostdlib",
+    "-D_UCRT",
+    "-Wl,-e,DllMainCRTStartup",
+    *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in ("math", "heap", "stdio", "string")),
+)
+"""For zig: Windows' own runtime (UCRT) alone, and c/windows.c in place of its static part, which
+zig
+would have to build first: most of a minute on a new machine."""
+
+_FLAGS = ("-std=c11", "-O2", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
+
+
+def platforms_named(names: Iterable[str] | None) -> tuple[Platform, ...]:
+    """The platforms of these names ("native": this machine's); for None all but those on request.
+
+    Raises UnknownNameError.
+    """
+    if names is None:
+        return tuple(p for p in PLATFORMS.values() if not p.on_request)
+    chosen = [names] if isinstance(names, str) else list(names)
+    for name in chosen:
+        if name != "native" and name not in PLATFORMS:
+            raise UnknownNameError("platform", name, ["native", *PLATFORMS])
+    wanted = {native().name if n == "native" else n for n in chosen}
+    if not wanted:
+        raise ExportError("platforms is empty; name at least one, such as 'native'")
+    return tuple(p for p in PLATFORMS.values() if p.name in wanted)
+
+
+_MACHINES = {"amd64": "x86_64", "arm64": "aarch64", "i386": "x86", "i586": "x86", "i686": "x86"}
+
+
+def native() -> Platform:
+    """The platform of this machine. Raises ExportError when FMUs are not built for it."""
+    machine = _MACHINES.get(host.machine().lower(), host.machine().lower())
+    if machine == "x86_64" and sys.maxsize < 2**32:  # a 32-bit Python on a 64-bit processor
+        machine = "x86"
+    name = f"{machine}-{host.system().lower()}"
+    if name not in PLATFORMS:
+        raise ExportError(f"this machine is {name}; FMUs can be built for {', '.join(PLATFORMS)}")
+    return PLATFORMS[name]
+
+
+# ---- compilers ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Compiler:
+    command: tuple[str, ...]
+    version: str
+    """Part of the cache's key."""
+    cross: bool
+
+
+@cache
+def _compiler() -> _Compiler:
+    if util.find_spec("ziglang") is not None:
+        return _Compiler(
+            (sys.executable, "-m", "ziglang", "cc"), f"zig {metadata.version('ziglang')}", True
+        )
+    for name in ("cc", "gcc", "clang"):
+        path = shutil.which(name)
+        if path:
+            shown = subprocess.run([path, "--version"], capture_output=True, text=True, check=False)
+            return _Compiler((path,), shown.stdout.partition("\n")[0], False)
+    raise ExportError("no C compiler is found; install zig: pip install ziglang")
+
+
+def _command(compiler: _Compiler, platform: Platform, output: str, source: str) -> list[str]:
+    command = [*compiler.command, *_FLAGS]
+    if compiler.cross:
+        command += ["-target", platform.target]
+    elif platform != native():
+        raise ExportError(
+            f"{compiler.command[0]} builds for this machine only; for {platform.name} install zig "
+            "(pip install ziglang), or give platforms='native'"
+        )
+    if platform.suffix != ".dll":
+        command.append("-fPIC")
+    if platform.is_darwin:
+        command.append(f"-Wl,-install_name,@rpath/{output}")
+    command += ["-o", output, source]
+    if compiler.cross and platform.suffix == ".dll":
+        command += [_WINDOWS_SOURCE, *_WINDOWS_FLAGS]
+    if platform.suffix == ".so":
+        command += [f"-Wl,-soname,{output}", "-lm"]
+    return command
+
+
+# ---- compiling, what is in the cache comes from there -------------------------------------------
+
+
+def _key(sources: Mapping[str, str], command: Iterable[str], version: str) -> str:
+    digest = hashlib.sha256()
+    for part in (version, *command, *(t for item in sorted(sources.items()) for t in item)):
+        digest.update(f"{len(part)}:".encode() + part.encode())
+    return digest.hexdigest()
+
+
+def compile_library(
+    sources: Mapping[str, str], main: str, platform: Platform, identifier: str
+) -> bytes:
+    """The shared library ``identifier`` for one platform, from the cache when it is there.
+
+    Raises ExportError with the compiler's words when the sources do not compile.
+    """
+    compiler = _compiler()
+    output = f"{identifier}{platform.suffix}"
+    command = _command(compiler, platform, output, main)
+    if _WINDOWS_SOURCE in command:
+        runtime = c_sources() / _WINDOWS_SOURCE
+        sources = {**sources, _WINDOWS_SOURCE: runtime.read_text(encoding="utf-8")}
+    shown = command[len(compiler.command) :]
+    stored = usable_folder("fmu") / f"{_key(sources, shown, compiler.version)}{platform.suffix}"
+    library = kept(stored)
+    if library is None:
+        library = _compile(sources, command + _headers(command), output, platform)
+        keep(stored, library)
+    return library
+
+
+def _headers(command: Iterable[str]) -> list[str]:
+    """Where Windows' headers are, which zig leaves out with -nostdlib (a path: not in the key)."""
+    spec = util.find_spec("ziglang")
+    if _WINDOWS_SOURCE not in command or spec is None or spec.origin is None:
+        return []
+    return ["-isystem", str(Path(spec.origin).parent / "lib/libc/include/any-windows-any")]
+
+
+def _compile(
+    sources: Mapping[str, str], command: list[str], output: str, platform: Platform
+) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="pam_ocp_") as name:
+        folder = Path(name)
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
+        # relative names and an empty surrounding: no path of this machine gets into the binary
+        done = subprocess.run(
+            command, cwd=folder, env=_environment(), capture_output=True, text=True, check=False
+        )
+        if done.returncode != 0:
+            words = done.stderr.strip().splitlines()[:5]
+            raise ExportError(f"the compiler failed for {platform.name}: {' / '.join(words)}")
+        return (folder / output).read_bytes()
+
+
+def _environment() -> dict[str, str]:
+    """This process's environment; zig's cache beside ours where that is chosen, or needed."""
+    environment = dict(os.environ)
+    if "ZIG_GLOBAL_CACHE_DIR" not in environment and (
+        environment.get("PAM_OCP_CACHE") or not _zig_finds_a_place()
+    ):
+        environment["ZIG_GLOBAL_CACHE_DIR"] = str(usable_folder("zig"))
+        environment.setdefault("ZIG_LOCAL_CACHE_DIR", environment["ZIG_GLOBAL_CACHE_DIR"])
+    return environment
+
+
+def _zig_finds_a_place() -> bool:
+    """Whether zig can write to the cache folder that it takes of itself."""
+    home = home_folder()
+    chosen = os.environ.get("XDG_CACHE_HOME")
+    if not chosen and home is None:
+        return False
+    place = Path(chosen) if chosen else Path(home or "/") / ".cache"
+    there = next((p for p in (place, *place.parents) if p.exists()), place)
+    return place.is_absolute() and os.access(there, os.W_OK | os.X_OK)
+
+
+def compile_all(
+    sources: Mapping[str, str], main: str, platforms: Iterable[Platform], identifier: str
+) -> dict[str, bytes]:
+    """The library for each platform, by the platform's name; two compilers at a time."""
+    chosen = list(platforms)
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        libraries = pool.map(lambda p: compile_library(sources, main, p, identifier), chosen)
+        return dict(zip((p.name for p in chosen), libraries, strict=True))
+
+
+# ---- macOS: two processors in one file ----------------------------------------------------------
+
+_CPU = {"x86_64-darwin": (0x01000007, 3), "aarch64-darwin": (0x0100000C, 0)}
+_FAT_MAGIC, _ALIGNMENT = 0xCAFEBABE, 14
+
+
+def universal(libraries: Mapping[str, bytes]) -> bytes:
+    """One universal Mach-O file of libraries by platform name (FMI 2 has one folder for macOS)."""
+    if len(libraries) == 1:
+        return next(iter(libraries.values()))
+    page = 1 << _ALIGNMENT
+    header = struct.pack(">II", _FAT_MAGIC, len(libraries))
+    body, offset = b"", page
+    for name, library in libraries.items():
+        header += struct.pack(">IIIII", *_CPU[name], offset, len(library), _ALIGNMENT)
+        padded = library + bytes(-len(library) % page)
+        body += padded
+        offset += len(padded)
+    return header + bytes(page - len(header)) + body

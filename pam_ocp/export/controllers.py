@@ -1,0 +1,321 @@
+"""Controllers as plants of their own, to be exported as FMUs: PID and state feedback."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..control.lqr import StateFeedback
+from ..core.errors import InputError, require_positive
+from ..core.variables import Variable
+from ..plants.opening import Inversion, Opening
+from ..plants.plant import Plant
+
+__all__ = ["pid_controller", "state_feedback_controller"]
+
+
+def pid_controller(
+    plant: Plant,
+    position: str,
+    weights: Mapping[str, float],
+    *,
+    proportional: float,
+    integral: float = 0.0,
+    derivative: float = 0.0,
+    filter_time: float = 5e-3,
+    windup_time: float = 0.1,
+    name: str = "pid",
+) -> Plant:
+    """A PID controller with feed-forward for a plant, as a Plant of its own, to be exported.
+
+    Each command is its feed-forward plus weight (P e + I + D), held inside the command's range,
+    with
+    e = reference - position. While a command is held, the integral runs back (anti-windup).
+
+    Parameters
+    ----------
+    plant, position : what is controlled: the plant, and the name of the state or output to follow.
+    weights : for each input of the plant that is commanded, how it takes part: such as
+        ``{"muscle1.command": -1.0, "muscle2.command": 1.0}``.
+    proportional, integral, derivative : gains, in command per unit of position, per second, times
+        second.
+    filter_time : time constant of the derivative's low-pass filter [s].
+    windup_time : time constant with which the integral runs back while a command is held [s].
+
+    A command of a spool valve is inverted: the feed-forward's opening plus weight (P e + I + D) is
+    the
+    opening, held in -1 .. 1, and ``<command>`` is what gives it; gains then count in openings. The
+    dead zone is the tunable parameter ``<name>.valve.overlap``, and on/off valves may be named
+    together, as ``muscle.opening``.
+
+    Inputs ``reference``, ``position`` and ``feedforward.<command>``; outputs ``<command>``.
+    """
+    require_positive("filter_time", filter_time, "s")
+    require_positive("windup_time", windup_time, "s")
+    measured = plant.variable(position)
+    inversion = Inversion(plant)
+    doors = {inversion.opening_of(n) or plant.variable(n).name: w for n, w in weights.items()}
+    doors = {inversion.alone(n): w for n, w in doors.items()}
+    commands = [inversion.variable(n) for n in doors]
+    wrong = [v.name for v in commands if v.causality != "input"]
+    if wrong or not commands:
+        raise InputError(f"weights: give inputs of the plant, not {', '.join(wrong) or 'nothing'}")
+    if len(doors) < len(weights):
+        raise InputError(f"weights: {', '.join(weights)} name an opening twice")
+    if 0.0 in weights.values():
+        raise InputError("weights: a command of weight 0 takes no part; leave it out")
+    pid = Plant(name, f"PID with feed-forward for {measured.name} of {plant.name}")
+    shown: dict[str, Any] = {"unit": measured.unit, "nominal": measured.nominal}
+    reference = pid.input("reference", **shown, description=f"wanted {measured.name}")
+    found = pid.input("position", **shown, description=f"measured {measured.name}")
+    gains = (
+        pid.parameter(n, value, tunable=True, nominal=max(1.0, abs(value)), description=words)
+        for n, value, words in (
+            ("proportional", proportional, "command per unit of position"),
+            ("integral", integral, "command per unit of position and second"),
+            ("derivative", derivative, "command per unit of velocity"),
+        )
+    )
+    kp, ki, kd = gains
+    tau, windup = (
+        pid.parameter(n, value, unit="s", min=1e-9, tunable=True, description=words)
+        for n, value, words in (
+            ("filter_time", filter_time, "time constant of the derivative's filter"),
+            ("windup_time", windup_time, "time constant of the integral while a command is held"),
+        )
+    )
+    size: dict[str, Any] = {"unit": commands[0].unit, "nominal": commands[0].nominal}
+    total = pid.state("integrated", **size, description="part of the integral")
+    smooth = pid.state("smoothed", **shown, description="error, low-pass filtered")
+    error = reference - found
+    rate = (error - smooth) / tau
+    action = kp * error + total + kd * rate
+    excess: ca.SX = ca.SX(0)
+    valves = _Valves(pid, inversion)
+    for command in commands:
+        weight = float(doors[command.name])
+        forward = valves.entered(
+            command,
+            lambda v: pid.input(
+                f"feedforward.{v.name}",
+                unit=v.unit,
+                start=v.start or 0.0,
+                nominal=v.nominal,
+                description=f"feed-forward of {v.name}",
+            ),
+        )
+        wanted = forward + weight * action
+        held = valves.sent(command, wanted)
+        excess += (held - wanted) / (weight * len(commands))
+    pid.der(smooth, rate)
+    pid.der(total, ki * error + (excess / windup if integral else 0.0))
+    return pid
+
+
+def state_feedback_controller(
+    feedback: StateFeedback,
+    *,
+    follow: bool = False,
+    windup_time: float = 0.1,
+    name: str = "state_feedback",
+) -> Plant:
+    """A state feedback (LQR, LQI) as a Plant of its own, to be exported.
+
+    u = u0 - K (x - x0) - Ki z with z' = y - reference, in continuous time, each command held inside
+    its range. While commands are held, the integrals run back: to z' comes Ki^+ (u - held u) / T,
+    which lets u come back to its range with the time constant T where the integrals can do it
+    (back-calculation; Ki^+ is the pseudo-inverse).
+
+    Parameters
+    ----------
+    feedback : from :func:`pam_ocp.lqr`, about a point of rest.
+    follow : take x0 and u0 from outside, as the inputs ``reference.<state>`` and
+        ``feedforward.<command>``, to follow a motion near the point; by default they are the
+        tunable
+        parameters ``point.<state>`` and ``feedforward.<command>``.
+    windup_time : T, time constant with which the integrals run back [s].
+    name : of the plant.
+
+    Of a plant fed by valves u are the openings: each ``<command>`` is what gives its opening (the
+    dead
+    zone is the tunable parameter ``<name>.valve.overlap``), gains are
+    ``gain.<name>.opening.<state>``,
+    and feed-forwards are commands, of which the openings are taken.
+
+    Inputs: every state of the plant, and what else is integrated (all measured), and
+    ``reference.<output>`` for what is integrated. Outputs ``<command>``. All gains are tunable
+    parameters ``gain.<command>.<state>`` and ``integral_gain.<command>.<output>``.
+    """
+    if not isinstance(feedback, StateFeedback):
+        raise InputError(
+            f"feedback is a {type(feedback).__name__}, not a StateFeedback, such as lqr(plant, "
+            "point)"
+        )
+    require_positive("windup_time", windup_time, "s")
+    plant, point = feedback.point.plant, feedback.point
+    built = Plant(name, f"state feedback of {plant.name}")
+    states = [v.name for v in plant.states]
+    known = {n: plant.variable(n) for n in dict.fromkeys([*states, *feedback.integrated])}
+    commands = [plant.variable(n) for n in feedback.inputs]
+    from_outside = built.input if follow else _tunable(built)
+    seen = {n: built.input(n, **_shown(v, point[n], "measured")) for n, v in known.items()}
+    role = "reference" if follow else "point"
+    origin = {
+        n: from_outside(f"{role}.{n}", **_shown(known[n], point[n], "wanted")) for n in states
+    }
+    goal = {
+        n: origin[n]
+        if follow and n in origin
+        else built.input(f"reference.{n}", **_shown(known[n], point[n], "wanted"))
+        for n in feedback.integrated
+    }
+    totals = _integrals(built, feedback, commands)
+    inversion = feedback.inversion or Inversion(plant.in_commands())
+    valves = _Valves(built, inversion)
+    at_rest = inversion.commands({v.name: point[v.name] for v in commands})
+    deviation = ca.vertcat(*(seen[n] - origin[n] for n in states))
+    forward = [
+        valves.entered(
+            v,
+            lambda c: from_outside(
+                f"feedforward.{c.name}", **_shown(c, at_rest[c.name], "feed-forward of")
+            ),
+        )
+        for v in commands
+    ]
+    asked = ca.vertcat(*forward) - _gains(built, "gain", commands, states, feedback.K) @ deviation
+    if totals:
+        gains = _gains(built, "integral_gain", commands, feedback.integrated, feedback.Ki)
+        asked -= gains @ ca.vertcat(*totals)
+    held = ca.vertcat(*(valves.sent(v, asked[i]) for i, v in enumerate(commands)))
+    if totals:
+        back = ca.DM(np.linalg.pinv(feedback.Ki)) @ (asked - held) / windup_time
+        for i, n in enumerate(feedback.integrated):
+            built.der(totals[i], seen[n] - goal[n] + back[i])
+    return built
+
+
+def _shown(variable: Variable, value: float, role: str) -> dict[str, Any]:
+    """Attributes of an input or parameter that stands for a variable of the plant."""
+    return {
+        "start": value,
+        "unit": variable.unit,
+        "nominal": variable.nominal,
+        "display_unit": variable.display_unit,
+        "description": f"{role} {variable.name}",
+    }
+
+
+def _tunable(plant: Plant) -> Any:
+    def declare(name: str, *, start: float, **attributes: Any) -> ca.SX:
+        return plant.parameter(name, start, tunable=True, **attributes)
+
+    return declare
+
+
+def _gains(
+    built: Plant, name: str, commands: list[Variable], names: list[str], values: Any
+) -> ca.SX:
+    """A matrix of gains as tunable parameters, a row for each command."""
+    rows = [
+        [
+            built.parameter(
+                f"{name}.{command.name}.{n}",
+                float(value),
+                tunable=True,
+                nominal=max(1.0, abs(float(value))),
+                description=f"of {n} to {command.name} [SI]",
+            )
+            for n, value in zip(names, row, strict=True)
+        ]
+        for command, row in zip(commands, values, strict=True)
+    ]
+    return ca.vertcat(*(ca.horzcat(*row) for row in rows))
+
+
+def _integrals(built: Plant, feedback: StateFeedback, commands: list[Variable]) -> list[ca.SX]:
+    """A state for each integrated error; without any a clock, since an FMU here has a state.
+
+    The nominal of an integral is what moves a command by its own nominal: tolerances count by it.
+    """
+    if not feedback.integrated:
+        clock = built.state("clock", unit="s", description="time since the start")
+        built.der(clock, 1.0)
+    effect = np.abs(feedback.Ki) / np.array([[v.nominal] for v in commands])
+    totals = []
+    for n, most in zip(feedback.integrated, effect.max(axis=0, initial=0.0), strict=True):
+        numerator, slash, rest = feedback.point.plant.variable(n).unit.partition("/")
+        total = built.state(
+            f"integral.{n}",
+            unit=("s" if numerator == "1" else f"{numerator}.s") + slash + rest,
+            nominal=1 / most if most > 0 else 1.0,
+            description=f"integrated error of {n}",
+        )
+        totals.append(total)
+    return totals
+
+
+class _Valves:
+    """The inversion of valves' dead zones inside a controller, with their widths as parameters."""
+
+    def __init__(self, built: Plant, inversion: Inversion) -> None:
+        self.built, self.plant = built, inversion.plant
+        self._openings = {o.name: o for o in inversion.plant.openings}
+        self._own: dict[str, ca.SX] = {}
+
+    def entered(self, door: Variable, declare: Callable[[Variable], ca.SX]) -> ca.SX:
+        """What ``declare`` gives for a command; for an opening that of the commands declared."""
+        opening = self._openings.get(door.name)
+        if opening is None:
+            return declare(door)
+        commands = [declare(self.plant.variable(c)) for c in opening.commands]
+        known = dict(zip(opening.commands, commands, strict=True))
+        return self._here([opening.forward], known)[0]
+
+    def sent(self, door: Variable, wanted: ca.SX) -> ca.SX:
+        """Declare the command, or the commands of an opening, as outputs; returns what is held."""
+        held = wanted if math.isinf(door.min) else ca.fmax(wanted, door.min)
+        held = held if math.isinf(door.max) else ca.fmin(held, door.max)
+        opening = self._openings.get(door.name)
+        if opening is None:
+            self._output(door, held)
+            return held
+        for name, command in zip(opening.commands, self._inverse(opening, held), strict=True):
+            self._output(self.plant.variable(name), command)
+        return held
+
+    def _output(self, command: Variable, value: ca.SX) -> None:
+        self.built.output(
+            command.name,
+            value,
+            unit=command.unit,
+            nominal=command.nominal,
+            description=command.description,
+        )
+
+    def _inverse(self, opening: Opening, held: ca.SX) -> list[ca.SX]:
+        return self._here(ca.substitute(list(opening.inverse), [opening.symbol], [held]), {})
+
+    def _here(self, expressions: list[ca.SX], known: Mapping[str, ca.SX]) -> list[ca.SX]:
+        """Expressions of the plant with this controller's symbols: parameters are declared."""
+        parameters = {v.name: v for v in self.plant.parameters}
+        used = {s.name() for s in ca.symvar(ca.vertcat(*expressions))}
+        for name, variable in parameters.items():
+            if name in used and name not in self._own:
+                self._own[name] = self.built.parameter(
+                    name,
+                    float(variable.start or 0.0),
+                    unit=variable.unit,
+                    min=variable.min,
+                    max=variable.max,
+                    nominal=variable.nominal,
+                    tunable=True,
+                    description=variable.description,
+                )
+        new = {**{n: s for n, s in self._own.items() if n in used}, **known}
+        old = [self.plant.expression(n) for n in new]
+        return list(ca.substitute(expressions, old, list(new.values())))

@@ -1,0 +1,83 @@
+"""Which of a plant's inputs and outputs its FMU shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..core.errors import InputError
+from ..core.trajectory import Trajectory
+from ..core.variables import Variable
+from ..operating.linear import chosen_signals
+from ..plants.plant import Plant
+
+__all__ = ["check_reference", "shown_outputs", "with_inputs"]
+
+
+def with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
+    """The plant with these inputs only; the others become tunable parameters at their start values.
+
+    Path constraints, which are not part of an FMU, are left out.
+    Raises InputError, UnknownNameError for names that are no inputs.
+    """
+    chosen = chosen_signals("inputs", plant, inputs, ("input",))
+    left_out = {v.name for v in plant.inputs} - set(chosen)
+    if not left_out:
+        return plant
+    other = Plant(plant.name, plant.description)
+    symbols = {}
+    for v in (*plant.states, *plant.inputs, *plant.parameters):
+        about = _attributes(v)
+        if v.causality == "state":
+            symbols[v.name] = other.state(v.name, **about)
+        elif v.causality == "input" and v.name not in left_out:
+            symbols[v.name] = other.input(v.name, **about)
+        else:
+            tunable = v.tunable or v.causality == "input"
+            del about["disturbance"]
+            value = about.pop("start")
+            symbols[v.name] = other.parameter(v.name, value, **{**about, "tunable": tunable})
+    columns = [
+        ca.vertcat(*(symbols[v.name] for v in group))
+        for group in (plant.states, plant.inputs, plant.parameters)
+    ]
+    xdot, y, _ = plant.function(*columns)
+    for i, v in enumerate(plant.states):
+        other.der(symbols[v.name], xdot[i])
+    for i, v in enumerate(plant.outputs):
+        other.output(v.name, y[i], **{**_attributes(v), "start": None})
+    return other
+
+
+def _attributes(variable: Variable) -> dict[str, Any]:
+    about = {f.name: getattr(variable, f.name) for f in fields(variable)}
+    del about["name"], about["causality"]
+    return about
+
+
+def shown_outputs(plant: Plant, outputs: Sequence[str] | None) -> frozenset[str] | None:
+    """Names of the states and outputs that the FMU gives as outputs; None for all.
+
+    Raises InputError, UnknownNameError for names that are neither, and for an empty list.
+    """
+    if outputs is None:
+        return None
+    chosen = chosen_signals("outputs", plant, outputs, ("state", "output"))
+    if not chosen:
+        raise InputError("outputs is empty; name at least one state or output")
+    return frozenset(chosen)
+
+
+def check_reference(reference: Trajectory, plant: Plant) -> None:
+    """Refuse a reference motion that plays what the FMU holds. Raises InputError."""
+    constants = {v.name: v.start for v in plant.parameters}
+    for name in reference.named("input"):
+        if name in constants and not np.all(reference[name] == constants[name]):
+            raise InputError(
+                f"reference: its input {name} is left out of the FMU, which holds it at "
+                f"{plant.variable(name).shown(constants[name] or 0.0)}; name it in inputs"
+            )

@@ -1,0 +1,164 @@
+"""Which variables an FMU has, in which order: one value reference for FMI 2,
+FMI 3 and the C code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import casadi as ca
+
+from ..core.errors import ExportError
+from ..core.units import display_unit
+from ..core.variables import Variable
+
+if TYPE_CHECKING:
+    from ..plants.plant import Plant
+
+__all__ = ["Dependency", "Entry", "Layout"]
+
+Role = Literal["time", "state", "derivative", "input", "parameter", "output"]
+Dependency = tuple[int, str]
+"""Value reference of a known, and how an unknown depends on it (FMI's dependenciesKind)."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One variable of the FMU. ``variable`` gives unit, range and description."""
+
+    reference: int
+    name: str
+    role: Role
+    variable: Variable
+    is_output: bool = False
+    """In the sense of FMI: a state or an output of the plant that is shown as one."""
+
+
+class Layout:
+    """The variables of a plant's FMU, numbered as in c/model.h, and what depends on what.
+
+    shown : states and outputs to be outputs of the FMU, by default all; the others are local
+    variables, which can be read but are not offered for connections.
+
+    Raises ExportError when a name of the plant is one that FMI needs.
+    """
+
+    def __init__(self, plant: Plant, shown: frozenset[str] | None = None) -> None:
+        self.plant = plant
+        time = Variable("time", "input", unit="s", description="independent variable")
+        groups: list[tuple[Role, tuple[Variable, ...]]] = [
+            ("time", (time,)),
+            ("state", plant.states),
+            ("derivative", tuple(_derivative(v) for v in plant.states)),
+            ("input", plant.inputs),
+            ("parameter", plant.parameters),
+            ("output", plant.outputs),
+        ]
+        numbered = [(role, v) for role, variables in groups for v in variables]
+        self.entries = tuple(
+            Entry(
+                i,
+                f"der({v.name})" if role == "derivative" else v.name,
+                role,
+                v,
+                role in ("state", "output") and (shown is None or v.name in shown),
+            )
+            for i, (role, v) in enumerate(numbered)
+        )
+        if sum(e.name == "time" for e in self.entries) > 1:
+            raise ExportError(
+                f"plant {plant.name!r} has a variable named 'time'; FMI keeps this name for the "
+                "independent variable: rename it"
+            )
+
+    @property
+    def outputs(self) -> tuple[Entry, ...]:
+        """What the FMU gives as outputs: states first."""
+        return tuple(e for e in self.entries if e.is_output)
+
+    def of(self, role: Role) -> tuple[Entry, ...]:
+        """All entries of a role, in order."""
+        return tuple(e for e in self.entries if e.role == role)
+
+    @cached_property
+    def unknowns(self) -> ca.SX:
+        """Derivatives and outputs as one column, in the order of their references."""
+        plant = self.plant
+        xdot, y, _ = plant.function(plant.x, plant.u, plant.p)
+        return ca.SX(ca.vertcat(xdot, y))
+
+    @cached_property
+    def dependencies(self) -> dict[int, tuple[Dependency, ...]]:
+        """For each derivative and output: the states and inputs it depends on, and how."""
+        plant = self.plant
+        knowns = [*self.of("state"), *self.of("input")]
+        tunable = {e.name for e in self.of("parameter") if e.variable.tunable}
+        fixed = {e.name for e in self.of("parameter")} - tunable
+        jacobian = ca.jacobian(self.unknowns, ca.vertcat(plant.x, plant.u))
+
+        def kind(element: ca.SX) -> str:
+            names = {s.name() for s in ca.symvar(element)}
+            if not names:
+                return "constant"
+            if names <= fixed:
+                return "fixed"
+            return "tunable" if names <= fixed | tunable else "dependent"
+
+        return {
+            unknown.reference: tuple(
+                (knowns[column].reference, kind(jacobian[row, column]))
+                for column in _columns(jacobian, row)
+            )
+            for row, unknown in enumerate([*self.of("derivative"), *self.of("output")])
+        }
+
+    @cached_property
+    def initial_dependencies(self) -> dict[int, tuple[Dependency, ...]]:
+        """For each derivative and output: states, inputs and parameters it starts from."""
+        plant = self.plant
+        parameters = self.of("parameter")
+        jacobian = ca.jacobian(self.unknowns, plant.p)
+        found = {}
+        for row, unknown in enumerate([*self.of("derivative"), *self.of("output")]):
+            known = [
+                (reference, "constant" if kind == "constant" else "dependent")
+                for reference, kind in self.dependencies[unknown.reference]
+            ]
+            known += [
+                (
+                    parameters[column].reference,
+                    "constant" if jacobian[row, column].is_constant() else "dependent",
+                )
+                for column in _columns(jacobian, row)
+            ]
+            found[unknown.reference] = tuple(known)
+        return found
+
+
+def _columns(matrix: ca.SX, row: int) -> list[int]:
+    """Columns of the structural non-zeros of a row, rising."""
+    return sorted(int(c) for c in matrix[row, :].sparsity().get_col()) if matrix.numel() else []
+
+
+def _derivative(state: Variable) -> Variable:
+    unit = per_second(state.unit)
+    return Variable(
+        state.name,
+        "output",
+        unit=unit,
+        nominal=state.nominal,
+        display_unit=display_unit(unit),
+        description=f"time derivative of {state.name}",
+    )
+
+
+def per_second(unit: str) -> str:
+    """The unit of a time derivative, as Modelica spells it: "m/s" for "m", "m/s2" for "m/s"."""
+    numerator, _, denominator = unit.partition("/")
+    if not denominator:
+        return f"{numerator}/s"
+    if denominator == "s":
+        return f"{numerator}/s2"
+    return f"{numerator}/({denominator.strip('()')}.s)"

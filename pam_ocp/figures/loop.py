@@ -1,0 +1,92 @@
+"""The figure of a closed loop. matplotlib is loaded only when it is drawn; no display is needed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.trajectory import Trajectory
+from .trajectory import COLOURS, _draw, _figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..control.mpc_loop import ClosedLoop
+
+__all__ = ["plot_closed_loop"]
+
+
+def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
+    """Tracked variables with their reference and error, inputs, unknowns found, and step times.
+
+    Bands around unknowns are two standard deviations wide on each side.
+    """
+    real, wanted = loop.trajectory, loop.reference
+    controls = [n for n in real.named("input") if not real.variable(n).disturbance]
+    unknown = [] if loop.estimate is None else _unknowns(loop.estimate, real)
+    rows = len(wanted.names) + 3 + len(unknown)
+    figure, axes = _figure(rows, size=(8.5, 1.0 + 1.7 * rows))
+    for ax, name in zip(axes[:, 0], wanted.names, strict=False):
+        _draw(ax, real, name, COLOURS[0])
+        goal = wanted[name] / real.variable(name).display_factor
+        ax.plot(real.t, goal, "k:", lw=1.0, drawstyle="steps-post", label="reference")
+        ax.set_ylabel(real.variable(name).label)
+    at = len(wanted.names)
+    _draw_error(axes[at, 0], loop, wanted.names[0])
+    for i, name in enumerate(controls):
+        _draw(axes[at + 1, 0], real, name, COLOURS[i % len(COLOURS)], linewidth=1.2)
+    axes[at + 1, 0].set_ylabel(f"inputs [{real.variable(controls[0]).display_unit}]")
+    if loop.estimate is not None:
+        for ax, name in zip(axes[at + 2 :, 0], unknown, strict=False):
+            _draw_unknown(ax, loop.estimate, real, name)
+    _draw_times(axes[-1, 0], loop)
+    for ax in axes[:, 0]:
+        ax.set_xlim(real.t[0], real.t[-1])
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    axes[0, 0].set_title(title, loc="left", fontsize="medium")
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def _unknowns(estimate: Trajectory, real: Trajectory) -> list[str]:
+    """Estimated quantities that are no states of the real side."""
+    states = set(real.named("state"))
+    return [n for n in estimate.names if not n.startswith("deviation.") and n not in states]
+
+
+def _draw_error(ax: Axes, loop: ClosedLoop, name: str) -> None:
+    """The error where it is small: jumps of the reference reach out of the panel."""
+    variable = loop.trajectory.variable(name)
+    error = (loop.trajectory[name] - loop.reference[name]) / variable.display_factor
+    reach = max(3 * float(np.median(np.abs(error))), 1e-12)
+    ax.plot(loop.trajectory.t, error, color=COLOURS[1], lw=1.2, label="error")
+    ax.set_ylim(-2 * reach, 2 * reach)
+    ax.set_ylabel(f"error [{variable.display_unit}]")
+
+
+def _draw_unknown(ax: Axes, estimate: Trajectory, real: Trajectory, name: str) -> None:
+    variable = estimate.variable(name)
+    factor = variable.display_factor
+    value, deviation = estimate[name] / factor, estimate[f"deviation.{name}"] / factor
+    ax.plot(estimate.t, value, color=COLOURS[3], lw=1.4, label="estimated")
+    band: dict[str, Any] = {"color": COLOURS[3], "alpha": 0.2, "lw": 0}
+    ax.fill_between(estimate.t, value - 2 * deviation, value + 2 * deviation, **band)
+    late = slice(len(value) // 5, None)  # the first guess would set the scale
+    low, high = np.min((value - 3 * deviation)[late]), np.max((value + 3 * deviation)[late])
+    if name in real:
+        truth = real[name] / factor
+        ax.plot(real.t, truth, "k:", lw=1.0, drawstyle="steps-post", label="true")
+        low, high = min(low, truth.min()), max(high, truth.max())
+    margin = 0.1 * max(high - low, 1e-12)
+    ax.set_ylim(low - margin, high + margin)
+    ax.set_ylabel(variable.label)
+
+
+def _draw_times(ax: Axes, loop: ClosedLoop) -> None:
+    seconds = np.array([s.seconds for s in loop.statistics.steps])
+    ax.plot(loop.trajectory.t, 1e3 * seconds, ".", ms=2.5, color=COLOURS[5], label="step time")
+    ax.axhline(1e3 * loop.statistics.median, color=COLOURS[2], lw=1.0, label="median")
+    ax.set_ylim(bottom=0, top=1.1e3 * loop.statistics.worst)
+    ax.set_ylabel("time [ms]")

@@ -1,0 +1,274 @@
+"""Pictures. matplotlib is loaded only when one is drawn; figures need no display."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..core.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import control
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..fitting.static.static import ForceFit
+    from ..muscles.muscle import Muscle
+    from ..simulation.compare import RecordComparison
+    from ..studies.loads import LoadStudy
+
+__all__ = [
+    "plot_bode",
+    "plot_comparison",
+    "plot_fit",
+    "plot_load_study",
+    "plot_muscle",
+    "plot_record",
+    "plot_trajectory",
+]
+
+COLOURS = ("#1b6ca8", "#c8553d", "#4c956c", "#7b5ea7", "#c98b14", "#5b6770")
+
+
+def _figure(
+    rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
+) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex)
+    for ax in axes.ravel():
+        ax.grid(True, color="#dddddd", linewidth=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _draw(ax: Axes, trajectory: Trajectory, name: str, colour: str, **style: Any) -> None:
+    variable = trajectory.variable(name)
+    values = trajectory[name] / variable.display_factor
+    held = variable.causality == "input" and trajectory.interpolation == "previous"
+    ax.plot(
+        trajectory.t,
+        values,
+        color=colour,
+        drawstyle="steps-post" if held else "default",
+        **{"linewidth": 1.6, "label": variable.name, **style},
+    )
+
+
+def plot_trajectory(trajectory: Trajectory, names: Sequence[str] | None = None) -> Figure:
+    """One panel per display unit (and kind of quantity), over time."""
+    chosen = [trajectory.variable(n).name for n in (trajectory.names if names is None else names)]
+    if not chosen:
+        raise InputError("names is empty: nothing to draw")
+    panels: dict[str, list[str]] = {}
+    for name in chosen:
+        panels.setdefault(trajectory.variable(name).display_unit, []).append(name)
+    figure, axes = _figure(len(panels), size=(8, 1.2 + 1.7 * len(panels)), sharex=True)
+    for ax, (unit, members) in zip(axes[:, 0], panels.items(), strict=True):
+        for i, name in enumerate(members):
+            dashed = trajectory.variable(name).causality == "input"
+            _draw(
+                ax, trajectory, name, COLOURS[i % len(COLOURS)], linestyle="--" if dashed else "-"
+            )
+        ax.set_ylabel("" if unit == "1" else unit)
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def plot_fit(fit: ForceFit, title: str = "") -> Figure:
+    """Measured and fitted force over contraction, one line per pressure; residuals below."""
+    table = fit.table
+    figure, axes = _figure(2, size=(8, 7), sharex=True)
+    upper, lower = axes[:, 0]
+    pressures = np.unique(table.pressure)
+    shade = _colours(pressures)
+    grid = np.linspace(0.0, float(table.contraction.max()) * 1.08, 200)
+    for colour, p in zip(shade, pressures, strict=True):
+        at = table.pressure == p
+        taut, slack = at & ~table.slack, at & table.slack
+        upper.plot(100 * table.contraction[taut], table.force[taut], "o", color=colour, ms=4)
+        upper.plot(
+            100 * table.contraction[slack], table.force[slack], "x", color=colour, ms=3, alpha=0.5
+        )
+        model = np.maximum(np.asarray(fit.law.tension(p, grid)), 0.0)
+        upper.plot(100 * grid, model, "-", color=colour, lw=1.0)
+        residual = table.force[taut] - np.asarray(fit.law.tension(p, table.contraction[taut]))
+        lower.plot(100 * table.contraction[taut], residual, "o", color=colour, ms=4)
+    _pressure_scale(figure, [upper, lower], pressures)
+    upper.set_ylabel("pulling force [N]")
+    upper.set_ylim(bottom=-0.03 * float(table.force.max()))
+    heading = title or f"{fit.law.title}: RMSE {fit.rmse:.2f} N over {len(table.taut)} cells"
+    upper.set_title(heading, loc="left", fontsize="medium")
+    upper.plot([], [], "o", color="#555555", ms=4, label="measured")
+    upper.plot([], [], "x", color="#555555", ms=3, label="slack (not fitted)")
+    upper.plot([], [], "-", color="#555555", lw=1, label="fitted law")
+    upper.legend(frameon=False, fontsize="small")
+    lower.axhline(0.0, color="#555555", lw=0.8)
+    lower.set_ylabel("measured - fitted [N]")
+    lower.set_xlabel("contraction [%]")
+    return figure
+
+
+def _colours(values: Any) -> Any:
+    """A colour for each value, from dark (least) to bright (largest)."""
+    from matplotlib import colormaps
+
+    spread = float(np.ptp(values)) or 1.0
+    return colormaps["viridis"](0.9 * (values - np.min(values)) / spread)
+
+
+def _pressure_scale(figure: Figure, axes: list[Any], pressures: Any) -> None:
+    """The colour bar that goes with :func:`_colours`."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+
+    if len(pressures) < 2:
+        return
+    scale = Normalize(float(pressures.min()) / 1e5, float(pressures.max()) / 1e5)
+    part = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.9, 256)))
+    label = "pressure [bar gauge]"
+    figure.colorbar(ScalarMappable(scale, part), ax=axes, label=label, fraction=0.05)
+
+
+def plot_comparison(
+    reference: Trajectory, other: Trajectory, names: Sequence[str], labels: tuple[str, str]
+) -> Figure:
+    """Two trajectories over each other, and their difference in units of nominal below."""
+    figure, axes = _figure(len(names) + 1, size=(8, 2.0 + 1.6 * len(names)), sharex=True)
+    there = other if np.array_equal(reference.t, other.t) else other.at(reference.t)
+    for i, (ax, name) in enumerate(zip(axes[:, 0], names, strict=False)):
+        colour = COLOURS[i % len(COLOURS)]
+        _draw(ax, reference, name, "#bbbbbb", linewidth=3.5, label=labels[0])
+        _draw(ax, there, name, colour, linewidth=1.1, label=labels[1])
+        ax.set_ylabel(reference.variable(name).label)
+        ax.legend(frameon=False, fontsize="small", loc="upper right")
+        difference = np.abs(there[name] - reference[name]) / reference.variable(name).nominal
+        axes[-1, 0].semilogy(
+            reference.t, np.maximum(difference, 1e-17), color=colour, lw=1.2, label=name
+        )
+    axes[-1, 0].set_ylabel("|difference| / nominal")
+    axes[-1, 0].legend(frameon=False, fontsize="small", ncols=3)
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def plot_bode(
+    systems: dict[str, control.StateSpace],
+    output: str,
+    source: str,
+    hertz: tuple[float, float] = (0.1, 100.0),
+) -> Figure:
+    """Bode diagram from one input to one output, for each named system."""
+    figure, axes = _figure(2, size=(8, 6), sharex=True)
+    magnitude, phase = axes[:, 0]
+    frequency = np.geomspace(*hertz, 600)
+    for i, (label, system) in enumerate(systems.items()):
+        row, column = system.output_labels.index(output), system.input_labels.index(source)
+        response = np.asarray(system(2j * np.pi * frequency, squeeze=False))[row, column]
+        colour = COLOURS[i % len(COLOURS)]
+        magnitude.loglog(frequency, np.abs(response), color=colour, label=label)
+        phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(response))), color=colour)
+    magnitude.set_ylabel(f"|{output} / {source}| (SI)")
+    magnitude.legend(frameon=False, fontsize="small")
+    phase.set_ylabel("phase [deg]")
+    phase.set_xlabel("frequency [Hz]")
+    return figure
+
+
+def plot_record(comparison: RecordComparison) -> Figure:
+    """Measured and simulated over each other, and the residual, for each compared variable."""
+    names = [a.name for a in comparison.agreements]
+    figure, axes = _figure(len(names), 2, size=(11, 1.0 + 2.1 * len(names)), sharex=True)
+    for row, agreement in zip(axes, comparison.agreements, strict=True):
+        variable = comparison.measured.variable(agreement.name)
+        _draw(
+            row[0], comparison.measured, agreement.name, "#888888", linewidth=2.6, label="measured"
+        )
+        _draw(
+            row[0],
+            comparison.simulated,
+            agreement.name,
+            COLOURS[0],
+            linewidth=1.2,
+            label="simulated",
+        )
+        row[0].set_ylabel(variable.label)
+        row[0].set_title(f"fit {agreement.fit_percent:.1f} %", loc="left", fontsize="small")
+        row[0].legend(frameon=False, fontsize="small")
+        residual = comparison.measured[agreement.name] - comparison.simulated[agreement.name]
+        row[1].plot(
+            comparison.measured.t, residual / variable.display_factor, color=COLOURS[1], lw=1.2
+        )
+        row[1].axhline(0.0, color="#555555", lw=0.8)
+        row[1].set_title(
+            f"measured - simulated, RMSE {variable.shown(agreement.rmse)}",
+            loc="left",
+            fontsize="small",
+        )
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    return figure
+
+
+def plot_load_study(study: LoadStudy) -> Figure:
+    """Rest, frequency, damping ratio, overshoot, settling time and air against pressure,
+    by load.
+    """
+    panels = (
+        ("position", "contraction [mm]", 1e3),
+        ("frequency", "natural frequency [Hz]", 1.0),
+        ("damping_ratio", "damping ratio", 1.0),
+        ("overshoot", "overshoot [%]", 100.0),
+        ("settling_time", "settling time [s]", 1.0),
+        ("air", "air for the step [mg]", 1e6),
+    )
+    figure, axes = _figure(3, 2, size=(10, 9), sharex=True)
+    masses = sorted({c.mass for c in study.cases})
+    for ax, (name, label, factor) in zip(axes.ravel(), panels, strict=True):
+        for i, mass in enumerate(masses):
+            cases = [c for c in study.cases if c.mass == mass]
+            bars = [c.pressure / 1e5 for c in cases]
+            values = [getattr(c, name) * factor for c in cases]
+            ax.plot(bars, values, "o-", ms=4, color=COLOURS[i % len(COLOURS)], label=f"{mass:g} kg")
+        ax.set_ylabel(label)
+        ax.set_ylim(bottom=0.0)
+    axes[0, 0].legend(frameon=False, fontsize="small")
+    axes[0, 0].set_title(f"{study.muscle}, hanging loads", loc="left", fontsize="medium")
+    for ax in axes[-1]:
+        ax.set_xlabel("pressure [bar gauge]")
+    return figure
+
+
+def plot_muscle(muscle: Muscle) -> Figure:
+    """Force and stiffness over contraction, one line per pressure, within the measured range."""
+    import warnings
+
+    from ..muscles.validity import ValidityWarning
+
+    figure, axes = _figure(1, 2, size=(11, 4.6))
+    low, high = muscle.contraction_range
+    kappa = np.linspace(min(low, 0.0), high, 300)
+    pressures = np.linspace(muscle.pressure_range[0], muscle.pressure_range[1], 7)[1:]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ValidityWarning)
+        for colour, p in zip(_colours(pressures), pressures, strict=True):
+            for ax, values in (
+                (axes[0, 0], muscle.force(p, kappa)),
+                (axes[0, 1], muscle.stiffness(p, kappa) / 1e3),
+            ):
+                ax.plot(100 * kappa, values, color=colour, lw=1.6)
+    axes[0, 0].set_ylabel("pulling force [N]")
+    axes[0, 1].set_ylabel("stiffness at constant pressure [N/mm]")
+    axes[0, 0].set_title(f"{muscle.name}: {muscle.law.title}", loc="left", fontsize="medium")
+    for ax in axes[0]:
+        ax.set_xlabel("contraction [%]")
+        ax.set_ylim(bottom=0.0)
+    _pressure_scale(figure, list(axes[0]), pressures)
+    return figure

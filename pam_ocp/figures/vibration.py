@@ -1,0 +1,271 @@
+"""Pictures of vibrations; each returns a matplotlib Figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+from ..core.trajectory import Trajectory
+from ..core.variables import Variable
+from ..numerics.newton import Array
+from ..plants.plant import Plant
+from .trajectory import COLOURS, _figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..operating.along import StabilityPath
+    from ..vibration.cycle import LimitCycle
+    from ..vibration.cycle_branch import CycleBranch
+    from ..vibration.energy import Energy
+    from ..vibration.free import Backbone, FreeVibration
+    from ..vibration.hopf import HopfBorder
+
+__all__ = [
+    "plot_backbone",
+    "plot_border",
+    "plot_branch",
+    "plot_energy",
+    "plot_envelope",
+    "plot_multipliers",
+    "plot_phase",
+    "plot_stability",
+]
+
+
+def plot_phase(
+    trajectories: Sequence[Trajectory],
+    state: str,
+    plant: Plant,
+    *,
+    labels: Sequence[str] = (),
+    values: Array | None = None,
+    label: str = "",
+) -> Figure:
+    """Phase portrait: the velocity of a position over it, one line for each trajectory.
+
+    labels : one for each line; or values : a number for each line, shown as colour, named
+    ``label``.
+    """
+    position = plant.variable(state)
+    rate = plant.positions.get(position.name)
+    if rate is None:
+        raise InputError(
+            f"state: {position.name} has no velocity among the states; name a position"
+        )
+    velocity = plant.variable(rate)
+    figure, axes = _figure(1, size=(6.4, 5.2))
+    ax = axes[0, 0]
+    if values is None:
+        colours: list[Any] = [COLOURS[i % len(COLOURS)] for i in range(len(trajectories))]
+    else:
+        from matplotlib import colormaps
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        scale = Normalize(float(np.min(values)), float(np.max(values)) * (1 + 1e-12))
+        mapping = ScalarMappable(scale, colormaps["viridis"])
+        colours = list(mapping.to_rgba(values))
+        figure.colorbar(mapping, ax=ax, label=label)
+    for i, trajectory in enumerate(trajectories):
+        ax.plot(
+            trajectory[position.name] / position.display_factor,
+            trajectory[velocity.name] / velocity.display_factor,
+            color=colours[i],
+            lw=1.1,
+            label=labels[i] if i < len(labels) else None,
+        )
+    if labels:
+        ax.legend(frameon=False, fontsize="small", loc="upper right")
+    ax.set_xlabel(position.label)
+    ax.set_ylabel(velocity.label)
+    return figure
+
+
+def plot_envelope(motion: FreeVibration) -> Figure:
+    """Deviation from rest with the envelope through its turning points;
+    frequency per cycle below.
+    """
+    variable = motion.point.plant.variable(motion.state)
+    factor = variable.display_factor
+    figure, axes = _figure(2, size=(8, 5.5), sharex=True)
+    upper, lower = axes[:, 0]
+    t = motion.trajectory.t
+    upper.plot(
+        t, (motion.trajectory[motion.state] - motion.rest) / factor, color=COLOURS[0], lw=1.2
+    )
+    times, deviations = motion.peaks
+    for above in (True, False):
+        side = (deviations > 0) == above
+        upper.plot(
+            times[side],
+            deviations[side] / factor,
+            "o--",
+            color=COLOURS[1],
+            ms=3,
+            lw=1.0,
+            label="envelope" if above else None,
+        )
+    upper.set_ylabel(f"{variable.name} - rest [{variable.display_unit}]")
+    upper.legend(frameon=False, fontsize="small", loc="upper right")
+    middles = (motion.crossings[:-1] + motion.crossings[1:]) / 2
+    lower.plot(middles, motion.frequencies, "o-", color=COLOURS[0], ms=3, lw=1.0)
+    _readable(lower, motion.frequencies)
+    lower.set_ylabel("frequency [Hz]")
+    lower.set_xlabel("time [s]")
+    return figure
+
+
+def _readable(ax: Axes, values: Array) -> None:
+    """Keep the axis from blowing up rounding: at least 1 % of the value is shown."""
+    middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
+    half = max(1.1 * half, 0.01 * abs(middle))
+    ax.set_ylim(middle - half, middle + half)
+    ax.ticklabel_format(axis="y", useOffset=False)
+
+
+def plot_backbone(curves: Mapping[str, Backbone]) -> Figure:
+    """Frequency over amplitude, one line for each named backbone."""
+    figure, axes = _figure(1, size=(7, 4.2))
+    ax = axes[0, 0]
+    for i, (name, curve) in enumerate(curves.items()):
+        variable = curve.point.plant.variable(curve.state)
+        order = np.argsort(curve.amplitudes)
+        ax.plot(
+            curve.amplitudes[order] / variable.display_factor,
+            curve.frequencies[order],
+            "o-",
+            color=COLOURS[i % len(COLOURS)],
+            ms=3.5,
+            lw=1.3,
+            label=name or None,
+        )
+        ax.set_xlabel(f"amplitude of {variable.name} [{variable.display_unit}]")
+    if any(curves):
+        ax.legend(frameon=False, fontsize="small")
+    ax.ticklabel_format(axis="y", useOffset=False)
+    ax.set_ylabel("frequency [Hz]")
+    return figure
+
+
+def plot_energy(energy: Energy) -> Figure:
+    """Energies over time; below, the power that the resistance takes."""
+    figure, axes = _figure(2, size=(8, 5.5), sharex=True)
+    upper, lower = axes[:, 0]
+    # the zero of the potential is arbitrary: here its smallest value
+    shift = energy.potential.min()
+    upper.plot(energy.t, energy.kinetic, color=COLOURS[0], lw=1.0, label="kinetic")
+    upper.plot(energy.t, energy.potential - shift, color=COLOURS[2], lw=1.0, label="potential")
+    upper.plot(energy.t, energy.total - shift, color=COLOURS[1], lw=1.8, label="total")
+    upper.set_ylabel("energy [J]")
+    upper.legend(frameon=False, fontsize="small", loc="upper right")
+    lower.plot(energy.t, energy.rate, color=COLOURS[1], lw=1.2)
+    lower.set_ylabel("dE/dt [W]")
+    lower.set_xlabel("time [s]")
+    return figure
+
+
+def plot_stability(path: StabilityPath) -> Figure:
+    """Eigenvalues in the complex plane along the path, and the growth rate over the parameter."""
+    variable = path.plant.variable(path.parameter)
+    values = path.values / variable.display_factor
+    figure, axes = _figure(1, 2, size=(10, 4.4))
+    plane, growth = axes[0]
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    scale = ScalarMappable(Normalize(values.min(), values.max()), "viridis")
+    for column in path.eigenvalues.T:
+        plane.scatter(column.real, column.imag, c=scale.to_rgba(values), s=12)
+    figure.colorbar(scale, ax=plane, label=variable.label)
+    plane.axvline(0.0, color="#555555", lw=0.8)
+    plane.set_xlabel("real part [1/s]")
+    plane.set_ylabel("imaginary part [rad/s]")
+    growth.plot(values, path.growth, color=COLOURS[0], lw=1.5)
+    growth.axhline(0.0, color="#555555", lw=0.8)
+    growth.set_xlabel(variable.label)
+    growth.set_ylabel("largest real part [1/s]")
+    return figure
+
+
+def plot_border(border: HopfBorder) -> Figure:
+    """The border over the two parameters, coloured by what is born there; frequency below."""
+    point = next(p for p in border.points if p is not None)
+    first, second = (point.plant.variable(n) for n in (border.parameter, border.over))
+    figure, axes = _figure(2, size=(7.5, 6.5), sharex=True)
+    upper, lower = axes[:, 0]
+    x = border.values / second.display_factor
+    y = border.border / first.display_factor
+    upper.plot(x, y, color="#555555", lw=1.0)
+    kinds = ("supercritical: a stable cycle is born", "subcritical: an unstable cycle is born")
+    for wanted, colour, text in zip((True, False), (COLOURS[0], COLOURS[1]), kinds, strict=True):
+        chosen = (border.supercritical == wanted) & np.isfinite(y)
+        if chosen.any():
+            upper.plot(x[chosen], y[chosen], "o", color=colour, ms=4, label=text)
+    top = 1.15 * float(np.nanmax(y))
+    up = point.crossing > 0
+    upper.fill_between(
+        x, y, top if up else 0.0, color=COLOURS[1], alpha=0.08, lw=0, label="rest is unstable"
+    )
+    upper.set_ylim(0.0 if np.nanmin(y) > 0 else None, top)
+    upper.set_ylabel(first.label)
+    upper.legend(frameon=False, fontsize="small")
+    lower.plot(x, border.frequencies, "o-", color=COLOURS[2], ms=3.5, lw=1.0)
+    lower.set_ylabel("frequency [Hz]")
+    lower.set_xlabel(second.label)
+    if np.nanmin(x) > 0 and np.nanmax(x) > 20 * np.nanmin(x):
+        lower.set_xscale("log")
+    return figure
+
+
+def plot_multipliers(cycle: LimitCycle) -> Figure:
+    """Floquet multipliers in the complex plane, with the unit circle."""
+    figure, axes = _figure(1, size=(5, 5))
+    ax = axes[0, 0]
+    angle = np.linspace(0, 2 * np.pi, 200)
+    ax.plot(np.cos(angle), np.sin(angle), color="#888888", lw=1.0)
+    first, *others = cycle.multipliers
+    ax.plot([first.real], [first.imag], "o", color="#888888", ms=7, label="1 (shift in time)")
+    ax.plot(
+        np.real(others), np.imag(others), "x", color=COLOURS[1], ms=8, mew=2, label="the others"
+    )
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_xlabel("real part")
+    ax.set_ylabel("imaginary part")
+    ax.legend(frameon=False, fontsize="small", loc="upper left")
+    return figure
+
+
+def plot_branch(branch: CycleBranch, state: str) -> Figure:
+    """Amplitude and frequency over the parameter; stable parts solid, unstable ones dashed."""
+    plant = branch.cycles[0].plant
+    variable, swings = plant.variable(branch.parameter), plant.variable(state)
+    figure, axes = _figure(2, size=(7.5, 6.5), sharex=True)
+    x = branch.values / variable.display_factor
+    rows = (branch.amplitudes(state) / swings.display_factor, 1 / branch.periods)
+    for ax, y in zip(axes[:, 0], rows, strict=True):
+        _by_stability(ax, x, y, branch.stable)
+    axes[0, 0].set_ylabel(f"amplitude of {swings.name} [{swings.display_unit}]")
+    axes[0, 0].legend(frameon=False, fontsize="small")
+    axes[1, 0].set_ylabel("frequency [Hz]")
+    axes[1, 0].set_xlabel(_spelt(variable))
+    return figure
+
+
+def _by_stability(ax: Axes, x: Array, y: Array, stable: NDArray[np.bool_]) -> None:
+    for wanted, style, name in ((True, "-", "stable"), (False, "--", "unstable")):
+        # a line between two cycles belongs to the second of them
+        for i in np.flatnonzero(stable[1:] == wanted) + 1:
+            ax.plot(x[i - 1 : i + 1], y[i - 1 : i + 1], style, color=COLOURS[not wanted], lw=1.5)
+        chosen = stable == wanted
+        if chosen.any():
+            ax.plot(x[chosen], y[chosen], "o", color=COLOURS[not wanted], ms=3.5, label=name)
+
+
+def _spelt(variable: Variable) -> str:
+    return f"{variable.label}: {variable.description}" if variable.description else variable.label

@@ -1,0 +1,1 @@
+"""Fits of whole plants to records."""

@@ -1,0 +1,262 @@
+"""Dynamic fit: parameters of a plant from measured records.
+
+Parameters, initial states and the motion between the samples are sought together (H. G. Bock,
+Recent advances in parameter identification techniques for ODE, 1983), so a start far from the truth
+does not make the integration diverge. Intervals come from the Gauss-Newton covariance projected on
+the parameters.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError, require_count, require_finite, require_positive
+from ...core.trajectory import Trajectory
+from ...plants.plant import Plant
+from ..statistics import Array
+from .between import decided, deviance
+from .estimation import ORDERS, Task, estimate, require_influence
+from .experiment import groups, measured_names, prepare
+from .outcome import outcome
+from .plant_fit import ACCURATE, PlantFit
+from .transcribe import METHODS, FitMethod, Unknowns
+
+__all__ = ["PlantFit", "fit_plant"]
+
+
+def fit_plant(
+    plant: Plant,
+    records: Trajectory | Sequence[Trajectory],
+    free: Sequence[str | Sequence[str]],
+    *,
+    outputs: Sequence[str] | None = None,
+    method: FitMethod = "collocation",
+    degree: int | None = None,
+    step: float | None = None,
+    delay: float | tuple[float, float] = 0.0,
+    offsets: Sequence[str] = (),
+    gains: Sequence[str] = (),
+    noise: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    inputs: Mapping[str, float] | None = None,
+    process_noise: Mapping[str, float] | None = None,
+    input_noise: Mapping[str, float] | None = None,
+) -> PlantFit:
+    """Fit parameters of a plant to measured records by least squares.
+
+    Parameters
+    ----------
+    plant : any Plant; its parameter values are where the fit starts (such as those of a static
+    fit).
+    records : Trajectories with the measured inputs and some states or outputs; see
+    :func:`read_record`.
+        Inputs run between samples as each record says; where one does not, both are fitted (held,
+        joined by lines), the likelier counts, and the report says so. Initial states are unknown
+        and
+        estimated.
+    free : names of the parameters to fit. A tuple of names, or a pattern such as ``"muscle*.a1"``,
+        is one unknown: these parameters are to be equal.
+    outputs : the measured states and outputs to compare; by default all that the records hold.
+    method : "collocation" (Radau points; for all plants), "multiple-shooting" or "single-shooting"
+        (RK4 between the samples; for plants that are not stiff).
+    degree : of the collocation (1 to 9), or steps of RK4 in each interval; by default raised until
+        the integration is off by less than 2 % of the noise.
+    step : longest interval [s]; by default from sample to sample.
+    delay : of the inputs [s]; (low, high) to estimate it.
+    offsets, gains : measured variables whose sensor has an unknown offset, or gain.
+    noise : {measured variable: standard deviation}; by default estimated from the residuals.
+    bounds : {free parameter: (low, high)}.
+    inputs : values of inputs that were constant and are no column.
+    process_noise : {state: intensity}: white noise that disturbs the plant itself, as the standard
+        deviation that the state gains in one second [its unit/sqrt(s)]. The motion is then
+        smoothed:
+        states may jump where intervals begin, and jumps are weighed against the measurement noise,
+        which must be given (the most probable parameters and motion together; A. Jazwinski,
+        Stochastic Processes and Filtering Theory, 1970, 5.3). Not for single shooting.
+    input_noise : {measured input: standard deviation}: its samples have errors, which are estimated
+    with all
+        else and weighed against those of the outputs, whose ``noise`` must be given. An input that
+        is
+        measured with noise and taken as exact biases the parameters, damping above all (errors in
+        variables; W. Fuller, Measurement Error Models, 1987).
+
+    Returns
+    -------
+    PlantFit; ``.plant`` has the fitted values, ``.report()`` tells what the records say.
+
+    Raises
+    ------
+    InputError, UnknownNameError : arguments that cannot be, NaN in a record.
+    FitError : a parameter without influence, constant inputs that cannot tell the parameters, or no
+        solution.
+    """
+    began = time.perf_counter()
+    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    names = measured_names(plant, chosen, outputs)
+    low, high = _delays(delay)
+    noisy = _input_noise(plant, input_noise, noise)
+    unknowns = Unknowns(
+        groups(plant, free, dict(bounds or {})),
+        names,
+        _places("offsets", offsets, plant, names),
+        _places("gains", gains, plant, names),
+        low,
+        process=_process(plant, process_noise, method, noise),
+    )
+    if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
+        raise InputError("free is empty: name at least one parameter of the plant")
+
+    def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
+        task = _task(plant, ran, unknowns, method, degree, step, high, inputs, noisy)
+        return _fitted(task, _noise(plant, task, noise), (low, high), noise is not None, degree)
+
+    fit, between, words = decided(plant, chosen, fitted)
+    seconds = time.perf_counter() - began
+    return replace(fit, seconds=seconds, interpolation=between, inputs_ran=words)
+
+
+def _fitted(
+    task: Task, sigma: Array, delays: tuple[float, float], known: bool, degree: int | None
+) -> tuple[PlantFit, float]:
+    """The fit, and its deviance. known : whether ``sigma`` was given."""
+    low, high = delays
+    process = bool(task.unknowns.process)
+    require_influence(task, task.program(low, None), sigma)
+    found = estimate(task, sigma, delays, known)
+    fit = outcome(task, found, high > low)
+    for order in ORDERS[task.method][1:] if degree is None else ():
+        if fit.integration_error < ACCURATE and not process:
+            break
+        before = found.solution.residuals
+        task = task.refined(found, order)
+        found = estimate(task, found.sigma, delays, known, found.delay)
+        fit = outcome(task, found, high > low)
+        if process and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
+            break
+    jumps = float(np.sum(found.solution.jumps**2))
+    return fit, deviance(found.solution.residuals, sigma if known else None) + jumps
+
+
+# ---- arguments ----------------------------------------------------------------------------------
+def _delays(delay: Any) -> tuple[float, float]:
+    if isinstance(delay, (tuple, list)):
+        if len(delay) != 2:
+            raise InputError(f"delay = {delay!r}: give seconds, or (low, high) to estimate it")
+        low, high = (require_positive("delay", d, "s", zero=True) for d in delay)
+        if not low < high:
+            raise InputError(f"delay = ({low:g}, {high:g}) s: the lower must be the smaller")
+        return low, high
+    value = require_positive("delay", delay, "s", zero=True)
+    return value, value
+
+
+def _places(
+    argument: str, given: Sequence[str], plant: Plant, names: Sequence[str]
+) -> tuple[int, ...]:
+    if isinstance(given, str):
+        given = [given]
+    found = []
+    for name in given:
+        known = plant.variable(name).name
+        if known not in names:
+            raise InputError(
+                f"{argument}: {known} is not measured; measured are {', '.join(names)}"
+            )
+        found.append(names.index(known))
+    return tuple(found)
+
+
+def _process(
+    plant: Plant, given: Mapping[str, float] | None, method: Any, noise: Any
+) -> tuple[tuple[int, float], ...]:
+    """Positions of the disturbed states, and intensities."""
+    if not given:
+        return ()
+    if method == "single-shooting":
+        raise InputError(
+            "process_noise: single shooting knows no jumps; take method='collocation' or "
+            "'multiple-shooting'"
+        )
+    if noise is None:
+        raise InputError(
+            "process_noise needs noise={measured variable: standard deviation}: the data alone do "
+            "not tell which of both scattered"
+        )
+    order, found = [v.name for v in plant.states], []
+    for name, value in given.items():
+        variable = plant.variable(name)
+        if variable.name not in order:
+            raise InputError(
+                f"process_noise: {variable.name} is a {variable.causality}, not a state"
+            )
+        size = require_positive(f"process_noise[{name!r}]", value, f"{variable.unit}/sqrt(s)")
+        found.append((order.index(variable.name), size))
+    return tuple(found)
+
+
+def _input_noise(
+    plant: Plant, given: Mapping[str, float] | None, noise: Mapping[str, float] | None
+) -> dict[str, float]:
+    if given and noise is None:
+        raise InputError(
+            "input_noise needs noise={measured variable: standard deviation}, too: the data alone "
+            "do not "
+            "tell which of both scattered"
+        )
+    found = {}
+    for name, value in (given or {}).items():
+        variable = plant.variable(name)
+        if variable.causality != "input":
+            raise InputError(
+                f"input_noise: {variable.name} is a {variable.causality}, not an input"
+            )
+        found[variable.name] = require_positive(f"input_noise[{name!r}]", value, variable.unit)
+    return found
+
+
+def _task(
+    plant: Plant,
+    records: Sequence[Trajectory],
+    unknowns: Unknowns,
+    method: Any,
+    degree: int | None,
+    step: float | None,
+    longest_delay: float,
+    inputs: Mapping[str, float] | None,
+    input_noise: Mapping[str, float],
+) -> Task:
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
+    if step is not None:
+        require_positive("step", step, "s")
+    order = ORDERS[method][0] if degree is None else degree
+    require_count("degree", order, 1, 9)
+    constant = {}
+    for name, value in (inputs or {}).items():
+        if plant.variable(name).causality != "input":
+            raise InputError(f"inputs: {name} is a {plant.variable(name).causality}, not an input")
+        constant[plant.variable(name).name] = require_finite(name, value)
+    experiments = [
+        prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise)
+        for r in records
+    ]
+    return Task(plant, experiments, unknowns, method, order, step, constant, input_noise)
+
+
+def _noise(plant: Plant, task: Task, noise: Mapping[str, float] | None) -> Array:
+    """Standard deviations in nominals; at first a part of what each variable spreads over."""
+    names = task.unknowns.names
+    nominal = np.array([plant.variable(n).nominal for n in names])
+    if noise is None:
+        spread = np.concatenate([e.measured for e in task.experiments]).std(axis=0) / nominal
+        return np.asarray(np.where(spread > 0, 0.05 * spread, 1e-3))
+    given = {plant.variable(n).name: require_positive("noise", v) for n, v in noise.items()}
+    missing = [n for n in names if n not in given]
+    if missing:
+        raise InputError(f"noise: {missing[0]} is measured too; give its standard deviation")
+    return np.asarray(np.array([given[n] for n in names]) / nominal)

@@ -1,0 +1,227 @@
+"""Estimation: is there anything to learn, which delay, and a solution as accurate as the noise
+asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...core.errors import FitError
+from ...plants.plant import Plant
+from ..statistics import Array
+from .experiment import Experiment
+from .gauss_newton import Solution, reduced_jacobian, solve
+from .transcribe import FitMethod, Program, Unknowns, transcribe
+
+__all__ = ["ORDERS", "Estimate", "Task", "estimate", "head_names", "require_influence"]
+
+SCANNED_DELAYS = 5
+"""Delays from which the best is sought, evenly over the range."""
+SCAN_ITERATIONS = 30
+"""How far a wrong delay is followed."""
+ORDERS = {
+    "collocation": (3, 5, 7, 9),
+    "multiple-shooting": (1, 2, 4, 8, 16),
+    "single-shooting": (1, 2, 4, 8, 16),
+}
+"""Degrees (or RK4 steps per interval), tried in turn until the integration is accurate enough."""
+BLIND = 1e-10
+"""A column of the Jacobian shorter than this part of the longest has no influence."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is to be solved, for any delay."""
+
+    plant: Plant
+    experiments: Sequence[Experiment]
+    unknowns: Unknowns
+    method: FitMethod
+    degree: int
+    step: float | None = None
+    inputs: Mapping[str, float] = field(default_factory=dict)
+    input_noise: Mapping[str, float] = field(default_factory=dict)
+
+    def program(self, delay: float, bounds: tuple[float, float] | None) -> Program:
+        unknowns = replace(self.unknowns, delay=delay, delay_bounds=bounds)
+        return transcribe(self.plant, self.experiments, unknowns, self.method, self.degree)
+
+    def refined(self, estimate: Estimate, order: int) -> Task:
+        """The same with another degree, starting from what an estimate found."""
+        w, plant = estimate.solution.w, self.plant
+        values = (
+            w[: len(self.unknowns.groups)]
+            * estimate.program.head_scale[: len(self.unknowns.groups)]
+        )
+        found = [
+            replace(g, value=float(np.clip(v, g.low, g.high)))
+            for g, v in zip(self.unknowns.groups, values, strict=True)
+        ]
+        nx, x_nominal = len(plant.states), plant.vector("state", attribute="nominal")
+        head, first, experiments = estimate.program.head, 0, list(self.experiments)
+        x0 = w[head - nx * len(experiments) : head].reshape(-1, nx) * x_nominal
+        per = nx * (self.degree if self.method == "collocation" else 1)
+        inner = w[head : w.size - estimate.program.jumps]
+        ends = inner.reshape(-1, per)[:, -nx:] * x_nominal  # none in single shooting
+        for r, e in enumerate(experiments):
+            states = e.states.copy()
+            states[0] = x0[r]
+            if ends.size:
+                states[1:] = ends[first : first + len(e.mesh) - 1]
+            first += len(e.mesh) - 1
+            experiments[r] = replace(e, states=states)
+        return replace(
+            self,
+            experiments=experiments,
+            unknowns=replace(self.unknowns, groups=found),
+            degree=order,
+        )
+
+    @property
+    def usual(self) -> float:
+        return float(np.median(np.concatenate([np.diff(e.mesh) for e in self.experiments])))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A solution with the program and the weights that it belongs to."""
+
+    solution: Solution
+    program: Program
+    sigma: Array
+    delay: float
+
+
+def estimate(
+    task: Task,
+    sigma: Array,
+    limits: tuple[float, float],
+    known_noise: bool,
+    start: float | None = None,
+) -> Estimate:
+    """Solve; with several measured variables of unknown noise,
+    weigh them by their residuals anew.
+    """
+    solution, program, found = _seek_delay(task, sigma, limits, start)
+    for _ in range(0 if known_noise or len(task.unknowns.names) == 1 else 2):
+        sigma = np.maximum(np.sqrt(np.mean(solution.residuals**2, axis=0)), 1e-9)
+        program = task.program(found, _around(task, found, limits))
+        solution = solve(program, 1 / sigma, solution.w)
+        found = _delay_of(task, program, solution, found)
+    if not solution.found:
+        raise FitError(
+            f"the fit of {task.plant.name!r} came to no solution ({solution.status} after "
+            f"{solution.iterations} iterations); start nearer with plant.with_values(...), free "
+            "fewer "
+            "parameters or give bounds"
+        )
+    return Estimate(solution, program, sigma, found)
+
+
+# ---- is there anything to learn ------------------------------------------------------------------
+def head_names(task: Task, delay: bool) -> list[str]:
+    u = task.unknowns
+    names = [g.name for g in u.groups]
+    names += [f"{u.names[i]}.gain" for i in u.gains] + [f"{u.names[i]}.offset" for i in u.offsets]
+    names += ["delay"] if delay else []
+    several = len(task.experiments) > 1
+    for r in range(len(task.experiments)):
+        where = f", record {r + 1}" if several else ""
+        names += [f"{v.name}(0{where})" for v in task.plant.states]
+    return names
+
+
+def require_influence(task: Task, program: Program, sigma: Array) -> None:
+    """Refuse parameters that nothing measured depends on, and inputs that do not move."""
+    jacobian = reduced_jacobian(program, 1 / sigma, program.guess)
+    names = head_names(task, False)[: len(task.unknowns.groups)]
+    lengths = np.linalg.norm(jacobian, axis=0)
+    if not np.all(np.isfinite(lengths)):
+        raise FitError("the plant's start values give no finite motion; set them with with_values")
+    blind = [n for n, size in zip(names, lengths, strict=False) if size <= BLIND * lengths.max()]
+    still = all(_constant(e) for e in task.experiments)
+    if blind and not still:
+        raise FitError(
+            f"{', '.join(blind)}: no influence on {', '.join(task.unknowns.names)} in these "
+            "records; "
+            "leave it out of free, or measure something that depends on it (in a symmetric pair an "
+            "equal constant of both muscles cancels)"
+        )
+    if not still or not names:
+        return
+    _, s, vt = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
+    lost = vt[s <= 1e-6 * s[0]]
+    mixed = [n for j, n in enumerate(names) if lost.size and np.abs(lost[:, j]).max() > 1e-3]
+    unknown = [n for n in names if n in blind or n in mixed]
+    if unknown:
+        raise FitError(
+            f"all inputs are constant in these records, which cannot tell {', '.join(unknown)}: "
+            "move the inputs (steps, a sweep), or leave them out of free"
+        )
+
+
+def _constant(experiment: Experiment) -> bool:
+    """Whether no input moves by more than rounding."""
+    values = experiment.coefficients[:, 0]
+    return bool(np.all(np.ptp(values, axis=0) <= 1e-9 * np.abs(values).max(axis=0, initial=1.0)))
+
+
+# ---- the delay -----------------------------------------------------------------------------------
+def _around(task: Task, delay: float, limits: tuple[float, float]) -> tuple[float, float] | None:
+    """One mesh interval to either side, within the limits; None for a known delay."""
+    if limits[0] == limits[1]:
+        return None
+    return max(limits[0], delay - task.usual), min(limits[1], delay + task.usual)
+
+
+def _delay_of(task: Task, program: Program, solution: Solution, known: float) -> float:
+    u = task.unknowns
+    place = len(u.groups) + len(u.gains) + len(u.offsets)
+    free = program.head - place - len(task.experiments) * len(task.plant.states)
+    return float(solution.w[place] * program.head_scale[place]) if free else known
+
+
+def _seek_delay(
+    task: Task, sigma: Array, limits: tuple[float, float], start: float | None
+) -> tuple[Solution, Program, float]:
+    """Solve at a few fixed delays, then let the best one move until it stays within an interval."""
+    low, high = limits
+    if low == high:
+        program = task.program(low, None)
+        return solve(program, 1 / sigma, program.guess), program, low
+    if start is None:
+        delay, w = _scanned(task, sigma, limits)
+    else:
+        delay, w = start, task.program(start, _around(task, start, limits)).guess
+    place = len(task.unknowns.groups) + len(task.unknowns.gains) + len(task.unknowns.offsets)
+    for _ in range(int(np.ceil((high - low) / task.usual)) + 3):
+        bounds = _around(task, delay, limits)
+        program = task.program(delay, bounds)
+        w = np.insert(w, place, delay / task.usual) if w.size < program.guess.size else w
+        solution = solve(program, 1 / sigma, w, 6 * SCAN_ITERATIONS)
+        w, moved = solution.w, _delay_of(task, program, solution, delay)
+        settled = abs(moved - delay) < 0.5 * task.usual
+        delay = moved
+        if settled:
+            break
+    # once more with the samples in their right intervals
+    program = task.program(delay, _around(task, delay, limits))
+    solution = solve(program, 1 / sigma, w)
+    return solution, program, _delay_of(task, program, solution, delay)
+
+
+def _scanned(task: Task, sigma: Array, limits: tuple[float, float]) -> tuple[float, Array]:
+    """The best of a few fixed delays, followed for some iterations, and the unknowns there."""
+    best: tuple[float, float, Array] | None = None
+    guess = task.program(limits[0], None).guess
+    for delay in np.linspace(*limits, SCANNED_DELAYS):
+        answer = solve(task.program(float(delay), None), 1 / sigma, guess, SCAN_ITERATIONS)
+        cost = float(np.sum((answer.residuals / sigma) ** 2))
+        if best is None or cost < best[0]:
+            best = (cost, float(delay), answer.w)
+            guess = answer.w if answer.found else guess
+    assert best is not None
+    return best[1], best[2]

@@ -1,0 +1,297 @@
+"""Records made ready for a dynamic fit: mesh, inputs, measurements, and guesses of the states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import FitError, InputError, PamError, UnknownNameError
+from ...core.signals import merged, signals
+from ...core.trajectory import Trajectory
+from ...plants.plant import Plant
+from ...simulation.simulate import simulate
+from ..statistics import Array
+
+__all__ = ["Experiment", "Group", "InputErrors", "groups", "measured_names", "prepare"]
+
+
+@dataclass(frozen=True)
+class Group:
+    """One unknown: a parameter of the plant, or several that are to be equal.
+
+    members : positions among the plant's parameters. scale : its size in the solver.
+    """
+
+    name: str
+    members: tuple[int, ...]
+    value: float
+    scale: float
+    low: float
+    high: float
+    unit: str
+    description: str
+
+
+@dataclass(frozen=True, eq=False)
+class InputErrors:
+    """What unknown errors of samples, in standard deviations, add to the inputs' coefficients.
+
+    rows : positions in the coefficients (n, degree + 1, nu), flat. columns : numbers of the errors.
+    values : factors [unit of the input]. count : of the errors.
+    """
+
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    values: Array
+    count: int
+
+    @classmethod
+    def of(
+        cls, plant: Plant, record: Trajectory, mesh: Array, noise: Mapping[str, float]
+    ) -> InputErrors:
+        """Errors of every sample of the inputs in ``noise``, which run as the inputs themselves."""
+        held, nu = record.interpolation == "previous", len(plant.inputs)
+        degree = 0 if held else 1
+        sample = np.clip(
+            np.searchsorted(record.t, mesh[:-1] + 1e-12, side="right") - 1, 0, len(record) - 2
+        )
+        span, since = np.diff(record.t)[sample], mesh[:-1] - record.t[sample]
+        rows, columns, values = [], [], []
+        for number, (name, size) in enumerate(noise.items()):
+            place = [v.name for v in plant.inputs].index(name)
+            first = (np.arange(len(mesh) - 1) * (degree + 1)) * nu + place
+            own = number * len(record) + sample
+            parts = [(0, 0, np.ones(len(span)))]
+            if not held:
+                part = since / span
+                parts = [(0, 0, 1 - part), (0, 1, part), (1, 0, -1 / span), (1, 1, 1 / span)]
+            for power, later, factor in parts:
+                rows.append(first + power * nu)
+                columns.append(own + later)
+                values.append(size * factor)
+        return cls(
+            np.concatenate(rows),
+            np.concatenate(columns),
+            np.concatenate(values),
+            len(noise) * len(record),
+        )
+
+    def added(self, coefficients: Array, errors: Array) -> Array:
+        """The coefficients with these errors (count,)."""
+        found = coefficients.ravel().copy()
+        np.add.at(found, self.rows, self.values * errors[self.columns])
+        return np.asarray(found.reshape(coefficients.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One record, its clock that of the inputs.
+
+    t, measured : times (K,) and samples (K, ny) that are compared. mesh : (n + 1,) times; the
+    inputs are polynomials of ``coefficients`` (n, degree + 1, nu) between them.
+    states : a guess (n + 1, nx) at the mesh. errors : how errors of the inputs' samples change the
+    coefficients; None where the samples are exact.
+    """
+
+    record: Trajectory
+    t: Array
+    measured: Array
+    mesh: Array
+    coefficients: Array
+    states: Array
+    errors: InputErrors | None = None
+
+
+def groups(
+    plant: Plant, free: Sequence[str | Sequence[str]], bounds: Mapping[str, tuple[float, float]]
+) -> list[Group]:
+    """The unknown parameters, from names, patterns (``muscle*.a1``: equal) and tuples (equal)."""
+    order = {v.name: i for i, v in enumerate(plant.parameters)}
+    found: list[Group] = []
+    for entry in free:
+        if isinstance(entry, str) and "*" in entry:
+            names = [n for n in order if fnmatchcase(n, entry)]
+            if not names:
+                raise UnknownNameError("pattern in free", entry, order)
+        else:
+            names = [plant.variable(n).name for n in ([entry] if isinstance(entry, str) else entry)]
+        label = entry if isinstance(entry, str) and "*" in entry else " = ".join(names)
+        for name in names:
+            if name not in order:
+                raise InputError(
+                    f"free: {name} is a {plant.variable(name).causality}; only parameters are "
+                    "fitted "
+                    "(initial states are unknown anyway)"
+                )
+        variables = [plant.variable(n) for n in names]
+        values = [float(v.start or 0.0) for v in variables]
+        if max(values) - min(values) > 1e-9 * variables[0].nominal:
+            raise InputError(
+                f"free: {label} are to be equal but start from {min(values):g} .. {max(values):g}; "
+                "set them equal with plant.with_values(...)"
+            )
+        low, high = bounds.get(label, (-np.inf, np.inf))
+        scale = (
+            abs(values[0]) if abs(values[0]) > 1e-3 * variables[0].nominal else variables[0].nominal
+        )
+        found.append(
+            Group(
+                label,
+                tuple(order[n] for n in names),
+                values[0],
+                scale,
+                max(low, *(v.min for v in variables))
+                if len(variables) > 1
+                else max(low, variables[0].min),
+                min(high, *(v.max for v in variables))
+                if len(variables) > 1
+                else min(high, variables[0].max),
+                variables[0].unit,
+                variables[0].description,
+            )
+        )
+    labels = [g.name for g in found]
+    places = [m for g in found for m in g.members]
+    if len(set(places)) < len(places):
+        raise InputError(f"free names a parameter twice: {', '.join(labels)}")
+    for name in bounds:
+        if name not in labels:
+            raise UnknownNameError("parameter in bounds that is not free:", name, labels)
+    for group in found:
+        if not group.low <= group.value <= group.high:
+            raise InputError(
+                f"{group.name} starts at {group.value:g}, outside its bounds {group.low:g} .. "
+                f"{group.high:g}; start elsewhere with plant.with_values(...)"
+            )
+    return found
+
+
+def measured_names(
+    plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str] | None
+) -> list[str]:
+    """The states and outputs of the plant that all records hold, or those that are asked for."""
+    if not records:
+        raise InputError("records is empty: give at least one Trajectory (see read_record)")
+    for i, record in enumerate(records):
+        if not isinstance(record, Trajectory):
+            raise InputError(f"record {i + 1} is a {type(record).__name__}; give Trajectories")
+    known = [v.name for v in (*plant.states, *plant.outputs)]
+    if outputs is not None:
+        names = [plant.variable(n).name for n in outputs]
+        wrong = [n for n in names if n not in known]
+        if wrong:
+            raise InputError(f"outputs: {wrong[0]} is neither a state nor an output of the plant")
+    else:
+        names = [n for n in known if all(n in record for record in records)]
+    if not names:
+        raise InputError(
+            "no state or output of the plant is a column of every record; rename the columns "
+            f"(known: {', '.join(known)})"
+        )
+    for i, record in enumerate(records):
+        for name in names:
+            bad = np.nonzero(~np.isfinite(record[name]))[0]
+            if bad.size:
+                raise InputError(
+                    f"record {i + 1}: {name} = {record[name][bad[0]]} at t = {record.t[bad[0]]:g} "
+                    "s; "
+                    "take the sample out or cut the record there"
+                )
+    return names
+
+
+def prepare(
+    plant: Plant,
+    record: Trajectory,
+    names: Sequence[str],
+    longest_delay: float,
+    step: float | None,
+    constant: Mapping[str, float],
+    input_noise: Mapping[str, float] | None = None,
+) -> Experiment:
+    """The mesh: breaks of the inputs, refined to steps of at most ``step``; guesses of the states.
+
+    input_noise : {measured input: standard deviation}; these count as samples, nothing more.
+    """
+    inputs = {}
+    for variable in plant.inputs:
+        if variable.name in record:
+            inputs[variable.name] = (record.t, record[variable.name])
+        elif variable.name in constant or variable.disturbance:
+            value = constant.get(variable.name, variable.start)
+            inputs[variable.name] = (record.t[[0, -1]], np.full(2, float(value or 0.0)))
+        else:
+            raise InputError(
+                f"the record has no column for the input {variable.name}; give one, or "
+                f"inputs={{{variable.name!r}: value}} if it was constant"
+            )
+    keep = record.t >= record.t[0] + longest_delay - 1e-12
+    if keep.sum() < 2:
+        raise InputError(
+            f"a record of {record.duration:g} s is too short for delays of up to "
+            f"{longest_delay:g} s"
+        )
+    exact = record.signals is not None and all(v.name in record for v in plant.inputs)
+    exact = exact and not input_noise
+    for name in input_noise or {}:
+        if name not in record:
+            raise InputError(f"input_noise: {name} is no column of the record")
+    u = signals(plant, record if exact else inputs, record.t, record.interpolation)
+    times = merged(np.concatenate([record.t, u.breaks]))
+    if step is not None:
+        parts = np.maximum(np.ceil(np.diff(times) / step * (1 - 1e-9)).astype(int), 1)
+        times = np.concatenate(
+            [
+                a + (b - a) * np.arange(n) / n
+                for a, b, n in zip(times[:-1], times[1:], parts, strict=True)
+            ]
+            + [times[-1:]]
+        )
+    coefficients = u.shifted(times).coefficients
+    errors = None
+    if input_noise:
+        if record.interpolation == "linear" and coefficients.shape[1] < 2:
+            coefficients = np.concatenate([coefficients, np.zeros_like(coefficients)], axis=1)
+        errors = InputErrors.of(plant, record, times, input_noise)
+    return Experiment(
+        record,
+        record.t[keep],
+        record.array(names)[keep],
+        times,
+        coefficients,
+        _guess(plant, record, times, inputs),
+        errors,
+    )
+
+
+def _guess(
+    plant: Plant, record: Trajectory, times: Array, inputs: Mapping[str, tuple[Array, Array]]
+) -> Array:
+    """Measured states where there are, velocities from positions, a simulation for the others."""
+    start = {v.name: float(v.start or 0.0) for v in plant.states}
+    seen: dict[str, Array] = {v.name: record[v.name] for v in plant.states if v.name in record}
+    for position, velocity in plant.positions.items():
+        if position in seen and velocity not in seen:
+            seen[velocity] = np.gradient(seen[position], record.t)
+    for name, column in seen.items():
+        variable = plant.variable(name)
+        start[name] = float(np.clip(column[0], variable.min, variable.max))
+    states = np.tile([start[v.name] for v in plant.states], (len(times), 1))
+    if len(seen) < len(plant.states):
+        try:
+            run = simulate(
+                plant, inputs, t=times, start=start, rtol=1e-5, interpolation=record.interpolation
+            )
+            states = run.array([v.name for v in plant.states])
+        except PamError:
+            pass  # the guess stays constant; the solver has to do without
+    for i, variable in enumerate(plant.states):
+        if variable.name in seen:
+            states[:, i] = np.interp(times, record.t, seen[variable.name])
+    if not np.all(np.isfinite(states)):
+        raise FitError("the plant's start values give no finite motion; set them with with_values")
+    return np.asarray(states)

@@ -1,0 +1,182 @@
+"""Solving a dynamic fit, and how its residuals depend on the unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ...core.errors import FitError
+from ..statistics import Array
+from .transcribe import Program
+
+__all__ = ["Solution", "reduced_jacobian", "solve"]
+
+LEVENBERG = 1e-6
+"""Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
+
+It changes steps, not the solution. Unknowns are of size 1, residuals are in units of the noise.
+"""
+DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Scaled unknowns w, residuals without weights (K, ny) in nominals, and the solver's account.
+
+    jumps : of disturbed states, in their standard deviations.
+    """
+
+    w: Array
+    residuals: Array
+    status: str
+    iterations: int
+    jumps: Array
+
+    @property
+    def found(self) -> bool:
+        return self.status in DONE
+
+
+def solve(
+    program: Program, weights: Array, guess: Array, iterations: int | None = None
+) -> Solution:
+    """Least squares from a guess; with a limit of ``iterations`` only as far as these lead.
+
+    Without states among the unknowns (single shooting) by SciPy's trust-region method, else by
+    IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
+    where that does not settle, with the exact Hessian.
+    """
+    if not program.defects.numel():
+        return _trust_region(program, weights, guess)
+    first = _interior_point(program, weights, guess, False, iterations or 150)
+    if first.found or iterations is not None:
+        return first
+    return _interior_point(program, weights, guess, True, 100)
+
+
+def _interior_point(
+    program: Program, weights: Array, guess: Array, exact: bool, iterations: int
+) -> Solution:
+    w, residuals = program.w, program.residuals
+    options: Any = {
+        "print_time": False,
+        "error_on_fail": False,
+        "calc_lam_p": False,
+        "show_eval_warnings": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": 1e-8,
+            "max_iter": iterations,
+            "mu_strategy": "adaptive",
+            "honor_original_bounds": "yes",
+        },
+    }
+    if not exact:
+        jacobian = ca.jacobian(residuals, w)
+        factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", program.defects.numel())
+        hessian = jacobian.T @ jacobian + LEVENBERG * ca.DM.eye(w.numel())
+        options["hess_lag"] = ca.Function(
+            "gauss_newton",
+            [w, program.weights, factor, multipliers],
+            [ca.triu(factor * hessian)],
+            ["x", "p", "lam_f", "lam_g"],
+            ["hess_gamma_x_x"],
+        )
+    nlp: Any = {"x": w, "p": program.weights, "f": ca.sumsqr(residuals) / 2, "g": program.defects}
+    solver = ca.nlpsol("fit", "ipopt", nlp, options)
+    answer = solver(x0=guess, p=weights, lbx=program.low, ubx=program.high, lbg=0.0, ubg=0.0)
+    statistics = solver.stats()
+    return _solution(
+        program,
+        weights,
+        np.asarray(answer["x"]).ravel(),
+        str(statistics["return_status"]),
+        int(statistics["iter_count"]),
+    )
+
+
+def _trust_region(program: Program, weights: Array, guess: Array) -> Solution:
+    from scipy.optimize import least_squares
+
+    w, residuals = program.w, program.residuals
+    value = ca.Function("residuals", [w, program.weights], [residuals])
+    slope = ca.Function("slope", [w, program.weights], [ca.jacobian(residuals, w)])
+
+    def compute(z: Array) -> Array:
+        found = np.asarray(value(z, weights)).ravel()
+        return np.where(np.isfinite(found), found, 1e6)  # a motion that diverged is a bad one
+
+    inside = 1e-9 * (1 + np.abs(guess))
+    answer = least_squares(
+        compute,
+        np.clip(guess, program.low + inside, program.high - inside),
+        jac=lambda z: np.nan_to_num(np.asarray(slope(z, weights))),
+        bounds=(program.low, program.high),
+        x_scale="jac",
+        xtol=1e-10,
+        ftol=1e-12,
+        gtol=1e-10,
+        max_nfev=300,
+    )
+    status = DONE[0] if answer.success else "Maximum_Iterations_Exceeded"
+    return _solution(program, weights, answer.x, status, int(answer.nfev))
+
+
+def _solution(
+    program: Program, weights: Array, found: Array, status: str, iterations: int
+) -> Solution:
+    if not np.all(np.isfinite(found)):
+        raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")
+    function = ca.Function("residuals", [program.w, program.weights], [program.residuals])
+    value = np.asarray(function(found, weights)).ravel()
+    measured = value[: value.size - program.jumps].reshape(-1, weights.size)
+    jumps = value[value.size - program.jumps :]
+    return Solution(found, measured / weights, status, iterations, jumps)
+
+
+def reduced_jacobian(program: Program, weights: Array, w: Array) -> Array:
+    """d(weighted residuals)/d(head), the states following from the plant's equations.
+
+    Along solutions of defects(head, states) = 0: d(states) = -(d defects/d states)^-1 (d defects/
+    d head) d(head). The rest of the covariance is that of least squares in the head alone. Jumps of
+    disturbed states are unknown too: their columns are projected out of the head's.
+    """
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import splu
+
+    function = ca.Function(
+        "derivatives",
+        [program.w, program.weights],
+        [ca.jacobian(program.residuals, program.w), ca.jacobian(program.defects, program.w)],
+    )
+    r, g = (_sparse(csc_matrix, block) for block in function(w, weights))
+    own = np.r_[: program.head, program.w.numel() - program.jumps : program.w.numel()]
+    inner = slice(program.head, program.w.numel() - program.jumps)
+    direct = np.asarray(r[:, own].todense())
+    if g.shape[0] == 0:
+        return direct
+    try:
+        states = splu(g[:, inner]).solve(np.asarray(g[:, own].todense()))
+    except RuntimeError:
+        raise FitError(
+            "the plant's equations do not determine its states along a record: one of them is "
+            "singular at the solution"
+        ) from None
+    every = np.asarray(direct - r[:, inner] @ states)
+    if not program.jumps:
+        return every
+    basis = np.linalg.qr(every[:, program.head :])[0]
+    rest = every[:, : program.head]
+    return np.asarray(rest - basis @ (basis.T @ rest))
+
+
+def _sparse(kind: Any, matrix: ca.DM) -> Any:
+    pattern = matrix.sparsity()
+    return kind(
+        (np.array(matrix.nonzeros()), np.array(pattern.row()), np.array(pattern.colind())),
+        shape=matrix.shape,
+    )

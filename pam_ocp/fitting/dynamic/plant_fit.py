@@ -1,0 +1,228 @@
+"""What a dynamic fit tells: parameters with errors, replays of the records, and its doubts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ...core.errors import UnknownNameError
+from ...core.signals import Interpolation
+from ...core.trajectory import Trajectory
+from ...plants.plant import Plant
+from ...simulation.compare import RecordComparison, compare_with_record
+from ..static.correlation import neighbours, widening
+from ..statistics import Array, Coefficient, Linearisation, student_t
+from .transcribe import FitMethod
+
+__all__ = ["PlantFit"]
+
+ACCURATE = 0.02
+"""Largest error of the integration that a fit is content with, in standard deviations of the noise.
+"""
+COLOURED = 0.3
+"""Correlation of neighbouring residuals from which intervals are called too narrow."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantFit:
+    """A plant fitted to records.
+
+    plant : with the fitted values. linearisation : of all unknowns (parameters, sensors' gains and
+    offsets, delay, initial states), weighted. records, simulated : measured, and the fitted plant
+    integrated anew under the measured inputs (sensors' gains and offsets and the delay applied).
+    starts : initial states of each record. measured : names that were compared.
+    noise : standard deviation of each measured variable [its unit].
+    """
+
+    plant: Plant
+    records: tuple[Trajectory, ...]
+    simulated: tuple[Trajectory, ...] = field(repr=False)
+    measured: tuple[str, ...]
+    parameters: tuple[str, ...]
+    linearisation: Linearisation = field(repr=False)
+    delay: float
+    offsets: Mapping[str, float]
+    gains: Mapping[str, float]
+    starts: tuple[Mapping[str, float], ...] = field(repr=False)
+    noise: Mapping[str, float]
+    residuals: tuple[Array, ...] = field(repr=False)
+    """Measured minus modelled, one (K, ny) for each record, in the measured variables' units."""
+    descriptions: Mapping[str, str] = field(repr=False)
+    at_bound: tuple[str, ...]
+    method: FitMethod
+    degree: int
+    step: float | None
+    inputs: Mapping[str, float]
+    status: str
+    iterations: int
+    seconds: float
+    process_noise: Mapping[str, float] = field(default_factory=dict)
+    """Intensity of the noise that was allowed to disturb a state [unit/sqrt(s)]; ``simulated`` is
+    then
+    the smoothed motion."""
+
+    input_noise: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation of measured inputs whose errors were estimated; ``simulated`` ran without
+    them.
+    """
+    interpolation: Interpolation = "linear"
+    """How inputs count as having run between the samples of records that do not say it."""
+    inputs_ran: str = ""
+    """How that was decided, in words; empty where the records say it."""
+
+    # ---- parameters ---------------------------------------------------------------------------
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Every unknown but the initial states, by name."""
+        rows = zip(
+            self.linearisation.names,
+            self.linearisation.values,
+            self.linearisation.stderr(),
+            self.linearisation.units,
+            strict=True,
+        )
+        return {
+            n: Coefficient(n, float(v), float(e), u, False, self.descriptions.get(n, ""))
+            for n, v, e, u in rows
+            if n in self.parameters
+        }
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values by name."""
+        return {n: c.value for n, c in self.coefficients.items()}
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval from the Gauss-Newton covariance."""
+        if name not in self.coefficients:
+            raise UnknownNameError("fitted parameter", name, self.coefficients)
+        c = self.coefficients[name]
+        half = student_t(level, self.linearisation.dof) * c.stderr
+        return c.value - half, c.value + half
+
+    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of all fitted parameters."""
+        return {n: self.interval(n, level) for n in self.coefficients}
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the parameters, in the order of ``coefficients``."""
+        places = [self.linearisation.names.index(n) for n in self.coefficients]
+        return np.asarray(self.linearisation.covariance[np.ix_(places, places)])
+
+    @property
+    def rank(self) -> int:
+        """How many independent combinations of all unknowns the records determine."""
+        return self.linearisation.rank
+
+    # ---- agreement ----------------------------------------------------------------------------
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Root of the mean squared residual over all records [unit of the variable]."""
+        squares = np.mean(np.concatenate(self.residuals) ** 2, axis=0)
+        return dict(zip(self.measured, np.sqrt(squares).tolist(), strict=True))
+
+    @cached_property
+    def comparisons(self) -> tuple[RecordComparison, ...]:
+        """Each record against its simulation, by an integrator of its own."""
+        return tuple(
+            compare_with_record(s, r, self.measured)
+            for s, r in zip(self.simulated, self.records, strict=True)
+        )
+
+    @property
+    def integration_error(self) -> float:
+        """RMS difference between the fit's motion and an accurate simulation, in units of noise.
+
+        Noise below 1e-5 of the nominal counts as that much.
+        """
+        worst = 0.0
+        for i, name in enumerate(self.measured):
+            least = 1e-5 * self.plant.variable(name).nominal
+            gaps = [
+                r[:, i] - (record[name][-len(r) :] - run[name])
+                for r, record, run in zip(self.residuals, self.records, self.simulated, strict=True)
+            ]
+            rms = float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
+            worst = max(worst, rms / max(self.noise[name], least))
+        return worst
+
+    @property
+    def fit_percent(self) -> dict[str, float]:
+        """Mean fit percentage over the records, from the simulations."""
+        return {
+            n: float(np.mean([c[n].fit_percent for c in self.comparisons])) for n in self.measured
+        }
+
+    def validate(self, records: Trajectory | Sequence[Trajectory]) -> list[RecordComparison]:
+        """Other records against simulations with the fitted values.
+
+        Only the initial states are estimated from each record; parameters, sensors and delay stay.
+        """
+        from .outcome import replay
+
+        chosen = [records] if isinstance(records, Trajectory) else list(records)
+        return [compare_with_record(replay(self, r), r, self.measured) for r in chosen]
+
+    # ---- doubts --------------------------------------------------------------------------------
+    @property
+    def autocorrelation(self) -> dict[str, float]:
+        """Correlation of neighbouring residuals of each measured variable."""
+        return {
+            name: neighbours([r[:, i] for r in self.residuals])
+            for i, name in enumerate(self.measured)
+        }
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the parameters are trusted; empty when there is nothing."""
+        found = []
+        for lost, _, words in self.linearisation.hardly_seen():
+            if lost or any(n in words for n in self.parameters):
+                found.append(
+                    f"the records {'do not' if lost else 'hardly'} see this combination: changing "
+                    f"{words} together changes nothing that was measured"
+                    + ("" if lost else " by more than its noise (one standard error)")
+                )
+        found += [
+            f"{name} = {self.values[name]:g} ended at the edge of its range: its interval means "
+            "nothing"
+            for name in self.at_bound
+            if name in self.values
+        ]
+        if self.integration_error > 10 * ACCURATE:
+            found.append(
+                f"between the samples the integration is off by {self.integration_error:.2g} "
+                "standard "
+                "deviations of the noise; give a smaller step=..."
+            )
+        coloured = {n: r for n, r in self.autocorrelation.items() if r > COLOURED}
+        for name, r in coloured.items():
+            found.append(
+                f"residuals of {name} follow each other (correlation {r:.2f}): the model leaves "
+                "something "
+                f"out, and intervals are too narrow by a factor of about {widening(r):.1f}"
+            )
+        return tuple(found)
+
+    # ---- text ----------------------------------------------------------------------------------
+    def report(self, level: float = 0.95) -> str:
+        """The fit as text: agreement, parameters ± standard error, correlations, warnings."""
+        from ..static.report import plant_report
+
+        return plant_report(self, level)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
+        from .saved_plant import write_plant_fit
+
+        return write_plant_fit(self, path)
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())
+        return f"PlantFit({self.plant.name!r}: {shown})"

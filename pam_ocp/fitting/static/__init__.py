@@ -1,0 +1,1 @@
+"""Fits of force laws to tables."""

@@ -1,0 +1,86 @@
+"""Bootstrap of a static fit (B. Efron, R. Tibshirani, An Introduction to the Bootstrap, 1993)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+
+from ...core.errors import FitError, InputError, UnknownNameError, require_count
+from ..statistics import Array
+from .least_squares import Problem
+from .search import minimise
+
+if TYPE_CHECKING:
+    from .force_fit import ForceFit
+
+__all__ = ["Bootstrap", "Resampling", "bootstrap"]
+
+Resampling: TypeAlias = Literal["residuals", "cases"]
+
+
+@dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """Refitted coefficients: ``samples`` (n, k) of the free ones, in the order of ``names``.
+
+    failed : resampled tables of which no fit was found; they are left out.
+    """
+
+    names: tuple[str, ...]
+    samples: Array
+    failed: int = 0
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Percentile interval of one coefficient."""
+        if name not in self.names:
+            raise UnknownNameError("fitted coefficient", name, self.names)
+        if not 0 < level < 1:
+            raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+        column = self.samples[:, self.names.index(name)]
+        low, high = np.quantile(column, [(1 - level) / 2, (1 + level) / 2])
+        return float(low), float(high)
+
+    @property
+    def stderr(self) -> dict[str, float]:
+        """Standard deviation of each coefficient over the samples."""
+        return dict(zip(self.names, self.samples.std(axis=0, ddof=1).tolist(), strict=True))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance over the samples (k, k)."""
+        return np.atleast_2d(np.cov(self.samples.T))
+
+
+def bootstrap(fit: ForceFit, n: int, seed: int, method: Resampling) -> Bootstrap:
+    """See :meth:`ForceFit.bootstrap`."""
+    require_count("n", n, 2)
+    if method not in ("residuals", "cases"):
+        raise InputError(f"method = {method!r}: choose 'residuals' or 'cases'")
+    if method == "residuals" and fit.dof < 1:
+        raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
+    random = np.random.default_rng(seed)
+    problem, samples, failed = fit.problem, [], 0
+    for _ in range(n):
+        try:
+            found = minimise(_resampled(fit, problem, random, method)).coefficients
+        except FitError:
+            failed += 1
+            continue
+        samples.append(found[list(problem.free)])
+    if len(samples) < 2:
+        raise FitError(f"{failed} of {n} resampled tables gave no fit; the data are too few")
+    return Bootstrap(fit.free, np.array(samples), failed)
+
+
+def _resampled(
+    fit: ForceFit, problem: Problem, random: np.random.Generator, method: Resampling
+) -> Problem:
+    cells = problem.cells
+    drawn = random.integers(0, len(cells), len(cells))
+    if method == "cases":
+        return replace(problem, cells=cells.subset(drawn), weights=problem.weights[drawn])
+    # residuals are smaller than errors: the fit has taken up its coefficients' share
+    weighted = problem.weights * fit.residuals * np.sqrt(len(cells) / max(fit.dof, 1))
+    force = cells.force - fit.residuals + (weighted - weighted.mean())[drawn] / problem.weights
+    return replace(problem, cells=replace(cells, force=force))

@@ -1,0 +1,250 @@
+"""What repeats and branches of a table tell: pure error against lack of fit, and hysteresis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError, require_instance
+from ..statistics import Array
+from ..tables.force_table import ForceTable
+
+if TYPE_CHECKING:
+    from .force_fit import ForceFit
+
+__all__ = ["Hysteresis", "LackOfFit", "branch_lines", "fit_branches", "hysteresis", "lack_of_fit"]
+
+SAME_PRESSURE = 0.005
+"""Cells whose pressures differ by less than this part of the largest count as repeats."""
+SAME_CONTRACTION = 0.001
+
+
+# ---- repeats -------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class LackOfFit:
+    """Scatter of repeats against what the law leaves over (F-test).
+
+    pure_error : standard deviation of repeats [N], with ``pure_dof`` degrees of freedom.
+    misfit : root of the mean square of the law's distance from the means of repeats [N], with
+    ``misfit_dof``. f, probability : that so large a ratio comes from scatter alone.
+    """
+
+    pure_error: float
+    pure_dof: int
+    misfit: float
+    misfit_dof: int
+    f: float
+    probability: float
+
+    def __str__(self) -> str:
+        judged = (
+            "the law leaves something out that repeats do not explain"
+            if self.probability < 0.05
+            else "no sign that the law leaves anything out"
+        )
+        return (
+            f"repeats scatter by {self.pure_error:.3g} N ({self.pure_dof} degrees of freedom), "
+            "the law "
+            f"misses their means by {self.misfit:.3g} N ({self.misfit_dof}): F = {self.f:.3g}, "
+            f"probability {self.probability:.2g}; {judged}"
+        )
+
+
+def lack_of_fit(fit: ForceFit) -> LackOfFit:
+    """Test a fit by least squares against repeats of its cells (weights count).
+
+    Cells of the same pressure (to 0.5 % of the largest), contraction (to 0.001) and branch are
+    repeats. (N. Draper, H. Smith, Applied Regression Analysis, 1998, 2.1; approximate for a law
+    that
+    is not linear in its coefficients.)
+
+    Raises InputError where no cell was repeated, no freedom is left, or the loss is a robust one.
+    """
+    from scipy.special import fdtrc
+
+    from .force_fit import ForceFit
+
+    require_instance("fit", fit, ForceFit, "give what fit_force() returned")
+    if fit.terms.loss != "squares" or fit.terms.priors:
+        raise InputError("lack_of_fit needs loss='squares' without priors")
+    group = repeats(fit.cells)
+    count = int(group.max()) + 1
+    pure_dof, misfit_dof = fit.n - count, count - len(fit.free)
+    if pure_dof < 1:
+        raise InputError(
+            "no cell of the table was measured twice: repeats are what tells pure error"
+        )
+    if misfit_dof < 1:
+        raise InputError(
+            f"{count} distinct cells for {len(fit.free)} coefficients: the law goes through the "
+            "means "
+            "of repeats, there is nothing to test"
+        )
+    w = fit.root_weights**2
+    means = np.bincount(group, w * fit.cells.force) / np.bincount(group, w)
+    pure = float(np.sum(w * (fit.cells.force - means[group]) ** 2))
+    misfit = max(fit.squares - pure, 0.0)
+    f = (misfit / misfit_dof) / (pure / pure_dof) if pure else float("inf")
+    return LackOfFit(
+        float(np.sqrt(pure / pure_dof)),
+        pure_dof,
+        float(np.sqrt(misfit / misfit_dof)),
+        misfit_dof,
+        float(f),
+        float(fdtrc(misfit_dof, pure_dof, f)) if np.isfinite(f) else 0.0,
+    )
+
+
+def repeats(table: ForceTable) -> NDArray[np.intp]:
+    """Number of the distinct cell that each cell repeats, from 0; shape (n,)."""
+    near = SAME_PRESSURE * float(np.max(np.abs(table.pressure), initial=0.0))
+    branches = table.branch or ("",) * len(table)
+    found: list[tuple[float, float, str]] = []
+    numbers = np.zeros(len(table), dtype=np.intp)
+    for i, (p, kappa, branch) in enumerate(
+        zip(table.pressure, table.contraction, branches, strict=True)
+    ):
+        for number, (p0, kappa0, branch0) in enumerate(found):
+            if (
+                abs(p - p0) <= near
+                and abs(kappa - kappa0) <= SAME_CONTRACTION
+                and branch == branch0
+            ):
+                numbers[i] = number
+                break
+        else:
+            numbers[i] = len(found)
+            found.append((float(p), float(kappa), branch))
+    return numbers
+
+
+# ---- branches ------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Hysteresis:
+    """Force on deflation less that on inflation, at the same pressure and contraction.
+
+    pressure, contraction, width : (m,), at the cells of inflation within deflation's pressures
+    [Pa, 1, N]. largest_force : of the table [N].
+    """
+
+    pressure: Array = field(repr=False)
+    contraction: Array = field(repr=False)
+    width: Array = field(repr=False)
+    largest_force: float
+
+    @property
+    def mean(self) -> float:
+        """Mean width [N]."""
+        return float(np.mean(self.width))
+
+    @property
+    def largest(self) -> float:
+        """Largest width, by size [N]."""
+        return float(self.width[np.argmax(np.abs(self.width))])
+
+    @property
+    def stderr(self) -> float:
+        """Standard error of the mean width, from the scatter of the widths [N]."""
+        n = self.width.size
+        return float(np.std(self.width, ddof=1) / np.sqrt(n)) if n > 1 else float("nan")
+
+    def by_level(self) -> dict[float, float]:
+        """Mean width [N] at each contraction level."""
+        table = ForceTable(self.pressure, self.contraction, np.ones(self.width.size))
+        level = table.levels()
+        return {
+            float(self.contraction[level == i].mean()): float(self.width[level == i].mean())
+            for i in range(level.max() + 1)
+        }
+
+    def __str__(self) -> str:
+        lines = [
+            f"hysteresis: deflation less inflation {self.mean:.3g} ± {self.stderr:.2g} N in the "
+            "mean of "
+            f"{self.width.size} cells ({100 * self.mean / self.largest_force:.2g} % of the largest "
+            f"force), at most {self.largest:.3g} N"
+        ]
+        lines += [f"  at {100 * k:5.2f} %: {w:8.3g} N" for k, w in self.by_level().items()]
+        return "\n".join(lines)
+
+
+def hysteresis(table: ForceTable) -> Hysteresis:
+    """Width between the branches "inflation" and "deflation" of a table's taut cells.
+
+    At each contraction level deflation's force is interpolated along pressure (repeats averaged) at
+    the pressures of inflation; nothing is extrapolated.
+
+    Raises InputError for a table without both branches, or none of whose levels hold both.
+    """
+    for name in ("inflation", "deflation"):
+        if name not in table.branches:
+            raise InputError(
+                f"the table has no cells of {name} (branches: "
+                f"{', '.join(table.branches) or 'none'}); "
+                "label them in a column 'branch', or give columns={'branch': ...}"
+            )
+    taut = table.taut
+    level = taut.levels()
+    up, down = (np.array([b == n for b in taut.branch]) for n in ("inflation", "deflation"))
+    pressure, contraction, width = [], [], []
+    for i in range(level.max() + 1):
+        there = down & (level == i)
+        known, place = np.unique(taut.pressure[there], return_inverse=True)
+        if known.size < 2:
+            continue
+        force = np.bincount(place, taut.force[there]) / np.bincount(place)
+        for j in np.nonzero(up & (level == i))[0]:
+            p = taut.pressure[j]
+            if known[0] * (1 - 1e-9) <= p <= known[-1] * (1 + 1e-9):
+                pressure.append(p)
+                contraction.append(taut.contraction[j])
+                width.append(float(np.interp(p, known, force)) - taut.force[j])
+    if not width:
+        raise InputError(
+            "inflation and deflation share no range of pressure at any contraction level; measure "
+            "both "
+            "at the same lengths"
+        )
+    return Hysteresis(
+        np.array(pressure), np.array(contraction), np.array(width), float(taut.force.max())
+    )
+
+
+def fit_branches(
+    table: ForceTable, law: Any = "six-parameter", **options: Any
+) -> Mapping[str, ForceFit]:
+    """A fit for each branch of a table; options as for :func:`fit_force`, without weights.
+
+    Raises InputError for a table without branches.
+    """
+    from .static import fit_force
+
+    if not table.branches:
+        raise InputError(
+            "the table has no branches; label cells in a column 'branch' (inflation, deflation)"
+        )
+    if options.get("weights") is not None:
+        raise InputError("weights belong to a whole table; fit branch by branch with fit_force")
+    return {b: fit_force(table.of_branch(b), law, **options) for b in table.branches}
+
+
+def branch_lines(fit: ForceFit) -> list[str]:
+    """Residuals by branch, and the test by repeats, for a report; nothing without labels."""
+    lines = []
+    cells, residuals = fit.cells, fit.residuals
+    if len(cells.branches) > 1:
+        lines.append("[[Branches]] mean residual (measured - fitted), RMSE")
+        for name in cells.branches:
+            own = residuals[[b == name for b in cells.branch]]
+            lines.append(
+                f"    {name or '(no label)'}: {own.size} cells, {own.mean():+.3g} N, "
+                f"{np.sqrt(np.mean(own**2)):.3g} N"
+            )
+    try:
+        return [*lines, "[[Repeats]]", f"    {lack_of_fit(fit)}"]
+    except InputError:  # no repeats, no section
+        return lines

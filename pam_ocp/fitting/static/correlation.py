@@ -1,0 +1,240 @@
+"""Errors that follow each other: found in residuals, and counted in a covariance.
+
+A regulator that settles, friction and creep make neighbouring measurements err alike, so n of them
+tell less than n. The errors along a sequence are taken as e_i = rho e_(i-1) + new (an AR(1)
+process,
+stationary). rho has a restricted likelihood, that of the part of the data which no coefficient can
+take up (H. Patterson, R. Thompson, Biometrika 58 (1971) 545-554): residuals themselves follow each
+other less than errors do, for the fit has taken up what lasts long. Coefficients stay those of
+least
+squares; their covariance is (J^T J)^-1 J^T R J (J^T J)^-1, averaged over rho with that likelihood
+(all values from 0 to 1 equally likely before), so that not knowing rho counts, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..statistics import Array, student_t
+from ..tables.force_table import ForceTable
+
+__all__ = ["SerialErrors", "neighbours", "sequences", "serial_errors", "widening"]
+
+NEGLECTED = 0.15
+"""Probability of a correlation below which errors count as independent.
+
+Of independent errors, a few dozen of them, that is what the data usually leave.
+"""
+RHO = np.linspace(0.0, 0.98, 50)
+FEWEST = 6
+"""Degrees of freedom below which nothing is said about a correlation."""
+
+
+def neighbours(series: Sequence[Array]) -> float:
+    """Correlation of neighbouring values over all series (each about zero);
+    0 where all are zero.
+    """
+    products = sum(float(r[1:] @ r[:-1]) for r in series)
+    squares = sum(float(r @ r) for r in series)
+    return products / squares if squares else 0.0
+
+
+def widening(rho: float) -> float:
+    """Factor by which a long series with this correlation of neighbours widens the error
+    of a mean.
+    """
+    return float(np.sqrt((1 + rho) / (1 - min(rho, 0.999))))
+
+
+@dataclass(frozen=True)
+class Order:
+    """An order of the measurements. follows[i] : whether the i-th of that order follows the one
+    before.
+    """
+
+    words: str
+    order: NDArray[np.intp]
+    follows: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class SerialErrors:
+    """Errors that follow each other.
+
+    order : along what, in words. probability : that errors follow each other at all.
+    correlation : of neighbouring errors, the mean over all that the data leave possible.
+    meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones
+    would
+    have. spread : standard deviation of an error, in that of independent ones.
+    weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
+    coefficients, in
+    those of ``correlation``. dof : degrees of freedom.
+    """
+
+    order: str
+    correlation: float
+    probability: float
+    meat: Array = field(repr=False)
+    spread: float
+    weights: Array = field(repr=False)
+    sizes: Array = field(repr=False)
+    dof: int
+
+    def reach(self, level: float) -> float:
+        """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
+        from scipy.optimize import brentq
+        from scipy.special import stdtr
+
+        plain = student_t(level, self.dof)
+        roots = np.sqrt(self.sizes)
+
+        def missing(half: float) -> float:
+            return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
+
+        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
+
+
+def sequences(*tables: ForceTable) -> list[Order]:
+    """Orders in which errors of the cells of tables (one behind the other) may follow each other.
+
+    Row after row; row after row within a ramp (contraction level, branch and run); along pressure
+    in
+    each of these. Nothing follows from table to table.
+    """
+    found = [_joined(orders) for orders in zip(*(_orders(t) for t in tables), strict=True)]
+    distinct: list[Order] = []
+    for one in found:
+        if not any(
+            np.array_equal(one.order, d.order) and np.array_equal(one.follows, d.follows)
+            for d in distinct
+        ):
+            distinct.append(one)
+    return distinct
+
+
+def _orders(table: ForceTable) -> list[Order]:
+    n = len(table)
+    branch, run = (
+        np.unique(a or ("",) * n, return_inverse=True)[1] for a in (table.branch, table.run)
+    )
+    labels = np.stack([table.levels(), branch, run])
+    ramp = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
+    rows = np.arange(n)
+    found = [Order("from row to row", rows, rows > 0)]
+    for words, key in (
+        ("along each ramp", rows.astype(float)),
+        ("along pressure at each level", table.pressure),
+    ):
+        order = np.lexsort((key, ramp))
+        follows = np.concatenate([[False], ramp[order][1:] == ramp[order][:-1]])
+        found.append(Order(words, order, follows))
+    return found
+
+
+def _joined(orders: Sequence[Order]) -> Order:
+    """The same order of several tables."""
+    first = np.cumsum([0, *(len(o.order) for o in orders)])[:-1]
+    return Order(
+        orders[0].words,
+        np.concatenate([o.order + n for o, n in zip(orders, first, strict=True)]),
+        np.concatenate([o.follows for o in orders]),
+    )
+
+
+def serial_errors(
+    jacobian: Array, residuals: Array, orders: Sequence[Order]
+) -> SerialErrors | None:
+    """Whether residuals follow each other in one of ``orders``; None when not.
+
+    jacobian, residuals : weighted, (n, k) and (n,), of the measurements alone; rows of other kinds
+    (priors) may stand behind them in the Jacobian, whose errors follow nothing.
+    """
+    n = len(residuals)
+    basis = _basis(jacobian[:n])
+    freedom = n - basis.shape[1]
+    size = float(residuals @ residuals)
+    if freedom < FEWEST or not np.isfinite(size) or size <= 0:
+        return None
+    found = [(_likelihood(basis, residuals, o), o) for o in orders if o.follows.any()]
+    if not found:
+        return None
+    (values, squares), order = max(found, key=lambda pair: float(pair[0][0].max()))
+    top = max(float(v.max()) for (v, _), _ in found)
+    alone, follow = np.exp(values[0] - top), [np.mean(np.exp(v - top)) for (v, _), _ in found]
+    probability = float(np.mean(follow) / (alone + np.mean(follow)))
+    if probability < NEGLECTED:
+        return None
+    weights = np.exp(values - values.max())
+    weights *= probability / weights.sum()
+    weights[0] += 1 - probability  # rho = 0
+    mean = int(np.argmin(np.abs(RHO - weights @ RHO)))
+    scale = squares / squares[0]
+    parts = scale[:, None, None] * _meats(jacobian, order)
+    return SerialErrors(
+        order.words,
+        float(RHO[mean]),
+        probability,
+        parts[mean],
+        float(np.sqrt(scale[mean])),
+        weights,
+        _relative(parts, parts[mean]),
+        freedom,
+    )
+
+
+def _basis(jacobian: Array) -> Array:
+    """Orthonormal columns that span those of the Jacobian."""
+    norms = np.linalg.norm(jacobian, axis=0)
+    u, s, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * max(float(s[0]) if s.size else 0.0, 1e-300)])
+
+
+def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Array]:
+    """Logarithm of the restricted likelihood, and the least squares of new errors,
+    for each of RHO.
+    """
+    both = np.column_stack([basis, residuals])[order.order]
+    late = order.follows
+    first, own = both[~late], both[late]
+    before = both[np.nonzero(late)[0] - 1]
+    cross = own.T @ before
+    new = 1 - RHO[:, None, None] ** 2
+    whole = (
+        first.T @ first
+        + (
+            own.T @ own
+            - RHO[:, None, None] * (cross + cross.T)
+            + RHO[:, None, None] ** 2 * (before.T @ before)
+        )
+        / new
+    )
+    normal, mixed, square = whole[:, :-1, :-1], whole[:, :-1, -1], whole[:, -1, -1]
+    fitted = np.linalg.solve(normal, mixed[:, :, None])[:, :, 0]
+    squares = np.maximum(square - np.sum(mixed * fitted, axis=1), 1e-300)
+    spread = np.linalg.slogdet(normal)[1] + late.sum() * np.log(new[:, 0, 0])
+    freedom = len(residuals) - basis.shape[1]
+    return -(spread + freedom * np.log(squares)) / 2, squares
+
+
+def _meats(jacobian: Array, order: Order) -> Array:
+    """J^T R J (g, k, k) for each of RHO. With z_i = J_i + rho z_(i-1), R = sums of rho^|i-j|."""
+    n = len(order.order)
+    rows = jacobian[:n][order.order]
+    z = np.zeros((RHO.size, rows.shape[1]))
+    crossed = np.zeros((RHO.size, rows.shape[1], rows.shape[1]))
+    for row, follows in zip(rows, order.follows, strict=True):
+        z *= RHO[:, None] * follows
+        crossed += z[:, :, None] * row
+        z += row
+    return np.asarray(crossed + crossed.transpose(0, 2, 1) + jacobian.T @ jacobian)
+
+
+def _relative(parts: Array, whole: Array) -> Array:
+    """trace(whole^-1 part)/k of each part, columns scaled."""
+    d = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    inverse = np.linalg.pinv(whole / np.outer(d, d), rcond=1e-10, hermitian=True)
+    return np.asarray(np.einsum("ij,gji->g", inverse, parts / np.outer(d, d)) / max(len(d), 1))

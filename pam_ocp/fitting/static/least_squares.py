@@ -1,0 +1,313 @@
+"""The least-squares problem of one force law on a table.
+
+A law is linear in most of its coefficients. For given values of the others the best linear ones
+are a linear least-squares problem (variable projection: G. Golub, V. Pereyra, SIAM J. Numer. Anal.
+10 (1973) 413-432).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, lru_cache
+from typing import Literal, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError
+from ...core.variables import Variable
+from ...muscles.law import ForceLaw
+from ..statistics import Array, sensitivity
+from ..tables.force_table import ForceTable
+
+__all__ = [
+    "PLAIN",
+    "Loss",
+    "Problem",
+    "Terms",
+    "least_squares",
+    "nonlinear_coefficients",
+    "sizes",
+]
+
+DECADES = (-2.0, 1.5)
+"""A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
+POINTS_PER_DECADE = 12
+REWEIGHTINGS = 12
+"""Iterations of reweighted least squares in the scan of a robust loss; IPOPT does the rest."""
+
+
+@cache
+def nonlinear_coefficients(
+    law: type[ForceLaw], held: frozenset[str] = frozenset()
+) -> tuple[str, ...]:
+    """The fewest coefficients which, once fixed, leave the law linear in all others together.
+
+    Found from the structure of the second derivative: two coefficients that share a non-zero
+    entry cannot both count as linear. ``held`` coefficients do not count.
+    """
+    function = law.function()
+    c = ca.SX.sym("c", function.size1_in(2))
+    tension = function(ca.SX.sym("p"), ca.SX.sym("kappa"), c)[0]
+    names = [v.name for v in law.coefficient_variables()]
+    rows, columns = ca.hessian(tension, c)[0].sparsity().get_triplet()
+    pairs = {frozenset((names[i], names[j])) for i, j in zip(rows, columns, strict=True)}
+    pairs = {pair for pair in pairs if not pair & held}
+    alone = {n for pair in pairs if len(pair) == 1 for n in pair}
+    linked = {pair for pair in pairs if not pair & alone}
+    open_names = [n for n in names if any(n in pair for pair in linked)]
+    for size in range(len(open_names) + 1):
+        for chosen in itertools.combinations(open_names, size):
+            if all(pair & set(chosen) for pair in linked):
+                return tuple(n for n in names if n in alone or n in chosen)
+    raise AssertionError("the full set always covers every pair")
+
+
+Loss: TypeAlias = Literal["squares", "huber", "l1", "bisquare"]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What a fit minimises beside plain squares, and within which limits.
+
+    loss : "squares"; "huber" (squares up to ``threshold``, then straight); "l1" (absolute values);
+        "bisquare" (Tukey's: constant from ``threshold`` on, such cells count no more).
+    threshold : the slope of the straight part [N, of a measurement of weight 1]; for "huber" where
+        it begins.
+    censored : whether the law must be slack where the muscle was.
+    bounds, priors : (name, low, high) and (name, mean, standard deviation) of coefficients [SI].
+    noise : standard deviation of a measurement of weight 1 [N], against which priors weigh.
+    independent : whether errors are known not to follow each other; else residuals tell.
+    """
+
+    loss: Loss = "squares"
+    threshold: float = float("inf")
+    censored: bool = False
+    bounds: tuple[tuple[str, float, float], ...] = ()
+    priors: tuple[tuple[str, float, float], ...] = ()
+    noise: float = 1.0
+    independent: bool = False
+
+    def rho(self, residuals: Array) -> Array:
+        """Twice the loss of each residual: its square, for "squares"."""
+        size = np.abs(residuals)
+        edge = self.threshold
+        if self.loss == "l1":
+            return np.asarray(2 * edge * size)
+        if self.loss == "bisquare":
+            return np.asarray(edge**2 / 3 * (1 - (1 - np.minimum((size / edge) ** 2, 1.0)) ** 3))
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.where(size <= edge, size**2, edge * (2 * size - edge)))
+
+    def reweighting(self, residuals: Array, smallest: float) -> Array:
+        """Factors of the residuals whose squares have the slope of the loss (IRLS)."""
+        if self.loss == "bisquare":
+            return np.asarray(1 - np.minimum(np.abs(residuals) / self.threshold, 1.0) ** 2)
+        size = np.maximum(np.abs(residuals), smallest)
+        factors = self.threshold / size
+        return np.asarray(np.sqrt(factors if self.loss == "l1" else np.minimum(1.0, factors)))
+
+
+PLAIN = Terms()
+"""Least squares, and nothing else."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The fit of one law on taut cells; ``base`` holds the held coefficients."""
+
+    law: type[ForceLaw]
+    cells: ForceTable
+    weights: Array
+    base: Array
+    free: tuple[int, ...]
+    nonlinear: tuple[int, ...]
+    slack: ForceTable
+    terms: Terms = PLAIN
+
+    @classmethod
+    def of(
+        cls,
+        law: type[ForceLaw],
+        table: ForceTable,
+        held: Mapping[str, float],
+        weights: Array,
+        terms: Terms = PLAIN,
+        few: bool = False,
+    ) -> Problem:
+        """``few`` : the table may hold fewer cells than there are coefficients, for a part of a
+        fit.
+        """
+        names = [v.name for v in law.coefficient_variables()]
+        free = tuple(i for i, n in enumerate(names) if n not in held)
+        bent = nonlinear_coefficients(law, frozenset(held))
+        cells = table.taut
+        if not len(cells):
+            raise InputError(
+                f"all {len(table)} cells of the table are slack: there is nothing to fit"
+            )
+        if not free:
+            raise InputError("fixed holds every coefficient: leave at least one free")
+        known = sum(n not in held for n, _, _ in terms.priors)
+        if len(cells) + known < len(free) and not few:
+            raise InputError(
+                f"the table has {len(cells)} taut cells, fewer than the {len(free)} coefficients "
+                "of "
+                f"the {law.name} law to be fitted; measure more, hold some with fixed=..., "
+                "or take a smaller law"
+            )
+        base = np.array([held.get(n, 0.0) for n in names])
+        nonlinear = tuple(i for i in free if names[i] in bent)
+        return cls(law, cells, weights, base, free, nonlinear, table.subset(table.slack), terms)
+
+    @cached_property
+    def variables(self) -> tuple[Variable, ...]:
+        """The law's coefficients, their ranges narrowed by the user's bounds."""
+        narrowed = {n: (low, high) for n, low, high in self.terms.bounds}
+        return tuple(
+            replace(v, min=max(v.min, narrowed[v.name][0]), max=min(v.max, narrowed[v.name][1]))
+            if v.name in narrowed
+            else v
+            for v in self.law.coefficient_variables()
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(v.name for v in self.variables)
+
+    @property
+    def linear(self) -> list[int]:
+        return [i for i in self.free if i not in self.nonlinear]
+
+    @property
+    def plain(self) -> bool:
+        """Whether this is least squares without priors and inequalities."""
+        return self.terms.loss == "squares" and not self.terms.priors and not self.censored
+
+    @property
+    def limited(self) -> bool:
+        """Whether there are inequalities other than the law's own."""
+        return self.censored or bool(self.terms.bounds)
+
+    @property
+    def censored(self) -> bool:
+        return self.terms.censored and len(self.slack) > 0
+
+    @cached_property
+    def priors(self) -> tuple[Array, Array]:
+        """Rows (r, all) and targets (r,) of the priors on free coefficients, as residuals [N]."""
+        held = [(n, m, s) for n, m, s in self.terms.priors if self.names.index(n) in self.free]
+        rows = np.zeros((len(held), len(self.base)))
+        for row, (name, _, deviation) in zip(rows, held, strict=True):
+            row[self.names.index(name)] = self.terms.noise / deviation
+        return rows, np.array([self.terms.noise * m / s for _, m, s in held])
+
+    def evaluate(self, coefficients: Array) -> tuple[Array, Array]:
+        """Weighted residuals (m, n) and Jacobians (m, n, all) at coefficients (m, all)."""
+        m, n = len(coefficients), len(self.cells)
+        result = _mapped(self.law, m * n)(
+            np.tile(self.cells.pressure, m)[None],
+            np.tile(self.cells.contraction, m)[None],
+            np.repeat(coefficients, n, axis=0).T,
+        )
+        tension = np.asarray(result[0]).reshape(m, n)
+        jacobian = np.asarray(result[1]).reshape(m, n, -1)
+        return self.weights * (self.cells.force - tension), self.weights[:, None] * jacobian
+
+    def with_priors(self, coefficients: Array) -> tuple[Array, Array]:
+        """As :meth:`evaluate`, with one more row for each prior."""
+        residuals, jacobians = self.evaluate(coefficients)
+        rows, targets = self.priors
+        if not len(rows):
+            return residuals, jacobians
+        more = np.broadcast_to(rows, (len(coefficients), *rows.shape))
+        return (
+            np.concatenate([residuals, targets - coefficients @ rows.T], axis=1),
+            np.concatenate([jacobians, more], axis=1),
+        )
+
+    def tension_where_slack(self, coefficients: Array) -> tuple[Array, Array]:
+        """Tension (s,) at the slack cells and its derivatives (s, all)."""
+        tension, jacobian = sensitivity(self.law)(
+            self.slack.pressure[None], self.slack.contraction[None], coefficients
+        )
+        return np.asarray(tension).ravel(), np.asarray(jacobian).reshape(len(self.slack), -1)
+
+    def cost(self, coefficients: Array) -> float:
+        """Sum of the losses, of squares for priors [N2]."""
+        residuals = self.with_priors(coefficients[None])[0][0]
+        n = len(self.cells)
+        return float(np.sum(self.terms.rho(residuals[:n])) + np.sum(residuals[n:] ** 2))
+
+    def linear_in(
+        self, values: Array, rows: Callable[[Array], tuple[Array, Array]]
+    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """What is left for the linear coefficients at nonlinear ``values`` (m, k), they being 0.
+
+        rows : ``evaluate`` or ``with_priors``. Returns coefficients (m, all), targets (m, n),
+        columns
+        (m, n, linear) and which of the m are finite.
+        """
+        c = np.tile(self.base, (len(values), 1))
+        c[:, list(self.nonlinear)] = values
+        with np.errstate(all="ignore"):
+            target, jacobian = rows(c)
+            columns = jacobian[:, :, self.linear]
+            good = np.isfinite(target).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
+        return c, target, columns, np.asarray(good)
+
+    def project(self, values: Array) -> tuple[Array, Array]:
+        """Best linear coefficients for nonlinear ``values`` (m, k): costs (m,), all (m, c).
+
+        Inequalities are left out; a robust loss is met by reweighting.
+        """
+        c, target, columns, good = self.linear_in(values, self.with_priors)
+        columns[~good], target[~good] = 0.0, 0.0
+        n = len(self.cells)
+        smallest = 1e-6 * float(np.linalg.norm(self.weights * self.cells.force))
+        factors = np.ones_like(target)
+        for _ in range(1 if self.terms.loss == "squares" else REWEIGHTINGS):
+            parts = least_squares(columns * factors[:, :, None], target * factors)
+            rest = target - np.einsum("mnk,mk->mn", columns, parts)
+            if self.terms.loss != "squares":
+                factors[:, :n] = self.terms.reweighting(rest[:, :n], smallest)
+        c[:, self.linear] = parts
+        cost = np.sum(self.terms.rho(rest[:, :n]), axis=1) + np.sum(rest[:, n:] ** 2, axis=1)
+        return np.where(good, cost, np.inf), c
+
+
+def least_squares(columns: Array, target: Array) -> Array:
+    """Least-norm solutions (m, k) of many small problems (m, n, k), in columns of unit length."""
+    norms: Array = np.asarray(np.linalg.norm(columns, axis=1))
+    norms[norms == 0] = 1.0
+    if not columns.shape[2]:
+        return norms
+    u, s, vt = np.linalg.svd(columns / norms[:, None, :], full_matrices=False)
+    parts = np.einsum("mnk,mn->mk", u, target)
+    parts = np.divide(parts, s, out=np.zeros_like(parts), where=s > 1e-10 * s[:, :1])
+    return np.asarray(np.einsum("mkl,mk->ml", vt, parts) / norms)
+
+
+@lru_cache(maxsize=64)
+def _mapped(law: type[ForceLaw], count: int) -> ca.Function:
+    return sensitivity(law).map(count)
+
+
+def sizes(variable: Variable) -> Array:
+    """Values at which a nonlinear coefficient is scanned, the nominal size first."""
+    magnitudes = variable.nominal * np.logspace(
+        *DECADES, round((DECADES[1] - DECADES[0]) * POINTS_PER_DECADE) + 1
+    )
+    if np.isfinite(variable.max - variable.min):
+        values = np.linspace(variable.min, variable.max, 2 * magnitudes.size + 1)[1:-1]
+    else:
+        values = np.concatenate([-magnitudes, magnitudes])
+        values = values[(values >= variable.min) & (values <= variable.max)]
+    if not values.size:  # narrow bounds beyond the scan
+        values = np.array([variable.min if np.isfinite(variable.min) else variable.max])
+    order = np.argsort(np.abs(values - variable.nominal), kind="stable")
+    result: Array = values[order]
+    return result

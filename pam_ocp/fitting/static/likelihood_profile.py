@@ -1,0 +1,208 @@
+"""Profile likelihood: how far one coefficient goes until the others cannot make up for it.
+
+Three ways, each for what the one before leaves over. Along each profile tau(value) = sign
+sqrt(cost - least)/s is nearly straight (D. Bates, D. Watts, Nonlinear Regression Analysis, 1988,
+6.1),
+so secant steps find tau = reach, the others following by Gauss-Newton (:func:`_together`). With one
+nonlinear coefficient q the cost is for each q a parabola in every other one, so the ends of all
+intervals are the extremes over q of ends in closed form: global, and a sweep over q sees where
+nothing ends (:func:`swept`). Else the coefficient walks outwards, the others fitted anew from
+step to step (:func:`profile_end`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..statistics import Array
+from .descent import descend
+from .least_squares import DECADES, Problem
+from .search import minimise
+from .sweep import Sweep
+
+if TYPE_CHECKING:
+    from .force_fit import ForceFit
+
+__all__ = ["Ends", "profile_end", "profile_ends", "profile_squares"]
+
+ROUNDS = 12
+"""Secant steps along a profile; 3 or 4 are usual, for the root of its cost is nearly straight."""
+STEPS = 1
+"""Gauss-Newton steps of the other coefficients after each: the rounds go on together with them."""
+SETTLED = 1e-5
+"""Relative error of the cost at which an end counts as found: 5e-6 of the interval's half width."""
+FARTHEST = 1e4
+"""Standard errors (or, if more, values of the coefficient) within which an end is sought by
+walking.
+"""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """An interval; ``reason`` says in words why an end is infinite."""
+
+    low: float
+    high: float
+    reason: str = ""
+
+
+def profile_ends(fit: ForceFit, names: Sequence[str], reach: float) -> dict[str, Ends]:
+    """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
+
+    A standard error that is larger than that of independent errors widens the interval as much.
+    """
+    if not names:
+        return {}
+    plain = dict(zip(fit.free, fit.linearisation.independent.stderr().tolist(), strict=True))
+    reaches = np.array([reach * fit.coefficients[n].stderr / plain[n] for n in names])
+    found = np.full((len(names), 2), np.nan)
+    simple = fit.problem.plain or (fit.terms.loss == "squares" and not fit.problem.censored)
+    edge = bool(fit.solver.at_bound)
+    if simple and len(fit.free) > 1 and not edge:
+        found = _together(fit, names, reaches)
+    limits = fit.cost + (reaches * fit.sigma) ** 2
+    sweep = Sweep.of(fit) if simple and not np.all(np.isfinite(found)) else None
+    ends = {}
+    for row, name, limit in zip(found, names, limits, strict=True):
+        both, reasons = [], []
+        for end, side in zip(row, (-1.0, 1.0), strict=True):
+            why = ""
+            if not np.isfinite(end) and sweep is not None:
+                end, why = sweep.end(fit.free.index(name), side, float(limit))
+            elif not np.isfinite(end):
+                end, why = profile_end(
+                    fit, name, side * fit.coefficients[name].stderr, float(limit)
+                )
+            both.append(float(end))
+            reasons.append(why)
+        ends[name] = Ends(both[0], both[1], "; ".join(dict.fromkeys(r for r in reasons if r)))
+    return ends
+
+
+def _together(fit: ForceFit, names: Sequence[str], reaches: Array) -> Array:
+    """(names, 2) ends; NaN where the iteration did not settle, or met a bound."""
+    problem, free, sigma = fit.problem, list(fit.problem.free), fit.sigma
+    least, reach = fit.cost, np.repeat(reaches, 2)
+    above = (reach * sigma) ** 2
+    k, covariance = len(free), fit.linearisation.independent.covariance
+    place = np.repeat([fit.free.index(n) for n in names], 2)
+    sign = np.tile([-1.0, 1.0], len(names))
+    best = np.array([float(v) for v in fit.law.values.values()])
+    # along the profile the others follow the column of the covariance
+    stderr = np.sqrt(np.diag(covariance))
+    direction = covariance[:, place].T / stderr[place][:, None]
+    others = np.array([[i for i in range(k) if i != j] for j in place])
+    low = np.array([problem.variables[i].min for i in free])
+    high = np.array([problem.variables[i].max for i in free])
+    z = best[free] + (sign * reach)[:, None] * direction
+    before, tau_before = np.zeros(place.size), np.zeros(place.size)
+    rows = np.arange(place.size)
+    for _ in range(ROUNDS):
+        z, cost = _follow(problem, best, free, z, others)
+        with np.errstate(all="ignore"):
+            tau = sign * np.sqrt(np.maximum(cost - least, 0.0)) / sigma
+            away = z[rows, place] - best[free][place]
+            slope = (tau - tau_before) / (away - before)
+            change = (sign * reach - tau) / slope
+        done = np.abs(cost - least - above) <= SETTLED * above
+        if np.all(done | ~np.isfinite(change)):
+            break
+        before, tau_before = away, tau
+        step = np.where(
+            done | ~np.isfinite(change), 0.0, np.clip(change, -np.abs(away), np.abs(away))
+        )
+        z = z + (step / stderr[place])[:, None] * direction
+    inside = np.all((z > low) & (z < high), axis=1)
+    # the others are where they belong only if another step of theirs changes nothing
+    again = _follow(problem, best, free, z, others)[1]
+    with np.errstate(invalid="ignore"):
+        still = np.abs(again - cost) <= 10 * SETTLED * above
+    settled = done & still & inside & np.isfinite(cost)
+    return np.where(settled, z[rows, place], np.nan).reshape(-1, 2)
+
+
+def _follow(
+    problem: Problem, best: Array, free: list[int], z: Array, others: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Gauss-Newton steps of all unknowns but one in each row of z; costs that they come to."""
+    keep = others[:, None, :]
+    for last in range(STEPS + 1):
+        c = np.tile(best, (len(z), 1))
+        c[:, free] = z
+        with np.errstate(all="ignore"):
+            rest, slopes = problem.with_priors(c)
+            cost = np.sum(rest**2, axis=1)
+        if last == STEPS:
+            return z, cost
+        good = np.isfinite(cost) & np.isfinite(slopes).all(axis=(1, 2))
+        slopes = np.where(good[:, None, None], slopes, 0.0)[:, :, free]
+        rest = np.where(good[:, None], rest, 0.0)
+        inner = np.take_along_axis(slopes, keep, axis=2)
+        norms = np.maximum(np.linalg.norm(inner, axis=1), 1e-300)
+        inner = inner / norms[:, None, :]
+        normal = np.einsum("mni,mnj->mij", inner, inner) + 1e-14 * np.eye(others.shape[1])
+        right = np.einsum("mni,mn->mi", inner, rest)[:, :, None]
+        try:
+            step = np.linalg.solve(normal, right)[:, :, 0]
+        except np.linalg.LinAlgError:  # somewhere the others are not determined
+            step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
+        z = z.copy()
+        np.put_along_axis(z, others, np.take_along_axis(z, others, 1) + step / norms, axis=1)
+    raise AssertionError("the loop returns")
+
+
+def profile_squares(fit: ForceFit, name: str, value: float) -> float:
+    """Least cost (weighted sum of squares, priors included) with coefficient ``name`` held at
+    ``value``.
+    """
+    held = {n: fit.law.values[n] for n in fit.held} | {name: value}
+    if len(fit.free) == 1:
+        return replace(fit, law=replace(fit.law, **{name: value})).cost
+    problem = Problem.of(type(fit.law), fit.table, held, fit.root_weights, fit.terms)
+    if not problem.nonlinear and problem.plain and not problem.limited:
+        return float(problem.project(np.zeros((1, 0)))[0][0])
+    return minimise(problem).cost
+
+
+def profile_end(fit: ForceFit, name: str, step: float, limit: float) -> tuple[float, str]:
+    """Value of ``name``, on the side of ``step``, at which the profiled cost reaches ``limit``.
+
+    Infinite, with the reason, where the cost stays below it or cannot be computed. The law's bound
+    where that comes first.
+    """
+    place, problem = list(fit.law.values).index(name), fit.problem
+    variable, best = problem.variables[place], float(fit.law.values[name])
+    others = [i for i in problem.free if i != place]
+    bound = variable.max if step > 0 else variable.min
+    reach = max(FARTHEST * abs(step), max(abs(best), variable.nominal) * 10.0 ** DECADES[1])
+    inside = start = np.array([float(v) for v in fit.law.values.values()])
+    while True:
+        start = inside.copy()
+        start[place] = np.clip(inside[place] + step, variable.min, variable.max)
+        outside, cost = descend(problem, start, others)
+        if not np.isfinite(cost):
+            return float(np.copysign(np.inf, step)), "the law gives no finite force further out"
+        if cost > limit:
+            break
+        if start[place] == bound:
+            return float(bound), "" if np.isfinite(bound) else "the others make up for it"
+        if abs(start[place] - best) > reach:
+            return float(np.copysign(np.inf, step)), (
+                f"at {name} = {start[place]:.3g} the other coefficients still make up for it"
+            )
+        inside, step = outside, 1.6 * step
+    far = outside[place]
+    while abs(far - inside[place]) > 1e-6 * max(abs(far - best), 1e-12 * variable.nominal):
+        start = inside.copy()
+        start[place] = middle = (inside[place] + far) / 2
+        found, cost = descend(problem, start, others)
+        if cost > limit:
+            far = middle
+        else:
+            inside = found
+    return float((inside[place] + far) / 2), ""

@@ -1,0 +1,181 @@
+"""Which law? The same table fitted by many, judged where none of them was fitted.
+
+With a few contraction levels a law of six coefficients is nearly saturated, so a small RMSE proves
+little. Leaving one level out asks what a user asks: the force at a length that was not measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.errors import FitError, InputError, UnknownNameError
+from ...muscles.law import LAWS, ForceLaw
+from ...muscles.laws.user_defined import polynomial_law
+from ..tables.force_table import ForceTable
+from .force_fit import ForceFit
+from .static import fit_force, law_class
+
+__all__ = ["ComparedLaw", "LawComparison", "compare_laws"]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedLaw:
+    """One law on the table.
+
+    fit : None, with the reason in ``problem``, where there is none.
+    left_out : contraction of each interior level -> RMSE [N] there of a fit without it.
+    """
+
+    name: str
+    fit: ForceFit | None
+    left_out: Mapping[float, float]
+    problem: str = ""
+
+    @property
+    def parameters(self) -> int:
+        """Number of fitted coefficients."""
+        return len(self.fit.free) if self.fit else 0
+
+    @property
+    def rmse(self) -> float:
+        """RMSE over the taut cells [N]."""
+        return self.fit.rmse if self.fit else float("nan")
+
+    @property
+    def left_out_rmse(self) -> float:
+        """Mean RMSE over the interior levels, each left out of its fit [N]; NaN when there are
+        none.
+        """
+        return float(np.mean([*self.left_out.values()])) if self.left_out else float("nan")
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion n ln(SS/n) + 2 (k + 1) for normal errors of unknown variance."""
+        return self._criterion(2.0)
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion n ln(SS/n) + ln(n) (k + 1)."""
+        return self._criterion(float(np.log(self.fit.n))) if self.fit else float("nan")
+
+    def _criterion(self, price: float) -> float:
+        if self.fit is None:
+            return float("nan")
+        n, squares = self.fit.n, self.fit.squares
+        return float(n * np.log(squares / n) + price * (self.parameters + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class LawComparison:
+    """Laws on one table, the best at a level left out first; those without a fit last."""
+
+    laws: tuple[ComparedLaw, ...]
+    source: str = ""
+
+    def __getitem__(self, name: str) -> ComparedLaw:
+        for law in self.laws:
+            if law.name == name:
+                return law
+        raise UnknownNameError("compared law", name, [law.name for law in self.laws])
+
+    @property
+    def best(self) -> ComparedLaw:
+        """The law that predicts levels left out best."""
+        return self.laws[0]
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.source or 'table'}; left out: mean RMSE at the interior contraction levels, "
+            "each left out of the fit",
+            f"{'law':<20}{'k':>3}{'RMSE [N]':>10}{'AIC':>9}{'BIC':>9}{'left out [N]':>14}",
+        ]
+        for law in self.laws:
+            if law.fit is None:
+                lines.append(f"{law.name:<20}  - {law.problem}")
+                continue
+            lines.append(
+                f"{law.name:<20}{law.parameters:>3}{law.rmse:>10.2f}{law.aic:>9.1f}{law.bic:>9.1f}"
+                f"{law.left_out_rmse:>14.2f}" + (f"  {law.problem}" if law.problem else "")
+            )
+        return "\n".join(lines)
+
+
+def compare_laws(
+    table: ForceTable,
+    laws: Iterable[str | type[ForceLaw]] | None = None,
+    *,
+    fixed: Mapping[str, float] | None = None,
+) -> LawComparison:
+    """Fit several laws to one table and leave each interior contraction level out in turn.
+
+    Parameters
+    ----------
+    table : from :func:`read_table`.
+    laws : names or classes; by default all of ``LAWS`` and the polynomials of degree 1 and 3.
+    fixed : known constants [SI] for the laws that have them, as ``{"radius": 0.010,
+        "rest_diameter": 0.020, "max_contraction_ratio": 0.25}``.
+
+    Returns
+    -------
+    LawComparison; ``print`` it for a table. Laws whose constants are not given, or whose fit is not
+    found, are listed with the reason.
+
+    Raises
+    ------
+    InputError : no law, or a name in ``fixed`` that no law knows.
+    """
+    chosen: list[str | type[ForceLaw]] = (
+        [*LAWS, polynomial_law(1, 3)] if laws is None else list(laws)
+    )
+    if not chosen:
+        raise InputError("laws is empty: give names or classes of force laws")
+    kinds = [law_class(law) for law in chosen]
+    constants = {v.name for kind in kinds for v in kind.coefficient_variables()}
+    for name in fixed or {}:
+        if name not in constants:
+            raise UnknownNameError("constant in fixed of any of these laws", name, constants)
+    found = [_compared(table, kind, fixed or {}) for kind in kinds]
+
+    def rank(law: ComparedLaw) -> tuple[bool, float, float]:
+        doubt = np.inf if np.isnan(law.left_out_rmse) else law.left_out_rmse
+        return law.fit is None, doubt, law.rmse
+
+    return LawComparison(tuple(sorted(found, key=rank)), table.source)
+
+
+def _compared(table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float]) -> ComparedLaw:
+    own = {n: v for n, v in fixed.items() if n in kind.fixed_coefficients()}
+    missing = [
+        n
+        for n, v in kind.fixed_coefficients().items()
+        if v is None and n not in own and n != "rest_length"
+    ]
+    if missing:
+        return ComparedLaw(kind.name, None, {}, f"needs fixed={{{missing[0]!r}: ...}}")
+    try:
+        fit = fit_force(table, kind, fixed=own)
+    except (FitError, InputError) as error:
+        return ComparedLaw(kind.name, None, {}, str(error))
+    try:
+        return ComparedLaw(kind.name, fit, _left_out(table, kind, own))
+    except (FitError, InputError) as error:
+        return ComparedLaw(kind.name, fit, {}, f"with a level left out: {error}")
+
+
+def _left_out(
+    table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float]
+) -> dict[float, float]:
+    taut = table.taut
+    level = taut.levels()
+    errors = {}
+    for i in range(1, level.max()):
+        law = fit_force(taut.subset(level != i), kind, fixed=fixed).law
+        there = taut.subset(level == i)
+        tension = np.asarray(law.tension(there.pressure, there.contraction))
+        errors[float(there.contraction.mean())] = float(
+            np.sqrt(np.mean((there.force - tension) ** 2))
+        )
+    return errors

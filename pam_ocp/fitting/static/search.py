@@ -1,0 +1,152 @@
+"""The global optimum of a static fit: a scan over the nonlinear coefficients, then IPOPT.
+
+The scan takes both signs and several decades of the nonlinear coefficients only, the others
+projected out. IPOPT, with exact derivatives, takes the best over all coefficients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...core.errors import FitError
+from ..statistics import Array
+from .descent import descend
+from .high_breakdown import SUBSETS, robust_start
+from .least_squares import Problem, sizes
+from .polish import Optimum, polish
+
+__all__ = ["minimise"]
+
+RANDOM_STARTS = 400
+"""Scan points for laws with two or more nonlinear coefficients (always the same ones)."""
+POLISHED = {1: 3, 2: 16}
+"""How many local minima of the scan are followed up: one nonlinear coefficient, or more."""
+FLAT = 1e-7
+"""Part of the cost by which a point that is not stationary must be better to be looked at at all.
+"""
+DOUBT = (
+    "the optimum is so flat, or so near to where the law degenerates, that the solver came to no "
+    "stationary point: other coefficients may fit as well (see condition and rank)"
+)
+STATIONARY = 1e-6
+"""Largest cosine between the residual and a column of the Jacobian at an optimum."""
+
+
+def minimise(problem: Problem, start: Array | None = None, begin: Array | None = None) -> Optimum:
+    """The global optimum: scan, follow up the best few, polish by IPOPT.
+
+    Tukey's bisquare, which counts cells far off no more, has an optimum for every choice of those:
+    what is sought is the one next to ``begin`` (all coefficients), a start that wrong cells cannot
+    pull; it is found anew where it is not given.
+
+    start : values (m, k) of the nonlinear coefficients to try beside the scan.
+    """
+    if problem.terms.loss == "bisquare":
+        begin = robust_start(problem)[0] if begin is None else begin
+        starts, scanned = begin[None], SUBSETS
+    else:
+        starts, scanned = _scan(problem, start)
+    found = [o for c in starts if np.isfinite((o := polish(problem, c, scanned)).cost)]
+    if not found:
+        raise FitError(
+            f"the {problem.law.name} law gives no finite force near any point of the scan; hold "
+            "the "
+            f"nonlinear coefficients with fixed=... "
+            f"({', '.join(problem.names[i] for i in problem.nonlinear)}) and look at the residuals"
+        )
+    floor = 1e-20 * float(np.sum((problem.weights * problem.cells.force) ** 2))
+    best = min(found, key=lambda o: o.cost)
+    stationary = [o for o in found if o.solver.gradient <= STATIONARY]
+    least = min((o.cost for o in stationary), default=np.inf)
+    if least > best.cost * (1 + FLAT) + floor:
+        settled = _settled(problem, best)
+        if settled.solver.gradient > STATIONARY:
+            return settled
+        stationary.append(settled)
+        least = min(least, settled.cost)
+    equal = [o for o in stationary if o.cost <= least * (1 + 1e-9) + floor]
+    # A law may have mirror optima (alpha0 and -alpha0): take the one with fewest negative signs
+    return min(equal, key=lambda o: int(np.sum(o.coefficients[list(problem.nonlinear)] < 0)))
+
+
+def _settled(problem: Problem, found: Optimum) -> Optimum:
+    """A point at which IPOPT did not end, followed by damped steps; accepted with a doubt, if need
+    be.
+    """
+    if problem.terms.loss == "squares" and not problem.censored:
+        moved = [i for i in problem.free if problem.names[i] not in found.solver.at_bound]
+        c, cost = descend(problem, found.coefficients, moved)
+        if cost <= found.cost:
+            again = polish(problem, c, found.solver.scanned)
+            found = again if again.cost <= cost else replace(found, coefficients=c, cost=cost)
+            if again.cost <= cost and again.solver.gradient <= STATIONARY:
+                return again
+    return replace(found, solver=replace(found.solver, doubt=DOUBT))
+
+
+def _scan(problem: Problem, start: Array | None) -> tuple[Array, int]:
+    """Coefficients (m, all) from which the optimum is to be sought, best first; points scanned."""
+    scales = [sizes(problem.variables[i]) for i in problem.nonlinear]
+    if not scales:
+        return problem.project(np.zeros((1, 0)))[1], 1
+    if len(scales) == 1:
+        points = np.sort(scales[0])[:, None]
+    else:
+        random = np.random.default_rng(20150101)
+        points = np.stack([random.choice(s, RANDOM_STARTS) for s in scales], axis=1)
+        points[0] = [s[0] for s in scales]
+    if start is not None:
+        points = np.concatenate([points, start])
+    squares, coefficients = problem.project(points)
+    if not np.any(np.isfinite(squares)):
+        raise FitError(
+            f"the {problem.law.name} law gives no finite force anywhere in the scan of "
+            f"{', '.join(problem.names[i] for i in problem.nonlinear)}; check the table and "
+            "fixed=..."
+        )
+    if len(scales) == 1:
+        return _zoomed(problem, points[:, 0], squares), len(points)
+    return _distinct(coefficients, squares, list(problem.nonlinear)), len(points)
+
+
+def _zoomed(problem: Problem, values: Array, squares: Array) -> Array:
+    """The best local minima along one coefficient, each bracket narrowed twice."""
+    order = np.argsort(values)
+    values, squares = values[order], squares[order]
+    padded = np.concatenate([[np.inf], squares, [np.inf]])
+    local = np.nonzero((squares <= padded[:-2]) & (squares < padded[2:]) & np.isfinite(squares))[0]
+    local = local[np.argsort(squares[local])][: POLISHED[1]]
+    low = values[np.maximum(local - 1, 0)]
+    high = values[np.minimum(local + 1, len(values) - 1)]
+    fractions = np.linspace(0.0, 1.0, 11)
+    smallest = float(np.min(np.abs(values)))  # the scan leaves out where a law degenerates
+    for _ in range(2):
+        inner = low[:, None] + (high - low)[:, None] * fractions
+        inner = np.where(np.abs(inner) < smallest, np.copysign(smallest, inner), inner)
+        # the ends of brackets may lie beyond what can be computed; inf then, and never best
+        found = problem.project(inner.reshape(-1, 1))[0].reshape(inner.shape)
+        best = np.argmin(found, axis=1)
+        rows = np.arange(len(local))
+        low = inner[rows, np.maximum(best - 1, 0)]
+        high = inner[rows, np.minimum(best + 1, fractions.size - 1)]
+    squares, coefficients = problem.project(inner[rows, best][:, None])
+    ranked = np.argsort(squares)
+    # 1e-3 of a bracket's width is left, so a worse one cannot overtake by polishing; with
+    # inequalities, of which the scan knows nothing, it can
+    near = [i for i in ranked if squares[i] <= 1.2 * squares[ranked[0]] or problem.limited]
+    return coefficients[near]
+
+
+def _distinct(coefficients: Array, squares: Array, nonlinear: list[int]) -> Array:
+    """The best scan points that do not lie next to a better one."""
+    chosen: list[int] = []
+    for i in np.argsort(squares):
+        here = coefficients[i, nonlinear]
+        gaps = [np.max(np.abs(here / coefficients[j, nonlinear] - 1)) for j in chosen]
+        if np.isfinite(squares[i]) and all(gap > 0.25 for gap in gaps):
+            chosen.append(int(i))
+        if len(chosen) == POLISHED[2]:
+            break
+    return coefficients[chosen]

@@ -1,0 +1,447 @@
+"""Joint fit of one law to several muscles with shared coefficients.
+
+Muscles of one make and different length have some coefficients in common; what one table hardly
+shows another may. The law that knows the length (length-scaled) fits all lengths with one set.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.errors import FitError, InputError, UnknownNameError
+from ...muscles.law import ForceLaw
+from ..statistics import Array, Coefficient, Linearisation, SolverStatistics
+from ..tables.force_table import ForceTable
+from .correlation import SerialErrors, sequences, serial_errors
+from .doubts import at_edge, following
+from .least_squares import PLAIN, Problem, Terms
+from .member_fit import MemberFit, marginal_root
+from .report import coefficient_line, correlation_lines
+from .shared_problem import JointOptimum, JointProblem
+from .static import cell_weights, checked_pairs, held_coefficients, independent, law_class
+
+__all__ = ["JointForceFit", "MemberFit", "fit_forces"]
+
+
+@dataclass(frozen=True, eq=False)
+class JointForceFit:
+    """Several muscles fitted together.
+
+    fits : {muscle: its fit}. names : of the unknowns, ``"a4"`` where shared, ``"a1[20 mm]"`` where
+    each muscle has its own. linearisation : of the unknowns, in that order.
+    noise : {muscle: standard deviation of a measurement of weight 1 [N]}.
+    """
+
+    fits: Mapping[str, MemberFit]
+    names: tuple[str, ...]
+    shared: tuple[str, ...]
+    linearisation: Linearisation = field(repr=False)
+    noise: Mapping[str, float]
+    solver: SolverStatistics
+    problem: JointProblem = field(repr=False)
+
+    def __getitem__(self, name: str) -> MemberFit:
+        if name not in self.fits:
+            raise UnknownNameError("muscle of the joint fit", name, self.fits)
+        return self.fits[name]
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: taut cells of all tables less unknowns."""
+        return self.linearisation.dof
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the unknowns, in the order of ``names``."""
+        return self.linearisation.covariance
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squared residuals of all tables [N2]."""
+        return self.problem.cost(self.linearisation.values)
+
+    @property
+    def rmse(self) -> float:
+        """Over all taut cells, without weights [N]."""
+        residuals = np.concatenate([f.residuals for f in self.fits.values()])
+        return float(np.sqrt(np.mean(residuals**2)))
+
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Every unknown by name."""
+        rows = zip(
+            self.names,
+            self.linearisation.values,
+            self.linearisation.stderr(),
+            self.linearisation.units,
+            strict=True,
+        )
+        return {n: Coefficient(n, float(v), float(e), u, False) for n, v, e, u in rows}
+
+    def _place(self, name: str) -> int:
+        if name not in self.names:
+            raise UnknownNameError("unknown of the joint fit", name, self.names)
+        return self.names.index(name)
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Linearised confidence interval of an unknown [its unit]."""
+        c = self.coefficients[self.names[self._place(name)]]
+        half = self.linearisation.reach(level) * c.stderr
+        return c.value - half, c.value + half
+
+    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Linearised confidence intervals of all unknowns."""
+        return {n: self.interval(n, level) for n in self.names}
+
+    def profile_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Interval by profile likelihood: all others fitted anew on either side.
+
+        Infinite at an end that the data leave open.
+        """
+        i, linear = self._place(name), self.linearisation
+        if not np.isfinite(self.coefficients[name].stderr):
+            return -np.inf, np.inf
+        step = self.coefficients[name].stderr
+        widened = step / float(linear.independent.stderr()[i])
+        limit = self.cost + (linear.reach(level) * widened * linear.scale) ** 2
+        return self._end(i, -step, limit), self._end(i, step, limit)
+
+    def _end(self, i: int, step: float, limit: float) -> float:
+        """Where the profiled squares reach ``limit`` on the side of ``step``,
+        each from the last.
+        """
+        low, high = (b[i] for b in self.problem.bounds())
+        best = value = inside = float(self.linearisation.values[i])
+        z = np.array(self.linearisation.values)
+        for _ in range(40):
+            value = float(np.clip(value + step, low, high))
+            trial = z.copy()
+            trial[i] = value
+            found = self.problem.polish(trial, held=i)
+            if found.cost > limit:
+                break
+            if value in (low, high):
+                return value
+            inside, z, step = value, found.z, 1.6 * step
+        else:
+            return float(np.copysign(np.inf, step))
+        outside = value
+        while abs(outside - inside) > 1e-6 * abs(outside - best):
+            trial = z.copy()
+            trial[i] = middle = (inside + outside) / 2
+            found = self.problem.polish(trial, held=i)
+            if found.cost > limit:
+                outside = middle
+            else:
+                inside, z = middle, found.z
+        return (inside + outside) / 2
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the coefficients are trusted."""
+        found = [
+            f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
+            "together moves no taut cell beyond its noise"
+            for lost, _, words in self.linearisation.hardly_seen()
+        ]
+        values = {n: c.value for n, c in self.coefficients.items()}
+        return (*found, *following(self.linearisation), *at_edge(self.solver.at_bound, values))
+
+    def report(self, level: float = 0.95) -> str:
+        """The fit as text: muscles, shared and own coefficients with intervals, warnings."""
+        law = next(iter(self.fits.values())).law
+        lines = [
+            "[[Law]]",
+            f"    {law.title}: {law.reference}",
+            f"    shared by {len(self.fits)} muscles: {', '.join(self.shared) or 'nothing'}",
+            "[[Data]]",
+            *(
+                f"    {name}: {f.n} taut cells of {len(f.table)}, RMSE {f.rmse:.4g} N, "
+                f"noise {self.noise[name]:.3g} N"
+                for name, f in self.fits.items()
+            ),
+            "[[Fit]]",
+            f"    RMSE {self.rmse:.4g} N over all, {self.dof} degrees of freedom, rank "
+            f"{self.linearisation.rank} of {len(self.names)}",
+            f"    IPOPT: {self.solver.status}, {1e3 * self.solver.seconds:.0f} ms",
+            f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval; SI",
+            *(coefficient_line(c, self.interval(n, level)) for n, c in self.coefficients.items()),
+            *correlation_lines(self.linearisation),
+        ]
+        if self.warnings:
+            lines += ["[[Warnings]]", *(f"    {text}" for text in self.warnings)]
+        return "\n".join(lines)
+
+
+def fit_forces(
+    tables: Mapping[str, ForceTable] | Sequence[ForceTable],
+    law: str | type[ForceLaw] = "six-parameter",
+    *,
+    shared: Sequence[str] | Literal["all"] = "all",
+    fixed: Mapping[str, float | Sequence[float]] | None = None,
+    weights: Sequence[ArrayLike | None] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    noise: Literal["equal", "each"] = "equal",
+    errors: Literal["as found", "independent"] = "as found",
+) -> JointForceFit:
+    """Fit one law to the tables of several muscles that have coefficients in common.
+
+    Parameters
+    ----------
+    tables : {muscle: table}, or a sequence of tables (named by their sources, or numbered).
+    law : name in ``LAWS``, or a class.
+    shared : coefficients that all muscles have in common; "all" of the free ones by default, as the
+        length-scaled law wants it for muscles of different rest length.
+    fixed : coefficients to hold [SI]: one number for all muscles, or one for each in their order.
+        A law's ``rest_length`` is taken from each table.
+    weights : per muscle, as for :func:`fit_force`.
+    bounds : {coefficient: (low, high)} [SI].
+    noise : "equal": one standard deviation for all tables (times 1/weight); "each": every table has
+        its own, estimated from its residuals (iterated least squares).
+    errors : as for :func:`fit_force`.
+
+    Returns
+    -------
+    JointForceFit; ``joint["muscle"]`` is a ForceFit of that muscle with the joint intervals.
+
+    Raises
+    ------
+    InputError, UnknownNameError : arguments that cannot be; fewer cells than unknowns.
+    FitError : no stationary point was found.
+    """
+    began = time.perf_counter()
+    named = _named(tables)
+    kind = law_class(law)
+    if noise not in ("equal", "each"):
+        raise InputError(f"noise = {noise!r}: choose 'equal' or 'each'")
+    problem, names, common, units = _stated(kind, named, shared, fixed, weights, bounds)
+    optimum, factors = _settled(problem, noise)
+    weighted = problem.weighted(factors)
+    linear = _linearised(weighted, optimum, names, units)
+    if independent(errors):
+        linear = linear.independent
+    sizes = linear.scale / np.array(factors) if linear.dof else np.full(len(named), np.nan)
+    at_bound = tuple(names[int(i)] for i in optimum.solver.at_bound)
+    solver = replace(optimum.solver, seconds=time.perf_counter() - began, at_bound=at_bound)
+    fits = {}
+    for i, (name, table) in enumerate(named.items()):
+        fits[name] = _member(problem, i, factors[i], table, optimum, linear, solver)
+    return JointForceFit(
+        fits=fits,
+        names=names,
+        shared=common,
+        linearisation=linear,
+        noise=dict(zip(named, sizes.tolist(), strict=True)),
+        solver=solver,
+        problem=weighted,
+    )
+
+
+def _settled(problem: JointProblem, noise: str) -> tuple[JointOptimum, list[float]]:
+    """The optimum, and the factor of each table's weights (their geometric mean is 1)."""
+    factors = [1.0] * len(problem.parts)
+    optimum = problem.minimise(_separate(problem))
+    for _ in range(50 if noise == "each" else 0):
+        rms = []
+        for part, c in zip(problem.parts, problem.coefficients(optimum.z[None]), strict=True):
+            size = float(np.linalg.norm(part.weights * part.cells.force))
+            rms.append(max(np.sqrt(np.mean(part.evaluate(c)[0] ** 2)), 1e-9 * size))
+        found = (np.exp(np.mean(np.log(rms))) / np.array(rms)).tolist()
+        change = float(np.max(np.abs(np.log(np.array(found) / factors))))
+        factors = found
+        optimum = problem.weighted(factors).polish(optimum.z, optimum.solver.scanned)
+        if change < 1e-8:
+            break
+    return optimum, factors
+
+
+def _separate(problem: JointProblem) -> list[Array]:
+    """Nonlinear unknowns that the tables alone would have: every one's for what is shared."""
+    from .search import minimise
+
+    alone = []
+    for part in problem.parts:
+        try:
+            alone.append(minimise(part).coefficients)
+        except FitError:  # a table too poor to be fitted alone gives no start
+            continue
+    if len(alone) < len(problem.parts):
+        return []
+    starts = []
+    for lead in range(len(alone)):
+        z = np.zeros(problem.size)
+        for i in [*(j for j in range(len(alone)) if j != lead), lead]:
+            z[problem.places[i]] = alone[i][list(problem.parts[i].free)]
+        starts.append(z[problem.nonlinear])
+    return starts
+
+
+def _stated(
+    kind: type[ForceLaw],
+    tables: Mapping[str, ForceTable],
+    shared: Any,
+    fixed: Mapping[str, Any] | None,
+    weights: Any,
+    bounds: Any,
+) -> tuple[JointProblem, tuple[str, ...], tuple[str, ...], list[str]]:
+    """The problem, names of its unknowns, those shared, and their units."""
+    every = [v.name for v in kind.coefficient_variables()]
+    unit_of = {v.name: v.unit for v in kind.coefficient_variables()}
+    helds = [
+        held_coefficients(kind, own, t)
+        for own, t in zip(_fixed(fixed, tables), tables.values(), strict=True)
+    ]
+    free = [n for n in every if n not in helds[0]]
+    common = tuple(free) if shared == "all" else _shared(shared, every, free)
+    if weights is None:
+        weights = [None] * len(tables)
+    if len(weights) != len(tables):
+        raise InputError(
+            f"weights: {len(weights)} for {len(tables)} tables; give one (or None) each"
+        )
+    pairs = checked_pairs(kind, "bounds", bounds, helds[0])
+    parts, names = [], list(common)
+    places: list[Any] = []
+    for (name, table), held, own in zip(tables.items(), helds, weights, strict=True):
+        place = []
+        for n in free:
+            label = n if n in common else f"{n}[{name}]"
+            if label not in names:
+                names.append(label)
+            place.append(names.index(label))
+        places.append(np.array(place, dtype=np.intp))
+        # as a problem of its own a table may hold fewer cells than the law has coefficients
+        parts.append(
+            Problem.of(kind, table, held, cell_weights(own, table), Terms(bounds=pairs), few=True)
+        )
+    problem = JointProblem(tuple(parts), tuple(places))
+    if problem.cells < problem.size:
+        raise InputError(
+            f"the tables have {problem.cells} taut cells, fewer than the {problem.size} unknowns: "
+            "share more coefficients, hold some with fixed=..., or measure more"
+        )
+    return problem, tuple(names), common, [unit_of[n.split("[")[0]] for n in names]
+
+
+def _linearised(
+    problem: JointProblem, optimum: JointOptimum, names: Sequence[str], units: Sequence[str]
+) -> Linearisation:
+    jacobian = problem.evaluate(optimum.z[None])[1][0]
+    dof = problem.cells - problem.size
+    scale = float(np.sqrt(problem.cost(optimum.z) / dof)) if dof else float("nan")
+    residuals = problem.evaluate(optimum.z[None])[0][0]
+    size = float(np.sqrt(sum(np.sum((p.weights * p.cells.force) ** 2) for p in problem.parts)))
+    rounding = np.linalg.norm(residuals) <= 1e-9 * size
+    orders = sequences(*(p.cells for p in problem.parts))
+    serial = None if rounding else serial_errors(jacobian, residuals, orders)
+    return Linearisation(names, optimum.z, units, jacobian, scale, dof, serial=serial)
+
+
+def _member(
+    problem: JointProblem,
+    i: int,
+    factor: float,
+    table: ForceTable,
+    optimum: JointOptimum,
+    linear: Linearisation,
+    solver: SolverStatistics,
+) -> MemberFit:
+    part, place = problem.parts[i], problem.places[i]
+    c = problem.coefficients(optimum.z[None])[i][0]
+    names = part.names
+    free = tuple(names[j] for j in part.free)
+    root = marginal_root(linear.jacobian, place)
+    marginal = Linearisation(
+        free,
+        linear.values[place],
+        [linear.units[j] for j in place],
+        root / factor,
+        linear.scale / factor,
+        linear.dof,
+        serial=_marginal_serial(linear, root / factor, place, factor),
+    )
+    return MemberFit(
+        law=part.law(**dict(zip(names, c.tolist(), strict=True))),
+        table=table,
+        held=tuple(n for n in names if n not in free),
+        weights=None if np.all(part.weights == 1) else part.weights,
+        solver=replace(
+            solver,
+            at_bound=tuple(
+                own
+                for own, z in zip(free, place, strict=True)
+                if linear.names[z] in solver.at_bound
+            ),
+        ),
+        terms=PLAIN,
+        marginal=marginal,
+    )
+
+
+def _marginal_serial(
+    linear: Linearisation, root: Array, place: Any, factor: float
+) -> SerialErrors | None:
+    """The errors that follow each other, such that the covariance is that of the joint fit."""
+    if linear.serial is None or not linear.scale > 0:
+        return None
+    normal = root.T @ root
+    block = linear.covariance[np.ix_(place, place)] / (linear.scale / factor) ** 2
+    return replace(linear.serial, meat=normal @ block @ normal)
+
+
+# ---- arguments -----------------------------------------------------------------------------------
+def _named(tables: Any) -> dict[str, ForceTable]:
+    if isinstance(tables, ForceTable):
+        raise InputError("tables is one ForceTable; give several, or take fit_force")
+    if isinstance(tables, Mapping):
+        found = {str(n): t for n, t in tables.items()}
+    else:
+        chosen = list(tables)
+        sources = [getattr(t, "source", "") for t in chosen]
+        distinct = len(set(sources)) == len(sources) and all(sources)
+        found = {
+            s if distinct else str(i + 1): t
+            for i, (s, t) in enumerate(zip(sources, chosen, strict=True))
+        }
+    for name, table in found.items():
+        if not isinstance(table, ForceTable):
+            raise InputError(
+                f"table {name} is a {type(table).__name__}; read it with read_table(...)"
+            )
+    if len(found) < 2:
+        raise InputError("tables: give at least two; one alone is for fit_force")
+    return found
+
+
+def _fixed(fixed: Mapping[str, Any] | None, tables: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What is held, for each muscle."""
+    found: list[dict[str, Any]] = [{} for _ in tables]
+    for name, value in (fixed or {}).items():
+        values = [value] * len(tables) if np.ndim(value) == 0 else list(value)
+        if len(values) != len(tables):
+            raise InputError(
+                f"fixed[{name!r}] has {len(values)} values for {len(tables)} tables; give one "
+                "number, "
+                "or one for each"
+            )
+        for own, number in zip(found, values, strict=True):
+            own[name] = number
+    return found
+
+
+def _shared(shared: Any, every: Sequence[str], free: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(shared, str):
+        raise InputError(f"shared = {shared!r}: give a list of coefficients, or 'all'")
+    for name in shared:
+        if name not in every:
+            raise UnknownNameError("coefficient in shared", name, every)
+        if name not in free:
+            raise InputError(f"shared: {name} is held; take it out of shared or of fixed")
+    return tuple(n for n in free if n in shared)

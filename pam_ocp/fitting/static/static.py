@@ -1,0 +1,248 @@
+"""Static fit: the coefficients of a force law from a measured table, at the global optimum."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...core.errors import InputError, UnknownNameError, require_positive
+from ...muscles.law import LAWS, ForceLaw
+from ...muscles.laws.user_defined import law_named
+from ..statistics import Array
+from ..tables.force_table import ForceTable
+from .force_fit import ForceFit
+from .high_breakdown import robust_start
+from .least_squares import Loss, Problem, Terms, nonlinear_coefficients, sizes
+from .scales import HUBER, spread
+from .search import minimise
+
+__all__ = [
+    "ForceFit",
+    "cell_weights",
+    "checked_pairs",
+    "fit_force",
+    "held_coefficients",
+    "independent",
+    "law_class",
+    "nonlinear_coefficients",
+]
+
+
+def fit_force(
+    table: ForceTable,
+    law: str | type[ForceLaw] = "six-parameter",
+    *,
+    start: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    weights: ArrayLike | None = None,
+    loss: Loss = "squares",
+    censored: bool = False,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    noise: float | None = None,
+    errors: Literal["as found", "independent"] = "as found",
+) -> ForceFit:
+    """Fit a force law to a measured table: the global optimum, with intervals.
+
+    Parameters
+    ----------
+    table : from :func:`read_table`; the taut cells are fitted.
+    law : name in ``LAWS``, "polynomial-3-4", "spline-3:0,0.1,0.25", or a class of force laws.
+    start : coefficients to try in addition to the scan [SI]. The optimum does not depend on it.
+    fixed : coefficients to hold [SI], ``{"a3": -40.0}``. Known constants of a law (a radius, say)
+        belong here too; its ``rest_length`` is taken from the table.
+    weights : per cell, 1/(standard deviation) up to a common factor; multiplies the residual.
+        As long as the table (values at slack cells are ignored).
+    loss : "squares"; another where some cells are far off (a slipped clamp, a wrong digit).
+        "bisquare" is the one to take: an MM-estimate, which cells beyond 4.685 standard deviations
+        do not move at all, wherever they lie (V. Yohai, Ann. Stat. 15 (1987) 642-656). "huber" goes
+        over from squares to absolute values at 1.345 standard deviations, "l1" counts absolute
+        values: both have one optimum, but a wrong cell at the edge of the table pulls them.
+    censored : slack cells count too: there the law must be below 1 N (the width of the clamp).
+    bounds : {coefficient: (low, high)} [SI].
+    priors : {coefficient: (mean, standard deviation)} [SI], known from elsewhere: normal.
+    noise : standard deviation of a measurement of weight 1 [N], against which priors weigh; by
+        default estimated from a fit without them.
+    errors : "as found": where residuals say that errors follow each other (from row to row, along a
+    ramp,
+        along pressure), intervals and bands are widened for it (see
+        :mod:`pam_ocp.fitting.static.correlation`).
+        "independent": they are known not to, as after measuring in random order.
+
+    Returns
+    -------
+    ForceFit, with coefficients, intervals and residuals.
+
+    Raises
+    ------
+    InputError, UnknownNameError : arguments that cannot be; fewer taut cells than coefficients.
+    FitError : the solver found no stationary point.
+    """
+    began = time.perf_counter()
+    if not isinstance(table, ForceTable):
+        raise InputError(f"table is a {type(table).__name__}; read it with read_table(...)")
+    kind = law_class(law)
+    held = held_coefficients(kind, dict(fixed or {}), table)
+    terms = Terms(
+        _loss(loss),
+        censored=bool(censored),
+        bounds=checked_pairs(kind, "bounds", bounds, held),
+        priors=checked_pairs(kind, "priors", priors, held),
+        independent=independent(errors),
+    )
+    whole = Problem.of(kind, table, held, cell_weights(weights, table), terms)
+    problem, begin = _settled(whole, noise)
+    optimum = minimise(problem, _start(problem, dict(start or {})), begin)
+    return ForceFit(
+        law=kind(**dict(zip(problem.names, optimum.coefficients.tolist(), strict=True))),
+        table=table,
+        held=tuple(n for n in problem.names if n in held),
+        weights=None if weights is None else problem.weights,
+        solver=replace(optimum.solver, seconds=time.perf_counter() - began),
+        terms=problem.terms,
+    )
+
+
+# ---- arguments ----------------------------------------------------------------------------------
+def law_class(law: Any) -> type[ForceLaw]:
+    if isinstance(law, str):
+        return law_named(law)
+    if isinstance(law, type) and issubclass(law, ForceLaw):
+        return law
+    raise InputError(f"law = {law!r} must be a name ({', '.join(LAWS)}) or a class of force laws")
+
+
+def _checked(kind: type[ForceLaw], argument: str, values: Mapping[str, Any]) -> dict[str, float]:
+    known = {v.name: v for v in kind.coefficient_variables()}
+    for name in values:
+        if name not in known:
+            raise UnknownNameError(f"coefficient of the {kind.name} law in {argument}", name, known)
+    return {n: known[n].check(v, argument) for n, v in values.items()}
+
+
+def held_coefficients(
+    kind: type[ForceLaw], fixed: dict[str, Any], table: ForceTable
+) -> dict[str, float]:
+    """The coefficients that no fit may move: the user's, and the law's known constants."""
+    constants = {**kind.fixed_coefficients()}
+    if constants.get("rest_length", 0.0) is None:
+        constants["rest_length"] = table.rest_length
+    constants.update(_checked(kind, "fixed", fixed))
+    missing = [n for n, v in constants.items() if v is None]
+    if missing:
+        words = {v.name: v.description for v in kind.coefficient_variables()}
+        raise InputError(
+            f"the {kind.name} law needs fixed={{{missing[0]!r}: ...}} "
+            f"({words[missing[0]]}), which no fit of the force can tell"
+        )
+    return {n: float(v) for n, v in constants.items() if v is not None}
+
+
+def cell_weights(weights: ArrayLike | None, table: ForceTable) -> Array:
+    if weights is None:
+        return np.ones(len(table.taut))
+    array = np.asarray(weights, dtype=float)
+    if array.shape != (len(table),):
+        raise InputError(
+            f"weights has shape {array.shape}; give one weight per cell of the table, "
+            f"({len(table)},)"
+        )
+    chosen: Array = array[~table.slack]
+    bad = np.nonzero(~(np.isfinite(chosen) & (chosen > 0)))[0]
+    if bad.size:
+        raise InputError(
+            f"weights: taut cell {bad[0] + 1} has {chosen[bad[0]]}; weights must be finite and > 0 "
+            "(take a cell out with table.subset(...))"
+        )
+    return chosen
+
+
+def _loss(loss: Any) -> Loss:
+    if loss not in ("squares", "huber", "l1", "bisquare"):
+        raise InputError(f"loss = {loss!r}: choose 'squares', 'huber', 'l1' or 'bisquare'")
+    return loss  # type: ignore[no-any-return]
+
+
+def independent(errors: Any) -> bool:
+    if errors not in ("as found", "independent"):
+        raise InputError(f"errors = {errors!r}: choose 'as found' or 'independent'")
+    return bool(errors == "independent")
+
+
+def checked_pairs(
+    kind: type[ForceLaw], argument: str, given: Mapping[str, Any] | None, held: Mapping[str, float]
+) -> tuple[tuple[str, float, float], ...]:
+    """(name, first, second) of bounds or priors, checked."""
+    known = [v.name for v in kind.coefficient_variables()]
+    words = "(low, high)" if argument == "bounds" else "(mean, standard deviation)"
+    pairs = []
+    for name, value in (given or {}).items():
+        if name not in known:
+            raise UnknownNameError(f"coefficient of the {kind.name} law in {argument}", name, known)
+        if name in held:
+            raise InputError(f"{argument}: {name} is held; take it out of {argument} or of fixed")
+        try:
+            first, second = (float(v) for v in value)
+        except (TypeError, ValueError):
+            raise InputError(f"{argument}[{name!r}] = {value!r}: give {words}") from None
+        good = (
+            first < second if argument == "bounds" else np.isfinite(first) and 0 < second < np.inf
+        )
+        if not good:
+            raise InputError(
+                f"{argument}[{name!r}] = {value!r} must be {words}, the "
+                + ("first the smaller" if argument == "bounds" else "second positive")
+            )
+        pairs.append((name, first, second))
+    return tuple(pairs)
+
+
+def _settled(problem: Problem, noise: float | None) -> tuple[Problem, Array | None]:
+    """The problem with the scales that its loss and its priors need, from the data themselves.
+
+    Also where to begin, for a loss that has more than one optimum.
+    """
+    terms = problem.terms
+    if terms.priors and noise is None:
+        bare = replace(problem, terms=replace(terms, priors=(), loss="squares"))
+        noise = float(np.sqrt(minimise(bare).cost / max(len(problem.cells) - len(problem.free), 1)))
+    if noise is not None:
+        terms = replace(terms, noise=require_positive("noise", noise, "N"))
+    if terms.loss == "bisquare":
+        begin, edge = robust_start(replace(problem, terms=terms))
+        return replace(problem, terms=replace(terms, threshold=edge)), begin
+    if terms.loss != "squares":
+        straight = replace(terms, loss="l1", threshold=np.sqrt(2) * terms.noise)
+        terms = straight
+    if problem.terms.loss == "huber":
+        found = minimise(replace(problem, terms=straight)).coefficients
+        residuals = problem.evaluate(found[None])[0][0]
+        edge = HUBER * max(spread(residuals, len(problem.free)), 1e-9 * _size(problem))
+        terms = replace(terms, loss="huber", threshold=edge)
+    return replace(problem, terms=terms), None
+
+
+def _size(problem: Problem) -> float:
+    return float(np.linalg.norm(problem.weights * problem.cells.force))
+
+
+def _start(problem: Problem, start: Mapping[str, Any]) -> Array | None:
+    """The user's values of the nonlinear coefficients; nominal sizes where none is given."""
+    given = _checked(problem.law, "start", start)
+    wanted = [problem.names[i] for i in problem.nonlinear]
+    if not any(n in given for n in wanted):
+        return None
+    nominal = {v.name: sizes(v) for v in problem.variables}
+    values = np.array([[given.get(n, nominal[n][0]) for n in wanted]])
+    # beyond the edges of the scan a law has degenerated; a start there counts as the edge
+    reach = [np.abs(nominal[n]) for n in wanted]
+    signs = np.where(values < 0, -1.0, 1.0)
+    clipped: Array = signs * np.clip(
+        np.abs(values), [s.min() for s in reach], [s.max() for s in reach]
+    )
+    return clipped

@@ -1,0 +1,234 @@
+"""Statistics of least squares near its optimum: covariance, rank, intervals, and doubts in words.
+
+Linearised least squares as in G. Seber, C. Wild, Nonlinear Regression (1989), ch. 5: the
+covariance is s^2 (J^T J)^-1 with the exact Jacobian J at the optimum and s^2 the residual sum of
+squares over the degrees of freedom; intervals by Student's t. The Jacobian's columns are scaled
+to unit length before its rank is judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, require_finite
+from ..muscles.law import ForceLaw
+
+if TYPE_CHECKING:
+    from .static.correlation import SerialErrors
+
+__all__ = [
+    "Coefficient",
+    "Linearisation",
+    "Prediction",
+    "SolverStatistics",
+    "sensitivity",
+    "student_t",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+
+RANK_TOLERANCE = 1e-9
+"""Singular values below this times the largest count as zero (columns of unit length)."""
+NEARLY_DEPENDENT = 100.0
+"""Condition number of the scaled Jacobian from which a fit says what the data hardly see."""
+
+
+@cache
+def sensitivity(law: type[ForceLaw]) -> ca.Function:
+    """CasADi function (p, kappa, coefficients) -> (tension, exact dF/dcoefficients as a row)."""
+    function = law.function()
+    p, kappa = ca.SX.sym("p"), ca.SX.sym("kappa")
+    c = ca.SX.sym("c", function.size1_in(2))
+    tension = function(p, kappa, c)[0]
+    return ca.Function("sensitivity", [p, kappa, c], [tension, ca.densify(ca.jacobian(tension, c))])
+
+
+def student_t(level: float, dof: int) -> float:
+    """Half width of a two-sided interval in standard errors; infinite without freedom."""
+    from scipy.special import stdtrit
+
+    level = require_finite("level", level)
+    if not 0 < level < 1:
+        raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
+    return float(stdtrit(dof, (1 + level) / 2)) if dof > 0 else float("inf")
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One coefficient of a fit [unit]; stderr is 0 where held,
+    infinite where the data are blind.
+    """
+
+    name: str
+    value: float
+    stderr: float
+    unit: str
+    held: bool
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Force [N] of the fitted law (negative: slack), its standard error, and intervals.
+
+    ``confidence`` (low, high) holds the law's mean, ``prediction`` a new measurement.
+    """
+
+    force: Array
+    stderr: Array
+    confidence: tuple[Array, Array]
+    prediction: tuple[Array, Array]
+    level: float
+
+
+@dataclass(frozen=True)
+class SolverStatistics:
+    """How the optimum was found.
+
+    gradient : largest cosine between the residual and a column of the Jacobian, 0 at an optimum.
+    scanned : points of the global scan. at_bound : coefficients that ended at a bound.
+    doubt : why the optimum is in doubt, in words; empty when it is not.
+    """
+
+    status: str
+    iterations: int
+    gradient: float
+    scanned: int
+    at_bound: tuple[str, ...] = ()
+    seconds: float = 0.0
+    doubt: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """A least-squares problem near its optimum.
+
+    names, values, units : of the k fitted parameters. jacobian : weighted derivatives (n, k).
+    scale : standard deviation of a residual. dof : degrees of freedom.
+    active : gradients (m, k) of constraints that hold as equalities at the optimum.
+    serial : errors that follow each other, which widen the covariance; None for independent ones.
+    """
+
+    names: Sequence[str]
+    values: Array
+    units: Sequence[str]
+    jacobian: Array
+    scale: float
+    dof: int
+    active: Array | None = None
+    serial: SerialErrors | None = None
+
+    @cached_property
+    def decomposition(self) -> tuple[Array, Array, Array]:
+        """Lengths of the columns; singular values and right vectors with columns of unit length."""
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        norms = np.where(norms > 0, norms, 1.0)
+        scaled = self.jacobian / norms
+        if self.active is None or not len(self.active):
+            _, s, vt = np.linalg.svd(scaled, full_matrices=False)
+            return norms, s, vt
+        held = np.linalg.svd(self.active / norms)
+        free = held[2][int(np.sum(held[1] > RANK_TOLERANCE * held[1][0])) :].T
+        _, s, vt = np.linalg.svd(scaled @ free, full_matrices=False)
+        return norms, s, vt @ free.T
+
+    @property
+    def rank(self) -> int:
+        """How many independent combinations of the parameters the data determine."""
+        s = self.decomposition[1]
+        return int(np.sum(s > RANK_TOLERANCE * s[0])) if s.size else 0
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the Jacobian with columns of unit length."""
+        s = self.decomposition[1]
+        return float(s[0] / s[-1]) if s.size and s[-1] > 0 else float("inf")
+
+    @property
+    def _root(self) -> Array:
+        norms, s, vt = self.decomposition
+        return np.asarray(vt[: self.rank].T / s[: self.rank] / norms[:, None])
+
+    @cached_property
+    def _factor(self) -> Array:
+        """Covariance for errors of variance 1."""
+        inverse = self._root @ self._root.T
+        return np.asarray(inverse if self.serial is None else inverse @ self.serial.meat @ inverse)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the parameters; of what the data determine where rank is lacking."""
+        scale = self.scale if self.dof else float("inf")
+        with np.errstate(invalid="ignore"):
+            return np.asarray(scale**2 * self._factor)
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix of the parameters."""
+        size = np.sqrt(np.maximum(np.diag(self._factor), 1e-300))
+        return np.asarray(self._factor / np.outer(size, size))
+
+    def reach(self, level: float) -> float:
+        """Half width of a two-sided interval in standard errors."""
+        if self.serial is None:
+            return student_t(level, self.dof)
+        return self.serial.reach(level)
+
+    @cached_property
+    def independent(self) -> Linearisation:
+        """The same, were the errors independent."""
+        return self if self.serial is None else replace(self, serial=None)
+
+    def blind(self, directions: Array) -> NDArray[np.bool_]:
+        """Whether a direction (rows, in parameters) has a part that the data do not see."""
+        norms, _, vt = self.decomposition
+        scaled = directions / norms
+        length = np.linalg.norm(scaled, axis=1)
+        unseen = np.linalg.norm(scaled @ vt[self.rank :].T, axis=1)
+        return np.asarray(unseen > 1e-6 * length)
+
+    def stderr(self, directions: Array | None = None) -> Array:
+        """Standard errors of linear combinations (rows), by default of the parameters."""
+        if directions is None:
+            directions = np.eye(len(self.names))
+        if not self.dof:
+            return np.full(len(directions), np.inf)
+        variance = np.einsum("ij,jk,ik->i", directions, self.covariance, directions)
+        error = np.sqrt(np.maximum(variance, 0.0))
+        return np.where(self.blind(directions), np.inf, error)
+
+    def hardly_seen(self) -> Iterator[tuple[bool, Array, str]]:
+        """Combinations that the data do not (True) or hardly (False) see: change, and in words.
+
+        The change is one standard error, or 10 % of the largest participant where that is infinite.
+        """
+        norms, s, vt = self.decomposition
+        for value, vector in zip(s, vt, strict=True):
+            if value * NEARLY_DEPENDENT > s[0]:
+                continue
+            lost = bool(value <= RANK_TOLERANCE * s[0]) or not self.dof
+            move = vector / norms
+            if lost:
+                lead = int(np.argmax(np.abs(vector)))
+                move *= 0.1 * (abs(self.values[lead]) or 1.0) / move[lead]
+            else:
+                move *= self.scale / value
+            words = " and ".join(
+                f"{n} by {d:+.3g}{'' if u == '1' else ' ' + u}"
+                for n, d, u, part in zip(self.names, move, self.units, np.abs(vector), strict=True)
+                if part > 0.1
+            )
+            yield bool(value <= RANK_TOLERANCE * s[0]), np.asarray(move), words
+
+    def correlated(self, beyond: float = 0.5) -> list[tuple[float, str, str]]:
+        """Pairs of parameters with a correlation beyond a limit, the strongest first."""
+        r, n = self.correlation, self.names
+        pairs = [(float(r[i, j]), n[j], n[i]) for i in range(len(n)) for j in range(i)]
+        return sorted((p for p in pairs if abs(p[0]) > beyond), key=lambda pair: -abs(pair[0]))

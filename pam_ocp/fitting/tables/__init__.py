@@ -1,0 +1,1 @@
+"""Measured tables and records, and how they are read."""

@@ -1,0 +1,103 @@
+"""The catalogue: known muscles, from ``catalogue.toml``, each with source and range."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from importlib.resources import files
+from typing import Any, cast
+
+from ..core.errors import InputError, UnknownNameError
+from .law import LAWS, ForceLaw, SixParameterLaw
+from .muscle import Muscle
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
+
+__all__ = ["catalogue_entry", "muscle", "muscle_names", "summary", "transfer_note"]
+
+
+@cache
+def _catalogue() -> dict[str, Any]:
+    text = files(__package__).joinpath("catalogue.toml").read_text("utf-8")
+    return cast(dict[str, Any], tomllib.loads(text))
+
+
+def transfer_note() -> str:
+    """What to know before a set of one laboratory is used on the muscle of another."""
+    return " ".join(_catalogue()["transfer_note"].split())
+
+
+def muscle_names() -> list[str]:
+    """The names that :func:`muscle` knows."""
+    return [name for name, entry in _catalogue().items() if isinstance(entry, dict)]
+
+
+def catalogue_entry(name: str) -> dict[str, Any]:
+    """What the catalogue says of a muscle, as plain values; for lists and tables.
+
+    Keys: ``law``, ``coefficients``, ``pressure_range`` [Pa], ``contraction_range`` [1],
+    ``construction``, ``obtained``, ``source``, and where known ``rest_length`` [m],
+    ``diameter`` [m], ``mass`` [kg], ``note``, ``data`` (a bundled table).
+    Raises UnknownNameError with the nearest names.
+    """
+    if name not in muscle_names():
+        raise UnknownNameError("muscle", name, muscle_names())
+    return dict(_catalogue()[name])
+
+
+def summary(name: str) -> str:
+    """An entry in two lines for a list: law, size, range and construction; source."""
+    entry = catalogue_entry(name)
+    length, diameter = (
+        f"{1e3 * entry[key]:g} mm" if key in entry else "not known"
+        for key in ("rest_length", "diameter")
+    )
+    low, high = (p / 1e5 for p in entry["pressure_range"])
+    return (
+        f"{name:18} {entry['law']}; rest length {length}, inner diameter {diameter}; "
+        f"{low:g} .. {high:g} bar, to {100 * entry['contraction_range'][1]:g} %; "
+        f"{entry['construction']}, {entry['obtained']}\n{'':18} {entry['source']}"
+    )
+
+
+def muscle(name: str, *, rest_length: float | None = None) -> Muscle:
+    """A muscle of the catalogue.
+
+    rest_length : replaces the catalogue's [m]; needed where it holds none (DMSP-10).
+
+    Raises UnknownNameError with the nearest names, InputError when a rest length is missing.
+    """
+    entry = catalogue_entry(name)
+    length = entry.get("rest_length") if rest_length is None else rest_length
+    if length is None:
+        raise InputError(
+            f"muscle {name!r} has no rest length in the catalogue; "
+            f"give rest_length in metres, as in muscle({name!r}, rest_length=0.25)"
+        )
+    return Muscle(
+        _law(entry, entry.get("rest_length", length)),
+        rest_length=entry.get("rest_length", length),
+        diameter=entry.get("diameter"),
+        pressure_range=tuple(entry["pressure_range"]),
+        contraction_range=tuple(entry["contraction_range"]),
+        name=name,
+        source=entry["source"],
+        note=" ".join(f"{entry.get('note', '')} {transfer_note()}".split()),
+        mass=entry.get("mass"),
+        construction=entry["construction"],
+        obtained=entry["obtained"],
+    ).with_rest_length(length)
+
+
+def _law(entry: dict[str, Any], rest_length: float) -> ForceLaw:
+    """A list of coefficients is as published (bar, percent), a table is in SI."""
+    coefficients = entry["coefficients"]
+    if isinstance(coefficients, list):
+        return SixParameterLaw.from_published(coefficients)
+    law = LAWS[entry["law"]]
+    if "rest_length" in law.fixed_coefficients():
+        coefficients = {**coefficients, "rest_length": rest_length}
+    return law(**coefficients)

@@ -1,0 +1,331 @@
+"""Air in a muscle: the volume it fills, how its pressure changes, how it flows.
+
+The one room with absolute pressures; their names say so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+
+from ..core.errors import InputError, require_finite, require_positive
+from .law import FloatOrSX
+from .muscle import Muscle
+
+__all__ = [
+    "AMBIENT_PRESSURE",
+    "BraidVolume",
+    "ConsistentVolume",
+    "Gas",
+    "PolynomialVolume",
+    "Volume",
+    "closed_stiffness",
+    "conductance_from_flow",
+    "iso6358",
+    "muscle_volume",
+    "specific_exergy",
+]
+
+GAS_CONSTANT = 287.05
+"""Dry air [J/(kg K)]."""
+AMBIENT_PRESSURE = 101325.0
+"""Standard atmosphere [Pa absolute]."""
+REFERENCE_TEMPERATURE = 293.15
+"""T0 of ISO 6358 [K]."""
+REFERENCE_DENSITY = 1.185
+"""rho0 of ISO 6358 [kg/m3]: air at 1 bar absolute and T0."""
+LAMINAR_RATIO = 0.999
+"""Above this ratio of pressures the flow is linear in their difference."""
+
+Declare = Callable[..., Any]
+"""declare(name, value, **attributes of a Variable) -> symbol of a parameter, or the value itself.
+"""
+
+
+def _number(name: str, value: float, **_: Any) -> float:
+    return value
+
+
+# ---- volume --------------------------------------------------------------------------------
+
+
+class Volume(Protocol):
+    """The volume that the gas fills in a muscle, over its contraction."""
+
+    def filled(self, muscle: Muscle, kappa: ca.SX, declare: Declare) -> ca.SX:
+        """Volume [m3] at contraction kappa, without dead volume; ``declare`` makes parameters."""
+
+
+def _diameter(muscle: Muscle, own: float | None, declare: Declare) -> FloatOrSX:
+    value = muscle.diameter if own is None else own
+    if value is None:
+        raise InputError(
+            f"muscle {muscle.name!r} has no diameter, so its volume is not known; "
+            "give Muscle(..., diameter=) or the volume's own diameter= [m]"
+        )
+    declared: FloatOrSX = declare(
+        "diameter", value, unit="m", min=1e-5, nominal=1e-2, description="inner diameter at rest"
+    )
+    return declared
+
+
+@dataclass(frozen=True)
+class ConsistentVolume:
+    """V = V0 + l0 integral_0^kappa G dkappa, with G = dF/dp: consistent with the force law.
+
+    From virtual work, dF/dp = -dV/dl; V0 = pi d^2 l0/4 is the one free constant. With this volume
+    a muscle and its gas are passive, with any other one they are not. For laws affine in
+    pressure; others raise InputError. That a fitted law's G be used so is our inference.
+
+    diameter : inner diameter at rest [m]; by default the muscle's.
+    """
+
+    diameter: float | None = None
+
+    def filled(self, muscle: Muscle, kappa: ca.SX, declare: Declare) -> ca.SX:
+        rest = math.pi / 4 * _diameter(muscle, self.diameter, declare) ** 2 * muscle.rest_length
+        return ca.SX(rest + muscle.rest_length * muscle.law.gain_area(kappa))
+
+
+@dataclass(frozen=True)
+class BraidVolume:
+    """V = pi r0^2 l0 (1-kappa) [1 - cos^2(alpha0) (1-kappa)^2] / sin^2(alpha0).
+
+    A cylinder in fibres of constant length; consistent with the geometric law and no other.
+
+    angle : braid angle at rest alpha0 [rad]; the default is that of a DMSP-20 (24.42 degrees).
+    diameter : inner diameter at rest [m]; by default the muscle's.
+    """
+
+    angle: float = math.radians(24.42)
+    diameter: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < require_finite("BraidVolume.angle", self.angle, "rad") < math.pi / 2:
+            raise InputError(f"BraidVolume.angle = {self.angle:g} rad must lie in 0 .. pi/2")
+
+    def filled(self, muscle: Muscle, kappa: ca.SX, declare: Declare) -> ca.SX:
+        angle = declare(
+            "braid_angle",
+            self.angle,
+            unit="rad",
+            min=1e-3,
+            max=1.57,
+            nominal=0.5,
+            description="braid angle at rest",
+        )
+        rest = math.pi / 4 * _diameter(muscle, self.diameter, declare) ** 2 * muscle.rest_length
+        length = 1 - kappa
+        return ca.SX(rest * length * (1 - ca.cos(angle) ** 2 * length**2) / ca.sin(angle) ** 2)
+
+
+@dataclass(frozen=True)
+class PolynomialVolume:
+    """V = v0 + v1 kappa + v2 kappa^2 + ... [m3], as fitted to a measurement of the volume."""
+
+    coefficients: Sequence[float]
+
+    def __post_init__(self) -> None:
+        values = tuple(require_finite("PolynomialVolume", v, "m3") for v in self.coefficients)
+        if not values or values[0] <= 0:
+            raise InputError(f"PolynomialVolume: {list(values)}: the first, v0 [m3], must be > 0")
+        object.__setattr__(self, "coefficients", values)
+
+    def filled(self, muscle: Muscle, kappa: ca.SX, declare: Declare) -> ca.SX:
+        terms = [
+            declare(
+                f"v{i}",
+                v,
+                unit="m3",
+                nominal=1e-4,
+                description=f"volume, contraction to the power {i}",
+            )
+            * kappa**i
+            for i, v in enumerate(self.coefficients)
+        ]
+        return ca.SX(sum(terms[1:], terms[0]))
+
+
+def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> Any:
+    """Volume of the gas [m3] at contraction ``kappa`` (arrays go through); no dead volume.
+
+    volume : ``ConsistentVolume()`` by default.
+    """
+    symbol = ca.SX.sym("kappa")
+    expression = (volume or ConsistentVolume()).filled(muscle, symbol, _number)
+    values = np.asarray(kappa, dtype=float)
+    found = ca.Function("volume", [symbol], [ca.SX(expression)])(values.reshape(1, -1))
+    array = np.asarray(found, dtype=float).reshape(values.shape)
+    return array if array.ndim else float(array)
+
+
+# ---- gas -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Chamber:
+    """Expressions of a gas in a plant: total volume [m3], its slope over kappa, constants."""
+
+    volume: ca.SX
+    slope: ca.SX
+    exponent: ca.SX
+    temperature: ca.SX
+    ambient: ca.SX
+
+    def pressure_rate(self, absolute: ca.SX, mass_flow: Any, rate: Any) -> ca.SX:
+        """dp/dt = n (R T mdot - p_abs dV/dt)/V [Pa/s]; rate = dkappa/dt [1/s]."""
+        supplied = GAS_CONSTANT * self.temperature * mass_flow
+        return ca.SX(self.exponent * (supplied - absolute * self.slope * rate) / self.volume)
+
+
+@dataclass(frozen=True)
+class Gas:
+    """How the air in a muscle behaves: dp_abs/dt = n (R T mdot - p_abs dV/dt)/V.
+
+    volume : ``ConsistentVolume()`` (default), ``BraidVolume(...)`` or ``PolynomialVolume(...)``.
+    dead_volume : of fittings and hose, added at every contraction [m3].
+    exponent : polytropic n; 1 isothermal (slow) .. 1.4 adiabatic (fast). The default 1.2 between
+        them is our choice.
+    temperature : of supply and gas [K]. ambient : [Pa absolute].
+
+    Source: R T mdot = d(p V)/dt for n = 1 and the energy balance without heat for n = 1.4; the
+    polytropic form between them is the usual one in pneumatics.
+    """
+
+    volume: Volume = field(default_factory=ConsistentVolume)
+    dead_volume: float = 20e-6
+    exponent: float = 1.2
+    temperature: float = REFERENCE_TEMPERATURE
+    ambient: float = AMBIENT_PRESSURE
+
+    def __post_init__(self) -> None:
+        require_positive("Gas.dead_volume", self.dead_volume, "m3", zero=True)
+        require_positive("Gas.temperature", self.temperature, "K")
+        require_positive("Gas.ambient", self.ambient, "Pa")
+        if not 1 <= require_finite("Gas.exponent", self.exponent) <= 1.67:
+            raise InputError(
+                f"Gas.exponent = {self.exponent:g} must lie in 1 (isothermal) .. 1.67; air's "
+                "adiabatic "
+                "exponent is 1.4"
+            )
+
+    def chamber(self, muscle: Muscle, contraction: Any, declare: Declare = _number) -> Chamber:
+        """The gas of a muscle at a contraction; ``declare`` makes parameters of its constants."""
+        kappa = ca.SX.sym("kappa")
+        filled = ca.SX(self.volume.filled(muscle, kappa, declare))
+        dead = declare(
+            "dead_volume",
+            self.dead_volume,
+            unit="m3",
+            min=0.0,
+            nominal=1e-5,
+            description="volume of fittings and hose",
+        )
+        exponent = declare(
+            "exponent", self.exponent, min=1.0, max=1.67, description="polytropic exponent"
+        )
+        temperature = declare(
+            "temperature",
+            self.temperature,
+            unit="K",
+            min=1.0,
+            nominal=300.0,
+            description="temperature of the air",
+        )
+        ambient = declare(
+            "ambient",
+            self.ambient,
+            unit="Pa",
+            min=1.0,
+            nominal=1e5,
+            description="absolute pressure of the surroundings",
+        )
+        slope = ca.jacobian(filled, kappa)
+        total, slope = (ca.substitute(e, kappa, ca.SX(contraction)) for e in (filled + dead, slope))
+        return Chamber(total, slope, exponent, temperature, ambient)
+
+
+def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None) -> Any:
+    """Stiffness with closed valve [N/m]: the gas is compressed, p_abs V^n stays constant.
+
+    k = -(1/l0) [dF/dkappa - dF/dp n p_abs (dV/dkappa)/V], of the law without clamp; arrays
+    broadcast. Compare :meth:`Muscle.stiffness`, that at constant pressure.
+    """
+    gas = gas or Gas()
+    pressure, contraction = ca.SX.sym("p"), ca.SX.sym("kappa")
+    chamber = gas.chamber(muscle, contraction)
+    tension = muscle.tension(pressure, contraction)
+    slopes = [ca.jacobian(tension, z) for z in (contraction, pressure)]
+    absolute = pressure + chamber.ambient
+    compressed = chamber.exponent * absolute * chamber.slope / chamber.volume
+    k = -(slopes[0] - slopes[1] * compressed) / muscle.rest_length
+    both = np.broadcast_arrays(np.asarray(p, dtype=float), np.asarray(kappa, dtype=float))
+    found = ca.Function("k", [pressure, contraction], [k])(*(b.reshape(1, -1) for b in both))
+    array = np.asarray(found, dtype=float).reshape(both[0].shape)
+    return array if array.ndim else float(array)
+
+
+# ---- flow ---------------------------------------------------------------------------------------
+
+
+def iso6358(
+    upstream: Any,
+    downstream: Any,
+    conductance: Any,
+    critical_ratio: Any = 0.3,
+    temperature: Any = REFERENCE_TEMPERATURE,
+    laminar_ratio: float = LAMINAR_RATIO,
+) -> Any:
+    """Mass flow [kg/s] through an orifice by ISO 6358, negative when it runs backwards.
+
+    upstream, downstream : absolute pressures [Pa]; floats or CasADi expressions.
+    conductance : sonic conductance C [m3/(s Pa)]; critical_ratio : b.
+    temperature : of the air upstream [K].
+
+    mdot = p1 C rho0 sqrt(T0/T1), choked for p2/p1 <= b; above, times
+    sqrt(1 - ((p2/p1 - b)/(1 - b))^2). That formula has an infinite derivative at p1 = p2, so for
+    p2/p1 > ``laminar_ratio`` the flow is linear in p1 - p2, continuous in value (its slope there
+    steps by a factor of about 2) and with one slope through zero.
+    """
+    high, low = ca.fmax(upstream, downstream), ca.fmin(upstream, downstream)
+    ratio = ca.fmin(ca.fmax(low / high, critical_ratio), laminar_ratio)
+    subsonic = ca.sqrt(1 - ((ratio - critical_ratio) / (1 - critical_ratio)) ** 2)
+    # +-p1 outside the laminar section, a straight line through zero within it
+    driving = ca.fmax(ca.fmin((upstream - downstream) / (1 - laminar_ratio), high), -high)
+    cooling = ca.sqrt(REFERENCE_TEMPERATURE / temperature)
+    return driving * conductance * REFERENCE_DENSITY * cooling * subsonic
+
+
+def conductance_from_flow(
+    flow: float,
+    critical_ratio: float = 0.3,
+    upstream: float = 7.013e5,
+    downstream: float = 6.013e5,
+) -> float:
+    """Sonic conductance C [m3/(s Pa)] from a catalogue's standard nominal flow qnN [l/min].
+
+    The catalogue's flow is that from 6 to 5 bar gauge (``upstream``, ``downstream`` in Pa
+    absolute): C = qnN / (60000 p1 sqrt(1 - ((p2/p1 - b)/(1 - b))^2)). 700 l/min with b = 0.3 give
+    2.75e-8. The volume is taken at the reference state of ISO 6358.
+    """
+    require_positive("flow", flow, "l/min")
+    if not 0 <= require_finite("critical_ratio", critical_ratio) < 1:
+        raise InputError(
+            f"critical_ratio = {critical_ratio:g} must lie in 0 .. 1 (usual: 0.2 to 0.5)"
+        )
+    require_positive("downstream", downstream, "Pa")
+    if not downstream < require_positive("upstream", upstream, "Pa"):
+        raise InputError(f"upstream = {upstream:g} Pa must be above downstream = {downstream:g} Pa")
+    ratio = max(downstream / upstream, critical_ratio)
+    subsonic = math.sqrt(1 - ((ratio - critical_ratio) / (1 - critical_ratio)) ** 2)
+    return flow / 60e3 / (upstream * subsonic)
+
+
+def specific_exergy(absolute: Any, ambient: Any, temperature: Any) -> Any:
+    """Work that air at this pressure and ambient temperature can do: R T ln(p/p0) [J/kg]."""
+    return GAS_CONSTANT * temperature * ca.log(absolute / ambient)

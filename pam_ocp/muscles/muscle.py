@@ -1,0 +1,160 @@
+"""Muscle: a force law with the geometry and the ranges of one real muscle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import casadi as ca
+
+from ..core.errors import InputError, require_positive
+from ..core.plausible import doubt
+from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
+from .validity import Validity
+
+__all__ = ["Muscle"]
+
+
+@dataclass(frozen=True)
+class Muscle:
+    """A pneumatic artificial muscle.
+
+    Parameters
+    ----------
+    law : force law with its coefficients.
+    rest_length : length of the active membrane at zero pressure and load, l0 [m].
+        A law that holds a rest length of its own must hold the same one.
+    diameter : inner diameter at rest [m], or None when it is not known.
+    slack_width : half width of the smooth clamp at zero force [N]; see :func:`force.clamp`.
+    pressure_range, contraction_range : where the law was measured ([Pa gauge], [1]).
+        Numbers outside give a ValidityWarning, once for each muscle.
+    name, source, note : what it is, where its numbers come from, what to know before use.
+    mass : mass of the muscle [kg], or None; for energy and power per mass.
+    construction : "braided", "netted" or "embedded", the classes of the source paper, or "".
+    obtained : "published", "transcribed" or "fitted here", or "".
+
+    ``rest_length`` and ``slack_width`` may be CasADi symbols inside a plant.
+    """
+
+    law: ForceLaw
+    rest_length: FloatOrSX
+    diameter: float | None = None
+    slack_width: FloatOrSX = SLACK_WIDTH
+    pressure_range: tuple[float, float] = (0.0, 6e5)
+    contraction_range: tuple[float, float] = (0.0, 0.25)
+    name: str = "muscle"
+    source: str = ""
+    note: str = field(default="", repr=False)
+    mass: float | None = None
+    construction: str = ""
+    obtained: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.law, ForceLaw):
+            raise InputError(f"law = {self.law!r} must be a ForceLaw, such as SixParameterLaw(...)")
+        for argument, unit in (
+            ("rest_length", "m"),
+            ("slack_width", "N"),
+            ("diameter", "m"),
+            ("mass", "kg"),
+        ):
+            value = getattr(self, argument)
+            if value is not None and not isinstance(value, ca.SX):
+                number = require_positive(argument, value, unit)
+                doubt(argument, number, unit)
+                object.__setattr__(self, argument, number)
+        own = self.law.values.get("rest_length", self.rest_length)
+        symbolic = isinstance(own, ca.SX) or isinstance(self.rest_length, ca.SX)
+        if not symbolic and not math.isclose(own, self.rest_length, rel_tol=1e-12):
+            raise InputError(
+                f"rest_length = {self.rest_length:g} m, but the {self.law.name} law holds "
+                f"{own:g} m; give both the same, or use Muscle.with_rest_length"
+            )
+        for argument in ("pressure_range", "contraction_range"):
+            low, high = getattr(self, argument)
+            if not low < high:
+                raise InputError(
+                    f"{argument} = ({low:g}, {high:g}): the lower end must be the smaller"
+                )
+        doubt("pressure_range", self.pressure_range[1], "Pa")
+
+    # ---- force and stiffness ---------------------------------------------------------------
+    def tension(self, p: Any, kappa: Any) -> Any:
+        """The law without clamp [N] at gauge pressure p [Pa] and contraction kappa."""
+        return self.law.tension(p, kappa)
+
+    def force(self, p: Any, kappa: Any) -> Any:
+        """Pulling force [N], >= 0: the law with the smooth clamp. Arrays broadcast."""
+        return self._evaluate(0, p, kappa)
+
+    def stiffness(self, p: Any, kappa: Any) -> Any:
+        """Stiffness at constant pressure -(1/l0) dF/dkappa [N/m], positive when taut.
+
+        Eq. (4) of the source paper with its missing minus sign: dl = -l0 dkappa.
+        """
+        return self._evaluate(1, p, kappa)
+
+    def pressure(self, force: Any, kappa: Any) -> Any:
+        """Gauge pressure [Pa] at which the muscle pulls with ``force`` [N] at ``kappa`` (taut)."""
+        return self.law.pressure(force, kappa)
+
+    def blocked_force(self, p: Any) -> Any:
+        """Force at rest length [N]."""
+        return self.force(p, 0.0)
+
+    def max_contraction(self, p: Any) -> Any:
+        """Contraction at which the unloaded muscle goes slack at pressure p [Pa].
+
+        NaN when it is slack already at rest length, or taut up to 0.45.
+        """
+        return self.law.max_contraction(p)
+
+    def with_rest_length(self, rest_length: float) -> Muscle:
+        """The same muscle with another rest length [m], also in a law that holds it."""
+        require_positive("rest_length", rest_length, "m")
+        law = self.law
+        if "rest_length" in law.values:
+            law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
+        return replace(self, law=law, rest_length=rest_length)
+
+    def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
+        rest = [*self.law.values.values(), self.rest_length, self.slack_width]
+        if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
+            self.law.validity.check(f"{self.law.name} law", p, kappa)
+            self._measured.check(f"muscle {self.name!r}", p, kappa)
+        return evaluate(_clamped(type(self.law)), index, p, kappa, rest)
+
+    @property
+    def _measured(self) -> Validity:
+        return Validity(self.pressure_range, self.contraction_range, "outside what was measured")
+
+    # ---- in a plant --------------------------------------------------------------------------
+    def substituted(self, symbol: Callable[[str, Any], Any]) -> Muscle:
+        """The same muscle with every physical constant replaced by ``symbol(name, value)``."""
+        rest_length = symbol("rest_length", self.rest_length)
+        return replace(
+            self,
+            law=self.law.substituted(
+                lambda n, v: rest_length if n == "rest_length" else symbol(n, v)
+            ),
+            rest_length=rest_length,
+            slack_width=symbol("slack_width", self.slack_width),
+        )
+
+
+@cache
+def _clamped(law: type[ForceLaw]) -> ca.Function:
+    """(p, kappa, [coefficients, l0, width]) -> (force, stiffness) of the clamped law."""
+    p, kappa = ca.SX.sym("p"), ca.SX.sym("kappa")
+    coefficients = ca.SX.sym("coefficients", law.function().size1_in(2))
+    rest_length, width = ca.SX.sym("l0"), ca.SX.sym("width")
+    force = clamp(law.function()(p, kappa, coefficients)[0], width)
+    stiffness = -ca.jacobian(force, kappa) / rest_length
+    return ca.Function(
+        f"clamped_{law.__name__}",
+        [p, kappa, ca.vertcat(coefficients, rest_length, width)],
+        [force, stiffness],
+    )

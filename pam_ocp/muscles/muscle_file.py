@@ -1,0 +1,107 @@
+"""Muscle files: a muscle as TOML or JSON, written by ``pam-ocp fit`` and read by every other
+command.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from ..core.errors import InputError, UnknownNameError, require_finite, require_instance
+from ..core.files import atomic_path, read_json, write_json
+from ..core.quantities import read_toml, table
+from .laws.user_defined import law_named
+from .muscle import Muscle
+
+__all__ = ["ENDINGS", "load_muscle", "save_muscle"]
+
+FORMAT = "pam_ocp muscle 1"
+_PLAIN = (
+    "rest_length",
+    "diameter",
+    "slack_width",
+    "name",
+    "source",
+    "note",
+    "mass",
+    "construction",
+    "obtained",
+)
+_RANGES = ("pressure_range", "contraction_range")
+
+
+ENDINGS = (".toml", ".json")
+
+
+def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
+    """Write a muscle with its law and coefficients (SI): TOML or JSON, as the file's name ends."""
+    require_instance("muscle", muscle, Muscle, "give a Muscle, such as fit.muscle(...)")
+    ending, name = _ending(path), muscle.law.name
+    try:
+        known = law_named(name) is type(muscle.law)
+    except UnknownNameError:
+        known = False
+    if not known:
+        raise InputError(
+            f"law {name!r} is one of your own, which no file can hold; write its Muscle(...) in "
+            "Python"
+        )
+    content = {
+        "format": FORMAT,
+        **{key: getattr(muscle, key) for key in _PLAIN},
+        **{key: list(getattr(muscle, key)) for key in _RANGES},
+        "law": muscle.law.name,
+        "coefficients": {n: float(v) for n, v in muscle.law.values.items()},
+    }
+    if ending == ".json":
+        return write_json(path, content)
+    with atomic_path(path) as temporary:
+        stated = {key: value for key, value in content.items() if value is not None}
+        temporary.write_text(tomli_w.dumps(stated), "utf-8")
+    return Path(path)
+
+
+def _ending(path: str | os.PathLike[str]) -> str:
+    require_instance("path", path, (str, os.PathLike), "give the name of a file")
+    ending = Path(path).suffix.lower()
+    if ending not in ENDINGS:
+        raise InputError(f"{os.fspath(path)}: a muscle file ends in {' or '.join(ENDINGS)}")
+    return ending
+
+
+def load_muscle(path: str | os.PathLike[str]) -> Muscle:
+    """Read what :func:`save_muscle` wrote. Raises InputError when it is something else."""
+    kind, remedy = "a muscle file", f"its 'format' must be {FORMAT!r}"
+    if _ending(path) == ".json":
+        content = read_json(path, kind, FORMAT, remedy)
+    elif (content := read_toml(path)).get("format") != FORMAT:
+        raise InputError(f"{os.fspath(path)} is no muscle file; {remedy}")
+    try:
+        return _muscle(content)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{os.fspath(path)}: {error}") from None
+
+
+def _muscle(content: dict[str, Any]) -> Muscle:
+    """The muscle that a file's content describes;
+    raises what Python does where it describes none.
+    """
+    law = law_named(str(content.get("law")))
+    wanted = {v.name for v in law.coefficient_variables()}
+    given = table("coefficients", content.get("coefficients", {}))
+    if set(given) != wanted:
+        raise InputError(f"coefficients {sorted(given)} given, {sorted(wanted)} needed")
+    ranges: dict[str, Any] = {}
+    for key in set(_RANGES) & set(content):
+        values = content[key]
+        if not (isinstance(values, list) and len(values) == 2):
+            raise InputError(f"{key} = {values!r}: give [lowest, highest]")
+        ranges[key] = tuple(require_finite(key, v) for v in values)
+    return Muscle(
+        law(**{n: require_finite(f"coefficients.{n}", v) for n, v in given.items()}),
+        **{key: content[key] for key in _PLAIN if key in content},
+        **ranges,
+    )

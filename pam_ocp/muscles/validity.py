@@ -1,0 +1,64 @@
+"""Where a law or a muscle was measured, and a warning, once, when that range is left."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.variables import Variable
+
+__all__ = ["Validity", "ValidityWarning", "forget_warnings"]
+
+Range = tuple[float, float]
+UNLIMITED: Range = (-math.inf, math.inf)
+ROUNDING = 1e-9
+"""Leaving a range by this much of its upper end is rounding, not extrapolation."""
+
+_QUANTITIES = {
+    "pressure": Variable("pressure", "parameter", unit="Pa"),
+    "contraction": Variable("contraction", "parameter", display_unit="%"),
+}
+_WARNED: set[tuple[str, str]] = set()
+
+
+class ValidityWarning(UserWarning):
+    """A formula is used outside the range it was measured or stated for."""
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Range of gauge pressure [Pa] and contraction ratio [1] in which a formula holds."""
+
+    pressure: Range = UNLIMITED
+    contraction: Range = UNLIMITED
+    note: str = ""
+
+    def check(self, subject: str, pressure: Any, contraction: Any) -> None:
+        """Warn, once for each ``subject`` and quantity, when a number lies outside."""
+        for quantity, values in (("pressure", pressure), ("contraction", contraction)):
+            low, high = getattr(self, quantity)
+            if (subject, quantity) in _WARNED or (low, high) == UNLIMITED or not np.size(values):
+                continue
+            slack = ROUNDING * abs(high) if math.isfinite(high) else 0.0
+            least, most = float(np.min(values)), float(np.max(values))
+            if least >= low - slack and most <= high + slack:
+                continue
+            _WARNED.add((subject, quantity))
+            shown = _QUANTITIES[quantity].shown
+            warnings.warn(
+                f"{subject}: {quantity} = {shown(least if least < low - slack else most)} is "
+                "outside "
+                f"{shown(low)} .. {shown(high)}, where it holds; the force is an extrapolation"
+                + (f" ({self.note})" if self.note else ""),
+                ValidityWarning,
+                stacklevel=4,
+            )
+
+
+def forget_warnings() -> None:
+    """Give every warning of :class:`Validity` once more."""
+    _WARNED.clear()

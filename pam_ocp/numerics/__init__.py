@@ -1,0 +1,1 @@
+"""Methods without physics: Newton, collocation, integrators, events."""

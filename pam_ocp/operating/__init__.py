@@ -1,0 +1,1 @@
+"""Points of rest, paths of them, and linear systems there."""

@@ -1,0 +1,138 @@
+"""What states with memory hold at rest: with hysteresis rest is a continuum,
+and a point is chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+from ..plants.plant import Plant
+
+__all__ = ["Memory", "carried", "held", "held_names"]
+
+Array: TypeAlias = NDArray[np.float64]
+Memory: TypeAlias = 'Literal["virgin", "above", "below"] | Mapping[str, float]'
+
+SIDES = {"above": -1.0, "below": 1.0}
+"""Way in which the positions moved before they came to rest."""
+NOTHING = 1e-9
+"""A slope below this part of the largest one of its row counts as zero."""
+
+
+def held_names(plant: Plant) -> tuple[str, ...]:
+    """The states that keep at rest whatever the past has left in them."""
+    return tuple(v.name for v in plant.states if v.memory == "held")
+
+
+def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
+    """{state: value} of all held memories of a plant at rest.
+
+    memory : "virgin" (start values: nothing has slid yet), "above" or "below" (the side from which
+        all positions came, from afar: every element has slid fully), or {state: value}, the rest
+        virgin. The way in which a position drives a memory is read off the plant's Jacobian at its
+        start values, whatever coordinates it is written in.
+
+    Raises InputError for another word, a name that is no held memory, or a value out of its range.
+    """
+    variables = {name: plant.variable(name) for name in held_names(plant)}
+    found = {name: float(v.start or 0.0) for name, v in variables.items()}
+    if isinstance(memory, Mapping):
+        for name, value in memory.items():
+            variable = plant.variable(name)
+            if variable.name not in found:
+                known = ", ".join(found) or "none"
+                raise InputError(f"memory: {name} is no state with a held memory; known: {known}")
+            found[variable.name] = variable.check(value, "memory")
+        return found
+    if memory not in ("virgin", *SIDES):
+        raise InputError(
+            f"memory = {memory!r}: choose 'virgin', 'above', 'below', or give {{state: value}}"
+        )
+    if memory == "virgin" or not found:
+        return found
+    for name, drive in zip(found, _drives(plant) * SIDES[memory], strict=True):
+        if drive:
+            found[name] = variables[name].max if drive > 0 else variables[name].min
+    return found
+
+
+def carried(plant: Plant, x: Array, u: Array, state: str, offset: float) -> dict[str, float]:
+    """{held memory: value} when a position has been moved slowly from x by ``offset`` [its unit].
+
+    States without a velocity of their own carry nothing along.
+    """
+    from scipy.integrate import solve_ivp
+
+    names = [v.name for v in plant.states]
+    memories = [names.index(n) for n in held_names(plant)]
+    velocity = plant.positions.get(state)
+    if not memories or velocity is None:
+        return {names[i]: float(x[i]) for i in memories}
+    p, speed = plant.vector("parameter"), np.copysign(plant.variable(velocity).nominal, offset)
+    here = np.array(x, dtype=float)
+    here[names.index(velocity)] = speed
+
+    def slope(s: float, z: Array) -> Array:
+        here[names.index(state)] = x[names.index(state)] + s * offset
+        here[memories] = z
+        rates = np.asarray(plant.function(here, u, p)[0]).ravel()
+        return np.asarray(rates[memories] * offset / speed)
+
+    way = solve_ivp(
+        slope, (0.0, 1.0), x[memories], method="LSODA", rtol=1e-9, atol=1e-11, max_step=0.02
+    )
+    return {
+        names[i]: float(np.clip(z, plant.states[i].min, plant.states[i].max))
+        for i, z in zip(memories, way.y[:, -1], strict=True)
+    }
+
+
+def _drives(plant: Plant) -> Array:
+    """Sign of the rate of each held memory while all positions rise; 0 for one that they leave.
+
+    A memory moves with velocities; a position is a state whose rate depends on these (and on
+    itself)
+    alone. So x' = v/2 or a momentum in place of the velocity do as well as x' = v.
+    """
+    names = [v.name for v in plant.states]
+    memories = np.array([names.index(n) for n in held_names(plant)])
+    x = plant.vector("state")
+    for i in memories:
+        x[i] = (plant.states[i].min + plant.states[i].max) / 2
+    a, b = plant.jacobians(x, plant.vector("input"), plant.vector("parameter"))[:2]
+    sizes = np.array([v.nominal for v in (*plant.states, *plant.inputs)])
+    slopes = np.hstack([np.asarray(a), np.asarray(b)]) * sizes
+    slopes[:, memories] = 0.0
+    rates = np.abs(slopes[memories])
+    velocities = np.flatnonzero(
+        (rates > NOTHING * rates.max(axis=1, initial=0.0)[:, None]).any(axis=0)
+    )
+    positions = [
+        i
+        for i, depends in enumerate(_dependence(plant))
+        if i not in {*velocities, *memories} and depends - {i} and depends <= {*velocities, i}
+    ]
+    if positions:
+        rising = sizes[positions]
+        moving = np.linalg.lstsq(slopes[positions][:, velocities], rising, rcond=None)[0]
+    else:  # no position is a state: the velocities themselves say the way
+        moving = np.ones(len(velocities))
+    drives = slopes[memories][:, velocities] @ moving
+    return np.where(np.abs(drives) > NOTHING * np.abs(drives).max(initial=0.0), drives, 0.0)
+
+
+def _dependence(plant: Plant) -> list[set[int]]:
+    """For each state, the states and inputs (counted on) on which its rate depends."""
+    xdot = ca.vertcat(*(plant.expression(f"der({v.name})") for v in plant.states))
+    pattern = ca.jacobian(xdot, ca.vertcat(plant.x, plant.u)).sparsity()
+    rows, columns = pattern.get_triplet()
+    found: list[set[int]] = [set() for _ in plant.states]
+    for row, column in zip(rows, columns, strict=True):
+        found[row].add(column)
+    return found

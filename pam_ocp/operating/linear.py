@@ -1,0 +1,467 @@
+"""Linearisation: from a plant to python-control, by exact Jacobians.
+
+At a point (continuous or sampled), along a motion (A(t), B(t)), or over a grid of points of rest
+(a family to interpolate in).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.errors import InputError, require_instance, require_positive
+from ..core.trajectory import Trajectory
+from ..plants.opening import Inversion, in_dead_zone
+from ..plants.plant import Plant, Values, require_plant
+from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
+from .held import Memory
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = [
+    "LinearAlong",
+    "LinearGrid",
+    "OperatingPoint",
+    "equilibrium",
+    "linearize",
+    "linearize_along",
+    "linearize_grid",
+    "modes",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+Matrices: TypeAlias = tuple[Array, Array, Array, Array]
+
+
+def point_of(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Plant, Array, Array]:
+    """The plant with the point's parameters, and the point's states and inputs."""
+    require_plant(plant)
+    if isinstance(at, OperatingPoint):
+        if {v.name for v in at.plant.states} != {v.name for v in plant.states}:
+            raise InputError(
+                f"the operating point belongs to {at.plant.name!r}, not {plant.name!r}"
+            )
+        return at.plant, at.x, at.u
+    remedy = "give an OperatingPoint (of equilibrium), or values by name"
+    require_instance("at", at, Mapping, remedy, none=True)
+    given = {plant.variable(n).name: v for n, v in (at or {}).items()}
+    moved = plant.with_values(given)
+    return moved, moved.vector("state"), moved.vector("input")
+
+
+def inside(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Inversion, OperatingPoint]:
+    """The plant's inversion, and a point of rest of the plant in openings.
+
+    at : a point (with commands or openings), or conditions of rest.
+    """
+    inversion = Inversion(require_plant(plant))
+    if isinstance(at, OperatingPoint):
+        point_of(plant, at)
+        at = inversion.entered(at)
+    else:
+        at = inversion.inner.equilibrium(inversion.conditions(at))
+    return Inversion(inversion.carrying(at)), at
+
+
+def no_influence(verb: str, plant: Plant, b: Array, inputs: Sequence[str]) -> None:
+    """InputError when no input moves the state: B (..., states, inputs) is zero."""
+    scale = plant.vector("state", attribute="nominal")[:, None]
+    effect = np.abs(b) / scale * np.array([plant.variable(n).nominal for n in inputs])
+    if np.max(effect, initial=0.0) > 1e-12:
+        return
+    names = ", ".join(inputs)
+    raise InputError(
+        f"{verb}: {names or 'no input'} has no influence on {plant.name!r} here: its slope is 0, "
+        "as in a "
+        "dead zone or at a closed valve. Declare the dead zone (plant.dead_zone(command, width)), "
+        "so that "
+        "its inverse is used, or take a point at which the input acts"
+    )
+
+
+def _seen(plant: Plant, u: Array, inputs: Sequence[str] | None) -> tuple[Plant, Array]:
+    """The plant and its inputs (n, nu),
+    in openings where they are named or commands have no slope.
+    """
+    inversion = Inversion(plant)
+    names = [inputs] if isinstance(inputs, str) else inputs
+    if names is None:
+        inner = in_dead_zone(plant, u)
+    else:
+        inner = any(inversion.opening_of(n) is not None for n in names)
+    return (inversion.inner, inversion.rows(u)) if inner else (plant, u)
+
+
+@dataclass(frozen=True)
+class _Selection:
+    """Which inputs and outputs of a plant are kept, and their names for python-control."""
+
+    plant: Plant
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+
+    @classmethod
+    def of(
+        cls, plant: Plant, inputs: Sequence[str] | None, outputs: Sequence[str] | None
+    ) -> _Selection:
+        return cls(
+            plant,
+            chosen_signals("inputs", plant, inputs, ("input",)),
+            chosen_signals("outputs", plant, outputs, ("state", "output")),
+        )
+
+    def matrices(self, x: Array, u: Array) -> Matrices:
+        """A, B, C, D at states (n, nx) and inputs (n, nu), stacked along the first axis."""
+        n, nx = x.shape
+        blocks = self.plant.jacobians(x.T, u.T, self.plant.vector("parameter"))
+        a, b, c, d = (
+            np.asarray(m).reshape(m.shape[0], n, m.shape[1] // n).swapaxes(0, 1) for m in blocks
+        )
+        c = np.concatenate([np.broadcast_to(np.eye(nx), (n, nx, nx)), c], axis=1)
+        d = np.concatenate([np.zeros((n, nx, u.shape[1])), d], axis=1)
+        all_in = [v.name for v in self.plant.inputs]
+        all_out = [v.name for v in (*self.plant.states, *self.plant.outputs)]
+        columns = [all_in.index(name) for name in self.inputs]
+        rows = [all_out.index(name) for name in self.outputs]
+        return a, b[:, :, columns], c[:, rows], d[:, rows][:, :, columns]
+
+    def system(
+        self, matrices: Matrices, dt: float = 0.0, kept: Sequence[int] | None = None
+    ) -> control.StateSpace:
+        """The StateSpace of these matrices; sampled with zero-order hold when ``dt`` > 0.
+
+        kept : the states that they are of, by default all.
+        """
+        import control
+
+        a, b, c, d = matrices
+        variables = [self.plant.states[i] for i in (range(len(a)) if kept is None else kept)]
+        if dt:
+            a, b = _held(a, b, np.array([v.nominal for v in variables]), dt)
+        states = [v.name for v in variables]
+        system = control.ss(
+            a,
+            b,
+            c,
+            d,
+            dt,
+            name=self.plant.name,
+            states=_plain(states),
+            inputs=_plain(self.inputs),
+            outputs=_plain(self.outputs),
+            remove_useless_states=False,
+        )
+        system.units = dict(
+            zip(
+                _plain([*states, *self.inputs, *self.outputs]),
+                (self.plant.variable(n).unit for n in (*states, *self.inputs, *self.outputs)),
+                strict=True,
+            )
+        )
+        return system
+
+
+def _held(a: Array, b: Array, nominal: Array, dt: float) -> tuple[Array, Array]:
+    """A and B of x[k+1] = A x[k] + B u[k] for inputs held over dt, exact (matrix exponential)."""
+    from scipy.signal import cont2discrete
+
+    # states in units of nominal: Pa beside m would cost the exponential its small entries
+    scaled = a * nominal / nominal[:, None], b / nominal[:, None]
+    n, m = b.shape
+    discrete = cont2discrete((*scaled, np.zeros((1, n)), np.zeros((1, m))), dt, method="zoh")
+    return discrete[0] * nominal[:, None] / nominal, discrete[1] * nominal[:, None]
+
+
+def _plain(names: Sequence[str]) -> list[str]:
+    return [n.replace(".", "_") for n in names]
+
+
+def linearize(
+    plant: Plant,
+    at: OperatingPoint | Values | None = None,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    dt: float | None = None,
+    stuck: bool = False,
+) -> control.StateSpace:
+    """The plant near a point as python-control's StateSpace: x' = A x + B u, y = C x + D u.
+
+    at : an OperatingPoint (of :func:`equilibrium`) or values by name; by default the start values.
+    inputs, outputs : names to keep; by default all inputs, and all states and outputs. At a valve
+    that
+        stands in its dead zone the command has no slope: by default the opening stands in for it
+        (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named.
+    dt : sampling time [s] for a discrete system x[k+1] = A x[k] + B u[k], exact for inputs held
+        over each sample; None for a continuous one.
+    stuck : leave out held memories (hysteresis). In small motion about a point of rest they stick
+    and
+        are springs; as states they bring a pole at zero each that no input reaches, and design by
+        Riccati equations wants them out (``lqr`` and ``kalman`` see to it themselves). Transfer
+        functions are the same; see :mod:`pam_ocp.operating.stuck`.
+
+    Jacobians are exact (CasADi); signals keep the plant's names with ``_`` for ``.``, since
+    python-control reads a dot as system.signal. Units are SI: ``system.units`` = {signal: unit}
+    (python-control itself has none, so systems that it computes from this one lack it).
+    """
+    plant, x, u = point_of(plant, at)
+    plant, rows = _seen(plant, u[None, :], inputs)
+    chosen = _Selection.of(plant, inputs, outputs)
+    a, b, c, d = chosen.matrices(x[None, :], rows)
+    step = 0.0 if dt is None else require_positive("dt", dt, "s")
+    if not stuck:
+        return chosen.system((a[0], b[0], c[0], d[0]), step)
+    follow = OperatingPoint(plant, x, u).stuck
+    return chosen.system((*follow.reduced(a[0], b[0], c[0]), d[0]), step, follow.kept.tolist())
+
+
+# ---- along a motion -----------------------------------------------------------------------------
+@dataclass(frozen=True)
+class LinearAlong:
+    """A(t), B(t), C(t), D(t) of small deviations from a motion: d' = A d + B w, e = C d + D w.
+
+    t : (n,) [s]. x, u : the motion itself, (n, nx) and (n, nu), u of the kept inputs.
+    A : (n, nx, nx), B : (n, nx, nu), C : (n, ny, nx), D : (n, ny, nu), SI units.
+    """
+
+    plant: Plant
+    t: Array
+    x: Array
+    u: Array
+    A: Array = field(repr=False)
+    B: Array = field(repr=False)
+    C: Array = field(repr=False)
+    D: Array = field(repr=False)
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def at(self, t: float) -> Matrices:
+        """A, B, C, D at a time [s], joined by straight lines; held outside."""
+        i = int(np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2))
+        share = float(np.clip((t - self.t[i]) / (self.t[i + 1] - self.t[i]), 0.0, 1.0))
+        a, b, c, d = (m[i] + share * (m[i + 1] - m[i]) for m in (self.A, self.B, self.C, self.D))
+        return a, b, c, d
+
+    def system(self, t: float, dt: float | None = None) -> control.StateSpace:
+        """The system frozen at a time [s], as :func:`linearize` gives it."""
+        chosen = _Selection(self.plant, self.inputs, self.outputs)
+        return chosen.system(self.at(t), 0.0 if dt is None else require_positive("dt", dt, "s"))
+
+
+def linearize_along(
+    plant: Plant,
+    motion: Trajectory,
+    *,
+    t: ArrayLike | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> LinearAlong:
+    """Exact Jacobians along a motion (a plan, a simulation) that holds all states and inputs.
+
+    t : times [s]; by default those of the motion. Between the samples of the motion its states
+    are joined by straight lines: give a finely sampled one (``plan.replay.trajectory``).
+    inputs : as in :func:`linearize`: where a valve's command is in its dead zone anywhere on the
+    way,
+        the default are openings.
+    Raises InputError when the motion lacks a state or an input of the plant.
+    """
+    missing = [v.name for v in (*plant.states, *plant.inputs) if v.name not in motion]
+    if missing:
+        raise InputError(f"the motion holds no column {missing[0]!r} of plant {plant.name!r}")
+    if t is not None:
+        motion = motion.at(t)
+    x = motion.array([v.name for v in plant.states])
+    plant, u = _seen(plant, motion.array([v.name for v in plant.inputs]), inputs)
+    chosen = _Selection.of(plant, inputs, outputs)
+    matrices = chosen.matrices(x, u)
+    kept = [[v.name for v in plant.inputs].index(n) for n in chosen.inputs]
+    return LinearAlong(
+        plant,
+        motion.t,
+        x,
+        u[:, kept],
+        *matrices,
+        tuple(chosen.inputs),
+        tuple(chosen.outputs),
+    )
+
+
+# ---- over a grid --------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class LinearGrid:
+    """A family of linear systems over a grid of points of rest: ``family(x=0.002)`` interpolates.
+
+    axes : {name: (n_i,) rising values}. points : array of OperatingPoint of shape (n_1, n_2, ...).
+    A, B, C, D : (n_1, n_2, ..., rows, columns).
+    """
+
+    plant: Plant
+    axes: dict[str, Array]
+    points: NDArray[Any] = field(repr=False)
+    A: Array = field(repr=False)
+    B: Array = field(repr=False)
+    C: Array = field(repr=False)
+    D: Array = field(repr=False)
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+    def interpolated(self, values: Array, where: Mapping[str, float]) -> Array:
+        """``values`` (n_1, n_2, ..., any shape) at a place of the grid, linear along each axis.
+
+        Raises InputError outside the grid.
+        """
+        weights, corners = self._corners(where)
+        return np.asarray(
+            sum(w * values[corner] for w, corner in zip(weights, corners, strict=True))
+        )
+
+    def _corners(self, where: Mapping[str, float]) -> tuple[list[float], list[tuple[int, ...]]]:
+        given = {self.plant.variable(n).name: float(v) for n, v in where.items()}
+        if set(given) != set(self.axes):
+            raise InputError(f"give a value for each axis of the grid: {', '.join(self.axes)}")
+        sides = []
+        for name, axis in self.axes.items():
+            value, variable = given[name], self.plant.variable(name)
+            slack = 1e-9 * variable.nominal
+            if not axis[0] - slack <= value <= axis[-1] + slack:
+                raise InputError(
+                    f"{name} = {variable.shown(value)} is outside the grid "
+                    f"{variable.shown(axis[0])} .. {variable.shown(axis[-1])}"
+                )
+            i = int(np.clip(np.searchsorted(axis, value, side="right") - 1, 0, len(axis) - 2))
+            share = float(np.clip((value - axis[i]) / (axis[i + 1] - axis[i]), 0.0, 1.0))
+            sides.append([(1 - share, i), (share, i + 1)])
+        corners = list(itertools.product(*sides))
+        return (
+            [float(np.prod([w for w, _ in corner])) for corner in corners],
+            [tuple(i for _, i in corner) for corner in corners],
+        )
+
+    @cached_property
+    def x(self) -> Array:
+        """States at rest (n_1, n_2, ..., nx)."""
+        return self._stacked("x")
+
+    @cached_property
+    def u(self) -> Array:
+        """All inputs at rest (n_1, n_2, ..., nu)."""
+        return self._stacked("u")
+
+    def _stacked(self, name: str) -> Array:
+        rows = np.array([getattr(p, name) for p in self.points.ravel()])
+        return rows.reshape(*self.points.shape, -1)
+
+    def __call__(
+        self, where: Mapping[str, float] | None = None, /, *, dt: float | None = None, **more: float
+    ) -> control.StateSpace:
+        """The system at a place of the grid: ``family(x=0.002, stiffness=2.1e4)``."""
+        place = {**(where or {}), **more}
+        a, b, c, d = (self.interpolated(m, place) for m in (self.A, self.B, self.C, self.D))
+        chosen = _Selection(self.plant, self.inputs, self.outputs)
+        return chosen.system((a, b, c, d), 0.0 if dt is None else require_positive("dt", dt, "s"))
+
+    def systems(self) -> list[tuple[OperatingPoint, control.StateSpace]]:
+        """Every point of the grid with its system."""
+        chosen = _Selection(self.plant, self.inputs, self.outputs)
+        return [
+            (
+                self.points[i],
+                chosen.system((self.A[i], self.B[i], self.C[i], self.D[i])),
+            )
+            for i in np.ndindex(self.points.shape)
+        ]
+
+
+def linearize_grid(
+    plant: Plant,
+    axes: Mapping[str, ArrayLike],
+    conditions: Values | None = None,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    memory: Memory = "virgin",
+) -> LinearGrid:
+    """Linear systems at the points of rest over a grid of conditions, to interpolate in.
+
+    axes : {name: at least two rising values} of states, inputs, outputs or parameters, as
+    conditions
+        of :func:`equilibrium`: ``{"x": [-0.01, 0, 0.01], "stiffness": [1.8e4, 2.4e4]}``.
+    conditions, memory : further ones of :func:`equilibrium`, the same everywhere.
+    inputs : as in :func:`linearize`; of a plant fed by valves the default are openings.
+
+    Raises InputError for bad axes, EquilibriumError naming the first place without equilibrium.
+    """
+    inversion = Inversion(require_plant(plant))
+    if inputs is None or any(inversion.opening_of(n) for n in inputs):
+        # at rest valves are closed, or nearly so
+        plant, conditions = inversion.inner, inversion.conditions(conditions)
+    grid: dict[str, Array] = {}
+    for name, values in axes.items():
+        axis = np.asarray(values, float)
+        if axis.ndim != 1 or len(axis) < 2 or not np.all(np.diff(axis) > 0):
+            raise InputError(f"axes[{name!r}] must hold at least two rising values")
+        grid[plant.variable(name).name] = axis
+    if not grid:
+        raise InputError("axes is empty: name at least one variable with its values")
+    shape = tuple(len(a) for a in grid.values())
+    points = np.empty(shape, dtype=object)
+    last: OperatingPoint | None = None
+    for index in np.ndindex(shape):
+        place = {n: float(a[i]) for (n, a), i in zip(grid.items(), index, strict=True)}
+        try:
+            given = {**(conditions or {}), **place}
+            last = equilibrium(plant, given, guess=last, memory=memory)
+        except EquilibriumError as error:
+            where = ", ".join(f"{n} = {plant.variable(n).shown(v)}" for n, v in place.items())
+            raise EquilibriumError(f"grid point {where}: {error}") from None
+        points[index] = last
+    chosen = _Selection.of(plant, inputs, outputs)
+    found = []
+    for point in points.ravel():
+        at = _Selection(point.plant, chosen.inputs, chosen.outputs)
+        found.append(at.matrices(point.x[None, :], point.u[None, :]))
+    a, b, c, d = (
+        np.concatenate(m).reshape(*shape, *m[0].shape[1:]) for m in zip(*found, strict=True)
+    )
+    return LinearGrid(plant, grid, points, a, b, c, d, tuple(chosen.inputs), tuple(chosen.outputs))
+
+
+def chosen_signals(
+    argument: str, plant: Plant, names: Sequence[str] | None, allowed: tuple[str, ...]
+) -> list[str]:
+    """The plant's spelling of names, all of the allowed causalities when None is given."""
+    known = [v for a in allowed for v in plant.variables if v.causality == a]
+    if names is None:
+        return [v.name for v in known]
+    names = [names] if isinstance(names, str) else names
+    chosen = [plant.variable(n) for n in names]
+    for variable in chosen:
+        if variable.causality not in allowed:
+            raise InputError(
+                f"{argument}: {variable.name} is a {variable.causality}; choose among "
+                f"{', '.join(v.name for v in known)}"
+            )
+    return [v.name for v in chosen]
+
+
+def modes(system: control.StateSpace) -> list[tuple[float, float]]:
+    """(natural frequency [Hz], damping ratio) of each oscillating pair of poles, slowest first.
+
+    Raises InputError for what is no system of python-control.
+    """
+    if not callable(getattr(system, "poles", None)):
+        raise InputError(
+            f"modes: system is a {type(system).__name__}, not a control.StateSpace, such as "
+            "plant.linearize(point)"
+        )
+    poles = np.asarray(system.poles())
+    pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
+    found = [(abs(s) / (2 * np.pi), -s.real / abs(s)) for s in pairs]
+    return sorted((float(f), float(z)) for f, z in found)

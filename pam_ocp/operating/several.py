@@ -1,0 +1,190 @@
+"""Several points of rest: all that a search finds, and paths of them along a variable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, require_count
+from ..plants.plant import Plant, Values
+from .equilibrium import EquilibriumError, OperatingPoint, equilibrium, posed, why_not
+from .held import Memory, held
+from .rest_search import Search
+
+__all__ = ["Band", "Equilibria", "EquilibriumPath", "equilibria", "equilibrium_path"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+STEPS = 4
+"""From the virgin point of a band to its end."""
+SAME = 1e-6
+"""Equilibria nearer to each other than this (in units of nominal) are one."""
+
+
+def equilibria(
+    plant: Plant,
+    conditions: Values | None = None,
+    /,
+    *,
+    free: Sequence[str] = (),
+    starts: int = 30,
+    seed: int = 0,
+    memory: Memory | None = None,
+    **more: Any,
+) -> Equilibria:
+    """All points of rest under conditions that a search from many starts finds, each once.
+
+    Arguments as in :func:`equilibrium`; ``starts`` points are spread over the bounds (a state or
+    input without bounds: five nominals to either side of its start). Sorted by their states; see
+    ``point.stability`` and ``point.poles``. A search by samples: it can miss one with a small
+    basin.
+
+    With hysteresis there is a point of rest for all that it may keep, in bands. Without ``memory``
+    the
+    virgin point of each band is returned, and ``.bands`` holds their ends; with it (see
+    :func:`equilibrium`) the points of rest with just that memory.
+    Raises InputError for bad conditions, EquilibriumError when there is none.
+    """
+    given = {**(conditions or {}), **more}
+    search = posed(plant, given, free, memory=memory or "virgin")
+    require_count("starts", starts, 1)
+    found: list[Array] = []
+    for guess in search.starts(starts, seed, reach=5.0):
+        for rough in (search.newton(guess, steps=30), search.nearest(guess)):
+            point = search.polished(rough)
+            if point is None:
+                continue
+            if all(np.abs((point - other) / search.nominal).max() > SAME for other in found):
+                found.append(point)
+            break
+    if not found:
+        raise EquilibriumError(why_not(search, search.nearest(search.start)))
+    points = [search.point(z) for z in sorted(found, key=lambda z: tuple(z / search.nominal))]
+    if memory is not None or not search.pinned:
+        return Equilibria(points)
+    ends = {side: held(search.plant, side) for side in ("below", "above")}
+    return Equilibria(
+        points,
+        tuple(
+            Band(p, *(_end(search, p, ends[side]) for side in ("below", "above"))) for p in points
+        ),
+    )
+
+
+def _end(
+    search: Search, point: OperatingPoint, memory: Mapping[str, float]
+) -> OperatingPoint | None:
+    """The point of rest with another memory, on the way there from a point; None outside bounds."""
+    z = search.vector(point)
+    other = search
+    for share in np.linspace(0, 1, STEPS + 1)[1:]:
+        pinned = {n: v + share * (memory[n] - v) for n, v in search.pinned.items()}
+        other = Search(search.plant, search.values, search.free, search.more, pinned)
+        found = other.polished(other.newton(z, steps=30))
+        if found is None:
+            return None
+        z = found
+    return other.point(z)
+
+
+@dataclass(frozen=True)
+class Band:
+    """The points of rest that differ in what hysteresis keeps, by its ends and its virgin point."""
+
+    virgin: OperatingPoint
+    """Nothing has slid yet."""
+    below: OperatingPoint | None
+    """Come to from below, from afar; None where that leaves the bounds."""
+    above: OperatingPoint | None
+    """Come to from above, from afar; None where that leaves the bounds."""
+
+    def __getitem__(self, name: str) -> tuple[float, float]:
+        """Lowest and highest value [SI] of a variable among the ends and the virgin point."""
+        values = [p[name] for p in (self.virgin, self.below, self.above) if p is not None]
+        return min(values), max(values)
+
+    def __str__(self) -> str:
+        plant = self.virgin.plant
+        lines = []
+        for variable in (v for v in (*plant.states, *plant.inputs) if v.memory != "held"):
+            if np.ptp(self[variable.name]) <= SAME * variable.nominal:
+                continue
+            low, high = map(variable.shown, self[variable.name])
+            middle = variable.shown(self.virgin[variable.name])
+            lines.append(f"{variable.name:<24} {low} .. {high} (virgin {middle})")
+        return "\n".join(lines)
+
+
+class Equilibria(list[OperatingPoint]):
+    """Points of rest, a list; with hysteresis ``bands`` tells the band that each one stands for."""
+
+    def __init__(self, points: Iterable[OperatingPoint] = (), bands: tuple[Band, ...] = ()) -> None:
+        super().__init__(points)
+        self.bands = bands
+
+
+@dataclass(frozen=True)
+class EquilibriumPath:
+    """Points of rest along one variable; ``path["x"]`` gives a value at each of them [SI]."""
+
+    name: str
+    values: Array
+    """Of the variable, as far as the path came."""
+    points: tuple[OperatingPoint, ...]
+    end: str = ""
+    """Why the path stops before the last value asked for; "" when it does not."""
+    folds: tuple[OperatingPoint, ...] = ()
+    """Points at which the path turns back (of :func:`equilibrium_branch` only)."""
+
+    def __getitem__(self, name: str) -> Array:
+        return np.array([point[name] for point in self.points])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def equilibrium_path(
+    plant: Plant,
+    name: str,
+    values: Iterable[float],
+    conditions: Values | None = None,
+    /,
+    *,
+    free: Sequence[str] = (),
+    memory: Memory = "virgin",
+    **more: Any,
+) -> EquilibriumPath:
+    """Points of rest while one variable (condition or parameter) runs through values, in order.
+
+    ``equilibrium_path(plant, "mass", np.linspace(5, 60, 40), {"muscle.command": 3e5})``. Each point
+    starts from its neighbour, so the path stays on one branch; it ends where that branch leaves the
+    bounds or turns back (a fold), and says so in ``end``; :func:`equilibrium_branch` goes round
+    folds.
+    What hysteresis keeps (``memory``, see :func:`equilibrium`) is the same along the path.
+    Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
+    """
+    points: list[OperatingPoint] = []
+    done: list[float] = []
+    end = ""
+    for value in values:
+        given = {**(conditions or {}), **more, name: float(value)}
+        if not points:
+            points.append(equilibrium(plant, given, free=free, memory=memory))
+        else:
+            try:
+                search = posed(plant, given, free, memory=memory)
+            except InputError as error:  # the value itself leaves its range
+                end = str(error)
+                break
+            point = search.polished(search.newton(search.vector(points[-1]), steps=30))
+            if point is None:
+                shown = plant.variable(name).shown
+                end = f"no neighbour within the bounds from {shown(done[-1])} to {shown(value)}"
+                break
+            points.append(search.point(point))
+        done.append(float(value))
+    return EquilibriumPath(plant.variable(name).name, np.array(done), tuple(points), end)

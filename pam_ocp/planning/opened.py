@@ -1,0 +1,91 @@
+"""A plan's first guess for muscles fed by valves: the same plan with openings as inputs.
+
+In commands a solver has to cross dead zones without slope, and each is a place to get stuck; in
+openings
+there is none. What it finds there is taken back to commands by the exact inverse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+from ..plants.opening import Inversion
+from ..plants.plant import Plant
+from .problem.pose import Wish, pose
+from .problem.problem import Problem
+from .solvers.backend import Backend
+from .solvers.narrowing import has_kinks, narrowing
+from .transcription.guess import by_stops, from_solution, wants_balance
+from .transcription.mesh import Mesh
+from .transcription.solution import unpack
+from .transcription.transcription import transcribe
+
+__all__ = ["guess_in_openings"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def guess_in_openings(problem: Problem, mesh: Mesh, wish: Wish, backend: Backend) -> Array | None:
+    """Scaled unknowns of ``problem`` (posed of ``wish``) along the optimum in openings.
+
+    None where the plant has no openings, the wish speaks of commands in a way that openings cannot,
+    or
+    no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
+    this is
+    where to start ("near"), not the plan.
+    """
+    plant = problem.plant
+    inversion = Inversion(plant)
+    if not inversion:
+        return None
+    try:
+        inner = pose(inversion.inner, replace(wish, bounds=_bounds(plant, inversion, wish.bounds)))
+    except InputError:  # names or symbols of commands
+        return None
+    program = transcribe(inner, mesh)
+    solver, usual = backend.build(program), wants_balance(inner)
+    guess = by_stops(inner, mesh, balanced=usual)
+    if has_kinks(inner):
+        outcome = narrowing(solver, program, guess, "cold")
+    else:
+        outcome = solver(program, guess, "cold", None)
+        if not outcome.ended:
+            outcome = solver(program, by_stops(inner, mesh, balanced=not usual), "cold", None)
+    if not outcome.success:
+        return None
+    found = unpack(inner, mesh, outcome.w)
+
+    def commands(t: Array) -> Array:
+        return inversion.sent(found.inputs(t))
+
+    sent: Any = commands  # all that is asked of the inputs is their values
+    return from_solution(problem, mesh, replace(found, inputs=sent))
+
+
+def _bounds(plant: Plant, inversion: Inversion, bounds: Any) -> dict[str, Any] | None:
+    """The wish's bounds with those of commands said of openings."""
+    if bounds is None:
+        return None
+    commands = {c for o in plant.openings for c in o.commands}
+    named = {}
+    other = {}
+    for name, value in bounds.items():
+        inner = name[4:-1] if name.startswith("der(") else name
+        full = plant.variable(inner).name
+        if full not in commands:
+            other[name] = value
+        elif inner != name or not isinstance(value, tuple | list) or len(value) != 2:
+            raise InputError(f"bounds: {name} cannot be said of an opening")
+        else:
+            variable = plant.variable(full)
+            low, high = value
+            named[full] = (
+                variable.min if low is None else float(low),
+                variable.max if high is None else float(high),
+            )
+    return {**other, **{n: tuple(v) for n, v in inversion.bounds(named).items()}}

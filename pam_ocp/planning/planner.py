@@ -1,0 +1,422 @@
+"""plan: state the problem, transcribe it, solve it, refine the mesh, check the motion by replay."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import (
+    InputError,
+    PlanError,
+    PlanWarning,
+    require_count,
+    require_instance,
+    require_positive,
+)
+from ..operating.held import Memory
+from ..plants.plant import Plant, Values
+from ..simulation.simulate import evaluated
+from .opened import guess_in_openings
+from .problem.pose import Cyclic, Wish, pose
+from .problem.problem import Budget, Condition, Problem
+from .problem.wording import Avoid, Constraint, Phase, Stop
+from .refine import Checked, Refinement, checked
+from .result import Plan, Solved
+from .run import Run
+from .solvers.backend import Backend, SolverName
+from .solvers.diagnosis import Conflict, explanation
+from .solvers.solver import Progress
+from .starts import MOST, Ends, number_of_starts
+from .transcription.mesh import Collocation, Mesh, Method, Shooting
+from .transcription.transcription import Program, Row, transcribe
+from .verdict import TOLERANCE
+
+__all__ = ["Planner", "plan"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+OTHERS = 3
+"""Solutions from different starts that are refined, at most, where the best cannot be verified."""
+
+
+def plan(
+    plant: Plant,
+    stops: Sequence[Mapping[str, Any] | Stop],
+    *,
+    cyclic: Cyclic = False,
+    duration: Any = None,
+    minimise: str | Mapping[str, float] = "time",
+    bounds: Mapping[str, Any] | None = None,
+    rest: bool = True,
+    memory: Memory = "virgin",
+    phases: Sequence[Phase | None] | None = None,
+    constraints: Sequence[Constraint | Avoid] = (),
+    track: Mapping[str, Any] | None = None,
+    budgets: Mapping[str, Any] | None = None,
+    design: Mapping[str, tuple[float, float]] | None = None,
+    integrand: ca.SX | None = None,
+    final: ca.SX | None = None,
+    method: Method | None = None,
+    tolerance: float | None = TOLERANCE,
+    guess: Plan | None = None,
+    starts: int | None = None,
+    progress: Progress = False,
+    solver: SolverName = "ipopt",
+    compiled: bool = False,
+    options: Mapping[str, Any] | None = None,
+) -> Plan:
+    """The optimal motion of a plant that visits ``stops`` in order.
+
+    Parameters
+    ----------
+    stops : at least two mappings {variable: value or (low, high)} of states, inputs or outputs, or
+        :class:`Stop` with more to say: a via point (``rest=False``), a dwell.
+    cyclic : True returns to the first stop and closes the cycle in all states; "mirrored" plans
+    half
+        a cycle between two stops whose second half is its mirror image (equal muscles).
+    duration : of each leg between two stops: None (free), seconds, (shortest, longest), or a list
+        with one of these per leg.
+    minimise : one term, or {term: weight}. Terms: "time", "effort" (integral of the squared inputs
+    in
+        units of nominal), "rate" (the same of their rates), "work" (mechanical, out of the muscles
+        [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles), and of any variable:
+        "integral(NAME)", "square(NAME)" (integral of the square), "final(NAME)" (at the end; a
+        negative weight asks for the most), "peak(NAME)" (largest value), in units of its nominal.
+    bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end, a :class:`Profile`
+        for a bound that changes with time; narrows the plant's own bounds. Path constraints of the
+        plant (never slack, pressure rates) always hold.
+    rest : positions have zero velocity and acceleration at each stop, in whatever coordinates; what
+    an
+        input sets at once may jump there, if admissible inputs would hold the plant.
+    memory : what states with a held memory (hysteresis) hold at the first stop: "virgin" (their
+    start
+        values), "above" or "below" (the side from which the plant came to rest there), or
+        {state: value}; a cyclic motion closes them. What settles (creep) has settled there.
+    phases : one :class:`Phase` or None per leg, for what holds there only.
+    constraints : :class:`Constraint` (any expression) and :class:`Avoid` (forbidden regions).
+    track : {NAME: aim or (aim, weight)}, an aim being a number or a Profile: adds the integral of
+        weight ((value - aim)/nominal)^2 to the objective.
+    budgets : {running term: most, or (least, most)} in SI, such as {"air": 1e-3} or
+        {"integral(force)": 50.0}; "time" bounds the duration of the whole motion.
+    design : {parameter of the plant: (low, high)}: chosen with the motion.
+    integrand, final : further running cost, and cost of the end: CasADi expressions of the plant's
+        symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
+    method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
+        ``Shooting(intervals=50, steps=4)``.
+    tolerance : of the plan's verdict, in units of nominal: how far a tight integration of the
+    planned
+        inputs may leave the planned motion, and exceed limits, stops and budgets, between the
+        points
+        of the mesh too. The mesh is refined until it is met; polynomial inputs that cannot meet it
+        are held constant instead. None for one mesh only, judged by 1e-3.
+    guess : another plan to start from.
+    starts : 1 to 12: how many starts are tried (other durations, states and barrier strategies of
+    the
+        first guess), side by side in processes where that pays; the best plan is kept, and
+        ``statistics["starts"]`` says where each ended. None: 4 where local optima are many (valves,
+        a
+        load on a tendon) and no guess is given, else 1.
+    progress : True prints each iteration; a function (iteration, objective, violation) is called.
+    solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on
+    many
+        intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
+        process
+        of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it leaves
+        unsolved
+        IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
+    compiled : IPOPT's functions compiled (zig or cc) and kept for the next time; pays for
+        :class:`Shooting` solved many times (a third of the time), little for collocation.
+    options : of the solver, over its defaults here.
+
+    Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
+    message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
+    (PlanWarning) when
+    the plan is not verified: ``plan.verdict`` says why.
+    """
+    planner = Planner(
+        plant,
+        stops,
+        cyclic=cyclic,
+        duration=duration,
+        minimise=minimise,
+        bounds=bounds,
+        rest=rest,
+        memory=memory,
+        phases=phases,
+        constraints=constraints,
+        track=track,
+        budgets=budgets,
+        design=design,
+        integrand=integrand,
+        final=final,
+        method=method,
+        progress=progress,
+        solver=solver,
+        compiled=compiled,
+        options=options,
+    )
+    return planner._solve(None, guess, tolerance, starts, {}, stacklevel=3)
+
+
+class Planner:
+    """A planning problem that is built once and solved many times.
+
+    Takes the arguments of :func:`plan` (but tolerance and guess). ``planner()`` solves it;
+    ``planner(stops=..., values=..., guess=plan)`` solves it for other numbers, in milliseconds from
+    the solution of a neighbour: stops, durations, bounds, budgets and constant aims may have other
+    values (not other names), and so may all parameters of the plant.
+
+        planner = pam.Planner(plant, [{"x": 0.0}, {"x": 0.01}])
+        first = planner()
+        heavier = planner(values={"mass": 2.5}, guess=first)
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        stops: Sequence[Mapping[str, Any] | Stop],
+        *,
+        method: Method | None = None,
+        progress: Progress = False,
+        solver: SolverName = "ipopt",
+        compiled: bool = False,
+        options: Mapping[str, Any] | None = None,
+        **wish: Any,
+    ) -> None:
+        begin = time.perf_counter()
+        if method is not None and not isinstance(method, Collocation | Shooting):
+            raise InputError(f"method = {method!r}: give Collocation(...) or Shooting(...)")
+        self.plant = plant
+        jumps = not (isinstance(method, Collocation) and method.control == "linear")
+        self._wish = Wish(stops, jumps=jumps, **wish)
+        self._backend = Backend(solver, compiled, options, progress)
+        problem = pose(plant, self._wish)
+        mesh = (method or Collocation()).mesh(len(problem.legs))
+        self._program = transcribe(problem, mesh)
+        self._solver = self._backend.build(self._program)
+        self._build_seconds = time.perf_counter() - begin
+
+    def __call__(
+        self,
+        values: Values | None = None,
+        *,
+        guess: Plan | None = None,
+        tolerance: float | None = TOLERANCE,
+        starts: int | None = None,
+        **changed: Any,
+    ) -> Plan:
+        """The optimal motion for other numbers.
+
+        values : parameters (and start values) of the plant by name.
+        guess : a plan to start from; one of this planner starts warm, with its multipliers.
+        tolerance, starts : refine the mesh, try other starts; see :func:`plan`.
+        changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track``, ``memory`` of
+        the same
+            form.
+
+        Raises InputError when a change would ask for another program, PlanError as plan does; warns
+        as plan does.
+        """
+        return self._solve(values, guess, tolerance, starts, changed, stacklevel=3)
+
+    def _solve(
+        self,
+        values: Values | None,
+        guess: Plan | None,
+        tolerance: float | None,
+        starts: int | None,
+        changed: Mapping[str, Any],
+        stacklevel: int,
+    ) -> Plan:
+        begin = time.perf_counter()
+        if tolerance is not None:
+            require_positive("tolerance", tolerance)
+        require_instance("guess", guess, Plan, "give what plan() returned", none=True)
+        if starts is not None:
+            require_count("starts", starts, 1, MOST)
+        program = self._with(values, changed)
+        run = Run(program, self._backend, self._solver)
+        figures: dict[str, Any] = {}
+        found = self._searched(run, guess, starts, figures)
+        outcome, build = found[0].outcome, self._build_seconds
+        figures["iterations"] = outcome.iterations
+        if not outcome.success:
+            figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
+            failed = _plan(found[0], figures, conflicts=run.conflicts)
+            raise PlanError(explanation(failed.plant.name, outcome, run.conflicts), failed)
+        refinement = self._refined(found, tolerance)
+        figures["iterations"] += refinement.iterations
+        if refinement.warning:
+            figures["warning"] = refinement.warning
+        figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
+        meshes = tuple(refinement.meshes)
+        best, first = refinement.best, refinement.first
+        result = _plan(best.found, figures, best, meshes, first, tolerance)
+        if not result.verified:
+            message = f"the plan of {result.plant.name} is {result.verdict}"
+            warnings.warn(message, PlanWarning, stacklevel=stacklevel)
+        return result
+
+    def _searched(
+        self, run: Run, guess: Plan | None, starts: int | None, figures: dict[str, Any]
+    ) -> list[Solved]:
+        """Solutions, the best first; or the one failure that stands for all."""
+        program = run.program
+        near = guess._near(program) if guess is not None else None
+        count = starts or (1 if near is not None else number_of_starts(program.problem.plant))
+        if count == 1:
+            return [run.solve(near)]
+        opened = self._opened(run) if near is None else None
+        found, ends = run.several(count if opened is None else count - 1)
+        ours = run.from_another(near) if near is not None else opened
+        if ours is not None:
+            ends, found = Ends((*ends.outcomes, ours.outcome)), [*found, ours]
+        figures |= ends.figures()
+        good = [each for each in found if each.outcome.success]
+        if good:
+            return sorted(good, key=lambda each: each.outcome.objective)
+        stopped = [each for each in found if each.outcome.stopped]
+        return stopped or [run.after(found[0])]
+
+    def _opened(self, run: Run) -> Solved | None:
+        """From the optimum in openings of valves; None where there are none,
+        or it helps nothing.
+        """
+        program = run.program
+        guess = guess_in_openings(program.problem, program.mesh, self._wish, self._backend)
+        return None if guess is None else run.from_guess(guess, "near")
+
+    def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
+        """The best solution, refined; where that is not verified, the next best that is."""
+        wanted = tolerance or float("inf")
+        first = Refinement(checked(found[0]), wanted, self._backend)
+        if first.met():
+            return first
+        others = found[1:OTHERS]
+        tried = [first]
+        for each in others:
+            tried.append(Refinement(checked(each), wanted, self._backend))
+            if tried[-1].met():
+                break
+        return min(tried, key=lambda refinement: refinement.best.miss)
+
+    def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
+        """The program with other numbers."""
+        if not values and not changed:
+            return self._program
+        allowed = ("stops", "duration", "bounds", "budgets", "track", "memory")
+        for name in changed:
+            if name not in allowed:
+                raise InputError(
+                    f"{name} cannot change in a built planner (only values, {', '.join(allowed)}); "
+                    "make a new Planner"
+                )
+        plant = self.plant.with_values(values) if values else self.plant
+        problem = pose(plant, replace(self._wish, **changed))
+        _require_same_form(self._program.problem, problem)
+        rows = _renewed(self._program, problem)
+        return replace(self._program, problem=problem, rows=rows)
+
+
+def _shape(problem: Problem) -> tuple[object, ...]:
+    """What the expressions of a program depend on."""
+    return (
+        [[c.label for c in node] for node in problem.nodes],
+        [[c.label for c in leg.path] for leg in problem.legs],
+        [b.label for b in problem.budgets],
+        list(problem.design),
+        len(problem.profiles),
+        len(problem.aims),
+        problem.closing,
+        [leg.duration[0] == leg.duration[1] for leg in problem.legs],
+    )
+
+
+def _require_same_form(old: Problem, new: Problem) -> None:
+    if _shape(old) != _shape(new):
+        raise InputError(
+            "the changed stops, bounds or budgets name other variables than those the planner was "
+            "built with; only numbers may change. Make a new Planner"
+        )
+    if any(a is not b for a, b in zip(old.profiles, new.profiles, strict=True)):
+        raise InputError("a Profile cannot change in a built planner; make a new Planner")
+
+
+def _renewed(program: Program, problem: Problem) -> tuple[Row, ...]:
+    """The rows of a program with the limits of another problem of the same form."""
+    old = program.problem
+    pairs: list[tuple[Sequence[Condition | Budget], Sequence[Condition | Budget]]] = [
+        *zip(old.nodes, problem.nodes, strict=True),
+        *((a.path, b.path) for a, b in zip(old.legs, problem.legs, strict=True)),
+        (old.budgets, problem.budgets),
+    ]
+    image: dict[int, Condition | Budget] = {
+        id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)
+    }
+
+    def renewed(row: Row, condition: Condition | Budget) -> Condition | Budget:
+        if id(condition) in image:
+            return image[id(condition)]
+        # an input between its points: its limits are the leg's bounds
+        leg = problem.legs[program.mesh.intervals[row.members[0]].leg]
+        low, high = leg.bounds[condition.label]
+        return replace(condition, low=low, high=high)
+
+    return tuple(
+        replace(row, conditions=tuple(renewed(row, c) for c in row.conditions))
+        for row in program.rows
+    )
+
+
+def _plan(
+    found: Solved,
+    figures: Mapping[str, Any],
+    check: Checked | None = None,
+    meshes: tuple[Mesh, ...] = (),
+    coarse: Solved | None = None,
+    tolerance: float | None = TOLERANCE,
+    conflicts: tuple[Conflict, ...] = (),
+) -> Plan:
+    """The Plan of a solution that was checked, or of what a solver left that failed."""
+    program, outcome, solution = found.program, found.outcome, found.solution
+    problem = program.problem
+    plant = check.plant if check else problem.plant
+    samples = (
+        check.samples if check else evaluated(plant, solution.t, solution.states, solution.inputs)
+    )
+    statistics = {
+        **({"warning": outcome.warning} if outcome.warning else {}),
+        **figures,
+        "solver": outcome.solver,
+        "solve_seconds": outcome.seconds,
+        "variables": len(outcome.w),
+        "constraints": len(outcome.lam_g),
+        "intervals": len(program.mesh.intervals),
+    }
+    design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
+    return Plan(
+        plant,
+        outcome.success,
+        outcome.status,
+        outcome.objective,
+        tuple(float(d) for d in solution.durations),
+        design,
+        statistics,
+        check.replay if check else None,
+        meshes or (program.mesh,),
+        outcome.log,
+        conflicts,
+        tolerance or TOLERANCE,
+        samples,
+        problem,
+        found,
+        coarse,
+        tuple(map(float, solution.peaks)),
+    )

@@ -1,0 +1,1 @@
+"""What the user said, as conditions and an objective."""

@@ -1,0 +1,156 @@
+"""Refinement: meshes as fine as the replay of a plan asks for, until the plan is verified."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.trajectory import Trajectory
+from ..plants.plant import Plant
+from ..simulation.simulate import evaluated
+from .replay import Replay, interval_errors, replayed
+from .result import Solved
+from .run import Run
+from .solvers.backend import Backend
+from .solvers.narrowing import has_kinks
+from .transcription.mesh import Mesh, halved, held, refined, watched
+from .transcription.transcription import transcribe
+
+__all__ = ["Checked", "Refinement", "checked"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+ROUNDS = 12
+"""Of refinement, at most."""
+POLYNOMIAL_ROUNDS = 5
+"""Before polynomial inputs are held constant instead: refinement may chase their switches for ever.
+"""
+EVERYWHERE = 3
+"""Each so many rounds all intervals are split: where only some are, held inputs move about there
+the
+more, and what swings behind them with them."""
+ITERATIONS = 1500
+"""Of the solver in all rounds."""
+POLYNOMIAL_ITERATIONS = 300
+"""Of the solver before polynomial inputs are held constant instead."""
+CLOSER = 0.8
+"""Of the tolerance: what refinement aims at, so that who looks at other times finds it kept, too.
+"""
+MORE_INTERVALS = 300
+"""Refinement ends before it adds more: a mesh that grows so is slow to solve."""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A solution and its replay."""
+
+    found: Solved
+    plant: Plant
+    """With the values that were chosen for its design."""
+    samples: Trajectory
+    replay: Replay
+
+    @property
+    def miss(self) -> float:
+        """The figure that counts, in units of nominal; infinite when there is none."""
+        worst = max(self.replay.error, self.replay.violation)
+        return float("inf") if np.isnan(worst) else worst
+
+
+def checked(found: Solved) -> Checked:
+    """A solution replayed."""
+    problem, solution = found.program.problem, found.solution
+    chosen = dict(zip(problem.design, map(float, solution.design), strict=True))
+    plant = problem.plant.with_values(
+        {n: float(np.clip(v, *problem.design[n])) for n, v in chosen.items()}
+    )
+    samples = evaluated(plant, solution.t, solution.states, solution.inputs)
+    replay = replayed(problem, plant, found.program.mesh, samples, solution)
+    return Checked(found, plant, samples, replay)
+
+
+class Refinement:
+    """Solves a solution's problem on finer meshes until its replay meets a tolerance.
+
+    Ends after ``ROUNDS``. What was best is kept: a finer mesh that fails loses nothing.
+    """
+
+    def __init__(self, first: Checked, tolerance: float, backend: Backend) -> None:
+        self.best, self.tolerance, self.backend = first, CLOSER * tolerance, backend.near()
+        self.first = first.found
+        self.meshes = [first.found.program.mesh]
+        self.iterations = 0
+        self.warning = ""
+        self._refine()
+
+    def met(self) -> bool:
+        """Whether the best solution meets the tolerance."""
+        return self.best.miss <= self.tolerance
+
+    def _refine(self) -> None:
+        if self.met():
+            return
+        first = self.best
+        if self.meshes[0].form.control != "polynomial":
+            self._rounds(first, ROUNDS, ITERATIONS)
+            return
+        self._rounds(first, POLYNOMIAL_ROUNDS, POLYNOMIAL_ITERATIONS)
+        if self.met():
+            return
+        following = self._solved(held(self.meshes[0]), first.found)
+        if following is not None:
+            self._rounds(following, ROUNDS, ITERATIONS)
+        if self.best.found.program.mesh.form.control == "constant":
+            self.warning = (
+                "polynomial inputs did not meet the tolerance, so inputs are held "
+                "constant on each interval"
+            )
+
+    def _rounds(self, current: Checked, most: int, iterations: int) -> None:
+        """From a solution to finer ones."""
+        for i in range(1, most + 1):
+            if self.met() or self.iterations > iterations:
+                return
+            mesh = current.found.program.mesh
+            following = None
+            everywhere = [halved(mesh)] if i % EVERYWHERE == 0 else []
+            for finer in (*everywhere, *self._finer(current)):
+                if finer == mesh or len(finer.intervals) > len(mesh.intervals) + MORE_INTERVALS:
+                    continue
+                following = self._solved(finer, current.found)
+                if following is not None:
+                    break
+            if following is None:
+                return
+            current = following
+
+    def _solved(self, mesh: Mesh, coarse: Solved) -> Checked | None:
+        """The solution on another mesh; None when it was not found."""
+        run = Run(transcribe(coarse.program.problem, mesh), self.backend)
+        found = run.refined(coarse, again=mesh.form.control != "polynomial")
+        self.iterations += found.outcome.iterations
+        if not found.outcome.success:
+            return None
+        now = checked(found)
+        if now.miss < self.best.miss:
+            self.best = now
+            self.meshes.append(mesh)
+        return now
+
+    def _finer(self, current: Checked) -> list[Mesh]:
+        """Meshes that may do better, the most promising first."""
+        mesh, replay = current.found.program.mesh, current.replay
+        by_limits = [watched(mesh, replay.beyond, self.tolerance)] if replay.beyond else []
+        worst, kinks = max(replay.error, replay.missed), has_kinks(self.first.program.problem)
+        if worst <= self.tolerance:
+            # where checks between the points make the program unsolvable, shorter intervals may do
+            beyond = [max(each.values(), default=0.0) for each in replay.beyond]
+            return [*by_limits, refined(mesh, beyond, self.tolerance, kinks)]
+        errors = interval_errors(current.plant, mesh, current.found.solution)
+        # errors of intervals add up, and may grow along the motion; stops may see more of them
+        growth = max(1.0, worst / sum(errors)) if np.isfinite(worst) and sum(errors) > 0 else 1.0
+        allowed = self.tolerance / len(errors) / growth
+        return [refined(mesh, errors, allowed, kinks), *by_limits]

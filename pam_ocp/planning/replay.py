@@ -1,0 +1,313 @@
+"""What a tight integrator says of a planned motion, on the whole and for each interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import SimulationError
+from ..core.trajectory import Trajectory
+from ..plants.plant import Plant
+from ..simulation.integrate import Integration
+from ..simulation.simulate import simulate
+from .problem.problem import Budget, Condition, Leg, Problem
+from .transcription.mesh import Mesh
+from .transcription.solution import Solution
+from .transcription.stage import nominals
+
+__all__ = ["Replay", "interval_errors", "replayed"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+TOLERANCE = 1e-11
+"""Relative tolerance of the integrator that replays a plan."""
+OVERSAMPLING = 8
+"""Integrated times between two points of a plan."""
+BY_SHOOTING = 32
+"""The same where an interval has no point inside."""
+FINER = {"polynomial": 10}
+"""Parts of each of these that are looked at, by how the inputs run (even numbers). Others than the
+checks
+that the mesh itself makes there: those hold what they see."""
+USUALLY = 2
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What an independent tight integration of the planned inputs says."""
+
+    error: float
+    """Largest deviation of a state from the plan at its samples, in units of nominal."""
+    state: str
+    """The state that deviates most."""
+    violation: float
+    """Largest violation of a bound or path constraint (between the samples too, and on both sides
+    of
+    jumps of the inputs), of a condition at a stop, of the closing of a cycle, or of a budget, in
+    units of nominal."""
+    constraint: str
+    """What is violated most ("" when nothing is)."""
+    trajectory: Trajectory = field(repr=False)
+    objective: float = float("nan")
+    """Of the replayed motion."""
+    beyond: tuple[dict[str, float], ...] = field(default=(), repr=False)
+    """For each interval of the mesh {bound or path condition: by how much it is exceeded}."""
+    missed: float = 0.0
+    """Largest violation of what is no bound: at the stops, of the closing, of a budget."""
+
+
+def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]:
+    """For each interval: how far a tight integration from its start leaves its planned points."""
+    states, breaks = solution.states, solution.inputs.breaks
+    nominal = plant.vector("state", attribute="nominal")
+    run = Integration(plant, solution.inputs, breaks, states[0], rtol=TOLERANCE)
+    errors, at = [], 0
+    for interval, (begin, end) in zip(mesh.intervals, pairwise(breaks), strict=True):
+        taus = tuple(mesh.form.state_taus(interval.degree).tolist())
+        planned = states[at + 1 : at + 1 + len(taus)]
+        try:
+            found = run.between(begin, states[at], end, taus)
+            miss = float(np.max(np.abs(found - planned) / nominal))
+        except RuntimeError:
+            miss = float("inf")
+        errors.append(miss if np.isfinite(miss) else float("inf"))
+        at += len(taus)
+    return errors
+
+
+def replayed(
+    problem: Problem, plant: Plant, mesh: Mesh, samples: Trajectory, solution: Solution
+) -> Replay:
+    """Integrate the planned inputs tightly, and look at all that was asked for, between the samples
+    too.
+    """
+    per = BY_SHOOTING if mesh.form.scheme == "shooting" else OVERSAMPLING
+    fine = np.linspace(samples.t[:-1], samples.t[1:], per, endpoint=False).T.ravel()
+    fine = np.append(fine, samples.t[-1])
+    try:
+        motion = simulate(plant, samples, t=fine, rtol=TOLERANCE)
+    except SimulationError as error:
+        part = error.trajectory or samples
+        stopped, inf = f"the replay stops at t = {error.time:g} s", float("inf")
+        return Replay(inf, stopped, inf, "everything behind", part)
+    names = samples.named("state")
+    nominal = plant.vector("state", attribute="nominal")
+    deviation = np.abs(motion.array(names)[::per] - samples.array(names)) / nominal
+    worst = names[int(np.argmax(deviation.max(axis=0)))]
+    check = _Check(problem, plant, mesh, solution, motion.t, motion.array(names).T, per)
+    beyond = check.along()
+    others = {**check.at_stops(), **check.closing(), **check.budgets()}
+    every = [*(pair for each in beyond for pair in each.items()), *others.items()]
+    label, violation = max(every, key=lambda pair: pair[1], default=("", 0.0))
+    return Replay(
+        float(deviation.max()),
+        worst,
+        violation,
+        label,
+        motion,
+        check.objective(),
+        beyond,
+        max(others.values(), default=0.0),
+    )
+
+
+@dataclass(frozen=True)
+class _Check:
+    """All that was asked for, looked at along a motion.
+
+    Each interval is looked at from its start to its end with its own inputs, so a jump of the
+    inputs
+    is seen from both sides.
+
+    t, x : (n,) and (nx, n) the motion, ``per`` times from one sample to the next.
+    """
+
+    problem: Problem
+    plant: Plant
+    mesh: Mesh
+    solution: Solution
+    t: Array
+    x: Array
+    per: int
+
+    @cached_property
+    def _interval(self) -> NDArray[np.intp]:
+        """(gaps,) the interval in which each gap between two neighbouring times lies."""
+        form = self.mesh.form
+        counts = [self.per * len(form.state_taus(i.degree)) for i in self.mesh.intervals]
+        return np.repeat(np.arange(len(counts)), counts)
+
+    @cached_property
+    def _gaps(self) -> tuple[Array, Array, Array]:
+        """Times (gaps, places), states (nx, gaps, places) and inputs (nu, gaps, places): each gap
+        from
+        its start to its end, the states by cubic Hermite polynomials."""
+        finer = FINER.get(self.mesh.form.control, USUALLY)
+        s = np.linspace(0.0, 1.0, finer + 1)
+        h = np.diff(self.t)[:, None]
+        t = self.t[:-1, None] + h * s
+        inputs, k = self.solution.inputs, self._interval
+        since = (t - inputs.breaks[k][:, None])[..., None] ** np.arange(inputs.degree + 1)
+        u = np.einsum("gsj,gji->igs", since, inputs.coefficients[k])
+        ends = np.concatenate([self.x[:, :-1], self.x[:, 1:]], axis=1)
+        driven = np.concatenate([u[..., 0], u[..., -1]], axis=1)
+        slopes = np.asarray(
+            self.plant.function(ends, driven, self.plant.vector("parameter"))[0], float
+        )
+        left, right = (side[..., None] for side in np.split(ends, 2, axis=1))
+        rising, falling = (h * side[..., None] for side in np.split(slopes, 2, axis=1))
+        x = (
+            left * ((1 + 2 * s) * (1 - s) ** 2)
+            + rising * (s * (1 - s) ** 2)
+            + right * (s**2 * (3 - 2 * s))
+            + falling * (s**2 * (s - 1))
+        )
+        return t, x, u
+
+    def _arguments(self, t: Array, x: Array, u: Array) -> tuple[Array, ...]:
+        """Of a Problem's function, at columns of times, states and inputs."""
+        profiles = [profile(t) for profile in self.problem.profiles]
+        r = np.vstack(profiles) if profiles else np.zeros((0, len(t)))
+        p = self.plant.vector("parameter")
+        return x, u, p, t[None], r, np.array(self.problem.aims), self.solution.peaks
+
+    def _legs(self) -> Iterator[tuple[Leg, NDArray[np.intp], Array, Array, Array]]:
+        """(leg, interval of each point, times, states, inputs)."""
+        t, x, u = self._gaps
+        of_leg = np.array([interval.leg for interval in self.mesh.intervals])[self._interval]
+        for i, leg in enumerate(self.problem.legs):
+            own = of_leg == i
+            if own.any():
+                columns = (
+                    part[:, own].reshape(len(part), own.sum() * t.shape[1]) for part in (x, u)
+                )
+                yield leg, np.repeat(self._interval[own], t.shape[1]), t[own].ravel(), *columns
+
+    def along(self) -> tuple[dict[str, float], ...]:
+        """For each interval {bound or path condition: by how much it is exceeded} in nominals."""
+        found: list[dict[str, float]] = [{} for _ in self.mesh.intervals]
+        for leg, of, t, x, u in self._legs():
+            variables = (*self.plant.states, *self.plant.inputs)
+            labels = [v.name for v in variables] + [c.label for c in leg.path]
+            scale = np.array([v.nominal for v in variables])[:, None]
+            values = np.vstack([x, u]) / scale
+            pairs = [(np.array(leg.bounds[v.name]) / v.nominal) for v in variables]
+            pairs += [np.array([c.low, c.high]) / c.nominal for c in leg.path]
+            if leg.path:
+                function = self.problem.conditions("path", leg.path)
+                path = np.asarray(function(*self._arguments(t, x, u)), float)
+                values = np.vstack([values, path])
+            for label, row, (low, high) in zip(labels, values, pairs, strict=True):
+                excess = _excess(row, low, high)
+                for k in np.unique(of[excess > 0]):
+                    worst = float(np.max(excess[of == k]))
+                    # two conditions may bear one name
+                    found[k][label] = max(worst, found[k].get(label, 0.0))
+        return tuple(found)
+
+    def _node(self, i: int) -> tuple[Array, ...]:
+        """Arguments at a node: at the start of the interval behind it,
+        or at the end of the motion.
+        """
+        first, last = self.mesh.first(i), len(self.mesh.intervals)
+        t, x, u = self._gaps
+        last_gap, end = len(t) - 1, t.shape[1] - 1
+        gap, place = (last_gap, end) if first == last else (self._interval.searchsorted(first), 0)
+        one = slice(gap, gap + 1)
+        return self._arguments(t[one, place], x[:, one, place], u[:, one, place])
+
+    def at_stops(self) -> dict[str, float]:
+        """{condition at a stop: by how much it is missed} in nominals."""
+        found: dict[str, float] = {}
+        for i, conditions in enumerate(self.problem.nodes):
+            if conditions:
+                function = self.problem.conditions("stop", conditions)
+                values = np.asarray(function(*self._node(i)), float).ravel()
+                found |= _missed(conditions, values)
+        return found
+
+    def closing(self) -> dict[str, float]:
+        """{"closing of the cycle: state": by how much the cycle is open} in nominals."""
+        names = [v.name for v in self.plant.states]
+        nominal = nominals(self.problem)[0]
+        found = {}
+        for name, (sign, image) in (self.problem.closing or {}).items():
+            i = names.index(name)
+            gap = self.x[i, -1] - sign * self.x[names.index(image), 0]
+            found[f"closing of the cycle: {name}"] = _finite(abs(gap) / nominal[i])
+        return found
+
+    def _integral(self, expressions: Sequence[object]) -> Array:
+        """Of expressions over the whole motion, by Simpson's rule on each gap."""
+        function = self.problem.function("integrands", expressions)  # type: ignore[arg-type]
+        t, x, u = self._gaps
+        columns = (part.reshape(len(part), -1) for part in (x, u))
+        values = np.asarray(function(*self._arguments(t.ravel(), *columns)), float)
+        places = t.shape[1]
+        simpson = np.where(np.arange(places) % 2, 4.0, 2.0)
+        simpson[[0, -1]] = 1.0
+        weights = np.diff(self.t)[:, None] * simpson / (3 * (places - 1))
+        return np.asarray(values @ weights.ravel())
+
+    def budgets(self) -> dict[str, float]:
+        """{budget: by how much it is missed} in nominals."""
+        budgets = self.problem.budgets
+        if not budgets:
+            return {}
+        spent = self._integral([b.integrand / b.nominal for b in budgets])
+        return _missed(budgets, spent)
+
+    def objective(self) -> float:
+        """Of the motion; the rate of the inputs and peaks as planned."""
+        goal, total = self.problem.objective, 0.0
+        total += goal.time * float(sum(self.solution.durations))
+        if not goal.integrand.is_zero():
+            total += float(self._integral([goal.integrand])[0])
+        if not goal.final.is_zero():
+            last = self._node(len(self.problem.legs))
+            total += float(self.problem.function("final", [goal.final])(*last))
+        total += float(np.dot(goal.peaks, self.solution.peaks)) if goal.peaks else 0.0
+        return total + goal.rate * self._rate() if goal.rate else total
+
+    def _rate(self) -> float:
+        """Integral of the squared rate of the inputs in nominals; of held ones,
+        that of the joined.
+        """
+        inputs, u_nominal = self.solution.inputs, nominals(self.problem)[1]
+        h = np.diff(inputs.breaks)
+        c = inputs.coefficients / u_nominal
+        if self.mesh.form.control == "constant":
+            jumps = np.sum(np.diff(c[:, 0], axis=0) ** 2, axis=1)
+            return float(np.sum(jumps / ((h[:-1] + h[1:]) / 2)))
+        taus, weights = np.polynomial.legendre.leggauss(inputs.degree + 1)
+        total, j = 0.0, np.arange(1, inputs.degree + 1)
+        for tau, weight in zip((taus + 1) / 2, weights / 2, strict=True):
+            slopes = np.einsum("kj,kji->ki", j * (tau * h)[:, None] ** (j - 1), c[:, 1:])
+            total += weight * float(np.sum(h * np.sum(slopes**2, axis=1)))
+        return total
+
+
+def _excess(values: Array, low: float, high: float) -> Array:
+    """By how much values are outside; infinite where they are no numbers."""
+    beyond = np.maximum(np.maximum(low - values, values - high), 0.0)
+    return np.where(np.isnan(beyond), np.inf, beyond)
+
+
+def _finite(value: float) -> float:
+    return float("inf") if np.isnan(value) else float(value)
+
+
+def _missed(conditions: Sequence[Condition | Budget], values: Array) -> dict[str, float]:
+    """{label: by how much a value is outside its limits} of those that are, in nominals."""
+    found: dict[str, float] = {}
+    for c, value in zip(conditions, values, strict=True):
+        by = float(_excess(np.array([value]), c.low / c.nominal, c.high / c.nominal)[0])
+        if by > 0:
+            found[c.label] = max(by, found.get(c.label, 0.0))
+    return found

@@ -1,0 +1,251 @@
+"""Plan: a planned motion with everything that says how far to trust it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, PlanError
+from ..core.trajectory import Trajectory
+from ..core.variables import Variable
+from ..plants.plant import Plant
+from .problem.problem import Problem
+from .problem.statement import problem_of, statement_of
+from .replay import Replay
+from .solvers import duals
+from .solvers.diagnosis import Conflict
+from .solvers.solver import Outcome
+from .transcription.mesh import Mesh
+from .transcription.solution import Solution
+from .transcription.transcription import Program
+from .verdict import TOLERANCE, Verdict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Plan", "Solved"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A program and what a solver made of it: for duals, and to start others from."""
+
+    program: Program
+    outcome: Outcome
+    solution: Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A planned motion, or a failed attempt at one; :attr:`verdict` says whether to trust it.
+
+    A failed plan is sealed: ``trajectory`` raises PlanError; what the solver left is reached only
+    by :meth:`unverified`.
+    """
+
+    plant: Plant
+    """With the values that the plan chose for its ``design`` parameters."""
+    solved: bool
+    """Whether the solver converged: then there is a :attr:`trajectory`."""
+    status: str
+    """The solver's return status."""
+    objective: float
+    durations: tuple[float, ...]
+    """Of each leg, dwells among them [s]."""
+    design: dict[str, float]
+    """Values of the parameters that were chosen with the motion."""
+    statistics: dict[str, Any]
+    """iterations, seconds to build and to solve, size of the program."""
+    replay: Replay | None
+    meshes: tuple[Mesh, ...]
+    """The mesh of each round of refinement; the last is the plan's."""
+    log: tuple[dict[str, float], ...] = field(repr=False)
+    """The solver's last run: objective (obj), violation (inf_pr), dual infeasibility (inf_du), ...
+    per
+    iteration."""
+    conflicts: tuple[Conflict, ...] = ()
+    """Of a failed plan: the constraints that cannot hold together, the worst first."""
+    tolerance: float = TOLERANCE
+    """What the plan is judged by, in units of nominal."""
+    _samples: Trajectory = field(repr=False, default=None)  # type: ignore[assignment]
+    _problem: Problem | None = field(repr=False, default=None)
+    _solved: Solved | None = field(repr=False, default=None)
+    _coarse: Solved | None = field(repr=False, default=None)
+    """The solution on the first mesh."""
+    _peaks: tuple[float, ...] = ()
+    """In units of nominal."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the plan can be trusted, with all figures;
+        ``print(plan.verdict)`` is a sentence.
+        """
+        nan, r = float("nan"), self.replay
+        figures = (r.error, r.state, r.violation, r.constraint) if r else (nan, "", nan, "")
+        return Verdict(self.status, self.solved, *figures, self.tolerance)
+
+    @property
+    def verified(self) -> bool:
+        """Whether the solver converged, an independent replay agrees, and all limits hold between
+        the
+        points too, to the plan's :attr:`tolerance`."""
+        return self.verdict.verified
+
+    @property
+    def success(self) -> bool:
+        """The same as :attr:`verified`."""
+        return self.verified
+
+    def _near(self, program: Program) -> Solved | None:
+        """Where a solve of ``program`` may start from this plan: warm,
+        if it solved the same one.
+        """
+        if self._coarse is not None and self._coarse.program.nlp is program.nlp:
+            return self._coarse
+        return self._solved
+
+    @property
+    def duration(self) -> float:
+        """Of the whole motion [s]."""
+        return sum(self.durations)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The planned motion. Raises PlanError when the plan failed."""
+        if not self.solved:
+            raise PlanError(
+                f"this plan failed ({self.status}) and holds no solution; "
+                "unverified() gives what the solver left",
+                self,
+            )
+        return self._samples
+
+    @property
+    def replay_error(self) -> float:
+        """Largest deviation of the replay from the plan, in units of nominal (NaN when failed)."""
+        return self.replay.error if self.replay else float("nan")
+
+    def unverified(self) -> Trajectory:
+        """What the solver left, whether it is a solution or not."""
+        return self._samples
+
+    # ---- duals --------------------------------------------------------------------------------
+    def _duals(self) -> Solved:
+        if not self.solved or self._solved is None:
+            raise PlanError(
+                "this plan holds no multipliers: it failed, or was loaded from a file; plan it "
+                "anew",
+                self,
+            )
+        return self._solved
+
+    @cached_property
+    def costates(self) -> Trajectory:
+        """Derivative of the optimal value by each state, over time [objective / SI unit].
+
+        Columns are named as the states. See :func:`pam_ocp.planning.solvers.duals.costates` for the
+        formulas.
+        """
+        solved = self._duals()
+        t, values = duals.costates(solved.program, solved.outcome)
+        keep = np.concatenate([[True], np.diff(t) > 0])  # a Gauss interval of no length has twins
+        variables = [Variable(v.name, "output") for v in self.plant.states]
+        columns = {v.name: values[keep, i] for i, v in enumerate(variables)}
+        return Trajectory(t[keep], columns, variables, "linear")
+
+    @cached_property
+    def sensitivities(self) -> dict[str, float]:
+        """{parameter: derivative of the optimal objective by it [objective / SI unit]}.
+
+        By the envelope theorem, from the multipliers: no re-solve. Valid while the same constraints
+        stay active.
+        """
+        solved = self._duals()
+        return duals.sensitivities(solved.program, solved.outcome)
+
+    @cached_property
+    def stop_sensitivities(self) -> dict[str, float]:
+        """{"stop 2: x": derivative of the optimal objective by this value}."""
+        solved = self._duals()
+        return duals.stop_sensitivities(solved.program, solved.outcome)
+
+    def sensitivity(self, name: str) -> float:
+        """Derivative of the optimal objective by one parameter of the plant."""
+        variable = self.plant.variable(name)
+        if variable.name not in self.sensitivities:
+            raise InputError(
+                f"{name} is a {variable.causality}"
+                + (" that this plan designs" if variable.name in self.design else "")
+                + "; sensitivities are those of the plant's other parameters"
+            )
+        return self.sensitivities[variable.name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Symbols do not travel between processes: the problem goes as data, a copy there knows no
+        multipliers."""
+        lost = ("_problem", "_solved", "_coarse", "costates", "sensitivities", "stop_sensitivities")
+        kept = {k: v for k, v in self.__dict__.items() if k not in lost}
+        try:
+            said = statement_of(self._problem) if self._problem else None
+        except InputError:
+            said = None
+        return {**kept, "_solved": None, "_coarse": None, "conflicts": (), "statement": said}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        said = state.pop("statement")
+        problem = problem_of(state["plant"], said) if said else None
+        self.__dict__.update(state, _problem=problem)
+
+    # ---- files and figures ----------------------------------------------------------------------
+    def save(self, path: str | Path) -> Path:
+        """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
+        from .saved_plan import save_plan
+
+        return save_plan(self, path)
+
+    def plot(self) -> Figure:
+        """Motion, velocities, pressures with commands, forces, stiffness; active bounds shaded."""
+        from ..figures.plan import plot_plan
+
+        return plot_plan(self)
+
+    def __str__(self) -> str:
+        s = self.statistics
+        verdict = str(self.verdict)
+        lines = [
+            f"{verdict if self.verified else verdict.upper()[:12] + verdict[12:]}",
+            f"plan of {self.plant.name}: {self.status}",
+            f"duration   {self.duration:.6g} s ({' + '.join(f'{d:.6g}' for d in self.durations)})",
+            f"objective  {self.objective:.6g}",
+            f"solver     {s.get('solver', 'IPOPT')}, {s['iterations']} iterations, "
+            f"{s['solve_seconds']:.3f} s (built in {s['build_seconds']:.3f} s; {s['variables']} "
+            f"variables, {s['constraints']} constraints)",
+            f"mesh       {s['intervals']} intervals"
+            + (f", refined {len(self.meshes) - 1} times" if len(self.meshes) > 1 else ""),
+        ]
+        if len(s.get("starts", ())) > 1:
+            led = sum(end["solved"] for end in s["starts"])
+            lines.append(
+                f"starts     {len(s['starts'])}, of which {led} found a plan; these lay "
+                f"{100 * s['starts_apart']:.2g} % apart"
+            )
+        if s.get("warning"):
+            lines.append(f"note       {s['warning']}")
+        lines[4:4] = [
+            f"design     {name} = {self.plant.variable(name).shown(value)}"
+            for name, value in self.design.items()
+        ]
+        if self.replay:
+            worst = f" ({self.replay.constraint})" if self.replay.constraint else ""
+            lines += [
+                f"replay     error {self.replay.error:.2e} of nominal ({self.replay.state})",
+                f"bounds     largest violation {self.replay.violation:.2e} of nominal{worst}",
+            ]
+        return "\n".join(lines)

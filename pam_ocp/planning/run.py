@@ -1,0 +1,124 @@
+"""One program: from a guess, or from all guesses there are, to a solution or a diagnosis."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .result import Solved
+from .solvers.backend import Backend, Solver
+from .solvers.diagnosis import Conflict, elastic
+from .solvers.narrowing import has_kinks, narrowing, widened
+from .solvers.side_by_side import solved_side_by_side
+from .solvers.solver import Ipopt, Outcome, Start
+from .starts import Ends, tasks
+from .transcription.guess import by_stops, from_solution, wants_balance
+from .transcription.solution import unpack
+from .transcription.transcription import Program
+
+__all__ = ["Run"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+class Run:
+    """One program: from a guess, or from all guesses there are, to a solution or a diagnosis.
+
+    A solver that was stopped ends the run: nothing else is tried after it.
+    """
+
+    def __init__(self, program: Program, backend: Backend, solver: Solver | None = None) -> None:
+        begin = time.perf_counter()
+        self.program, self.options = program, backend.ipopt_options
+        self.solver = solver or backend.build(program)
+        self.build_seconds = time.perf_counter() - begin
+        self.conflicts: tuple[Conflict, ...] = ()
+
+    def refined(self, coarse: Solved, again: bool = True) -> Solved:
+        """From the solution on a coarser mesh; no other guess would be better.
+
+        again : where that fails, from there with the barrier of a cold start.
+        """
+        guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
+        found = self.from_guess(guess, "near")
+        return found if found.outcome.ended or not again else self.from_guess(guess)
+
+    def several(self, starts: int) -> tuple[list[Solved], Ends]:
+        """(solutions from different starts, the best first; where all of them ended)."""
+        kinks = has_kinks(self.program.problem)
+        program = widened(self.program) if kinks else self.program
+        own, *others = tasks(program.problem, program.mesh, starts)
+        begin = time.perf_counter()
+        first = self.solver(program, own.guess, own.start)
+        outcomes = [first]
+        if others and not first.stopped:
+            spent = time.perf_counter() - begin
+            if isinstance(self.solver, Ipopt):
+                outcomes += solved_side_by_side(self.solver, program, others, spent)
+            else:
+                outcomes += [self.solver(program, task.guess, task.start) for task in others]
+        ends = Ends(tuple(outcomes))
+        chosen = [outcomes[i] for i in ends.solved or [0]]
+        if kinks and ends.solved:
+            chosen = self._narrowed(chosen)
+        return [self._solution(outcome) for outcome in chosen], ends
+
+    def _narrowed(self, wide: Sequence[Outcome]) -> list[Outcome]:
+        """The first of some solutions with wide roundings that leads to one of the plant's own."""
+        found = []
+        for outcome in wide:
+            found.append(narrowing(self.solver, self.program, outcome.w, "step"))
+            if found[-1].ended:
+                break
+        return found[-1:]
+
+    def solve(self, previous: Solved | None) -> Solved:
+        """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
+        found = self._usual(previous)
+        return found if found.outcome.ended else self.after(found)
+
+    def after(self, found: Solved) -> Solved:
+        """After a start that failed: another guess, then the elastic re-solve's; then failure."""
+        program, problem, mesh = self.program, self.program.problem, self.program.mesh
+        balanced = by_stops(problem, mesh, balanced=True)
+        again = self.from_guess(balanced, "adaptive")
+        if again.outcome.ended:
+            return again
+        self.conflicts, feasible = elastic(program, balanced, self.options)
+        if not self.conflicts:
+            again = self.from_guess(feasible, "adaptive")
+        return again if again.outcome.ended else found
+
+    def from_another(self, previous: Solved) -> Solved:
+        """From a solution of this program (warm) or of another."""
+        if previous.program.nlp is self.program.nlp:
+            return self.from_guess(previous.outcome.w, "warm", previous.outcome)
+        problem, mesh = self.program.problem, self.program.mesh
+        return self.from_guess(from_solution(problem, mesh, previous.solution), "near")
+
+    def _usual(self, previous: Solved | None) -> Solved:
+        """From another solution if there is one,
+        else (or if that fails) from the planner's guess.
+        """
+        if previous is not None:
+            found = self.from_another(previous)
+            if found.outcome.ended:
+                return found
+        problem, mesh = self.program.problem, self.program.mesh
+        return self.from_guess(by_stops(problem, mesh, balanced=wants_balance(problem)))
+
+    def from_guess(
+        self, guess: Array, start: Start = "cold", warm: Outcome | None = None
+    ) -> Solved:
+        """From scaled unknowns; with ``warm`` from the multipliers of that outcome, too."""
+        if warm is None and has_kinks(self.program.problem):
+            return self._solution(narrowing(self.solver, self.program, guess, start))
+        return self._solution(self.solver(self.program, guess, start, warm))
+
+    def _solution(self, outcome: Outcome) -> Solved:
+        solution = unpack(self.program.problem, self.program.mesh, outcome.w)
+        return Solved(self.program, outcome, solution)

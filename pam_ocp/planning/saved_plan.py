@@ -1,0 +1,269 @@
+"""Plans in files: .npz with the samples, the inputs as they ran, the problem and the figures."""
+
+from __future__ import annotations
+
+import json
+import warnings
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, PlanError, PlanWarning
+from ..core.files import atomic_path
+from ..core.signals import PiecewisePolynomial
+from ..plants.plant import Plant, require_plant
+from ..simulation.simulate import evaluated
+from .problem.problem import Problem
+from .problem.statement import problem_of, statement_of
+from .replay import replayed
+from .result import Plan
+from .transcription.mesh import Form, Interval, Mesh
+from .transcription.solution import Solution, pack
+from .transcription.transcription import Program, transcribe
+
+__all__ = ["load_plan", "save_plan"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+FORMAT = "pam_ocp plan 2"
+FORMER = "pam_ocp plan 1"
+AGREE = 1e-5
+"""How far what a file says twice may differ, in units of nominal; solvers leave 1e-6 and less."""
+
+
+def save_plan(plan: Plan, path: str | Path) -> Path:
+    """Write a plan; the solver must have converged (PlanError otherwise)."""
+    target = Path(path)
+    if target.suffix != ".npz":
+        raise InputError(f"path = {str(path)!r}: a plan is written as .npz")
+    motion = plan.trajectory
+    assert motion.signals is not None  # a plan that was solved has them
+    if plan._problem is None:
+        raise PlanError(
+            "this plan does not know its problem any more; save it where it was made", plan
+        )
+    meta = {
+        "format": FORMAT,
+        "plant": plan.plant.name,
+        "states": motion.named("state"),
+        "inputs": motion.named("input"),
+        "parameters": {v.name: v.start for v in plan.plant.parameters},
+        "problem": statement_of(plan._problem),
+        "status": plan.status,
+        "objective": plan.objective,
+        "durations": plan.durations,
+        "design": plan.design,
+        "peaks": plan._peaks,
+        "tolerance": plan.tolerance,
+        "statistics": plan.statistics,
+        "log": plan.log,
+        "meshes": [
+            {
+                "form": [m.form.scheme, m.form.control, m.form.guarded],
+                "intervals": [
+                    [i.leg, i.fraction, i.degree, i.raised, i.watched] for i in m.intervals
+                ],
+            }
+            for m in plan.meshes
+        ],
+    }
+    with atomic_path(target) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(
+            file,
+            meta=np.array(json.dumps(meta, default=float)),
+            t=motion.t,
+            states=motion.array(motion.named("state")),
+            breaks=motion.signals.breaks,
+            coefficients=motion.signals.coefficients,
+        )
+    return target
+
+
+def load_plan(path: str | Path, plant: Plant) -> Plan:
+    """Read a plan of ``plant`` and judge it anew.
+
+    Objective, durations, violations and the replay are computed here, from the motion in the file,
+    the
+    problem in the file and today's plant, which takes over the parameter values that the plan was
+    made
+    with. Multipliers are not kept: ``costates`` and ``sensitivities`` of a loaded plan raise
+    PlanError.
+
+    Raises InputError for a file that is no plan, a plan of another plant, or one that contradicts
+    itself:
+    the message names what. Warns (PlanWarning) when the plan is not verified.
+    """
+    require_plant(plant)
+    meta, arrays = _read(Path(path))
+    try:
+        found = _plan(str(path), meta, arrays, plant)
+    except InputError:
+        raise
+    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
+        raise InputError(f"{path} is no plan file: {error!r}") from None
+    if not found.verified:
+        warnings.warn(f"{path}: the plan is {found.verdict}", PlanWarning, stacklevel=2)
+    return found
+
+
+def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant: Plant) -> Plan:
+    _require_same_names(path, meta, plant)
+    plant = plant.with_values(meta["parameters"])
+    problem = problem_of(plant, meta["problem"])
+    meshes = tuple(_mesh(m) for m in meta["meshes"])
+    mesh = meshes[-1]
+    solution = Solution(
+        arrays["t"],
+        arrays["states"],
+        PiecewisePolynomial(arrays["breaks"], arrays["coefficients"]),
+        np.array(meta["durations"], float),
+        np.array([meta["design"][n] for n in problem.design], float),
+        np.array(meta["peaks"], float),
+    )
+    _require_grid(path, problem, mesh, solution)
+    for name in problem.design:
+        if meta["design"][name] != meta["parameters"][name]:
+            raise _contradiction(path, f"design and parameters differ in {name}")
+    program = transcribe(problem, mesh)
+    objective = _require_solution(path, program, solution, float(meta["objective"]))
+    samples = evaluated(plant, solution.t, solution.states, solution.inputs)
+    return Plan(
+        plant,
+        True,
+        str(meta["status"]),
+        objective,
+        tuple(map(float, solution.durations)),
+        {n: float(v) for n, v in zip(problem.design, solution.design, strict=True)},
+        dict(meta["statistics"]),
+        replayed(problem, plant, mesh, samples, solution),
+        meshes,
+        tuple(meta["log"]),
+        (),
+        float(meta["tolerance"]),
+        samples,
+        problem,
+        None,
+        None,
+        tuple(map(float, solution.peaks)),
+    )
+
+
+def _contradiction(path: str, what: str) -> InputError:
+    return InputError(
+        f"{path} contradicts itself: {what}; it was changed after it was saved, or the plant's "
+        "equations were. Plan anew"
+    )
+
+
+def _require_same_names(path: str, meta: Mapping[str, Any], plant: Plant) -> None:
+    for what, here in (
+        ("states", [v.name for v in plant.states]),
+        ("inputs", [v.name for v in plant.inputs]),
+        ("parameters", {v.name: v.start for v in plant.parameters}),
+    ):
+        if list(meta[what]) != list(here):
+            raise InputError(
+                f"{path}: a plan of {meta['plant']!r} with {what} {', '.join(meta[what])}; the "
+                "plant "
+                f"{plant.name!r} has {', '.join(here)}"
+            )
+
+
+def _mesh(said: Mapping[str, Any]) -> Mesh:
+    intervals = (
+        Interval(leg, fraction, degree, raised, tuple((n, margin) for n, margin in watched))
+        for leg, fraction, degree, raised, watched in said["intervals"]
+    )
+    return Mesh(tuple(intervals), Form(*said["form"]))
+
+
+def _require_grid(path: str, problem: Problem, mesh: Mesh, solution: Solution) -> None:
+    """Times and sizes that the mesh and the durations say."""
+    if len(solution.durations) != len(problem.legs) or len(solution.peaks) != problem.m.numel():
+        raise _contradiction(path, "its durations are not those of its legs")
+    t, breaks = [0.0], [0.0]
+    for interval in mesh.intervals:
+        h = float(solution.durations[interval.leg] * interval.fraction)
+        t += list(breaks[-1] + h * mesh.form.state_taus(interval.degree))
+        breaks.append(breaks[-1] + h)
+    columns = max(len(mesh.form.input_taus(i.degree)) for i in mesh.intervals)
+    inputs = solution.inputs
+    shapes = {
+        "times": (solution.t.shape, (len(t),)),
+        "states": (solution.states.shape, (len(t), len(problem.plant.states))),
+        "input breaks": (inputs.breaks.shape, (len(breaks),)),
+        "inputs": (
+            inputs.coefficients.shape,
+            (len(breaks) - 1, columns, len(problem.plant.inputs)),
+        ),
+    }
+    for name, (shape, expected) in shapes.items():
+        if shape != expected:
+            raise _contradiction(
+                path, f"its {name} have the shape {shape}, its mesh says {expected}"
+            )
+    for array in (
+        solution.t,
+        solution.states,
+        inputs.breaks,
+        inputs.coefficients,
+        solution.durations,
+    ):
+        if not np.all(np.isfinite(array)):
+            raise _contradiction(path, "a value is not a finite number")
+    allowed = AGREE * breaks[-1]
+    missed = (solution.t - t, inputs.breaks - breaks)
+    if max(float(np.max(np.abs(miss))) for miss in missed) > allowed:
+        raise _contradiction(path, "its times are not those of its durations")
+
+
+def _require_solution(path: str, program: Program, solution: Solution, objective: float) -> float:
+    """The objective of a motion that meets the problem's constraints and has this objective."""
+    w = pack(program.problem, program.mesh, solution)
+    nlp = program.nlp
+    values = ca.Function("values", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
+    f, g = (np.asarray(v, float).ravel() for v in values(w, program.parameters()))
+    at = 0
+    low, high = program.limits()
+    missed = np.maximum(low - g, g - high)
+    words = {"defect": "its states do not follow from its inputs", "closing": "its cycle is open"}
+    for row in program.rows:
+        own = missed[at : at + row.size]
+        at += row.size
+        i = int(np.argmax(np.where(np.isnan(own), np.inf, own))) if row.size else 0
+        if row.size and not own[i] <= AGREE:
+            condition = row.condition(i)
+            label = condition.label if condition else row.label
+            what = words.get(row.kind, f"its motion does not keep {label}")
+            raise _contradiction(path, f"{what} (by {own[i]:.2g} of nominal)")
+    least, most = program.bounds()
+    if not np.max(np.maximum(least - w, w - most), initial=0.0) <= AGREE:
+        raise _contradiction(path, "its motion does not keep the bounds of its variables")
+    if not abs(f[0] - objective) <= AGREE * max(1.0, abs(f[0])):
+        raise _contradiction(path, f"its objective is {f[0]:.6g}, not {objective:.6g}")
+    return float(f[0])
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(meta data, arrays) of a file."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        meta = json.loads(str(arrays.pop("meta")))
+    except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is no plan file: {error}") from None
+    if isinstance(meta, dict) and meta.get("format") == FORMER:
+        raise InputError(
+            f"{path} was written by a former version, which did not keep what was asked for; plan "
+            "anew"
+        )
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise InputError(f"{path} is no plan file of this version ({FORMAT})")
+    return meta, arrays

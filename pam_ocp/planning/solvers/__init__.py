@@ -1,0 +1,1 @@
+"""IPOPT, fatrop, compiled functions; diagnosis and multipliers."""

@@ -1,0 +1,122 @@
+"""Why there is no plan: an elastic re-solve that names the constraints in conflict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..problem.problem import Budget, Condition
+from ..transcription.transcription import Program
+from .interrupt import watched_call
+from .solver import DEFAULTS, Outcome
+
+__all__ = ["Conflict", "elastic", "explanation"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+NOTABLE = 1e-6
+"""Violations below this part of nominal are rounding."""
+NAMED = 3
+"""How many constraints a message names."""
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """A constraint that has to be violated: the condition, by how much (in nominals), and where."""
+
+    label: str
+    excess: float
+    where: str
+    condition: Condition | Budget | None
+
+    def __str__(self) -> str:
+        if self.condition is None:
+            return f"the {self.label} (by {self.excess:.3g} of nominal)"
+        shown = self.condition.shown.shown
+        low, high = self.condition.low, self.condition.high
+        bounds = f"= {shown(low)}" if low == high else f"{shown(low)} .. {shown(high)}"
+        where = f" {self.where}" if self.where else ""
+        return f"{self.label} ({bounds}), by {shown(self.excess * self.condition.nominal)}{where}"
+
+
+def elastic(
+    program: Program, guess: Array, options: Mapping[str, Any] | None
+) -> tuple[tuple[Conflict, ...], Array]:
+    """Least total violation of stops, path and budgets; the dynamics and a cycle's closing are
+    kept.
+
+    Returns the constraints that are violated, the worst of each name, largest first, and the
+    (scaled) unknowns found: a feasible point when there are none.
+    """
+    soft = np.concatenate(
+        [np.full(r.size, r.kind not in ("defect", "closing")) for r in program.rows]
+    )
+    chosen = np.flatnonzero(soft)
+    g = program.nlp["g"]
+    above, below = ca.MX.sym("above", len(chosen)), ca.MX.sym("below", len(chosen))
+    pick = ca.DM(
+        ca.Sparsity.triplet(g.numel(), len(chosen), chosen.tolist(), list(range(len(chosen)))), 1.0
+    )
+    nlp = {
+        "x": ca.vertcat(program.nlp["x"], above, below),
+        "p": program.nlp["p"],
+        "f": ca.sum1(above) + ca.sum1(below),
+        "g": g + ca.mtimes(pick, below - above),
+    }
+    ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": 1000}
+    ipopt.update(options or {})
+    zero = np.zeros(2 * len(chosen))
+    (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
+    arguments = {
+        "x0": np.concatenate([np.clip(guess, lbx, ubx), zero + 0.1]),
+        "p": program.parameters(),
+        "lbx": np.concatenate([lbx, zero]),
+        "ubx": np.concatenate([ubx, zero + np.inf]),
+        "lbg": lbg,
+        "ubg": ubg,
+    }
+    result, _ = watched_call("elastic", nlp, {"print_time": False, "ipopt": ipopt}, arguments)
+    found = np.asarray(result["x"], float).ravel()
+    slack = np.zeros(g.numel())
+    slack[chosen] = found[len(lbx) :].reshape(2, -1).max(axis=0)
+    return _conflicts(program, slack), found[: len(lbx)]
+
+
+def _conflicts(program: Program, slack: Array) -> tuple[Conflict, ...]:
+    """The worst row of each condition whose slack is notable."""
+    worst: dict[str, Conflict] = {}
+    at = 0
+    for row in program.rows:
+        for i in np.flatnonzero(slack[at : at + row.size] > NOTABLE):
+            condition = row.condition(int(i))
+            label = condition.label if condition else row.label
+            excess = float(slack[at + i])
+            if label not in worst or worst[label].excess < excess:
+                worst[label] = Conflict(label, excess, row.where(int(i)), condition)
+        at += row.size
+    return tuple(sorted(worst.values(), key=lambda c: -c.excess))
+
+
+def explanation(plant: str, outcome: Outcome, conflicts: tuple[Conflict, ...]) -> str:
+    """The message of a plan that was not found."""
+    if outcome.stopped:
+        return f"the solver was stopped before it found a plan for {plant} ({outcome.status})"
+    opening = f"no plan found for {plant} ({outcome.status}). "
+    if not conflicts:
+        return opening + (
+            "A motion that meets all constraints seems to exist, but the solver did not converge; "
+            "try another method=Collocation(...), other bounds of duration, or more "
+            "options={'max_iter': ...}"
+        )
+    more = "; ".join(str(c) for c in conflicts[1:NAMED])
+    also = f" In conflict with it: {more}." if more else ""
+    return (
+        opening
+        + f"The most violated constraint is {conflicts[0]}; relax it, or allow more time or "
+        f"pressure.{also}"
+    )

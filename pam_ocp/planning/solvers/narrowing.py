@@ -1,0 +1,107 @@
+"""Kinks that are rounded off: a motion is planned with wide roundings first, then with narrower
+ones.
+
+The parameters of a plant that have a ``widest`` value (of hysteresis), and the roundings of costs,
+go
+from there to their own along a path, evenly in their logarithms; each solution starts the next. The
+last one is the problem itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.variables import Variable
+from ...plants.plant import Plant
+from ..problem.problem import Problem
+from ..transcription.transcription import Program
+from .solver import Outcome, Start
+
+__all__ = ["has_kinks", "narrowing", "rounded", "widened"]
+
+FIRST, LEAST = 0.3, 0.02
+"""Parts of the path that are gone at once: at first, and at least before it is given up."""
+LATE = 0.6
+"""Where the path begins for a guess that solves a neighbouring problem."""
+
+
+class _Solver(Protocol):
+    def __call__(self, program: Program, guess: NDArray[np.float64], start: Start) -> Outcome: ...
+
+
+def has_kinks(problem: Problem) -> bool:
+    """Whether the plant or the costs have roundings to narrow."""
+    return bool(_roundings(problem.plant) or problem.widths)
+
+
+def _roundings(plant: Plant) -> list[Variable]:
+    return [v for v in plant.parameters if v.widest > 0 and v.widest > (v.start or 0.0)]
+
+
+def rounded(plant: Plant, part: float) -> Plant:
+    """The plant with the roundings of a place on the path, 0 (widest) .. 1 (its own)."""
+    return plant.with_values(
+        {
+            v.name: float(np.clip(v.widest ** (1 - part) * (v.start or 0.0) ** part, v.min, v.max))
+            for v in _roundings(plant)
+        }
+    )
+
+
+def _at(program: Program, part: float) -> Program:
+    """The program with the roundings of a place on the path."""
+    plant = program.problem.plant
+    aims = list(program.problem.aims)
+    for i, widest in program.problem.widths.items():
+        aims[i] = widest ** (1 - part) * aims[i] ** part
+    problem = replace(program.problem, plant=rounded(plant, part), aims=tuple(aims))
+    return replace(program, problem=problem)
+
+
+def widened(program: Program) -> Program:
+    """The program with its roundings at their widest."""
+    return _at(program, 0.0)
+
+
+def narrowing(
+    solver: _Solver, program: Program, guess: NDArray[np.float64], start: Start
+) -> Outcome:
+    """Solve along the path; the outcome for the plant's own roundings,
+    or that of the last place.
+    """
+    iterations, seconds = 0, 0.0
+
+    def solved(part: float, w: NDArray[np.float64], how: Start) -> Outcome:
+        nonlocal iterations, seconds
+        outcome = solver(_at(program, part) if part < 1 else program, w, how)
+        iterations, seconds = iterations + outcome.iterations, seconds + outcome.seconds
+        return outcome
+
+    def total(outcome: Outcome) -> Outcome:
+        return replace(outcome, iterations=iterations, seconds=seconds)
+
+    here = 0.0
+    if start == "near":
+        direct = solved(1.0, guess, "step")
+        if direct.ended:
+            return total(direct)
+        here = LATE
+    last = solved(here, guess, "near" if start == "near" else start)
+    if not last.ended and start != "near":
+        last = solved(here, guess, "cold" if start == "adaptive" else "adaptive")
+    step = FIRST
+    failed = last
+    while last.success and here < 1.0:
+        there = min(1.0, here + step)
+        outcome = solved(there, last.w, "step")
+        if outcome.success:
+            last, here, step = outcome, there, 1.5 * step
+            continue
+        failed, step = outcome, step / 2.5
+        if outcome.stopped or step < LEAST:
+            return total(failed)
+    return total(last)

@@ -1,0 +1,265 @@
+"""IPOPT on a program: cold and warm starts from one set of derivatives, log, live progress."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError
+from ..transcription.derivatives import derivatives
+from ..transcription.transcription import Program
+from .compiled import compiled as compiled_library
+from .interrupt import Watch
+
+__all__ = ["DEFAULTS", "Ipopt", "Outcome", "Progress", "Start"]
+
+Array: TypeAlias = NDArray[np.float64]
+Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
+
+DEFAULTS: dict[str, Any] = {
+    "tol": 1e-9,
+    "constr_viol_tol": 1e-9,
+    "compl_inf_tol": 1e-10,  # objectives to 1e-8, so that their differences are worth something
+    "acceptable_iter": 0,
+    "max_iter": 500,
+    "mu_init": 1e-2,
+    # with mu_init 1e-2: 33 iterations for 40 to 150 on time-optimal motions
+    "alpha_for_y": "bound-mult",
+    "nlp_scaling_method": "none",  # the program is scaled by the plant's nominals already
+    # a tenth of the time; what counts is the program's own residual
+    "fast_step_computation": "yes",
+    "mumps_pivtol": 1e-4,  # with smaller pivots steps are too inexact where copies are nearly alike
+    "mumps_permuting_scaling": 0,  # what is scaled already is not scaled again
+    "mumps_scaling": 0,
+}
+"""IPOPT's options; ``plan(..., options=...)`` overrides them."""
+
+BARRIER_OF_TIME = 5e-4
+"""mu_init where only the duration counts, in seconds: motions are quick, and a barrier as high as
+for
+other objectives would first make them slow (a sixth of the time of 78 random tasks)."""
+
+ADAPTIVE: dict[str, Any] = {
+    "mu_strategy": "adaptive",
+    "alpha_for_y": "primal",
+    "mumps_pivtol": 1e-6,  # less fill-in where larger pivots have to be waited for
+}
+"""Another way through, for a second try."""
+
+SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
+"""Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes.
+Where
+the linear algebra gets stuck in fill-in another start is the better use of time."""
+PATIENCE = 6.0
+"""Times as much for all but the first start."""
+
+_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
+
+NEAR: dict[str, Any] = {
+    "mu_init": 1e-6,
+    "mu_strategy": "adaptive",
+    "bound_mult_init_method": "mu-based",
+    "max_iter": 300,  # a neighbour that is no help: start cold instead
+    **dict.fromkeys(_PUSHES, 1e-6),
+}
+"""From the primal values of another mesh: a third of the iterations of cold starts there."""
+
+WARM: dict[str, Any] = {
+    "warm_start_init_point": "yes",
+    "mu_strategy": "adaptive",  # 3 to 20 iterations where a barrier that only falls takes 5 to 60
+    "max_iter": 80,
+    # 1e-9 takes twice as many where the active constraints change
+    **{f"warm_start_{name}": 1e-6 for name in (*_PUSHES, "mult_bound_push")},
+}
+"""From primal and dual values of the same program with other numbers."""
+
+
+STEP: dict[str, Any] = {**NEAR, "max_iter": 100}
+"""From one place of a path to the next: what takes longer takes a shorter step."""
+
+Start: TypeAlias = Literal["cold", "adaptive", "near", "step", "warm"]
+STARTS: dict[Start, dict[str, Any]] = {
+    "cold": {},
+    "adaptive": ADAPTIVE,
+    "near": NEAR,
+    "step": STEP,
+    "warm": WARM,
+}
+
+
+STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
+"""IPOPT's return status when somebody stopped it."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a solver made of a program."""
+
+    w: Array
+    objective: float
+    status: str
+    success: bool
+    iterations: int
+    seconds: float
+    lam_g: Array
+    lam_x: Array
+    log: tuple[dict[str, float], ...] = field(default=())
+    """One entry per iteration: objective, infeasibilities, barrier, step lengths."""
+    solver: str = "IPOPT"
+    warning: str = ""
+    """What did not go as asked."""
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, Array], stats: Mapping[str, Any], seconds: float) -> Outcome:
+        """From what CasADi's interface to IPOPT gives."""
+        return cls(
+            arrays["x"],
+            float(arrays["f"][0]),
+            str(stats["return_status"]),
+            bool(stats["success"]),
+            int(stats["iter_count"]),
+            seconds,
+            arrays["lam_g"],
+            arrays["lam_x"],
+            _log(stats.get("iterations") or {}),
+        )
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the solver was stopped, rather than failed."""
+        return self.status in STOPPED
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing else should be tried."""
+        return self.success or self.stopped
+
+
+def _printed(iteration: int, objective: float, violation: float) -> None:
+    print(f"{iteration:5d}  objective {objective:14.8g}  largest violation {violation:9.2e}")
+
+
+class Ipopt:
+    """IPOPT for a program, built once, for any number of solves.
+
+    compiled : the program's functions as machine code; see compiled.py.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        options: Mapping[str, Any] | None = None,
+        progress: Progress = False,
+        compiled: bool = False,
+    ) -> None:
+        self.program = program
+        self._report = progress if callable(progress) else _printed if progress else None
+        self._iteration, self._limits = 0, program.limits()
+        nlp = program.nlp
+        sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
+        self._watch = Watch(*sizes, self._progress if self._report else None)
+        self._given = dict(options or {})
+        self._derivatives = derivatives(program)
+        self._library: str | None = None
+        self._solvers: dict[str, ca.Function] = {}
+        if compiled:
+            self._library = compiled_library(self._solver("cold"))
+            self._solvers.clear()
+        self._first = self._solver("cold")
+
+    def _options(self, name: Start) -> dict[str, Any]:
+        """Of the solver of this name, but for its functions."""
+        time = max(SHORTEST_LIMIT, LIMIT * self.program.nlp["x"].numel())
+        limit = {"max_cpu_time": time if name == "cold" else PATIENCE * time}
+        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], **limit, **self._given}
+        goal = self.program.problem.objective
+        if name == "cold" and goal.only_time and "mu_init" not in self._given:
+            chosen["mu_init"] = BARRIER_OF_TIME * goal.time
+        # multipliers of the parameters: duals.py finds them when somebody asks
+        return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
+
+    def _solver(self, name: Start) -> ca.Function:
+        """The solver of this name, made at its first use; all share the same functions."""
+        if name not in self._solvers:
+            options = {**self._options(name), "iteration_callback": self._watch}
+            if self._library is None:
+                options |= self._derivatives
+            problem = self._library or self.program.nlp
+            try:
+                solver = ca.nlpsol(name, "ipopt", problem, options)
+            except RuntimeError as error:
+                raise InputError(
+                    f"options = {self._given}: {str(error).splitlines()[-1]}"
+                ) from None
+            if not self._derivatives:  # CasADi's own, taken over from the first
+                functions = {"hess_lag": "nlp_hess_l", "jac_g": "nlp_jac_g", "grad_f": "nlp_grad_f"}
+                self._derivatives = {o: solver.get_function(f) for o, f in functions.items()}
+            self._solvers[name] = solver
+        return self._solvers[name]
+
+    def _progress(self, x: ca.DM, f: ca.DM, g: ca.DM) -> None:
+        """Report an iteration: its number, objective and largest violation."""
+        assert self._report is not None
+        values, (low, high) = np.asarray(g, float).ravel(), self._limits
+        worst = max(np.max(low - values, initial=0.0), np.max(values - high, initial=0.0))
+        self._report(self._iteration, float(f), float(worst))
+        self._iteration += 1
+
+    def residual(self, program: Program, outcome: Outcome) -> float:
+        """Largest violation of the constraints and of stationarity, in units of nominal."""
+        p = program.parameters()
+        gradient = np.asarray(self._first.get_function("nlp_grad_f")(outcome.w, p)[1], float)
+        g, jacobian = self._first.get_function("nlp_jac_g")(outcome.w, p)
+        slope = gradient.ravel() + np.asarray(jacobian.T @ outcome.lam_g, float).ravel()
+        values = np.asarray(g, float).ravel()
+        misses = [np.abs(slope + outcome.lam_x)]
+        for value, (low, high) in ((values, program.limits()), (outcome.w, program.bounds())):
+            misses += [low - value, value - high]
+        return max(float(np.max(miss, initial=0.0)) for miss in misses)
+
+    def __call__(
+        self, program: Program, guess: Array, start: Start = "cold", warm: Outcome | None = None
+    ) -> Outcome:
+        """Solve for the program's values (same expressions as the one built).
+
+        start : "cold", "adaptive" (another barrier strategy), "near" (the guess solves another
+        mesh)
+        or "warm" (from the multipliers of the outcome ``warm`` too).
+        """
+        begin = time.perf_counter()
+        solver = self._solver(start)
+        given = self.arguments(program, guess)
+        if warm is not None:
+            given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
+        self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
+        with self._watch.during():
+            result = solver(**given)
+        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
+        return Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
+
+    def arguments(self, program: Program, guess: Array) -> dict[str, Array]:
+        """Of a solve without multipliers."""
+        (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
+        bounds = {"lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
+        return {"x0": np.clip(guess, lbx, ubx), "p": program.parameters(), **bounds}
+
+    def portable(self, starts: Iterable[Start]) -> tuple[ca.Function, dict[str, dict[str, Any]]]:
+        """(the problem, options by start) for another process; all of it can be pickled."""
+        nlp = self.program.nlp
+        problem = ca.Function("problem", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
+        return problem, {name: {**self._options(name), **self._derivatives} for name in starts}
+
+
+def _log(iterations: Mapping[str, Any]) -> tuple[dict[str, float], ...]:
+    """One mapping per iteration, from lists by name."""
+    keys = [k for k, v in iterations.items() if isinstance(v, list)]
+    return tuple(
+        dict(zip(keys, map(float, row), strict=True))
+        for row in zip(*(iterations[k] for k in keys), strict=True)
+    )

@@ -1,0 +1,1 @@
+"""Many plans: Pareto fronts, robust plans."""

@@ -1,0 +1,226 @@
+"""Spread: where plants with other parameters come under the inputs of one planned motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError, PamError, SimulationError
+from ...core.trajectory import Trajectory
+from ...plants.plant import Plant
+from ...simulation.simulate import simulate
+
+__all__ = ["Draw", "Spread", "drawn", "spread_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+Draw: TypeAlias = Mapping[str, float]
+
+SETTLED = 1e-8
+"""A cycle is closed when no state changes by more than this part of nominal over it."""
+STEP = 1e-4
+"""Of the differences for the Jacobian of a cycle, in units of nominal."""
+ITERATIONS = 30
+
+
+def drawn(plant: Plant, draws: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], ...]:
+    """Draws {parameter: value}, or cases of :func:`pam_ocp.draws`, checked."""
+    found = []
+    for draw in draws:
+        values = draw.get("parameters", draw)
+        for name in values:
+            variable = plant.variable(name)
+            if variable.causality != "parameter":
+                raise InputError(f"draws: {name} is a {variable.causality}, not a parameter")
+        found.append({plant.variable(n).name: float(v) for n, v in values.items()})
+    if not found or not found[0]:
+        raise InputError("draws is empty; give a list of {parameter: value}")
+    if any(set(d) != set(found[0]) for d in found):
+        raise InputError("draws: all of them must name the same parameters")
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """The motions of plants with drawn parameters under one motion's inputs."""
+
+    plant: Plant
+    nominal: Trajectory
+    draws: tuple[Draw, ...]
+    motions: tuple[Trajectory | PamError, ...]
+    """In the order of the draws; the error of one that could not be simulated."""
+    stops: tuple[int, ...]
+    """Samples of the motions at which a stop is."""
+
+    @property
+    def failures(self) -> dict[int, PamError]:
+        """Draws that could not be simulated."""
+        return {i: m for i, m in enumerate(self.motions) if isinstance(m, PamError)}
+
+    def deviation(self, name: str) -> Array:
+        """(draws, samples) difference from the nominal motion; NaN for a draw that failed."""
+        rows = [
+            np.full(len(self.nominal), np.nan)
+            if isinstance(m, PamError)
+            else m[name] - self.nominal[name]
+            for m in self.motions
+        ]
+        return np.array(rows)
+
+    def at_stops(self, name: str) -> Array:
+        """(draws, stops) difference from the nominal motion at the stops."""
+        return self.deviation(name)[:, list(self.stops)]
+
+    def worst(self, name: str) -> float:
+        """Largest deviation at a stop; infinite when a draw could not be simulated."""
+        return float("inf") if self.failures else float(np.max(np.abs(self.at_stops(name))))
+
+    def share_within(self, limits: Mapping[str, float]) -> float:
+        """Part of the draws that stay within all limits at all stops."""
+        kept = [
+            np.all(np.abs(self.at_stops(n)) <= width * (1 + 1e-6), axis=1)
+            for n, width in limits.items()
+        ]
+        return float(np.mean(np.all(kept, axis=0)))
+
+    @property
+    def violation(self) -> tuple[float, str]:
+        """(largest violation of the plant's own path constraints in nominals, which one)."""
+        found = [(0.0, "")]
+        plant = self.plant
+        for draw, motion in zip(self.draws, self.motions, strict=True):
+            if isinstance(motion, PamError):
+                continue
+            x, u = (motion.array(motion.named(c)).T for c in ("state", "input"))
+            p = plant.vector("parameter", draw)
+            values = np.asarray(plant.function(x, u, p)[2], float)
+            for v, row in zip(plant.constraints, values, strict=True):
+                worst = np.max(np.maximum(v.min - row, row - v.max)) / v.nominal
+                found.append((float(worst), v.name))
+        return max(found)
+
+
+def spread_of(
+    plant: Plant,
+    motion: Trajectory,
+    draws: Sequence[Draw],
+    stops: Sequence[int],
+    *,
+    cyclic: bool = False,
+    rest: bool = True,
+) -> Spread:
+    """Simulate each draw of a plant under the inputs of a motion.
+
+    stops : samples of the motion at which a stop is.
+    cyclic : each plant runs in its own steady cycle; else it starts in the motion's first state,
+        with (``rest``) its positions where it rests under that state's pressures.
+    """
+    found: list[Trajectory | PamError] = []
+    closing = _Closing(plant, motion) if cyclic else None
+    for draw in draws:
+        try:
+            own = plant.with_values(draw)
+            if closing is not None:
+                found.append(closing(own))
+            else:
+                found.append(simulate(own, motion, start=_begin(own, motion, rest)))
+        except (InputError, SimulationError) as error:
+            found.append(error)
+    return Spread(plant, motion, tuple(draws), tuple(found), tuple(stops))
+
+
+def _begin(plant: Plant, motion: Trajectory, rest: bool) -> dict[str, float]:
+    """Where a plant starts: in the motion's first state, its positions at rest."""
+    first = motion.row(0)
+    start = _inside(plant, [first[v.name] for v in plant.states])
+    if rest and plant.positions:
+        start.update(_resting(plant, start, [first[v.name] for v in plant.inputs]))
+    return start
+
+
+def _inside(plant: Plant, x: Sequence[float]) -> dict[str, float]:
+    """States by name; a solver's rounding beyond their range is taken off."""
+    return {
+        v.name: float(np.clip(value, v.min, v.max))
+        for v, value in zip(plant.states, x, strict=True)
+    }
+
+
+class _Closing:
+    """Finds the steady cycle of plants that are near to one, under the inputs of its motion.
+
+    Newton's method on x(T) = x(0) with one Jacobian, by differences, of the nominal plant.
+    """
+
+    def __init__(self, plant: Plant, motion: Trajectory) -> None:
+        self.motion = motion
+        self.nominal = plant.vector("state", attribute="nominal")
+        self.names = [v.name for v in plant.states]
+        self.first = motion.array(self.names)[0]
+        end = self._end(plant, self.first)[1]
+        columns = []
+        for i, size in enumerate(self.nominal):
+            low, high = plant.variable(self.names[i]).min, plant.variable(self.names[i]).max
+            sign = -1.0 if self.first[i] > (low + high) / 2 else 1.0  # into the range
+            moved = self.first.copy()
+            moved[i] += sign * STEP * size
+            columns.append((self._end(plant, moved)[1] - end) / (sign * STEP) / self.nominal)
+        self.inverse = np.linalg.inv(np.column_stack(columns) - np.eye(len(self.nominal)))
+
+    def _end(self, plant: Plant, x: Array) -> tuple[Trajectory, Array]:
+        run = simulate(plant, self.motion, start=_inside(plant, x.tolist()))
+        return run, run.array(self.names)[-1]
+
+    def __call__(self, plant: Plant) -> Trajectory:
+        """The cycle of a plant; SimulationError when it is not found."""
+        x = self.first
+        for _ in range(ITERATIONS):
+            run, end = self._end(plant, x)
+            gap = (end - run.array(self.names)[0]) / self.nominal
+            if np.max(np.abs(gap)) < SETTLED:
+                return run
+            x = x - self.inverse @ gap * self.nominal
+        raise SimulationError(
+            f"{plant.name} with these parameters has no steady cycle near the planned one"
+        )
+
+
+def _resting(plant: Plant, start: Mapping[str, float], inputs: Sequence[float]) -> dict[str, float]:
+    """Positions at which the forces balance, all other states as given."""
+    names = list(plant.positions)
+
+    def build() -> ca.Function:
+        symbols = [plant.expression(n) for n in names]
+        scale = np.array([plant.variable(n).nominal for n in names])
+        z = ca.SX.sym("z", len(names))
+        residual = ca.vertcat(
+            *(
+                plant.expression(f"der({v})") / plant.variable(v).nominal
+                for v in plant.positions.values()
+            )
+        )
+        residual = ca.substitute(residual, ca.vertcat(*symbols), z * scale)
+        given = ca.vertcat(plant.x, plant.u, plant.p)
+        solver = ca.rootfinder(
+            "rest",
+            "newton",
+            {"x": z, "p": given, "g": residual},
+            {"error_on_fail": True, "max_iter": 100},
+        )
+        return solver
+
+    x = np.array([start[v.name] for v in plant.states])
+    scale = np.array([plant.variable(n).nominal for n in names])
+    given = np.concatenate([x, inputs, plant.vector("parameter")])
+    solver = plant.cached("resting positions", build)
+    try:
+        z = solver(x0=np.array([start[n] for n in names]) / scale, p=given)["x"]
+    except RuntimeError:
+        raise SimulationError(
+            f"{plant.name} with these parameters has no point of rest at the start's pressures"
+        ) from None
+    return dict(zip(names, np.asarray(z, float).ravel() * scale, strict=True))

@@ -1,0 +1,289 @@
+"""Where the solver starts: minimum-jerk paths between the stops, or another solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError
+from ...plants.plant import Plant
+from ...plants.stillness import rest_rows
+from ..problem.problem import Problem, limits
+from ..problem.wording import subject
+from ..solvers.narrowing import has_kinks
+from .mesh import Mesh
+from .solution import Solution
+from .stage import nominals
+
+__all__ = ["by_stops", "from_solution", "rest_point", "wants_balance"]
+
+Array: TypeAlias = NDArray[np.float64]
+Signal: TypeAlias = Callable[[Array], Array]
+
+IDLE = 1e-6
+"""Least change of a state's rate, in nominals per second and nominal of an input, to be influence.
+"""
+LEVELS = 12
+"""Of an input that are tried, to either side of its middle."""
+
+
+def from_solution(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
+    """Scaled unknowns along a solution (of this or another mesh)."""
+    times, table = solution.t, solution.states
+
+    def states(t: Array) -> Array:
+        return np.column_stack([np.interp(t, times, column) for column in table.T])
+
+    durations = solution.durations
+    if len(durations) != len(problem.legs):
+        raise InputError(
+            f"guess: a motion of {len(durations)} legs cannot start one of {len(problem.legs)}"
+        )
+    design = solution.design
+    if len(design) != len(problem.design):
+        design = _design(problem)
+    peaks = solution.peaks
+    if len(peaks) != problem.m.numel():
+        peaks = np.ones(problem.m.numel())
+    return _sampled(problem, mesh, durations, states, solution.inputs, design, peaks)
+
+
+def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: float = 1.0) -> Array:
+    """Scaled unknowns along minimum-jerk paths between the stops, all else at its start.
+
+    balanced : other states run between the equilibria at the stops instead, and the inputs are
+    those
+        that move them so. stretch : of durations that are free, from the usual ones.
+    """
+    shortest, longest = np.array([leg.duration for leg in problem.legs]).T
+    durations = np.clip(stretch * problem.time_nominals, shortest, longest)
+    path = _Path(problem, [_node(problem, stop, balanced) for stop in problem.stops], durations)
+    inputs = path.driving_inputs() if balanced else path.inputs
+    return _sampled(
+        problem,
+        mesh,
+        durations,
+        path.states,
+        inputs,
+        _design(problem),
+        np.ones(problem.m.numel()),
+    )
+
+
+def wants_balance(problem: Problem) -> bool:
+    """Whether the plant's start values are no place to begin at.
+
+    So it is where the stops leave positions open (a tendon would hang slack), where hysteresis has
+    to
+    be led, and where an input has no influence (a closed valve).
+    """
+    plant = problem.plant
+    spoken = ca.vertcat(*(subject(plant, n)[1] for stop in problem.stops for n in stop))
+    open_ends = [
+        q
+        for q, order, _ in rest_rows(plant, plant.resting())
+        if order == 2 and not ca.depends_on(spoken, plant.expression(q.name))
+    ]
+    return bool(open_ends) or has_kinks(problem) or _idle_inputs(plant)
+
+
+def _idle_inputs(plant: Plant) -> bool:
+    """Whether an input has no influence where it starts."""
+    x, u = plant.vector("state"), plant.vector("input")
+    free = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+    if not free:
+        return False
+    moved = np.tile(u[:, None], (1, len(free) + 1))
+    for k, i in enumerate(free):
+        variable = plant.inputs[i]
+        step = 1e-4 * variable.nominal
+        moved[i, k + 1] += step if u[i] + step <= variable.max else -step
+    rates = np.asarray(plant.function(x, moved, plant.vector("parameter"))[0], float)
+    nominal = plant.vector("state", attribute="nominal")[:, None]
+    slopes = np.abs((rates[:, 1:] - rates[:, :1]) / nominal).max(axis=0) / 1e-4
+    return bool(np.any(slopes < IDLE))
+
+
+@dataclass(frozen=True)
+class _Path:
+    """Minimum-jerk motion between nodes (states, inputs)."""
+
+    problem: Problem
+    nodes: list[tuple[Array, Array]]
+    durations: Array
+
+    def _between(self, t: Array, column: int) -> tuple[Array, Array]:
+        """(values, slopes) of states (0) or inputs (1)."""
+        ends = np.concatenate([[0.0], np.cumsum(self.durations)])
+        value = np.empty((len(t), len(self.nodes[0][column])))
+        slope = np.zeros_like(value)
+        for i, (a, b) in enumerate(pairwise(node[column] for node in self.nodes)):
+            inside = (t >= ends[i]) & (t <= ends[i + 1] * (1 + 1e-12))
+            s = np.clip((t[inside] - ends[i]) / self.durations[i], 0.0, 1.0)[:, None]
+            value[inside] = a + (b - a) * s**3 * (10 - 15 * s + 6 * s**2)
+            slope[inside] = (b - a) * 30 * s**2 * (1 - s) ** 2 / self.durations[i]
+        return value, slope
+
+    def states(self, t: Array) -> Array:
+        """(n, nx); velocities are those of the positions that move."""
+        value, slope = self._between(t, 0)
+        self._move(value, slope, self.inputs(t))
+        return value
+
+    def _move(self, value: Array, slope: Array, u: Array) -> None:
+        """Give the velocities the values with which the positions that move have their slopes."""
+        plant = self.problem.plant
+        names, p = [v.name for v in plant.states], plant.vector("parameter")
+        moving = [
+            q
+            for q in plant.resting()
+            if not q.driven and np.any(slope[:, names.index(q.name)] != 0.0)
+        ]
+        if not moving:
+            return
+        rows = [names.index(q.name) for q in moving]
+        columns = sorted({names.index(v) for q in moving for v in q.velocities} - {*rows})
+        nominal = plant.vector("state", attribute="nominal")
+        for x, wanted, inputs in zip(value, slope, u, strict=True):
+            for _ in range(5):  # Gauss-Newton: rates are nearly linear in velocities
+                missed = wanted[rows] - np.asarray(plant.function(x, inputs, p)[0]).ravel()[rows]
+                if np.all(np.abs(missed) <= 1e-9 * (nominal[rows] + np.abs(wanted[rows]))):
+                    break
+                slopes = np.asarray(plant.jacobians(x, inputs, p)[0])[np.ix_(rows, columns)]
+                step = np.linalg.lstsq(slopes * nominal[columns], missed, rcond=1e-9)[0]
+                x[columns] += step * nominal[columns]
+
+    def inputs(self, t: Array) -> Array:
+        """(n, nu) between the nodes' own."""
+        value, _ = self._between(t, 1)
+        return value
+
+    def driving_inputs(self) -> Signal:
+        """Inputs that move the states nearly as they should, chosen among levels one by one."""
+        plant = self.problem.plant
+        ends = np.concatenate([[0.0], np.cumsum(self.durations)])
+        t = np.unique(np.concatenate([np.linspace(a, b, 15) for a, b in pairwise(ends)]))
+        x, wanted, u = self.states(t), self._between(t, 0)[1], self.inputs(t)
+        p, nominal = plant.vector("parameter"), plant.vector("state", attribute="nominal")
+        for i, variable in enumerate(plant.inputs):
+            low, high = self.problem.legs[0].bounds[variable.name]
+            if variable.disturbance or not np.isfinite([low, high]).all():
+                continue
+            levels = np.linspace(low, high, 2 * LEVELS)  # an even number: the middle is left out
+            missed = []
+            for level in levels:
+                u[:, i] = level
+                rates = np.asarray(plant.function(x.T, u.T, p)[0], float).T
+                missed.append((((rates - wanted) / nominal) ** 2).sum(axis=1))
+            u[:, i] = levels[np.argmin(missed, axis=0)]
+
+        def at(times: Array) -> Array:
+            return np.column_stack([np.interp(times, t, column) for column in u.T])
+
+        return at
+
+
+def _design(problem: Problem) -> Array:
+    """The plant's own values, moved inside their ranges."""
+    own = [problem.plant.variable(n).start or 0.0 for n in problem.design]
+    ranges = np.array(list(problem.design.values())).reshape(-1, 2)
+    return np.asarray(np.clip(np.array(own), ranges[:, 0], ranges[:, 1]))
+
+
+def _sampled(
+    problem: Problem,
+    mesh: Mesh,
+    durations: Array,
+    states: Signal,
+    inputs: Signal,
+    design: Array,
+    peaks: Array,
+) -> Array:
+    """Scaled unknowns of signals."""
+    x_nominal, u_nominal = nominals(problem)
+    parts, begin = [states(np.array([0.0])).ravel() / x_nominal], 0.0
+    for interval in mesh.intervals:
+        h = float(durations[interval.leg] * interval.fraction)
+        at = begin + h * mesh.form.state_taus(interval.degree)
+        parts.append((states(at) / x_nominal).ravel())
+        # this side of a jump
+        nodes = np.clip(mesh.form.input_taus(interval.degree), 1e-6, 1 - 1e-6)
+        parts.append((inputs(begin + h * nodes) / u_nominal).ravel())
+        begin += h
+    scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
+    return np.concatenate([*parts, *scaled])
+
+
+def rest_point(problem: Problem, stop: dict[str, object]) -> Array:
+    """The states in which the plant rests at a stop, nearest to their start values."""
+    return _node(problem, stop, balanced=True)[0]
+
+
+def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> tuple[Array, Array]:
+    """(states, inputs) at a stop."""
+    plant = problem.plant
+    values = {name: _middle(value) for name, value in stop.items()}
+    known = {name: value for name, value in values.items() if value is not None}
+    x = np.array([known.get(v.name, v.start or 0.0) for v in plant.states])
+    u = np.array([known.get(v.name, v.start or 0.0) for v in plant.inputs])
+    return _balance(problem, known, x, u) if balanced else (x, u)
+
+
+def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> tuple[Array, Array]:
+    """The point nearest to (x, u) at which the plant rests with the stop's values,
+    in its limits.
+    """
+    plant, leg = problem.plant, problem.legs[0]
+    x_nominal, u_nominal = nominals(problem)
+    z = ca.MX.sym("z", len(x) + len(u))
+    scale = np.concatenate([x_nominal, u_nominal])
+    given = np.concatenate([x, u]) / scale
+    state, given_input = z[: len(x)] * x_nominal, z[len(x) :] * u_nominal
+    p = plant.vector("parameter")
+    wanted = [plant.expression(n) / subject(plant, n)[0].nominal for n in known]
+    rest = (p, 0.0, np.zeros(problem.r.numel()), np.array(problem.aims), np.ones(problem.m.numel()))
+    low, high = limits(leg.path) if leg.path else (np.zeros(0), np.zeros(0))
+    aims = np.array([value / subject(plant, n)[0].nominal for n, value in known.items()])
+    still = np.zeros(len(x))
+    box = np.array([leg.bounds[v.name] for v in (*plant.states, *plant.inputs)]) / scale[:, None]
+    nlp = {
+        "x": z,
+        "f": ca.sumsqr(z - given),
+        "g": ca.veccat(
+            plant.function(state, given_input, p)[0] / x_nominal,
+            problem.function("wanted", wanted)(state, given_input, *rest),
+            problem.conditions("path", leg.path)(state, given_input, *rest),
+        ),
+    }
+    options: dict[str, Any] = {
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200},
+    }
+    solver = ca.nlpsol("balance", "ipopt", nlp, options)
+    found = solver(
+        x0=given,
+        lbx=box[:, 0],
+        ubx=box[:, 1],
+        lbg=np.concatenate([still, aims, low]),
+        ubg=np.concatenate([still, aims, high]),
+    )
+    if not solver.stats()["success"]:
+        return x, u
+    point = np.asarray(found["x"], float).ravel() * scale
+    return point[: len(x)], point[len(x) :]
+
+
+def _middle(value: object) -> float | None:
+    """Of a range, or the value itself; None when it is open."""
+    if value is None:
+        return None
+    if isinstance(value, list | tuple):
+        ends = [v for v in value if v is not None and np.isfinite(v)]
+        return float(np.mean(ends)) if ends else None
+    return float(value)  # type: ignore[arg-type]

@@ -1,0 +1,222 @@
+"""One interval of a plan as a CasADi function: defects, path conditions, costs.
+
+Collocation: the state is a polynomial through its start and the collocation points and meets the
+plant's equation there (Biegler, Nonlinear Programming, SIAM 2010, ch. 10). Shooting: RK4 steps.
+States, inputs and defects are in units of nominal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.variables import Variable
+from ..problem.problem import Condition, Leg, Problem
+from .mesh import Form
+
+__all__ = ["Stage", "nominals"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+def nominals(problem: Problem) -> tuple[Array, Array]:
+    """(nx,) and (nu,): nominals of states and inputs."""
+    plant = problem.plant
+    return plant.vector("state", attribute="nominal"), plant.vector("input", attribute="nominal")
+
+
+def _limited(condition: Condition) -> bool:
+    """Whether there is a limit, and room for it to be exceeded."""
+    low, high = condition.low, condition.high
+    return bool(np.isfinite([low, high]).any() and low < high)
+
+
+def _held_back(condition: Condition, margin: float) -> Condition:
+    """With limits narrower by a margin [nominals], as far as there is room."""
+    by = min(margin * condition.nominal, (condition.high - condition.low) / 4)
+    return replace(condition, low=condition.low + by, high=condition.high - by)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """An interval of ``degree`` on a leg, for :attr:`function`."""
+
+    problem: Problem
+    leg: Leg
+    form: Form
+    degree: int
+    watched: tuple[tuple[str, float], ...] = ()
+    """See :class:`Interval`."""
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Of the rows of path values: at each point, at the start, then between the points."""
+        points = len(self.form.state_taus(self.degree))
+        between = (c for conditions, taus in self._between for c in conditions * len(taus))
+        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *between)
+
+    @property
+    def profile_taus(self) -> Array:
+        """Where functions of time are evaluated: at the points, then between them."""
+        between = (taus for _, taus in self._between)
+        return np.concatenate([self.form.profile_taus(self.degree), *between])
+
+    @property
+    def _between(self) -> list[tuple[tuple[Condition, ...], Array]]:
+        """(conditions, where they are checked) between the points."""
+        u, taus = self.problem.plant.u, self.form.watch_taus(self.degree)
+        driven = tuple(c for c in self._watched if u.numel() and ca.depends_on(c.expression, u))
+        smooth = tuple(c for c in self._watched if c not in driven)
+        found = [
+            (self.guarded, self.form.guard_taus(self.degree)),
+            (driven, taus),
+            (smooth, taus[1:]),  # the start is a point itself
+        ]
+        return [(conditions, taus) for conditions, taus in found if conditions and len(taus)]
+
+    @property
+    def guarded(self) -> tuple[Condition, ...]:
+        """What a polynomial input might break between its points: its bounds, and path conditions
+        that depend on it."""
+        inputs = [self._bound(v) for v in self.problem.plant.inputs]
+        path = self.problem.depends_on_inputs(self.leg)
+        names = dict(self.watched)
+        return tuple(c for c in (*inputs, *path) if _limited(c) and c.label not in names)
+
+    @property
+    def _watched(self) -> tuple[Condition, ...]:
+        """What was seen beyond its limits between the points, held back by its margin."""
+        plant = self.problem.plant
+        known = {c.label: c for c in self.leg.path}
+        known |= {v.name: self._bound(v) for v in (*plant.states, *plant.inputs)}
+        return tuple(_held_back(known[n], margin) for n, margin in self.watched if n in known)
+
+    def _bound(self, variable: Variable) -> Condition:
+        """The bounds of a state or an input as a condition."""
+        low, high = self.leg.bounds[variable.name]
+        expression = self.problem.plant.expression(variable.name)
+        return Condition(variable.name, expression, low, high, variable.nominal, variable)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """(start, states, inputs, h, t, p, r, q, m) -> (defects, path, cost, budgets).
+
+        start (nx), states (nx x points) and inputs (nu x columns), the latter two as columns;
+        h, t : length and start [s]; r : values of profiles (as many columns as profile_taus).
+        """
+        f, problem, d = self.form, self.problem, self.degree
+        nx, nu = len(problem.plant.states), len(problem.plant.inputs)
+        start = ca.SX.sym("start", nx)
+        states = ca.SX.sym("states", nx, len(f.state_taus(d)))
+        inputs = ca.SX.sym("inputs", nu, len(f.input_taus(d)))
+        h, t = ca.SX.sym("h"), ca.SX.sym("t")
+        p = ca.SX.sym("p", len(problem.plant.parameters))
+        r = ca.SX.sym("r", problem.r.numel(), len(self.profile_taus))
+        q, m = ca.SX.sym("q", problem.q.numel()), ca.SX.sym("m", problem.m.numel())
+        x_nominal, u_nominal = nominals(problem)
+
+        driven: dict[float, ca.SX] = {}
+
+        def point(tau: float, x: ca.SX, profile: int) -> tuple[ca.SX, ...]:
+            if tau not in driven:
+                driven[tau] = inputs @ f.weights(d, tau) * u_nominal
+            return x * x_nominal, driven[tau], p, t + h * tau, r[:, profile], q, m
+
+        rates = self._rates(inputs, h)
+        method = self._shooting if f.scheme == "shooting" else self._collocation
+        defects, integrals = method(start, states, h, point)
+        path = problem.conditions("path", self.leg.path)
+        column = (len(f.profile_taus(d)) - 1) // states.shape[1]  # profile columns per state column
+        values = [
+            path(*point(tau, states[:, j], column * (j + 1)))
+            for j, tau in enumerate(f.state_taus(d))
+        ]
+        # an input may jump at the start of the interval: what depends on it is checked there too
+        jumping = problem.conditions("jumping", problem.depends_on_inputs(self.leg))
+        values.append(jumping(*point(0.0, start, 0)))
+        through = ca.horzcat(start, states)
+        profile = len(f.profile_taus(d))
+        for conditions, taus in self._between:
+            between = problem.conditions("between", conditions)
+            for tau in taus:
+                state = through @ f.state_weights(d, tau)
+                values.append(between(*point(tau, state, profile)))
+                profile += 1
+        return ca.Function(
+            "stage",
+            [start, ca.vec(states), ca.vec(inputs), h, t, p, ca.vec(r), q, m],
+            [defects, ca.vertcat(*values), integrals[0] + rates, integrals[1:]],
+            ["start", "states", "inputs", "h", "t", "p", "r", "q", "m"],
+            ["defects", "path", "cost", "budgets"],
+        )
+
+    def _integrands(self) -> Callable[..., ca.SX]:
+        """Running cost and budgets, the latter in units of nominal."""
+        problem = self.problem
+        budgets = [b.integrand / b.nominal for b in problem.budgets]
+        if not budgets and problem.objective.integrand.is_zero():
+            return lambda *_: ca.SX(1, 1)
+        function: Callable[..., ca.SX] = problem.function(
+            "integrands", [problem.objective.integrand, *budgets]
+        )
+        return function
+
+    def _collocation(
+        self, start: ca.SX, states: ca.SX, h: ca.SX, point: object
+    ) -> tuple[ca.SX, ca.SX]:
+        """(defects, integrals): the polynomial's slope is the plant's, and its end is the end."""
+        taus = self.form.collocated(self.degree)
+        derivative, ends, quadrature = ca.collocation_coeff(taus.tolist())
+        through = ca.horzcat(start, states[:, : len(taus)])
+        slope = through @ ca.DM(derivative)  # scaled dx/dtau at the points
+        integrands, x_nominal = self._integrands(), nominals(self.problem)[0]
+        defects, integrals = [], ca.SX.zeros(1 + len(self.problem.budgets))
+        for j, tau in enumerate(taus):
+            x, u, p, *rest = point(tau, states[:, j], j + 1)  # type: ignore[operator]
+            defects.append(h * self.problem.plant.function(x, u, p)[0] / x_nominal - slope[:, j])
+            integrals += h * quadrature[j] * integrands(x, u, p, *rest)
+        if self.form.scheme == "gauss":
+            defects.append(through @ ca.DM(ends) - states[:, -1])
+        return ca.veccat(*defects), integrals
+
+    def _shooting(
+        self, start: ca.SX, states: ca.SX, h: ca.SX, point: object
+    ) -> tuple[ca.SX, ca.SX]:
+        """(defect, integrals) of the classical Runge-Kutta method in ``degree`` steps."""
+        integrands, (x_nominal, _) = self._integrands(), nominals(self.problem)
+        steps = self.degree
+
+        def rates(tau: float, x: ca.SX, profile: int) -> tuple[ca.SX, ca.SX]:
+            at = point(tau, x, profile)  # type: ignore[operator]
+            return self.problem.plant.function(*at[:3])[0] / x_nominal, integrands(*at)
+
+        x, integrals, step = start, ca.SX.zeros(1 + len(self.problem.budgets)), h / steps
+        for k in range(steps):
+            a, middle, b = k / steps, (k + 0.5) / steps, (k + 1) / steps
+            k1, c1 = rates(a, x, 2 * k)
+            k2, c2 = rates(middle, x + step / 2 * k1, 2 * k + 1)
+            k3, c3 = rates(middle, x + step / 2 * k2, 2 * k + 1)
+            k4, c4 = rates(b, x + step * k3, 2 * k + 2)
+            x += step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            integrals += step / 6 * (c1 + 2 * c2 + 2 * c3 + c4)
+        return x - states, integrals
+
+    def _rates(self, inputs: ca.SX, h: ca.SX) -> ca.SX | float:
+        """Integral of the weighed squared rate of the (scaled) inputs inside the interval."""
+        weight = self.problem.objective.rate
+        powers = self.form.input_powers(self.degree)
+        if not weight or len(powers) == 1:
+            return 0.0
+        # exact for the polynomial: Gauss points of its own degree
+        taus, gauss = np.polynomial.legendre.leggauss(len(powers))
+        total = ca.SX(0)
+        for tau, share in zip((taus + 1) / 2, gauss / 2, strict=True):
+            slope = np.array([j * tau ** (j - 1) if j else 0.0 for j in range(len(powers))])
+            total += share * ca.sumsqr(inputs @ (slope @ powers))
+        return weight * total / h

@@ -1,0 +1,390 @@
+"""From a Problem to a nonlinear program: stages mapped along the mesh, nodes, closing, bounds.
+
+All unknowns are in units of the plant's nominals and ordered along the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, TypeVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..problem.problem import Budget, Condition, Problem, limits
+from .mesh import Interval, Mesh
+from .stage import Stage, nominals
+
+__all__ = ["Group", "Program", "Row", "sampled", "transcribe", "with_design"]
+
+Array: TypeAlias = NDArray[np.float64]
+Symbol = TypeVar("Symbol", ca.SX, ca.MX)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What some rows of the NLP's constraints are: for messages, duals and the elastic re-solve."""
+
+    label: str
+    kind: Literal["defect", "path", "stop", "closing", "budget"]
+    size: int
+    conditions: tuple[Condition | Budget, ...] = ()
+    """What these rows hold in turn, over and over; empty for rows that are zero."""
+    members: tuple[int, ...] = ()
+    """The intervals in turn, for "path"."""
+
+    def condition(self, index: int) -> Condition | Budget | None:
+        """Of one row."""
+        return self.conditions[index % len(self.conditions)] if self.conditions else None
+
+    def where(self, index: int) -> str:
+        """Of one row, in words."""
+        if not self.members:
+            return ""
+        return f"in interval {self.members[index // len(self.conditions)] + 1}"
+
+    def limits(self) -> tuple[Array, Array]:
+        """(low, high) of all rows."""
+        if not self.conditions:
+            return np.zeros(self.size), np.zeros(self.size)
+        low, high = limits(self.conditions)
+        repeats = self.size // len(low)
+        return np.tile(low, repeats), np.tile(high, repeats)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Intervals that share a stage function: where their defects begin, and how many each has."""
+
+    members: tuple[int, ...]
+    first_row: int
+    rows: int
+    stage: Stage
+
+
+@dataclass(frozen=True)
+class Program:
+    """The NLP of a Problem on a Mesh, in scaled unknowns w; its parameters are (p, aims)."""
+
+    problem: Problem
+    mesh: Mesh
+    nlp: dict[str, ca.MX]
+    rows: tuple[Row, ...]
+    groups: tuple[Group, ...]
+    other: dict[str, ca.MX]
+    """The part of "f", and the rows of "g" behind the groups', that no stage gives (no budgets)."""
+
+    def limits(self) -> tuple[Array, Array]:
+        """(low, high) of all constraints."""
+        both = [row.limits() for row in self.rows]
+        return np.concatenate([b[0] for b in both]), np.concatenate([b[1] for b in both])
+
+    def bounds(self) -> tuple[Array, Array]:
+        """(low, high) of all unknowns."""
+        return _bounds(self.problem, self.mesh)
+
+    def parameters(self) -> Array:
+        """Values of the NLP's parameters."""
+        return np.concatenate([self.problem.plant.vector("parameter"), self.problem.aims])
+
+
+@dataclass(frozen=True)
+class _Unknowns:
+    """Scaled symbols of the program, interval by interval; then durations, design, peaks."""
+
+    start: ca.MX
+    states: list[ca.MX]
+    """nx x points each; the last column is the interval's end."""
+    inputs: list[ca.MX]
+    """nu x columns each."""
+    durations: ca.MX
+    design: ca.MX
+    peaks: ca.MX
+
+    def begin(self, k: int) -> ca.MX:
+        """State at the start of interval k (its end for k = number of intervals)."""
+        return self.start if k == 0 else self.states[k - 1][:, -1]
+
+    @property
+    def w(self) -> ca.MX:
+        along = (part for pair in zip(self.states, self.inputs, strict=True) for part in pair)
+        return ca.veccat(self.start, *along, self.durations, self.design, self.peaks)
+
+
+def _unknowns(problem: Problem, mesh: Mesh) -> _Unknowns:
+    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
+    form = mesh.form
+    return _Unknowns(
+        ca.MX.sym("x0", nx),
+        [
+            ca.MX.sym(f"x{k}", nx, len(form.state_taus(i.degree)))
+            for k, i in enumerate(mesh.intervals)
+        ],
+        [
+            ca.MX.sym(f"u{k}", nu, len(form.input_taus(i.degree)))
+            for k, i in enumerate(mesh.intervals)
+        ],
+        ca.MX.sym("T", len(problem.legs)),
+        ca.MX.sym("design", len(problem.design)),
+        ca.MX.sym("peaks", problem.m.numel()),
+    )
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Times of the mesh as expressions: lengths and starts of intervals, and the end [s]."""
+
+    lengths: list[ca.MX]
+    starts: list[ca.MX]
+    end: ca.MX
+
+    @classmethod
+    def of(cls, mesh: Mesh, durations: ca.MX) -> _Clock:
+        """From the durations of the legs [s]."""
+        begins = [ca.MX(0)]
+        for i in range(durations.numel()):
+            begins.append(begins[-1] + durations[i])
+        lengths, starts, passed, leg = [], [], 0.0, 0
+        for interval in mesh.intervals:
+            if interval.leg != leg:
+                passed, leg = 0.0, interval.leg
+            lengths.append(durations[leg] * interval.fraction)
+            starts.append(begins[leg] + durations[leg] * passed if passed else begins[leg])
+            passed += interval.fraction
+        return cls(lengths, starts, begins[-1])
+
+
+def transcribe(problem: Problem, mesh: Mesh) -> Program:
+    """State the NLP: defects, path conditions, stops, closing, budgets, objective."""
+    plant = problem.plant
+    z = _unknowns(problem, mesh)
+    p, q = ca.MX.sym("p", len(plant.parameters)), ca.MX.sym("q", problem.q.numel())
+    chosen = with_design(problem, p, z.design)
+    durations = z.durations * problem.time_nominals
+    clock = _Clock.of(mesh, durations)
+    made = _stages(problem, mesh, z, clock, (chosen, q))
+    beside = [*_nodes(problem, mesh, z, clock, (chosen, q)), *_continuity(problem, mesh, z)]
+    rest = [*beside, *_budgets(problem, made.budgets)]
+    other = {
+        "f": ca.MX(_other_costs(problem, mesh, z, clock, (chosen, q))),
+        "g": ca.MX(ca.veccat(*(piece for piece, _ in beside))),
+    }
+    nlp = {
+        "x": z.w,
+        "p": ca.vertcat(p, q),
+        "f": made.cost + other["f"],
+        "g": ca.veccat(*made.constraints, *(piece for piece, _ in rest)),
+    }
+    rows = (*made.rows, *(row for _, row in rest))
+    return Program(problem, mesh, nlp, rows, tuple(made.groups), other)
+
+
+def with_design(problem: Problem, p: Symbol, design: Symbol) -> Symbol:
+    """All parameters of the plant, those to be designed taken from the unknowns [SI]."""
+    if not problem.design:
+        return p
+    names = [v.name for v in problem.plant.parameters]
+    entries = ca.vertsplit(p)
+    for i, name in enumerate(problem.design):
+        entries[names.index(name)] = design[i] * problem.design_nominals[i]
+    return ca.vertcat(*entries)
+
+
+@dataclass
+class _Made:
+    """What the stages give."""
+
+    constraints: list[ca.MX]
+    rows: list[Row]
+    groups: list[Group]
+    cost: ca.MX
+    budgets: ca.MX
+
+
+def _stages(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+) -> _Made:
+    """Defects and path conditions of all intervals, mapped over those that are alike."""
+    made = _Made([], [], [], ca.MX(0), ca.MX(len(problem.budgets), 1))
+    profiles = [profile.function() for profile in problem.profiles]
+    at = 0
+    for stage, members in _alike(problem, mesh):
+        mapped = stage.function.map(len(members))
+        taus = stage.profile_taus
+        h, t = (ca.horzcat(*(each[k] for k in members)) for each in (clock.lengths, clock.starts))
+        defects, path, cost, budgets = mapped(
+            ca.horzcat(*(z.begin(k) for k in members)),
+            ca.horzcat(*(ca.vec(z.states[k]) for k in members)),
+            ca.horzcat(*(ca.vec(z.inputs[k]) for k in members)),
+            h,
+            t,
+            given[0],
+            sampled(profiles, h, t, taus),
+            given[1],
+            z.peaks,
+        )
+        made.constraints.append(defects)
+        made.rows.append(Row("dynamics", "defect", defects.numel()))
+        made.groups.append(Group(tuple(members), at, defects.shape[0], stage))
+        if path.numel():
+            made.constraints.append(path)
+            made.rows.append(Row("path", "path", path.numel(), stage.conditions, tuple(members)))
+        at += defects.numel() + path.numel()
+        made.cost += ca.sum2(cost)
+        if problem.budgets:
+            made.budgets += ca.sum2(budgets)
+    return made
+
+
+def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
+    """Intervals of equal degree and checks on legs with equal path conditions (and bounds)."""
+    found: list[tuple[Stage, list[int]]] = []
+    guarded = [v.name for v in problem.plant.inputs] if mesh.form.guarded else []
+    for k, interval in enumerate(mesh.intervals):
+        leg = problem.legs[interval.leg]
+        bounded = [*guarded, *(n for n, _ in interval.watched if n in leg.bounds)]
+        for stage, members in found:
+            same = (stage.degree, stage.watched) == (interval.degree, interval.watched)
+            bounds = all(stage.leg.bounds[n] == leg.bounds[n] for n in bounded)
+            if same and bounds and stage.leg.path == leg.path:
+                members.append(k)
+                break
+        else:
+            found.append((Stage(problem, leg, mesh.form, interval.degree, interval.watched), [k]))
+    return found
+
+
+def sampled(profiles: Sequence[ca.Function], h: ca.MX, t: ca.MX, taus: Array) -> ca.MX:
+    """Values of the profiles at all points: one column per interval, profiles fastest."""
+    if not profiles:
+        return ca.MX(0, h.shape[1])
+    rows = []
+    for tau in taus:
+        times = t + h * float(tau)
+        rows += [function.map(h.shape[1])(times) for function in profiles]
+    return ca.vertcat(*rows)
+
+
+def _nodes(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+) -> list[tuple[ca.MX, Row]]:
+    """Conditions at the stops, and the closing of a cycle."""
+    x_nominal, _ = nominals(problem)
+    count = len(mesh.intervals)
+    pieces = []
+    for i, conditions in enumerate(problem.nodes):
+        if conditions:
+            values = problem.conditions("stop", conditions)
+            point = _point(problem, mesh, z, clock, given, mesh.first(i))
+            row = Row(f"stop {i + 1}", "stop", len(conditions), conditions)
+            pieces.append((values(*point), row))
+    if problem.closing is not None:
+        names = [v.name for v in problem.plant.states]
+        closed = [names.index(name) for name in problem.closing]
+        image = ca.vertcat(
+            *(
+                sign * z.start[names.index(other)] * x_nominal[names.index(other)] / x_nominal[i]
+                for i, (sign, other) in zip(closed, problem.closing.values(), strict=True)
+            )
+        )
+        row = Row("closing of the cycle", "closing", len(closed))
+        pieces.append((z.begin(count)[closed] - image, row))
+    return pieces
+
+
+def _point(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX], k: int
+) -> tuple[ca.MX, ...]:
+    """Arguments of a Problem's function at the start of interval k, or at the end of the motion."""
+    x_nominal, u_nominal = nominals(problem)
+    count = len(mesh.intervals)
+    inside = min(k, count - 1)
+    tau = 1.0 if k == count else 0.0
+    u = _input(mesh, z, inside, tau) * u_nominal
+    time = clock.end if k == count else clock.starts[k]
+    profiles = ca.vertcat(*(f.function()(time) for f in problem.profiles))
+    return z.begin(k) * x_nominal, u, given[0], time, ca.MX(profiles), given[1], z.peaks
+
+
+def _continuity(problem: Problem, mesh: Mesh, z: _Unknowns) -> list[tuple[ca.MX, Row]]:
+    """Linear inputs do not jump; nor do polynomial ones whose rate is penalised."""
+    control = mesh.form.control
+    if not (control == "linear" or (control == "polynomial" and problem.objective.rate)):
+        return []
+    if len(mesh.intervals) < 2 or not problem.plant.inputs:
+        return []
+    jumps = ca.veccat(
+        *(
+            _input(mesh, z, k - 1, 1.0) - _input(mesh, z, k, 0.0)
+            for k in range(1, len(mesh.intervals))
+        )
+    )
+    return [(jumps, Row("continuity of the inputs", "defect", jumps.numel()))]
+
+
+def _input(mesh: Mesh, z: _Unknowns, k: int, tau: float) -> ca.MX:
+    """The (scaled) inputs in interval k at tau."""
+    return z.inputs[k] @ mesh.form.weights(mesh.intervals[k].degree, tau)
+
+
+def _budgets(problem: Problem, values: ca.MX) -> list[tuple[ca.MX, Row]]:
+    if not problem.budgets:
+        return []
+    return [(values, Row("budgets", "budget", len(problem.budgets), problem.budgets))]
+
+
+def _other_costs(
+    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+) -> ca.MX:
+    """Time, the last node, peaks, and jumps of the inputs where their rate is penalised."""
+    goal = problem.objective
+    total = goal.time * clock.end
+    if not goal.final.is_zero():
+        last = _point(problem, mesh, z, clock, given, len(mesh.intervals))
+        total += problem.function("final", [goal.final])(*last)
+    if goal.peaks:
+        total += ca.dot(ca.DM(list(goal.peaks)), z.peaks)
+    if goal.rate and mesh.form.control == "constant":
+        total += goal.rate * _jumps(mesh, z, clock)
+    return total
+
+
+def _jumps(mesh: Mesh, z: _Unknowns, clock: _Clock) -> ca.MX:
+    """Squared jumps over the mean length of the intervals beside: the rate of a joined signal."""
+    total = ca.MX(0)
+    for k in range(1, len(mesh.intervals)):
+        h = (clock.lengths[k - 1] + clock.lengths[k]) / 2
+        total += ca.sumsqr(_input(mesh, z, k, 0.0) - _input(mesh, z, k - 1, 0.0)) / h
+    return total
+
+
+def _bounds(problem: Problem, mesh: Mesh) -> tuple[Array, Array]:
+    plant = problem.plant
+    x_nominal, u_nominal = nominals(problem)
+
+    def box(leg: int, variables: Sequence[object], nominal: Array) -> Array:
+        bounds = problem.legs[leg].bounds
+        pairs = [bounds[v.name] for v in variables]  # type: ignore[attr-defined]
+        return np.array(pairs).reshape(-1, 2) / nominal[:, None]
+
+    def both(a: Array, b: Array) -> Array:
+        return np.column_stack([np.maximum(a[:, 0], b[:, 0]), np.minimum(a[:, 1], b[:, 1])])
+
+    x = [box(i, plant.states, x_nominal) for i in range(len(problem.legs))]
+    u = [box(i, plant.inputs, u_nominal) for i in range(len(problem.legs))]
+    parts = [x[0]]
+    following: list[Interval | None] = [*mesh.intervals[1:], None]
+    for interval, after in zip(mesh.intervals, following, strict=True):
+        leg = interval.leg
+        end = x[leg] if after is None or after.leg == leg else both(x[leg], x[after.leg])
+        parts += [x[leg]] * (len(mesh.form.state_taus(interval.degree)) - 1) + [end]
+        parts += [u[leg]] * len(mesh.form.input_taus(interval.degree))
+    durations = np.array([leg.duration for leg in problem.legs])
+    parts.append(durations / problem.time_nominals[:, None])
+    design = np.array(list(problem.design.values())).reshape(-1, 2)
+    parts.append(design / problem.design_nominals[:, None])
+    parts.append(np.tile([-np.inf, np.inf], (problem.m.numel(), 1)))
+    stacked = np.vstack(parts)
+    return stacked[:, 0], stacked[:, 1]

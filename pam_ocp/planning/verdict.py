@@ -1,0 +1,64 @@
+"""Verdict: whether a plan can be trusted, in one sentence with the figure that failed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["TOLERANCE", "Verdict"]
+
+TOLERANCE = 1e-3
+"""What a plan is judged by where nothing else is asked for, in units of nominal."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the solver and an independent replay say of a plan, against one tolerance.
+
+    ``print(verdict)`` is one sentence.
+    """
+
+    status: str
+    """The solver's return status."""
+    solved: bool
+    """Whether the solver converged."""
+    error: float
+    """Largest deviation of the replay from the plan at its points, in units of nominal."""
+    state: str
+    """The state that deviates most."""
+    violation: float
+    """Largest violation along the replay of bounds and path constraints (between the points too),
+    of
+    the stops' conditions, the closing of a cycle and budgets, in units of nominal."""
+    constraint: str
+    """What is violated most ("" when nothing is)."""
+    tolerance: float
+    """Of the error and of the violation, in units of nominal."""
+
+    @property
+    def verified(self) -> bool:
+        """Whether the solver converged, and the replay agrees and keeps all limits, to the
+        tolerance.
+        """
+        # written so that a NaN fails
+        return self.solved and self.error <= self.tolerance and self.violation <= self.tolerance
+
+    def __bool__(self) -> bool:
+        return self.verified
+
+    def __str__(self) -> str:
+        if not self.solved:
+            return f"not verified: the solver did not converge ({self.status})"
+        within = f"{self.tolerance:.0e}".replace("e-0", "e-")
+        failed = []
+        if not self.error <= self.tolerance:
+            failed.append(f"its replay deviates by {self.error:.2g} of nominal in {self.state}")
+        if not self.violation <= self.tolerance:
+            failed.append(
+                f"its replay violates {self.constraint} by {self.violation:.2g} of nominal"
+            )
+        if failed:
+            return f"not verified: {' and '.join(failed)}, more than {within}"
+        return (
+            f"verified: its replay agrees to {self.error:.1e} of nominal and keeps all limits to "
+            f"{self.violation:.1e}, within {within}"
+        )

@@ -1,0 +1,86 @@
+"""What a plant is built with, taken from what a user gives: names of muscles, single components,
+numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from numbers import Real
+from typing import TYPE_CHECKING, Any, cast
+
+from ..core.errors import InputError
+from ..muscles.catalogue import muscle as catalogued
+from ..muscles.muscle import Muscle
+from .losses import ConstantDamping, Damping, Loss
+
+if TYPE_CHECKING:
+    from .feeds import Feed
+    from .loads import Load
+
+__all__ = ["as_damping", "as_feed", "as_loads", "as_losses", "as_muscle"]
+
+
+def as_muscle(value: Any, argument: str = "muscle") -> Muscle:
+    """A Muscle, or the muscle of the catalogue that a name stands for."""
+    if isinstance(value, Muscle):
+        return value
+    if isinstance(value, str):
+        return catalogued(value)
+    raise InputError(
+        f"{argument} is {_called(value)}: give a Muscle, or a name of the catalogue such as "
+        "'DMSP-20-300'" + ("; a fit gives one, fit.muscle(...)" if hasattr(value, "muscle") else "")
+    )
+
+
+def as_damping(value: Any, default: Damping) -> Damping:
+    """A damping component; a number is a constant coefficient."""
+    if value is None:
+        return default
+    if isinstance(value, str | Real):
+        return ConstantDamping(cast(float, value))
+    return cast(
+        Damping, _component("damping", value, "coefficient", "a number or StiffnessDamping(0.1)")
+    )
+
+
+def as_feed(value: Any, default: Feed) -> Feed:
+    """A feed."""
+    example = "Regulator(0.05) or SpoolValve()"
+    return default if value is None else cast("Feed", _component("feed", value, "connect", example))
+
+
+def as_losses(value: Any) -> tuple[Loss, ...]:
+    """Losses of a muscle: one of them, several, or none."""
+    return cast("tuple[Loss, ...]", _components("losses", value, "CoulombFriction()"))
+
+
+def as_loads(value: Any) -> tuple[Load, ...]:
+    """Loads: one of them, several, or none."""
+    return cast("tuple[Load, ...]", _components("loads", value, "Spring(1e3)"))
+
+
+def _components(argument: str, value: Any, example: str) -> tuple[Any, ...]:
+    if value is None:
+        return ()
+    several = (
+        isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "force")
+    )
+    return tuple(
+        _component(argument, v, "force", example) for v in (value if several else (value,))
+    )
+
+
+def _component(argument: str, value: Any, method: str, example: str) -> Any:
+    if isinstance(value, type) and hasattr(value, method):
+        raise InputError(
+            f"{argument} holds the class {value.__name__}, not one made of it: write "
+            f"{value.__name__}(...)"
+        )
+    if not callable(getattr(value, method, None)):
+        raise InputError(f"{argument} holds {_called(value)}: give components, such as {example}")
+    return value
+
+
+def _called(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"a {type(value).__name__}"

@@ -1,0 +1,176 @@
+"""One muscle against an elastic element: a spring over the muscle, a tendon in series."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..core.errors import require_finite, require_positive
+from ..muscles.law import SLACK_WIDTH, clamp
+from ..muscles.muscle import Muscle
+from .components import as_damping, as_muscle
+from .feeds import Feed
+from .hanging import moved_mass, weight
+from .loads import Coordinate, Load, applied
+from .losses import ConstantDamping, Damping, Loss, StiffnessDamping
+from .plant import Plant
+
+__all__ = ["SeriesLoad", "SpringOverMuscle"]
+
+
+class SpringOverMuscle(Plant):
+    """A muscle inside a bias spring: m x'' + c x' = F - (preload + k_som x) - m g sin(inclination).
+
+    The spring over the muscle (SOM) stretches it back, so that one muscle moves a load both ways.
+    x is the contraction [m].
+
+    Parameters
+    ----------
+    muscle : the muscle. mass : moved [kg].
+    spring_stiffness : k_som [N/m]. preload : force of the spring at x = 0 [N].
+    inclination : of the +x direction above the horizontal [rad].
+    damping, feed, losses, loads : components; by default 2 zeta sqrt(m k) with zeta = 0.1 (k with
+        the spring) and a ``Regulator()``.
+
+    States x [m], v [m/s], those of feed and losses; outputs of the muscle, ``spring_force``,
+    ``stiffness`` (muscle and spring).
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle | str,
+        mass: float = 2.0,
+        spring_stiffness: float = 5e3,
+        preload: float = 100.0,
+        *,
+        inclination: float = 0.0,
+        damping: Damping | float | None = None,
+        feed: Feed | None = None,
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
+        name: str = "spring_over_muscle",
+    ) -> None:
+        super().__init__(name, "a pneumatic muscle inside a bias spring")
+        muscle = as_muscle(muscle)
+        x, v, m = moved_mass(self, muscle, mass)
+        k_som = self.parameter(
+            "spring_stiffness",
+            require_positive("spring_stiffness", spring_stiffness, "N/m"),
+            unit="N/m",
+            min=1e-9,
+            nominal=1e3,
+            description="stiffness of the spring over the muscle",
+        )
+        f0 = self.parameter(
+            "preload",
+            require_finite("preload", preload, "N"),
+            unit="N",
+            nominal=100.0,
+            description="force of the spring at x = 0, against contraction",
+        )
+        attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed, losses=losses)
+        spring = self.output(
+            "spring_force", f0 + k_som * x, unit="N", nominal=100.0, description="of the spring"
+        )
+        stiffness = self.output(
+            "stiffness",
+            attached.stiffness + k_som,
+            unit="N/m",
+            nominal=1e4,
+            description="stiffness of muscle and spring at constant pressure",
+        )
+        c = as_damping(damping, StiffnessDamping()).coefficient(self, m, stiffness)
+        outside, added = applied(self, loads, Coordinate(x, v))
+        self.der(x, v)
+        self.der(
+            v,
+            (attached.force - spring - weight(self, m, inclination) - c * v + outside)
+            / (m + added),
+        )
+
+
+class SeriesLoad(Plant):
+    """A muscle pulls a hanging mass by an elastic tendon: two masses, the tendon only pulls.
+
+    m x'' = T - m g + loads and m_e y'' + c y' = F - T with T = k_t (y - x) + c_t (y' - x') >= 0:
+    y is the contraction of the muscle, x the position of the mass, m_e its end fitting.
+
+    Parameters
+    ----------
+    muscle : the muscle. mass : hanging [kg].
+    tendon_stiffness : k_t [N/m]. tendon_damping : c_t [N s/m].
+    fitting_mass : of the muscle's moving end [kg].
+    damping : of the muscle (default ``ConstantDamping(50)``). feed, losses, loads : components;
+        loads act on the mass.
+
+    States x, v, ``muscle.shortening`` y, ``muscle.velocity``, those of feed and losses; outputs of
+    the muscle, ``tendon_force`` and ``stiffness`` (muscle and tendon in series).
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle | str,
+        mass: float = 20.0,
+        tendon_stiffness: float = 1e5,
+        *,
+        tendon_damping: float = 20.0,
+        fitting_mass: float = 0.2,
+        damping: Damping | float | None = None,
+        feed: Feed | None = None,
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
+        name: str = "series_load",
+    ) -> None:
+        super().__init__(name, "a pneumatic muscle pulling a hanging mass by an elastic tendon")
+        muscle = as_muscle(muscle)
+        x, v, m = moved_mass(self, muscle, mass, slack=0.1)
+        low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
+        y = self.state(
+            "muscle.shortening",
+            unit="m",
+            min=low,
+            max=high,
+            start=max(low, 0.0),
+            nominal=0.01,
+            description="shortening of the muscle",
+        )
+        w = self.state("muscle.velocity", unit="m/s", nominal=0.1, description="of its shortening")
+        end = self.parameter(
+            "fitting_mass",
+            require_positive("fitting_mass", fitting_mass, "kg"),
+            unit="kg",
+            min=1e-6,
+            nominal=0.1,
+            description="mass of the muscle's moving end",
+        )
+        k_t = self.parameter(
+            "tendon_stiffness",
+            require_positive("tendon_stiffness", tendon_stiffness, "N/m"),
+            unit="N/m",
+            min=1e-9,
+            nominal=1e5,
+            description="stiffness of the tendon",
+        )
+        c_t = self.parameter(
+            "tendon_damping",
+            require_positive("tendon_damping", tendon_damping, "N.s/m", zero=True),
+            unit="N.s/m",
+            min=0.0,
+            nominal=10.0,
+            description="damping of the tendon",
+        )
+        attached = self.add_muscle("muscle", muscle, shortening=y, rate=w, feed=feed, losses=losses)
+        pull = clamp(k_t * (y - x) + c_t * (w - v), SLACK_WIDTH)
+        self.output("tendon_force", pull, unit="N", nominal=100.0, description="in the tendon")
+        self.output(
+            "stiffness",
+            attached.stiffness * k_t / (attached.stiffness + k_t),
+            unit="N/m",
+            nominal=1e4,
+            description="stiffness of muscle and tendon in series",
+        )
+        c = as_damping(damping, ConstantDamping(50.0)).coefficient(self, end, attached.stiffness)
+        outside, added = applied(self, loads, Coordinate(x, v))
+        self.der(x, v)
+        self.der(v, (pull - weight(self, m) + outside) / (m + added))
+        self.der(y, w)
+        self.der(w, (attached.force - pull - c * w) / end)

@@ -1,0 +1,212 @@
+"""Ensemble: copies of a plant with parameters of their own under the same inputs, as one Plant."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from ..core.errors import InputError
+from ..planning.problem.wording import Avoid, Constraint, Phase, Stop
+from .plant import Plant
+from .stillness import Position
+
+__all__ = ["Ensemble"]
+
+Draw = Mapping[str, float]
+
+_COPY = re.compile(r"\.draw\d+$")
+
+
+class Ensemble(Plant):
+    """A nominal plant, and a copy of it for each draw of its parameters, under the same inputs.
+
+    plant : the nominal one; its variables keep their names here.
+    draws : {parameter: value} each, all of the same parameters.
+    watched : names of variables whose deviation from the nominal plant becomes an output.
+    kept : the copies' path constraints and ranges of states hold too, not the nominal plant's only.
+
+    What differs in copy k is called ``NAME.draw<k>``, and ``NAME.deviation<k>`` its difference from
+    the nominal; states that the draws do not touch (a regulator's pressure under a drawn force law)
+    are shared. Objectives see the nominal plant.
+    """
+
+    def __init__(
+        self, plant: Plant, draws: Sequence[Draw], watched: Sequence[str] = (), kept: bool = True
+    ) -> None:
+        super().__init__(f"{plant.name}_ensemble", f"{plant.description}, {len(draws)} draws")
+        self.nominal = plant
+        self.draws = tuple(dict(d) for d in draws)
+        self.own = _touched(plant, list(self.draws[0]))
+        """Names of states, outputs and constraints that differ between the copies."""
+        x, u, p = (
+            [self._declare(v) for v in of] for of in (plant.states, plant.inputs, plant.parameters)
+        )
+        self._u = ca.vertcat(*u) if u else ca.SX(0, 1)
+        self._symbols_of = {0: (ca.vertcat(*x), ca.vertcat(*p))}
+        for k in range(1, len(draws) + 1):
+            self._symbols_of[k] = self._copy(k, x, p, kept)
+        self._write(kept)
+        for name in watched:
+            for k in range(1, len(draws) + 1):
+                if name in self.own:
+                    self._deviation(name, k)
+
+    def _copy(
+        self, k: int, x: Sequence[ca.SX], p: Sequence[ca.SX], kept: bool
+    ) -> tuple[ca.SX, ca.SX]:
+        """(states, parameters) of copy k: its own where the draws touch them."""
+        states, parameters = list(x), list(p)
+        for i, v in enumerate(self.nominal.states):
+            if v.name in self.own:
+                named = replace(v, name=f"{v.name}.draw{k}")
+                inf = float("inf")
+                states[i] = self._declare(named if kept else replace(named, min=-inf, max=inf))
+        drawn = self.draws[k - 1]
+        for i, v in enumerate(self.nominal.parameters):
+            if v.name in drawn:
+                named = replace(v, name=f"{v.name}.draw{k}")
+                parameters[i] = self._declare(named.with_start(drawn[v.name]))
+        return ca.vertcat(*states), ca.vertcat(*parameters)
+
+    def _write(self, kept: bool) -> None:
+        plant = self.nominal
+        for k, (x, p) in self._symbols_of.items():
+            xdot, y, c = plant.function(x, self._u, p)
+            suffix = f".draw{k}" if k else ""
+            for i, v in enumerate(plant.states):
+                if not k or v.name in self.own:
+                    self.der(self._symbols[v.name + suffix], xdot[i])
+            defined = [(v, y[i]) for i, v in enumerate(plant.outputs)]
+            if not k or kept:
+                defined += [(v, c[i]) for i, v in enumerate(plant.constraints)]
+            for v, expression in defined:
+                if not k or v.name in self.own:
+                    self._define(replace(v, name=v.name + suffix), expression)
+
+    def _deviation(self, name: str, k: int) -> None:
+        variable = self.nominal.variable(name)
+        here, there = (
+            self._symbols.get(n, self._expressions.get(n)) for n in (f"{name}.draw{k}", name)
+        )
+        assert here is not None  # states have symbols, outputs expressions
+        assert there is not None
+        self.output(
+            f"{name}.deviation{k}",
+            here - there,
+            unit=variable.unit,
+            nominal=variable.nominal,
+            display_unit=variable.display_unit,
+            description=f"of {name} in draw {k}",
+        )
+
+    @cached_property
+    def positions(self) -> dict[str, str]:
+        """The nominal plant's: rest at a stop is asked of it alone."""
+        return {x: v for x, v in super().positions.items() if not _COPY.search(x)}
+
+    def resting(self, named: Collection[str] = ()) -> tuple[Position, ...]:
+        """The nominal plant's."""
+        return tuple(q for q in super().resting(named) if not _COPY.search(q.name))
+
+    # ---- a wish about the plant, said of the ensemble ------------------------------------------
+    def images(self, name: str) -> list[str]:
+        """What a variable (or der(NAME)) of the plant is called in the copies; [] when shared."""
+        inner = name[4:-1] if name.startswith("der(") else name
+        inner = self.nominal.variable(inner).name
+        count = range(1, len(self.draws) + 1)
+        if inner not in self.own:
+            return []
+        found = [f"{inner}.draw{k}" for k in count]
+        return [f"der({n})" for n in found] if name.startswith("der(") else found
+
+    def expression_in(self, k: int, expression: ca.SX) -> ca.SX:
+        """An expression of the plant's symbols, of copy k (0: the nominal one)."""
+        plant = self.nominal
+        x, p = self._symbols_of[k]
+        old = ca.vertcat(plant.x, plant.u, plant.p)
+        return ca.SX(ca.substitute(expression, old, ca.vertcat(x, self._u, p)))
+
+    def arguments(self, wish: Mapping[str, Any], kept: bool) -> dict[str, Any]:
+        """Arguments of plan for the plant (all but stops), said of the ensemble."""
+        found = dict(wish)
+        for name in ("integrand", "final"):
+            if found.get(name) is not None:
+                found[name] = self.expression_in(0, found[name])
+        designed = set(found.get("design") or {}) & set(self.draws[0])
+        if designed:
+            raise InputError(f"design: {', '.join(sorted(designed))} is drawn, it cannot be chosen")
+        if found.get("bounds"):
+            found["bounds"] = self._bounds(found["bounds"], kept)
+        if found.get("constraints"):
+            found["constraints"] = self._constraints(found["constraints"], kept)
+        if found.get("phases"):
+            found["phases"] = [
+                phase
+                if phase is None
+                else Phase(
+                    phase.duration,
+                    self._bounds(phase.bounds, kept),
+                    self._constraints(phase.constraints, kept),
+                )
+                for phase in found["phases"]
+            ]
+        return found
+
+    def _bounds(self, bounds: Mapping[str, Any], kept: bool) -> dict[str, Any]:
+        copies = {m: b for n, b in bounds.items() for m in self.images(n)} if kept else {}
+        return {**bounds, **copies}
+
+    def _constraints(
+        self, constraints: Sequence[Constraint | Avoid], kept: bool
+    ) -> list[Constraint | Avoid]:
+        found: list[Constraint | Avoid] = []
+        for given in constraints:
+            for k in range(len(self.draws) + 1 if kept else 1):
+                of = f" in draw {k}" if k else ""
+                if isinstance(given, Constraint):
+                    expression = self.expression_in(k, given.expression)
+                    found.append(replace(given, expression=expression, name=given.name + of))
+                elif k == 0:
+                    found.append(given)
+                else:
+                    region = {
+                        (self.images(n) or [n] * k)[k - 1] if n != "time" else n: value
+                        for n, value in given.region.items()
+                    }
+                    found.append(Avoid(region, given.name + of))
+        return found
+
+    def stop(self, stop: Mapping[str, Any] | Stop, spread: Mapping[str, float]) -> Stop:
+        """A stop, with the copies' watched variables within their spread there."""
+        stop = stop if isinstance(stop, Stop) else Stop(stop)
+        within = {
+            f"{n}.deviation{k}": (-width, width)
+            for n, width in spread.items()
+            if n in self.own
+            for k in range(1, len(self.draws) + 1)
+        }
+        return replace(stop, values={**stop.values, **within})
+
+
+def _touched(plant: Plant, drawn: Sequence[str]) -> set[str]:
+    """States, outputs and constraints that the drawn parameters have an influence on."""
+    known = ca.vertcat(*(plant.expression(name) for name in drawn))
+    names = [v.name for v in plant.states]
+    found: set[str] = set()
+    while True:
+        more = {
+            n
+            for n in names
+            if n not in found and ca.depends_on(plant.expression(f"der({n})"), known)
+        }
+        if not more:
+            break
+        found |= more
+        known = ca.vertcat(known, *(plant.expression(n) for n in more))
+    defined = [v.name for v in (*plant.outputs, *plant.constraints)]
+    return found | {n for n in defined if ca.depends_on(plant.expression(n), known)}

@@ -1,0 +1,118 @@
+"""One muscle and a load: two-direction motion against a counterforce."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from ..core.errors import require_finite, require_positive
+from ..muscles.muscle import Muscle
+from .components import as_damping, as_muscle
+from .feeds import Feed
+from .loads import Coordinate, Load, applied
+from .losses import Damping, Loss, StiffnessDamping
+from .plant import Plant
+
+__all__ = ["GRAVITY", "HangingLoad", "moved_mass", "weight"]
+
+GRAVITY = 9.80665
+"""Standard gravity [m/s2]."""
+
+
+def moved_mass(
+    plant: Plant, muscle: Muscle, mass: float, slack: float = 0.0
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Declare position (within the muscle's stroke, wider by ``slack`` m below), velocity, mass."""
+    low, high = (k * float(muscle.rest_length) for k in muscle.contraction_range)
+    x = plant.state(
+        "x",
+        unit="m",
+        min=low - slack,
+        max=high,
+        start=max(low - slack, 0.0),
+        nominal=0.01,
+        description="position of the load, in the direction of contraction",
+    )
+    v = plant.state("v", unit="m/s", nominal=0.1, description="velocity of the load")
+    m = plant.parameter(
+        "mass",
+        require_positive("mass", mass, "kg"),
+        unit="kg",
+        min=1e-6,
+        nominal=1.0,
+        tunable=True,
+        description="load",
+    )
+    return x, v, m
+
+
+def weight(plant: Plant, mass: ca.SX, inclination: float | None = None) -> ca.SX:
+    """Weight against +x [N]: of a vertical motion, or times sin(inclination) of an inclined one."""
+    g = plant.parameter(
+        "gravity", GRAVITY, unit="m/s2", min=0.0, nominal=10.0, description="gravity"
+    )
+    if inclination is None:
+        return ca.SX(mass * g)
+    angle = plant.parameter(
+        "inclination",
+        require_finite("inclination", inclination, "rad"),
+        unit="rad",
+        min=-1.5708,
+        max=1.5708,
+        description="of the direction of motion above the horizontal",
+    )
+    return ca.SX(mass * g * ca.sin(angle))
+
+
+class HangingLoad(Plant):
+    """A load hanging on one muscle: m x'' + c x' = F(p, kappa) - m g + loads, x the contraction
+    [m].
+
+    Our reconstruction of the source paper's dynamic model (its equation of motion is not
+    available); the damping c is a component, by default 2 zeta sqrt(m k).
+
+    Parameters
+    ----------
+    muscle : the muscle, or its name in the catalogue; its rest length sets the stroke.
+    mass : load [kg].
+    inclination : of +x above the horizontal [rad]: a load pulled up a slope; None for a vertical
+    one.
+    damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its
+    value.
+    feed : how the pressure comes about; default ``Regulator()``.
+    losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
+    loads : what else acts on the mass, as ``(Spring(1e3), ExternalForce())``.
+
+    States x [m] (upwards), v [m/s], those of feed and losses; outputs of the muscle, and
+    ``stiffness``.
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle | str,
+        mass: float = 20.0,
+        *,
+        inclination: float | None = None,
+        damping: Damping | float | None = None,
+        feed: Feed | None = None,
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
+        name: str = "hanging_load",
+    ) -> None:
+        super().__init__(name, "a load hanging on one pneumatic muscle")
+        muscle = as_muscle(muscle)
+        x, v, m = moved_mass(self, muscle, mass)
+        against = weight(self, m, inclination)
+        attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed, losses=losses)
+        c = as_damping(damping, StiffnessDamping()).coefficient(self, m, attached.stiffness)
+        outside, added = applied(self, loads, Coordinate(x, v))
+        self.der(x, v)
+        self.der(v, (attached.force - against - c * v + outside) / (m + added))
+        self.output(
+            "stiffness",
+            attached.stiffness,
+            unit="N/m",
+            nominal=1e4,
+            description="stiffness felt by the load at constant pressure",
+        )

@@ -1,0 +1,261 @@
+"""Two muscles on a joint: flexor and extensor on a pulley, or with moment arms of any shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.expressions import expression_of
+from ..core.plausible import meant_within
+from ..muscles.muscle import Muscle
+from .components import as_damping, as_loads, as_muscle
+from .feeds import Feed
+from .hanging import GRAVITY
+from .loads import Coordinate, Load, Wall, applied
+from .losses import ConstantDamping, Damping, Loss
+from .pair import mirrored_pair, reach
+from .plant import Plant
+
+__all__ = ["AntagonisticJoint", "MomentArm"]
+
+MomentArm: TypeAlias = "float | Callable[[ca.SX], ca.SX]"
+
+QUADRATURE = 16
+"""Gauss points over which a user's moment arm is integrated to the muscle's shortening."""
+
+
+class AntagonisticJoint(Plant):
+    """A joint between two muscles: I theta'' + c theta' = r1 F1 - r2 F2 - m g d sin(theta) + loads.
+
+    Flexor (muscle 1) pulls towards +theta, extensor (muscle 2) towards -theta. A moment arm
+    r(theta)
+    is the derivative of the shortening s: kappa1 = k0 + s1(theta)/l0, kappa2 = k0 - s2(theta)/l0,
+    so
+    the muscles' work is the joint's work.
+
+    Parameters
+    ----------
+    muscle, muscle2 : flexor and extensor (equal when muscle2 is not given).
+    inertia : moment of inertia about the joint [kg m2].
+    moment_arm : radius of the pulley [m], or r(theta) as a function of a CasADi expression;
+        moment_arm2 for the extensor.
+    pre_contraction : contraction k0 of both muscles at theta = 0.
+    link_mass, link_length : mass [kg] of a link and the distance [m] of its centre of mass from the
+        joint; its weight pulls towards theta = 0 (hanging down).
+    limits : (low, high) angles [rad] of the mechanical stops; None for as far as the muscles go and
+        no stops.
+    damping, feed, losses, loads : components; by default 0.3 N m s/rad and a ``Regulator()`` each.
+
+    States theta [rad], omega [rad/s] and those of feeds and losses. Outputs ``torque`` of the
+    muscles
+    [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the muscles'
+    own.
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle | str,
+        inertia: float = 0.05,
+        moment_arm: MomentArm = 0.04,
+        pre_contraction: float = 0.125,
+        *,
+        muscle2: Muscle | str | None = None,
+        moment_arm2: MomentArm | None = None,
+        link_mass: float = 0.0,
+        link_length: float = 0.0,
+        limits: tuple[float, float] | None = None,
+        damping: Damping | float | None = None,
+        feed: Feed | None = None,
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
+        name: str = "antagonistic_joint",
+    ) -> None:
+        super().__init__(name, "a joint between two pneumatic muscles, flexor and extensor")
+        loads = as_loads(loads)
+        pre_contraction = require_finite("pre_contraction", pre_contraction)
+        first = as_muscle(muscle)
+        muscles = (first, first if muscle2 is None else as_muscle(muscle2, "muscle2"))
+        arms = (moment_arm, moment_arm if moment_arm2 is None else moment_arm2)
+        low, high = _range(muscles, arms, pre_contraction, limits)
+        limits = None if limits is None else (low, high)
+        theta = self.state(
+            "theta",
+            unit="rad",
+            min=low,
+            max=high,
+            nominal=0.1,
+            description="angle of the joint, towards the flexor",
+        )
+        omega = self.state("omega", unit="rad/s", nominal=1.0, description="angular velocity")
+        moment = self.parameter(
+            "inertia",
+            require_positive("inertia", inertia, "kg.m2"),
+            unit="kg.m2",
+            min=1e-9,
+            nominal=0.1,
+            tunable=True,
+            description="moment of inertia about the joint",
+        )
+        k0 = self.parameter(
+            "pre_contraction",
+            pre_contraction,
+            min=0.0,
+            max=0.45,
+            nominal=0.1,
+            display_unit="%",
+            description="contraction of both muscles at theta = 0",
+        )
+        pair = []
+        torque = ca.SX(0)
+        for i, (part, arm, sign) in enumerate(zip(muscles, arms, (1, -1), strict=True), start=1):
+            shortening, radius = self._arm(f"muscle{i}", arm, theta)
+            attached = self.add_muscle(
+                f"muscle{i}",
+                part,
+                shortening=sign * shortening,
+                rate=sign * radius * omega,
+                pre_contraction=k0,
+                feed=feed,
+                losses=losses,
+            )
+            torque += sign * radius * attached.force
+            pair.append(attached)
+        self._move(theta, omega, moment, torque, (link_mass, link_length), damping, loads, limits)
+        even = limits is None or limits[0] == -limits[1]
+        one_arm = moment_arm2 is None and not callable(moment_arm)
+        if muscles[0] == muscles[1] and one_arm and even and not loads:
+            self.mirror({"theta": (-1.0, "theta"), "omega": (-1.0, "omega"), **mirrored_pair(self)})
+
+    def _arm(self, name: str, arm: MomentArm, theta: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """(shortening s(theta), moment arm r(theta) = ds/dtheta) of one muscle."""
+        if not callable(arm):
+            radius = self.parameter(
+                f"{name}.radius",
+                require_positive("moment_arm", arm, "m"),
+                unit="m",
+                min=1e-6,
+                nominal=0.01,
+                description=f"radius of the pulley under {name}",
+            )
+            return radius * theta, radius
+        nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE)
+        shortening = sum(
+            (w / 2 * arm(theta * (x + 1) / 2) for x, w in zip(nodes, weights, strict=True)),
+            ca.SX(0),
+        )
+        radius = self.output(
+            f"{name}.radius",
+            arm(theta),
+            unit="m",
+            nominal=0.01,
+            description=f"moment arm of {name}",
+        )
+        return ca.SX(theta * shortening), radius
+
+    def _move(
+        self,
+        theta: ca.SX,
+        omega: ca.SX,
+        moment: ca.SX,
+        torque: ca.SX,
+        link: tuple[float, float],
+        damping: Damping | float | None,
+        loads: Sequence[Load],
+        limits: tuple[float, float] | None,
+    ) -> None:
+        """Outputs and the equation of motion."""
+        stiffness = -ca.jacobian(torque, theta)
+        self.output(
+            "torque", torque, unit="N.m", nominal=10.0, description="of both muscles on the joint"
+        )
+        self.output(
+            "stiffness",
+            stiffness,
+            unit="N.m/rad",
+            nominal=10.0,
+            description="stiffness of the joint at constant pressures",
+        )
+        g = self.parameter(
+            "gravity", GRAVITY, unit="m/s2", min=0.0, nominal=10.0, description="gravity"
+        )
+        mass = self.parameter(
+            "link_mass",
+            require_positive("link_mass", link[0], "kg", zero=True),
+            unit="kg",
+            min=0.0,
+            tunable=True,
+            description="mass of the link",
+        )
+        length = self.parameter(
+            "link_length",
+            require_positive("link_length", link[1], "m", zero=True),
+            unit="m",
+            min=0.0,
+            nominal=0.1,
+            description="from the joint to the link's centre of mass",
+        )
+        stops = (
+            []
+            if limits is None
+            else [
+                Wall(angle, 2e3, 5.0, side, 0.1, name)
+                for angle, side, name in (
+                    (limits[1], 1, "upper_stop"),
+                    (limits[0], -1, "lower_stop"),
+                )
+            ]
+        )
+        outside, added = applied(self, [*loads, *stops], Coordinate(theta, omega, rotary=True))
+        c = as_damping(damping, ConstantDamping(0.3)).coefficient(
+            self, moment, stiffness, "N.m.s/rad"
+        )
+        weight = mass * g * length * ca.sin(theta)
+        self.der(theta, omega)
+        self.der(omega, (torque - weight - c * omega + outside) / (moment + added))
+
+
+def _range(
+    muscles: tuple[Muscle, Muscle],
+    arms: tuple[MomentArm, MomentArm],
+    pre_contraction: float,
+    limits: tuple[float, float] | None,
+) -> tuple[float, float]:
+    """Angles between which both muscles stay in their range of contraction, and the limits."""
+    largest = min(
+        reach(part, pre_contraction)
+        / (_largest(arm) if callable(arm) else require_positive("moment_arm", arm, "m"))
+        for part, arm in zip(muscles, arms, strict=True)
+    )
+    if limits is None:
+        return -largest, largest
+    if not isinstance(limits, tuple | list) or len(limits) != 2:
+        raise InputError(
+            f"limits = {limits!r}: give (low, high) angles [rad], or None for no stops"
+        )
+    low, high = (require_finite("limits", angle, "rad") for angle in limits)
+    if not low < high:
+        raise InputError(f"limits = ({low:g}, {high:g}) rad: the lower must be the smaller")
+    if max(-low, high) > largest:
+        raise InputError(
+            f"limits = ({low:g}, {high:g}) rad: with pre_contraction = {pre_contraction:g} the "
+            "muscles "
+            f"allow at most {largest:.4g} rad to either side"
+            + meant_within(max(-low, high), "rad", 0.0, largest)
+        )
+    return low, high
+
+
+def _largest(arm: Callable[[ca.SX], ca.SX]) -> float:
+    """The largest moment arm within a right angle to either side."""
+    angle = ca.SX.sym("angle")
+    expression = expression_of("moment_arm", arm, angle)
+    values = np.asarray(
+        ca.Function("arm", [angle], [expression])(np.linspace(-1.6, 1.6, 65)[None, :])
+    )
+    if not np.all(np.isfinite(values)) or values.max() <= 0:
+        raise InputError("moment_arm: the function must give a finite length > 0 about theta = 0")
+    return float(values.max())

@@ -1,0 +1,301 @@
+"""Loads: forces that act on what a muscle moves. Components that a plant is built with.
+
+Each adds its parameters under its name and gives a force (or a torque, on a joint) in the positive
+direction of the plant's coordinate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import casadi as ca
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..muscles.law import clamp
+from .components import as_loads
+
+if TYPE_CHECKING:
+    from .plant import Plant
+
+__all__ = [
+    "Coordinate",
+    "Damper",
+    "DryFriction",
+    "ExternalForce",
+    "Inertia",
+    "Load",
+    "Spring",
+    "Wall",
+    "applied",
+]
+
+
+WIDEST = 100.0
+"""Rounding of dry friction where planning a motion begins, in parts of its own."""
+FACTOR_WIDTH = 0.1
+"""Half width of the smooth end of a wall's damping, in parts of its elastic force."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """Where loads act: a position, its velocity, and whether it is an angle."""
+
+    position: ca.SX
+    velocity: ca.SX
+    rotary: bool = False
+
+    @property
+    def length(self) -> str:
+        """Unit of the position."""
+        return "rad" if self.rotary else "m"
+
+    @property
+    def effort(self) -> str:
+        """Unit of a force along it."""
+        return "N.m" if self.rotary else "N"
+
+
+class Load(Protocol):
+    """A force on the moved mass, and where it has ``inertia``, more mass that moves along.
+
+    ``inertia(plant, at)`` gives an expression, or ``inertia`` is a number: [kg], or [kg.m2] on a
+    joint.
+    """
+
+    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """Declare parameters; the force [N] or torque [N.m] in positive direction."""
+
+
+@dataclass(frozen=True)
+class ExternalForce:
+    """The input ``<name>``: a force (or torque) from outside, a disturbance to plans."""
+
+    name: str = "external_force"
+    start: float = 0.0
+
+    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """See :class:`Load`."""
+        return plant.input(
+            self.name,
+            unit=at.effort,
+            start=self.start,
+            nominal=10.0,
+            disturbance=True,
+            description="from outside, in positive direction",
+        )
+
+
+@dataclass(frozen=True)
+class Spring:
+    """F = -k (position - rest)."""
+
+    stiffness: float
+    rest: float = 0.0
+    name: str = "spring"
+
+    def __post_init__(self) -> None:
+        require_positive("Spring.stiffness", self.stiffness, zero=True)
+        require_finite("Spring.rest", self.rest)
+
+    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """See :class:`Load`."""
+        k = plant.parameter(
+            f"{self.name}.stiffness",
+            self.stiffness,
+            unit=f"{at.effort}/{at.length}",
+            min=0.0,
+            nominal=1e3,
+            tunable=True,
+            description=f"stiffness of the {self.name}",
+        )
+        rest = plant.parameter(
+            f"{self.name}.rest",
+            self.rest,
+            unit=at.length,
+            nominal=0.1,
+            tunable=True,
+            description=f"position at which the {self.name} is relaxed",
+        )
+        return ca.SX(-k * (at.position - rest))
+
+
+@dataclass(frozen=True)
+class Damper:
+    """F = -c velocity."""
+
+    coefficient: float
+    name: str = "damper"
+
+    def __post_init__(self) -> None:
+        require_positive("Damper.coefficient", self.coefficient, zero=True)
+
+    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """See :class:`Load`."""
+        c = plant.parameter(
+            f"{self.name}.coefficient",
+            self.coefficient,
+            unit=f"{at.effort}.s/{at.length}",
+            min=0.0,
+            nominal=10.0,
+            tunable=True,
+            description=f"viscous coefficient of the {self.name}",
+        )
+        return ca.SX(-c * at.velocity)
+
+
+@dataclass(frozen=True)
+class DryFriction:
+    """F = -F_c tanh(velocity/v0): Coulomb friction of a guide, rounded off below the speed v0."""
+
+    coulomb: float
+    speed: float = 1e-3
+    name: str = "friction"
+
+    def __post_init__(self) -> None:
+        require_positive("DryFriction.coulomb", self.coulomb, zero=True)
+        require_positive("DryFriction.speed", self.speed)
+
+    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """See :class:`Load`."""
+        coulomb = plant.parameter(
+            f"{self.name}.coulomb",
+            self.coulomb,
+            unit=at.effort,
+            min=0.0,
+            nominal=10.0,
+            tunable=True,
+            description=f"Coulomb {self.name} of the guide",
+        )
+        speed = plant.parameter(
+            f"{self.name}.speed",
+            self.speed,
+            unit=f"{at.length}/s",
+            min=1e-9,
+            nominal=1e-3,
+            widest=WIDEST * self.speed,
+            description=f"speed below which {self.name} is rounded off",
+        )
+        return ca.SX(-coulomb * ca.tanh(at.velocity / speed))
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """More mass [kg] (or moment of inertia [kg.m2]) that moves along; no force."""
+
+    value: float
+    name: str = "load_inertia"
+
+    def __post_init__(self) -> None:
+        require_positive("Inertia.value", self.value, zero=True)
+
+    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """See :class:`Load`; always zero."""
+        return ca.SX(0)
+
+    def inertia(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """What is added to the moving mass."""
+        return plant.parameter(
+            self.name,
+            self.value,
+            unit="kg.m2" if at.rotary else "kg",
+            min=0.0,
+            tunable=True,
+            description="inertia of the load that moves along",
+        )
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A stop at ``position``, met from below (side +1) or above (-1): smooth unilateral contact.
+
+    F = k d + c d' for a penetration d > 0, never pulling; contact begins smoothly over ``width``
+    [N or N.m] of k d (the polynomial of :func:`force.clamp`), and damping with it, so the force has
+    no jump. Adds the output ``<name>.gap``, whose zero crossing
+    is the event of contact.
+    """
+
+    position: float
+    stiffness: float = 1e5
+    damping: float = 50.0
+    side: int = 1
+    width: float = 1.0
+    name: str = "wall"
+
+    def __post_init__(self) -> None:
+        require_finite("Wall.position", self.position)
+        require_positive("Wall.stiffness", self.stiffness)
+        require_positive("Wall.damping", self.damping, zero=True)
+        require_positive("Wall.width", self.width)
+        if self.side not in (1, -1):
+            raise InputError(
+                f"Wall.side = {self.side!r}: +1 stops motion upwards, -1 motion downwards"
+            )
+
+    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+        """See :class:`Load`."""
+        where = plant.parameter(
+            f"{self.name}.position",
+            self.position,
+            unit=at.length,
+            nominal=0.1,
+            tunable=True,
+            description=f"where the {self.name} stands",
+        )
+        k = plant.parameter(
+            f"{self.name}.stiffness",
+            self.stiffness,
+            unit=f"{at.effort}/{at.length}",
+            min=1e-9,
+            nominal=1e5,
+            description=f"contact stiffness of the {self.name}",
+        )
+        c = plant.parameter(
+            f"{self.name}.damping",
+            self.damping,
+            unit=f"{at.effort}.s/{at.length}",
+            min=0.0,
+            nominal=100.0,
+            description=f"contact damping of the {self.name}",
+        )
+        width = plant.parameter(
+            f"{self.name}.width",
+            self.width,
+            unit=at.effort,
+            min=1e-6,
+            description=f"contact of the {self.name} begins smoothly over this force",
+        )
+        penetration = self.side * (at.position - where)
+        speed = self.side * at.velocity
+        plant.output(
+            f"{self.name}.gap",
+            -penetration,
+            unit=at.length,
+            nominal=0.01,
+            description=f"distance to the {self.name}",
+        )
+        elastic = clamp(k * penetration, width)
+        # k d (1 + c d'/(k d)), rounded where k d is small; no contact, no force; the factor never
+        # below zero, so a wall that the load leaves quickly does not pull it back
+        factor = clamp(1 + c * speed / (elastic + width), FACTOR_WIDTH)
+        return ca.SX(-self.side * elastic * factor)
+
+
+def applied(plant: Plant, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
+    """(sum of the forces, sum of the added inertias) of all loads at a coordinate."""
+    force, inertia = ca.SX(0), ca.SX(0)
+    for load in as_loads(loads):
+        force += load.force(plant, at)
+        inertia += _inertia(plant, load, at)
+    return force, inertia
+
+
+def _inertia(plant: Plant, load: Load, at: Coordinate) -> ca.SX:
+    """What a load adds to the moving mass: its ``inertia(plant, at)``, or a number of that name."""
+    own = getattr(load, "inertia", 0.0)
+    added = own(plant, at) if callable(own) else own
+    if isinstance(added, ca.SX):
+        return added
+    argument = f"{type(load).__name__}.inertia"
+    return ca.SX(require_positive(argument, added, "kg.m2" if at.rotary else "kg", zero=True))

@@ -1,0 +1,277 @@
+"""Losses with memory: hysteresis (Bouc-Wen, Maxwell-slip) and creep. Each adds states to a muscle.
+
+Not in the force law, and of this size when measured: hysteresis 0.6 to 3 % of the largest force
+(isometric), creep 20 % of the stroke over a hold of 3.5 s. Published parameters of the structures
+were not available: identify them from data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+from ..core.errors import InputError, require_finite, require_positive
+from .losses import Motion
+
+if TYPE_CHECKING:
+    from .plant import Plant
+
+__all__ = ["BoucWen", "Creep", "MaxwellSlip"]
+
+REST_RATE = 1e-4
+"""Rate of contraction [1/s] at which its absolute value is rounded off.
+
+Faster motion is rate-independent. At rest an element keeps its force, up to the last two hundredths
+before it slides fully: smooth derivatives, |z| <= 1 and dissipation in every motion leave no other
+way.
+"""
+EDGE = 0.02
+"""Part of the full friction over which BoucWen's |z| <= 1 is kept also in motion below REST_RATE.
+"""
+
+
+WIDEST_RATE = 0.3
+"""The same where planning a motion begins [1/s]."""
+
+
+def _speed(plant: Plant, name: str, key: str, rate: ca.SX) -> ca.SX:
+    width = plant.parameter(
+        f"{name}.{key}_rest_rate",
+        REST_RATE,
+        unit="1/s",
+        min=1e-9,
+        nominal=1e-3,
+        widest=WIDEST_RATE,
+        description=f"rate of contraction of {name} at which its absolute value is rounded off",
+    )
+    # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.
+    return ca.SX(ca.sqrt(rate**2 + width**2))
+
+
+def _passage(towards: ca.SX, edge: float | ca.SX, most: float = 1.0) -> ca.SX:
+    """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
+
+    With ``most`` > 1 it goes on below 0 from there, which leads back: exact motion never comes
+    there,
+    and on a coarse mesh what oversteps the edge does not stay beyond.
+    """
+    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), most)
+    return ca.SX(1 - s**3)
+
+
+@dataclass(frozen=True)
+class BoucWen:
+    """F = F0 z, dz/dkappa = [1 - (beta sign(kappa' z) + 1 - beta) |z|^n]/yield, |z| <= 1.
+
+    F0 is the friction when fully slid, and F0/yield the stiffness after a reversal. It dissipates
+    in every motion (since beta >= 1/2), but its minor loops do not close: under a small
+    oscillation the force drifts towards the middle (known of Bouc-Wen; MaxwellSlip does not).
+
+    friction : F0 [N]. yield_contraction : contraction that it takes to slide [1].
+    beta : share of the term that differs between loading and unloading, 1/2 .. 1.
+    order : n >= 1; the larger, the sharper the passage from sticking to sliding.
+
+    Source: R. Bouc 1967, Y.-K. Wen, J. Eng. Mech. Div. 102 (1976) 249-263; dissipation for
+    beta >= |gamma|: F. Ikhouane, J. Rodellar, Systems with Hysteresis, 2007. Normalised so that
+    beta + gamma = 1.
+    """
+
+    friction: float = 20.0
+    yield_contraction: float = 0.005
+    beta: float = 0.5
+    order: float = 2.0
+
+    def __post_init__(self) -> None:
+        require_positive("BoucWen.friction", self.friction, "N", zero=True)
+        require_positive("BoucWen.yield_contraction", self.yield_contraction)
+        if not 0.5 <= require_finite("BoucWen.beta", self.beta) <= 1:
+            raise InputError(
+                f"BoucWen.beta = {self.beta:g} must lie in 0.5 .. 1, or it gains energy"
+            )
+        if require_finite("BoucWen.order", self.order) < 1:
+            raise InputError(f"BoucWen.order = {self.order:g} must be >= 1")
+
+    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        friction, width, beta, order = (
+            plant.parameter(
+                f"{name}.hysteresis_{key}",
+                value,
+                unit=unit,
+                min=low,
+                max=high,
+                nominal=nominal,
+                description=f"Bouc-Wen hysteresis of {name}: {words}",
+            )
+            for key, value, unit, low, high, nominal, words in (
+                ("force", self.friction, "N", 0.0, ca.inf, 10.0, "force when sliding"),
+                ("yield", self.yield_contraction, "1", 1e-9, 1.0, 0.01, "contraction to slide"),
+                ("beta", self.beta, "1", 0.5, 1.0, 1.0, "share of loading and unloading"),
+                ("order", self.order, "1", 1.0, 50.0, 1.0, "sharpness"),
+            )
+        )
+        z = plant.state(
+            f"{name}.hysteresis",
+            min=-1.0,
+            max=1.0,
+            memory="held",
+            description=f"Bouc-Wen state of {name}: force/friction",
+        )
+        size = (z**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
+        signed = z * (z**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
+        rate, fast = motion.rate, _speed(plant, name, "hysteresis", motion.rate)
+        # Both vanish at rest like rate^2, so that a memory keeps; |onward| <= speed: it dissipates.
+        # At the edge they are those that keep |z| <= 1 however slow the motion.
+        keeps, moving = _passage(ca.sqrt(z**2 + 1e-12), EDGE), (rate / fast) ** 2
+        speed = fast * (1 - keeps * (1 - moving))
+        onward = rate * (1 - keeps * (1 - moving))
+        slipping = beta * speed * signed + (1 - beta) * onward * size
+        plant.der(z, (rate - slipping) / width)
+        return ca.SX(friction * z)
+
+
+@dataclass(frozen=True)
+class MaxwellSlip:
+    """F = sum F_i z_i: springs in series with dry friction, each sliding at its own |z_i| = 1.
+
+    dz_i/dkappa = 1/yield_i while it sticks; over the last ``edge`` before |z_i| = 1 it goes over
+    into sliding (a Dahl model that is sharp at the end), so derivatives are finite. Minor loops
+    close to within ``edge`` of the elements' forces; every motion dissipates.
+
+    friction : F_i [N]. yield_contraction : contraction at which each slides [1], as many.
+    edge : width of the passage from sticking to sliding, as a part of F_i.
+
+    Source: W. D. Iwan, J. Appl. Mech. 33 (1966) 893-900; for muscles T. Vo-Minh et al.,
+    IEEE/ASME Trans. Mechatronics 16 (2011) 177-186. The default is an example, no measurement.
+    """
+
+    friction: Sequence[float] = (6.0, 6.0, 4.0, 4.0)
+    yield_contraction: Sequence[float] = (0.002, 0.005, 0.012, 0.03)
+    edge: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not self.friction or len(self.friction) != len(self.yield_contraction):
+            raise InputError(
+                f"MaxwellSlip: {len(self.friction)} values of friction and "
+                f"{len(self.yield_contraction)} of yield_contraction; give one of each per element"
+            )
+        for argument, zero in (("friction", True), ("yield_contraction", False)):
+            values = tuple(
+                require_positive(f"MaxwellSlip.{argument}", v, zero=zero)
+                for v in getattr(self, argument)
+            )
+            object.__setattr__(self, argument, values)
+        if not 0 < require_finite("MaxwellSlip.edge", self.edge) <= 1:
+            raise InputError(f"MaxwellSlip.edge = {self.edge:g} must lie in 0 .. 1")
+
+    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        rate, speed = motion.rate, _speed(plant, name, "slip", motion.rate)
+        edge = plant.parameter(
+            f"{name}.slip_edge",
+            self.edge,
+            min=1e-6,
+            max=1.0,
+            nominal=0.1,
+            widest=1.0,
+            description=f"Maxwell-slip of {name}: passage from sticking to sliding, as part of "
+            "the force",
+        )
+        total = ca.SX(0)
+        for i, (force, width) in enumerate(
+            zip(self.friction, self.yield_contraction, strict=True), start=1
+        ):
+            friction = plant.parameter(
+                f"{name}.slip{i}_force",
+                force,
+                unit="N",
+                min=0.0,
+                nominal=10.0,
+                description=f"Maxwell-slip element {i} of {name}: force when sliding",
+            )
+            yielding = plant.parameter(
+                f"{name}.slip{i}_yield",
+                width,
+                min=1e-9,
+                nominal=0.01,
+                display_unit="%",
+                description=f"Maxwell-slip element {i} of {name}: contraction to slide",
+            )
+            z = plant.state(
+                f"{name}.slip{i}",
+                min=-1.0,
+                max=1.0,
+                memory="held",
+                description=f"Maxwell-slip element {i} of {name}: force/friction",
+            )
+            up, down = (rate + speed) / 2, (rate - speed) / 2
+            plant.der(z, (up * _passage(z, edge, 3.0) + down * _passage(-z, edge, 3.0)) / yielding)
+            total += friction * z
+        return total
+
+
+@dataclass(frozen=True)
+class Creep:
+    """F = sum K_i (kappa - e_i), de_i/dt = (kappa - e_i)/tau_i: the membrane gives way in time.
+
+    A spring with a dashpot in series, beside the force law. A muscle under a constant load
+    contracts at once against the stiffer sum, then creeps on as the e_i follow. Against a linear
+    law of slope K the creep is that of a Kelvin-Voigt element in series with a spring: a part
+    K_i/(K + K_i) of the stroke, with the retardation time tau_i (1 + K_i/K). This form rather than
+    that chain, because it dissipates whatever the law (our choice).
+
+    stiffness : K_i [N] per unit contraction. time : tau_i [s], as many.
+
+    The states start at 0, as after a long rest at rest length; set them to the contraction for a
+    muscle that has settled there.
+    """
+
+    stiffness: Sequence[float] = (500.0,)
+    time: Sequence[float] = (1.0,)
+
+    def __post_init__(self) -> None:
+        if not self.stiffness or len(self.stiffness) != len(self.time):
+            raise InputError(
+                f"Creep: {len(self.stiffness)} values of stiffness and {len(self.time)} of time; "
+                "give one of each per element"
+            )
+        for argument, unit, zero in (("stiffness", "N", True), ("time", "s", False)):
+            values = tuple(
+                require_positive(f"Creep.{argument}", v, unit, zero=zero)
+                for v in getattr(self, argument)
+            )
+            object.__setattr__(self, argument, values)
+
+    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        total = ca.SX(0)
+        for i, (value, time) in enumerate(zip(self.stiffness, self.time, strict=True), start=1):
+            stiffness = plant.parameter(
+                f"{name}.creep{i}_stiffness",
+                value,
+                unit="N",
+                min=0.0,
+                nominal=1e3,
+                description=f"creep element {i} of {name}: force per contraction",
+            )
+            tau = plant.parameter(
+                f"{name}.creep{i}_time",
+                time,
+                unit="s",
+                min=1e-6,
+                nominal=1.0,
+                description=f"creep element {i} of {name}: relaxation time",
+            )
+            settled = plant.state(
+                f"{name}.creep{i}",
+                nominal=0.1,
+                display_unit="%",
+                memory="settling",
+                description=f"creep element {i} of {name}: contraction to which it has settled",
+            )
+            plant.der(settled, (motion.contraction - settled) / tau)
+            total += stiffness * (motion.contraction - settled)
+        return total

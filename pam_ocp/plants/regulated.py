@@ -1,0 +1,175 @@
+"""A load on one muscle whose pressure is fed back from its position: an active element."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ..core.errors import require_finite, require_positive
+from ..muscles.law import clamp
+from ..muscles.muscle import Muscle
+from .hanging import HangingLoad
+from .losses import Damping, Loss
+from .plant import Plant
+
+__all__ = ["PositionFeedback", "RegulatedLoad"]
+
+
+@dataclass(frozen=True)
+class PositionFeedback:
+    """A regulator that follows the muscle's own shortening s = kappa l0 with a first-order lag.
+
+    lag p' = u - p,  u = set pressure + gain (reference - s) - derivative_gain s',
+    held within 0 .. ``max_pressure``.
+
+    gain : [Pa/m]. derivative_gain : [Pa.s/m].
+    lag : time constant of the regulator [s].
+    max_pressure : the largest pressure that the regulator gives [Pa]; by default the end of the
+        muscle's measured range.
+    rounding : half width [Pa] of the rounded ends of the command's range; between them the command
+        is exactly linear.
+    totals : see :class:`Regulator`.
+
+    Declares the state ``<name>.pressure``, the inputs ``<name>.set_pressure`` and
+    ``<name>.reference`` [m], the output ``<name>.command``, and all of the above as parameters.
+    """
+
+    gain: float = 1e6
+    derivative_gain: float = 0.0
+    lag: float = 0.1
+    max_pressure: float | None = None
+    rounding: float = 2e4
+    totals: bool = False
+
+    def __post_init__(self) -> None:
+        require_finite("PositionFeedback.gain", self.gain, "Pa/m")
+        require_finite("PositionFeedback.derivative_gain", self.derivative_gain, "Pa.s/m")
+        require_positive("PositionFeedback.lag", self.lag, "s")
+        require_positive("PositionFeedback.rounding", self.rounding, "Pa")
+        if self.max_pressure is not None:
+            require_positive("PositionFeedback.max_pressure", self.max_pressure, "Pa")
+
+    def connect(
+        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+    ) -> ca.SX:
+        """Declare the loop; return the gauge pressure [Pa]."""
+        top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
+        pressure = plant.state(
+            f"{name}.pressure",
+            unit="Pa",
+            min=0.0,
+            max=top,
+            start=top / 2,
+            nominal=1e5,
+            description=f"gauge pressure in {name}",
+        )
+        middle = plant.input(
+            f"{name}.set_pressure",
+            unit="Pa",
+            min=0.0,
+            max=top,
+            start=top / 2,
+            nominal=1e5,
+            description=f"commanded gauge pressure of {name} at its reference",
+        )
+        reference = plant.input(
+            f"{name}.reference",
+            unit="m",
+            nominal=0.01,
+            description=f"shortening of {name} at which the set pressure is commanded",
+        )
+        gain, derivative_gain, lag, largest, rounding = (
+            plant.parameter(
+                f"{name}.{key}",
+                value,
+                unit=unit,
+                min=low,
+                nominal=nominal,
+                display_unit=shown,
+                tunable=True,
+                description=f"{words} ({name})",
+            )
+            for key, value, unit, shown, low, nominal, words in (
+                ("gain", self.gain, "Pa/m", "bar/m", -math.inf, 1e6, "feedback of position"),
+                (
+                    "derivative_gain",
+                    self.derivative_gain,
+                    "Pa.s/m",
+                    "bar.s/m",
+                    -math.inf,
+                    1e5,
+                    "feedback of velocity",
+                ),
+                ("lag", self.lag, "s", "s", 1e-6, 0.1, "time constant of the regulator"),
+                ("max_pressure", top, "Pa", "bar", 1.0, 1e5, "largest pressure of the regulator"),
+                (
+                    "rounding",
+                    self.rounding,
+                    "Pa",
+                    "bar",
+                    1.0,
+                    1e4,
+                    "rounding of the command's ends",
+                ),
+            )
+        )
+        length = muscle.rest_length
+        wanted = (
+            middle + gain * (reference - contraction * length) - derivative_gain * rate * length
+        )
+        command = clamp(wanted, rounding) - clamp(wanted - largest, rounding)
+        plant.der(pressure, (command - pressure) / lag)
+        plant.output(
+            f"{name}.command",
+            command,
+            unit="Pa",
+            nominal=1e5,
+            description=f"commanded gauge pressure of {name}",
+        )
+        return pressure
+
+
+class RegulatedLoad(HangingLoad):
+    """A hanging load whose pressure is fed back from its position through a regulator with a lag.
+
+    m x'' + c x' = F(p, kappa) - m g and lag p' = set pressure + gain (reference - x)
+    - derivative_gain x' - p, the command held within 0 .. max_pressure. The feedback brings
+    in energy, so beyond a border over (gain, lag) the rest position is unstable and the load
+    vibrates by itself: at constant pressure it never could (see :mod:`pam_ocp.vibration`).
+    With F_p = dF/dp and k the muscle's stiffness at rest the characteristic polynomial is
+
+        m lag s^3 + (m + c lag) s^2 + (c + k lag + F_p derivative_gain) s + k + F_p gain.
+
+    Parameters
+    ----------
+    muscle : the muscle, or its name in the catalogue; its rest length sets the stroke.
+    mass : load [kg].
+    gain, derivative_gain, lag, max_pressure, totals : see :class:`PositionFeedback`.
+    damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its
+    value.
+    losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
+
+    States x [m] (upwards), v [m/s], muscle.pressure [Pa]; inputs muscle.set_pressure [Pa] and
+    muscle.reference [m]; so an equilibrium takes two conditions.
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle | str,
+        mass: float = 20.0,
+        *,
+        gain: float = 1e6,
+        derivative_gain: float = 0.0,
+        lag: float = 0.1,
+        max_pressure: float | None = None,
+        damping: Damping | float | None = None,
+        losses: Loss | Sequence[Loss] = (),
+        totals: bool = False,
+        name: str = "regulated_load",
+    ) -> None:
+        feedback = PositionFeedback(gain, derivative_gain, lag, max_pressure, totals=totals)
+        super().__init__(muscle, mass, damping=damping, feed=feedback, losses=losses, name=name)
+        self.description = "a hanging load on a muscle with pressure fed back from its position"

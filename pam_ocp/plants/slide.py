@@ -1,0 +1,117 @@
+"""Two muscles against each other: the antagonistic pair on a slide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.plausible import meant_within
+from ..muscles.muscle import Muscle
+from .components import as_damping, as_loads, as_muscle
+from .feeds import Feed
+from .loads import Coordinate, Load, applied
+from .losses import ConstantDamping, Damping, Loss
+from .pair import mirrored_pair, reach
+from .plant import Plant
+
+__all__ = ["AntagonisticSlide"]
+
+
+class AntagonisticSlide(Plant):
+    """Two muscles pulling a slide in opposite directions: m x'' + c x' = F1 - F2 + loads.
+
+    kappa1 = k0 + x/l0 and kappa2 = k0 - x/l0: muscle 1 pulls towards +x, muscle 2 towards -x.
+
+    Parameters
+    ----------
+    muscle : muscle 1, and muscle 2 unless ``muscle2`` is given.
+    mass : moving mass [kg].
+    pre_contraction : contraction k0 of both muscles at x = 0.
+    stroke : largest |x| [m]; by default as far as both muscles stay in their measured range.
+    damping : ``ConstantDamping(value)`` (default 20 N s/m) or its value, or
+    ``StiffnessDamping(ratio)``.
+    feed : how each pressure comes about; default ``Regulator()``.
+    losses : friction, hysteresis, creep of each muscle, as ``(CoulombFriction(), Creep())``.
+    loads : what else acts on the slide, as ``(ExternalForce(), DryFriction(5.0))``.
+
+    States x [m], v [m/s], those of feeds and losses; outputs of both muscles, and ``stiffness``.
+    With equal muscles the plant is its own mirror image (x -> -x, muscle 1 <-> muscle 2).
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle | str,
+        mass: float = 2.0,
+        pre_contraction: float = 0.10,
+        *,
+        muscle2: Muscle | str | None = None,
+        stroke: float | None = None,
+        damping: Damping | float | None = None,
+        feed: Feed | None = None,
+        losses: Loss | Sequence[Loss] = (),
+        loads: Load | Sequence[Load] = (),
+        name: str = "antagonistic_slide",
+    ) -> None:
+        super().__init__(name, "an antagonistic pair of pneumatic muscles on a slide")
+        loads = as_loads(loads)
+        mass = require_positive("mass", mass, "kg")
+        pre_contraction = require_finite("pre_contraction", pre_contraction)
+        first = as_muscle(muscle)
+        muscles = (first, first if muscle2 is None else as_muscle(muscle2, "muscle2"))
+        farthest = min(reach(m, pre_contraction) for m in muscles)
+        if stroke is None:
+            stroke = farthest
+        elif (stroke := require_positive("stroke", stroke, "m")) > farthest:
+            raise InputError(
+                f"stroke = {stroke:g} m: with pre_contraction = {pre_contraction:g} the muscles "
+                "allow "
+                f"at most {farthest:.4g} m before one leaves its range of contraction"
+                + meant_within(stroke, "m", 0.0, farthest)
+            )
+        x = self.state(
+            "x",
+            unit="m",
+            min=-stroke,
+            max=stroke,
+            nominal=0.01,
+            description="position of the slide, towards muscle 1",
+        )
+        v = self.state("v", unit="m/s", nominal=1.0, description="velocity of the slide")
+        m = self.parameter(
+            "mass", mass, unit="kg", min=1e-6, nominal=1.0, tunable=True, description="moving mass"
+        )
+        k0 = self.parameter(
+            "pre_contraction",
+            pre_contraction,
+            min=0.0,
+            max=0.45,
+            nominal=0.1,
+            display_unit="%",
+            description="contraction of both muscles at x = 0",
+        )
+        pair = [
+            self.add_muscle(
+                f"muscle{i}",
+                part,
+                shortening=sign * x,
+                rate=sign * v,
+                pre_contraction=k0,
+                feed=feed,
+                losses=losses,
+            )
+            for i, part, sign in ((1, muscles[0], 1), (2, muscles[1], -1))
+        ]
+        stiffness = pair[0].stiffness + pair[1].stiffness
+        c = as_damping(damping, ConstantDamping()).coefficient(self, m, stiffness)
+        self.der(x, v)
+        outside, added = applied(self, loads, Coordinate(x, v))
+        self.der(v, (pair[0].force - pair[1].force - c * v + outside) / (m + added))
+        self.output(
+            "stiffness",
+            stiffness,
+            unit="N/m",
+            nominal=1e4,
+            description="stiffness of the slide at constant pressures",
+        )
+        if muscles[0] == muscles[1] and not loads:  # a load may act to one side
+            self.mirror({"x": (-1.0, "x"), "v": (-1.0, "v"), **mirrored_pair(self)})

@@ -1,0 +1,1 @@
+"""simulate, many at once, and the comparison with records."""

@@ -1,0 +1,165 @@
+"""simulate: the motion of a plant under given inputs, by CasADi's integrators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.errors import InputError, SimulationError, require_count, require_positive
+from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, numbers, signals
+from ..core.trajectory import Event, Trajectory
+from ..plants.plant import Given, Plant, Values, by_name, require_plant
+from .events import integrate_with_events
+from .integrate import Integration, Method
+
+__all__ = ["evaluated", "simulate"]
+
+Array = NDArray[np.float64]
+
+
+def simulate(
+    plant: Plant,
+    inputs: Inputs = None,
+    *,
+    duration: float | None = None,
+    t: ArrayLike | None = None,
+    start: Given | None = None,
+    parameters: Values | None = None,
+    interpolation: Interpolation = "previous",
+    rtol: float = 1e-10,
+    method: Method = "rosenbrock",
+    step: float | None = None,
+    events: str | Sequence[str] = (),
+    max_steps: int = 100_000,
+) -> Trajectory:
+    """Integrate x' = f(x, u(t), p) and return states, inputs and outputs over time.
+
+    Parameters
+    ----------
+    plant : any Plant.
+    inputs : {name: number | samples at ``t`` | (times, samples) | function of time}, a Trajectory,
+        or None for the inputs' start values.
+    duration, t : how long [s] (201 samples), or the output times [s] themselves. By default those
+        of the Trajectory given as ``inputs``.
+    start : initial states by name; by default the first row of a Trajectory given as ``inputs``
+        that holds all states, else the states' start values. Or an operating point: its states, and
+        its inputs in place of the inputs' start values.
+    parameters : parameter values for this run only.
+    interpolation : how samples run: "previous" (held) or "linear"; a Trajectory knows its own.
+    rtol : relative tolerance per step; absolute ones are rtol times nominal.
+    method : "rosenbrock" (CasADi's, order 5, L-stable; the default, for all plants), "cvodes"
+        (SUNDIALS BDF, another family for comparison), "rk4" (explicit, with ``step``; for plants
+        that are not stiff).
+    step : length of equal steps [s] for "rk4", or for "rosenbrock" instead of adaptive ones.
+    events : names of variables or path constraints whose zero crossings are located (to 1e-9 s and
+        better) and at which the integration starts anew; see ``trajectory.events``. With a small
+        ``slack_width`` and ``events=["muscle.tension"]`` the clamp at zero force is exact in
+        effect. Two crossings between neighbouring output times stay unseen: choose ``t`` fine.
+    max_steps : of the integrator between two output times.
+
+    Jumps of the inputs are met exactly: no step crosses one.
+
+    Raises InputError for bad arguments, SimulationError (with the time reached and the part
+    computed so far) when the integrator cannot go on.
+    """
+    require_plant(plant)
+    if parameters is not None:
+        parameters = by_name("parameters", parameters)
+        wrong = [n for n in parameters if plant.variable(n).causality != "parameter"]
+        if wrong:
+            raise InputError(f"parameters: {wrong[0]} is a {plant.variable(wrong[0]).causality}")
+        plant = plant.with_values(parameters)
+    if start is not None and not isinstance(start, Mapping):
+        plant = plant.with_values(by_name("start", start, "input"))
+    times = _times(inputs, duration, t)
+    _check_numerics(rtol, step, max_steps)
+    events = (events,) if isinstance(events, str) else tuple(events)
+    x0 = plant.vector("state", _start(plant, inputs, start))
+    u = signals(plant, inputs, times, interpolation)
+    run = Integration.over(
+        plant, u, times, x0, method=method, rtol=rtol, step=step, max_steps=max_steps
+    )
+    found: tuple[Event, ...] = ()
+    if events:
+        states, found, done = integrate_with_events(run, events)
+    else:
+        states, done = run(), 0
+    if states is None:
+        part = run(done or run.longest)
+        assert part is not None
+        raise _failure(plant, run, part)
+    return evaluated(plant, times, run.at(times, states), u, found)
+
+
+def evaluated(
+    plant: Plant,
+    t: Array,
+    states: Array,
+    inputs: PiecewisePolynomial,
+    events: tuple[Event, ...] = (),
+) -> Trajectory:
+    """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed."""
+    u = inputs(t)
+    outputs = plant.function(states.T, u.T, plant.vector("parameter"))[1]
+    parts = {"state": states, "input": u, "output": np.asarray(outputs).T}
+    variables = (*plant.states, *plant.inputs, *plant.outputs)
+    data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
+    columns = {v.name: data[:, i] for i, v in enumerate(variables)}
+    between: Interpolation = "previous" if inputs.degree == 0 else "linear"
+    return Trajectory(t, columns, variables, between, events, inputs)
+
+
+def _check_numerics(rtol: float, step: float | None, max_steps: int) -> None:
+    if require_positive("rtol", rtol) >= 1:
+        raise InputError(f"rtol = {rtol:g} must be < 1; 1e-10 .. 1e-4 are usual")
+    if step is not None:
+        require_positive("step", step, "s")
+    require_count("max_steps", max_steps)
+
+
+def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
+    if t is not None:
+        if duration is not None:
+            raise InputError("give duration or t, not both")
+        times = numbers("t", t)
+        if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
+            raise InputError("t must hold at least two times that rise from sample to sample")
+        return times
+    if duration is not None:
+        return np.linspace(0.0, require_positive("duration", duration, "s"), 201)
+    if isinstance(inputs, Trajectory):
+        return inputs.t
+    if isinstance(inputs, PiecewisePolynomial):
+        return inputs.breaks
+    raise InputError(
+        "give duration (seconds) or t (output times); only a Trajectory brings its own"
+    )
+
+
+def _start(plant: Plant, inputs: Inputs, start: Given | None) -> dict[str, Any]:
+    first: dict[str, Any] = {}
+    if isinstance(inputs, Trajectory) and all(v.name in inputs for v in plant.states):
+        # a record may leave the range by rounding; start values are held to it elsewhere
+        first = {v.name: float(np.clip(inputs[v.name][0], v.min, v.max)) for v in plant.states}
+    given = {plant.variable(n).name: v for n, v in by_name("start", start, "state").items()}
+    return {**first, **given}
+
+
+def _failure(plant: Plant, run: Integration, states: Array) -> SimulationError:
+    done = len(states) - 1
+    t, u = run.grid[: done + 1], run.u
+    names = [v.name for v in (*plant.states, *plant.inputs)]
+    values = np.concatenate([states[-1], u(t[-1])[0]])
+    shown = ", ".join(
+        f"{n} = {plant.variable(n).shown(v)}" for n, v in zip(names, values, strict=True)
+    )
+    return SimulationError(
+        f"the integrator gave up behind t = {t[-1]:.6g} s of {run.grid[-1]:.6g} s, at {shown}; the "
+        "error's trajectory holds the part computed so far. Check the inputs and parameters, or "
+        "allow a larger rtol or max_steps",
+        float(t[-1]),
+        evaluated(plant, t, states, u) if done else None,
+    )

@@ -1,0 +1,1 @@
+"""Jobs that use everything: the tour, the study of loads."""

@@ -1,0 +1,266 @@
+"""Continuation of a limit cycle in one parameter, through folds, by pseudo-arclength.
+
+Source: Keller 1977; as in Doedel, Keller, Kernevez, Int. J. Bifurcation and Chaos 1 (1991) 745-772.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, require_positive
+from ..core.variables import Variable
+from ..numerics.newton import Array, VibrationError
+from ..numerics.periodic_collocation import Orbit, Periodic, Row
+from .cycle import LimitCycle, Settings, converged, finished, pin
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["CycleBranch", "Direction", "continue_cycle"]
+
+Direction: TypeAlias = Literal["larger", "smaller", "up", "down"]
+
+SMALLEST_STEP = 1e-4
+"""Fraction of the asked step below which the continuation gives up."""
+
+MULTIPLIER_TOLERANCE = 1e-4
+"""Largest error of the multiplier that must be 1 along a branch: its mesh follows the states."""
+
+LEAST_COSINE = 0.9
+"""Of the angle between neighbouring tangents; steps are shortened where the branch bends more."""
+
+
+@dataclass(frozen=True)
+class CycleBranch:
+    """Limit cycles along a branch, in the order in which they were found."""
+
+    parameter: str
+    cycles: tuple[LimitCycle, ...]
+    ended: str
+    """Why the branch ends where it does."""
+
+    @property
+    def values(self) -> Array:
+        """The parameter at each cycle [its unit]; not monotone where the branch folds."""
+        return np.array([c.plant.variable(self.parameter).start for c in self.cycles])
+
+    @property
+    def periods(self) -> Array:
+        """[s]"""
+        return np.array([c.period for c in self.cycles])
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Whether each cycle is stable."""
+        return np.array([c.stable for c in self.cycles])
+
+    @property
+    def folds(self) -> tuple[int, ...]:
+        """Indices of the cycles next to which the parameter turns back."""
+        turns = np.diff(np.sign(np.diff(self.values)))
+        return tuple(int(i) + 1 for i in np.flatnonzero(turns))
+
+    def amplitudes(self, name: str) -> Array:
+        """Half the swing of a state at each cycle [its unit]."""
+        return np.array([c.amplitude(name) for c in self.cycles])
+
+    def at(self, value: float) -> tuple[LimitCycle, ...]:
+        """The cycles at exactly this value of the parameter: one for each passage of the branch."""
+        offsets = self.values - value
+        found = []
+        for i in np.flatnonzero(offsets[:-1] * offsets[1:] <= 0):
+            one, two = self.cycles[i : i + 2]
+            periodic = Periodic(one.plant, self.parameter, one.settings.degree)
+            ends = self._orbit(one), self._orbit(two)
+            found.append(_pinned(periodic, *ends, value, two.settings))
+        if not found:
+            v = self.cycles[0].plant.variable(self.parameter)
+            raise InputError(
+                f"value = {v.shown(value)}: the branch covers {v.shown(self.values.min())} .. "
+                f"{v.shown(self.values.max())}"
+            )
+        return tuple(found)
+
+    def _orbit(self, cycle: LimitCycle) -> Orbit:
+        return replace(cycle.orbit, lam=Periodic(cycle.plant, self.parameter, 2).lam)
+
+    def plot(self, state: str = "x") -> Figure:
+        """Amplitude and frequency over the parameter; unstable cycles dashed."""
+        from ..figures.vibration import plot_branch
+
+        return plot_branch(self, state)
+
+    def plot_phase(self, state: str = "x") -> Figure:
+        """Phase portraits of the cycles in one picture."""
+        from ..figures.vibration import plot_phase
+
+        v = self.cycles[0].plant.variable(self.parameter)
+        return plot_phase(
+            [c.trajectory for c in self.cycles],
+            state,
+            self.cycles[0].plant,
+            values=self.values / v.display_factor,
+            label=v.label,
+        )
+
+
+def continue_cycle(
+    cycle: LimitCycle,
+    parameter: str,
+    within: tuple[float, float],
+    *,
+    direction: Direction = "larger",
+    step: float = 0.5,
+    most: int = 100,
+    tolerance: float = 1e-7,
+) -> CycleBranch:
+    """Follow a limit cycle while a parameter (or an input) changes, also through folds.
+
+    Parameters
+    ----------
+    parameter : its name. within : the range in which it may move [its unit]; the branch ends
+        exactly at an end of it, or where it shrinks to a point of rest, or after ``most`` cycles.
+    direction : which way to set out: to "larger" or "smaller" oscillations, or with the
+        parameter going "up" or "down".
+    step : largest step along the branch, in units of nominals (root mean square of the states,
+        period relative, parameter); halved where the branch bends or Newton fails.
+    tolerance : as in :func:`limit_cycle`, for the cycles of the branch.
+
+    Raises InputError for bad arguments. A branch that cannot be followed further is no error: what
+    was found is returned, and ``ended`` says why it ends.
+    """
+    variable, low, high = _range(cycle, parameter, within)
+    if direction not in ("larger", "smaller", "up", "down"):
+        raise InputError(f"direction = {direction!r}: choose 'larger', 'smaller', 'up' or 'down'")
+    require_positive("step", step)
+    periodic = Periodic(cycle.plant, variable.name, cycle.settings.degree)
+    settings = replace(
+        cycle.settings,
+        tolerance=require_positive("tolerance", tolerance),
+        multiplier_tolerance=MULTIPLIER_TOLERANCE,
+    )
+    walk = _Walk(periodic, settings, replace(cycle.orbit, lam=periodic.lam), direction)
+    cycles, ended = [cycle], f"{most} cycles were found"
+    while len(cycles) < most:
+        before = walk.orbit
+        try:
+            walk.advance(step)
+        except VibrationError as error:
+            ended = f"the branch cannot be followed further: {error}"
+            break
+        value = walk.orbit.lam * variable.nominal
+        if not low < value < high:
+            bound = low if value <= low else high
+            ended = f"{variable.name} reaches {variable.shown(bound)}"
+            try:
+                cycles.append(_pinned(periodic, before, walk.orbit, bound, settings))
+            except VibrationError as error:
+                ended += f", where the cycle is not found: {error}"
+            break
+        if _mirrored(before, walk.orbit):
+            shown = variable.shown(value)
+            ended = (
+                f"the cycle shrinks to a point of rest (Hopf point) near {variable.name} = {shown}"
+            )
+            break
+        cycles.append(finished(periodic, walk.orbit, settings))
+    return CycleBranch(variable.name, tuple(cycles), ended)
+
+
+def _range(
+    cycle: LimitCycle, parameter: str, within: tuple[float, float]
+) -> tuple[Variable, float, float]:
+    """What varies, and the checked ends of its range."""
+    variable = cycle.plant.variable(parameter)
+    if variable.causality not in ("parameter", "input"):
+        raise InputError(
+            f"parameter: {variable.name} is a {variable.causality}; name a parameter or an input"
+        )
+    low, high = (variable.check(v, "within") for v in within)
+    start = variable.start or 0.0
+    if not low <= start <= high or low == high:
+        raise InputError(
+            f"within = {variable.shown(low)} .. {variable.shown(high)} must hold the cycle's own "
+            f"{variable.name} = {variable.shown(start)}"
+        )
+    return variable, low, high
+
+
+class _Walk:
+    """Steps along a branch: an orbit and the tangent there."""
+
+    def __init__(
+        self, periodic: Periodic, settings: Settings, orbit: Orbit, direction: Direction
+    ) -> None:
+        self.periodic, self.settings, self.orbit = periodic, settings, orbit
+        swing = Row(orbit.z - orbit.z.mean(axis=(0, 1)), 0.0, 0.0, 0.0)
+        tangent = periodic.tangent(orbit, swing)
+        ahead = {"larger": 1.0, "smaller": -1.0}.get(direction, 0.0)
+        if not ahead:
+            ahead = float(np.sign(tangent.lam)) * (1.0 if direction == "up" else -1.0)
+        self.tangent = tangent.times(ahead)
+        self.length = np.inf
+
+    def advance(self, step: float) -> None:
+        """One step along the branch; shortened until it converges without a sharp turn."""
+        length = min(1.5 * self.length, step)
+        reason = ""
+        while length > SMALLEST_STEP * step:
+            try:
+                orbit, row = self._step(length)
+                tangent = self.periodic.tangent(orbit, row)
+            except (VibrationError, np.linalg.LinAlgError) as error:
+                reason = str(error)
+                length /= 2
+                continue
+            if row.dot(tangent, orbit) > LEAST_COSINE:
+                self.orbit, self.tangent, self.length = orbit, tangent, length
+                return
+            reason = "it bends too sharply"
+            length /= 2
+        raise VibrationError(f"even steps of {length:.1e} fail: {reason}")
+
+    def _step(self, length: float) -> tuple[Orbit, Row]:
+        """The orbit a length away along the tangent, and that tangent on its mesh."""
+        periodic, old = self.periodic, self.orbit
+        mesh = periodic.coarsened(old, self.settings.tolerance, self.settings.intervals)
+        row = self.tangent.on(old.mesh, mesh)
+        start = old.on(mesh)
+        guess = replace(
+            start,
+            z=start.z + length * row.z,
+            lam=start.lam + length * row.lam,
+            period=start.period * (1 + length * row.period * start.period),
+        )
+        found = converged(periodic, guess, row.through(guess), self.settings)
+        return found, row.on(mesh, found.mesh)
+
+
+def _pinned(
+    periodic: Periodic, one: Orbit, two: Orbit, value: float, settings: Settings
+) -> LimitCycle:
+    """The cycle between two neighbours at exactly this value of the parameter."""
+    assert periodic.variable is not None
+    lam = value / periodic.variable.nominal
+    share = (lam - one.lam) / (two.lam - one.lam) if two.lam != one.lam else 1.0
+    mesh = periodic.coarsened(two, settings.tolerance, settings.intervals)
+    first, second = one.on(mesh), two.on(mesh)
+    near = Orbit(
+        mesh,
+        first.z + share * (second.z - first.z),
+        one.period + share * (two.period - one.period),
+        lam,
+    )
+    found = converged(periodic, near, pin(near, lam), settings)
+    return finished(periodic, replace(found, lam=lam), settings)
+
+
+def _mirrored(before: Orbit, after: Orbit) -> bool:
+    """Whether a small cycle has passed through rest: its oscillation has changed sign."""
+    s = np.linspace(0, 1, 65)[:-1]
+    one, two = (o.at(s) - o.at(s).mean(axis=0) for o in (before, after))
+    return bool(np.sum(one * two) < 0)

@@ -1,0 +1,202 @@
+"""The command line as a user meets it, and the tour."""
+
+import json
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.cli.main import main
+
+TABLE = "DMSP-10-250_static.csv"
+
+
+def run(capsys, *arguments):
+    code = main([str(a) for a in arguments])
+    shown = capsys.readouterr()
+    return code, shown.out, shown.err
+
+
+def test_help_says_where_to_start(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    assert "pam-ocp tour" in capsys.readouterr().out
+    assert run(capsys)[0] == 2
+
+
+def test_fit_prints_a_report_and_writes_the_muscle(capsys, tmp_path):
+    file, plot = tmp_path / "muscle.json", tmp_path / "fit.png"
+    code, out, _ = run(
+        capsys,
+        "fit",
+        TABLE,
+        "--rest-length",
+        0.25,
+        "--diameter",
+        0.01,
+        "--out",
+        file,
+        "--plot",
+        plot,
+    )
+    assert code == 0
+    assert "RMSE 1.10" in out
+    muscle = pam.load_muscle(file)
+    assert muscle.rest_length == 0.25
+    assert muscle.force(3e5, 0.1) == pytest.approx(
+        pam.muscle("DMSP-10-250").force(3e5, 0.1), rel=1e-4
+    )
+    assert plot.stat().st_size > 20_000
+
+
+def test_a_fitted_muscle_goes_into_an_fmu(capsys, tmp_path):
+    muscle, fmu = tmp_path / "muscle.toml", tmp_path / "load.fmu"
+    run(capsys, "fit", TABLE, "--rest-length", 0.25, "--out", muscle)
+    code, out, err = run(
+        capsys,
+        "export",
+        "hanging_load",
+        "--muscle",
+        muscle,
+        "--set",
+        "mass=5",
+        "--platform",
+        "native",
+        "--out",
+        fmu,
+    )
+    assert (code, err) == (0, "")
+    assert str(fmu) in out
+    from fmpy import read_model_description
+
+    start = {v.name: v.start for v in read_model_description(str(fmu)).modelVariables}
+    assert float(start["mass"]) == 5.0
+    assert float(start["muscle.a3"]) == pytest.approx(-42.455, abs=0.01)
+    code, out, _ = run(capsys, "check", fmu)
+    assert code == 0
+    assert "all well" in out
+
+
+def test_a_law_may_be_named_by_its_form(capsys, tmp_path):
+    file = tmp_path / "muscle.toml"
+    law = "spline-2:0,0.12,0.25"
+    code, _, err = run(capsys, "fit", TABLE, "--law", law, "--rest-length", 0.25, "--out", file)
+    assert (code, err) == (0, "")
+    assert pam.load_muscle(file).law.name == "spline-2:0.0,0.12,0.25"
+    code, out, _ = run(capsys, "muscles", "show", file)
+    assert code == 0
+    assert "B-splines of degree 2 in 2 pieces" in out
+
+
+def test_check_tells_by_its_exit_code(capsys, tmp_path):
+    plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.0)
+    fmu = pam.export_fmu(plant, tmp_path / "load.fmu", platforms="native")
+    motion = pam.simulate(
+        plant, {"muscle.command": np.linspace(2e5, 4e5, 21)}, t=np.linspace(0, 0.2, 21)
+    )
+    good = motion.save(tmp_path / "good.npz")
+    motion["x"][:] += 1e-4
+    bad = motion.save(tmp_path / "bad.npz")
+    assert run(capsys, "check", fmu, "--against", good)[0] == 0
+    code, out, _ = run(capsys, "check", fmu, "--against", bad)
+    assert code == 1
+    assert "x deviates" in out
+
+
+def test_export_takes_a_plant_from_a_users_file(capsys, tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import pam_ocp as pam\n"
+        "plant = pam.Plant('mine')\n"
+        "x = plant.state('x', start=1.0)\n"
+        "plant.der(x, -x)\n"
+    )
+    code, _, err = run(
+        capsys,
+        "export",
+        f"{file}:plant",
+        "--platform",
+        "native",
+        "--fmi",
+        "3.0",
+        "--out",
+        tmp_path / "m.fmu",
+    )
+    assert (code, err) == (0, "")
+    assert pam.check_fmu(tmp_path / "m.fmu").ok
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fit", "nowhere.csv", "--rest-length", "0.3"], "nowhere.csv"),
+        (["fit", TABLE], "rest_length"),
+        (["fit", TABLE, "--rest-length", "0.2"], "rest"),
+        (["fit", TABLE, "--rest-length", "0.25", "--law", "six-paramter"], "six-parameter"),
+        (["export", "hanging_lod"], "HangingLoad"),
+        (["export", "hanging_load", "--muscle", "DMSP-20-40N"], "DMSP-20-400N"),
+        (["export", "hanging_load", "--set", "mass"], "give NAME=VALUE"),
+        (["export", "hanging_load", "--set", "mass=-1"], "outside"),
+        (["export", "hanging_load", "--set", "mas=1"], "mass"),
+        (["check", "nowhere.fmu"], "no such file"),
+        (["check", __file__], "FMU"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(
+    capsys, tmp_path, monkeypatch, arguments, message
+):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_muscles_lists_the_catalogue(capsys):
+    code, out, _ = run(capsys, "muscles")
+    assert code == 0
+    assert all(name in out for name in pam.muscle_names())
+    assert "14-27 %" in out
+
+
+def test_one_muscle_is_shown_with_its_forces(capsys, tmp_path):
+    plot = tmp_path / "muscle.png"
+    code, out, _ = run(capsys, "muscles", "show", "DMSP-20-400N", "--plot", plot)
+    assert code == 0
+    assert "1804.6" in out  # F(0) at 6 bar of the published set
+    assert "27.9 %" in out
+    assert plot.stat().st_size > 20_000
+    code, _, err = run(capsys, "muscles", "show")
+    assert (code, "give the NAME" in err) == (2, True)
+
+
+@pytest.mark.slow
+def test_the_tour_leaves_its_figures_fmus_and_summary(capsys, tmp_path):
+    code, out, _ = run(capsys, "tour", "--out", tmp_path / "tour")
+    assert code == 0
+    assert "[6/6]" in out
+    written = {p.name for p in (tmp_path / "tour").iterdir()}
+    assert written == {
+        "bode.png",
+        "fit.png",
+        "fmu.png",
+        "motion.png",
+        "muscle.json",
+        "plan.csv",
+        "slide_fmi2.fmu",
+        "slide_fmi3.fmu",
+        "summary.json",
+        "summary.md",
+    }
+    summary = json.loads((tmp_path / "tour" / "summary.json").read_text())
+    assert summary["fit"]["rmse_N"] == pytest.approx(6.2, abs=0.05)
+    assert summary["plan"]["replay_error_of_nominal"] < 1e-6
+    for version in ("2.0", "3.0"):
+        check = summary["fmu"][version]
+        assert check["findings"] == []
+        assert set(check["largest"]) == {"CoSimulation", "ModelExchange"}
+        assert max(check["largest"].values()) < 1e-6
+        assert len(check["platforms"]) == 5

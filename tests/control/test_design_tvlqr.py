@@ -1,0 +1,123 @@
+"""Time-varying LQR along a motion."""
+
+import itertools
+
+import numpy as np
+import pytest
+from design_tools import example
+
+import pam_ocp as pam
+from pam_ocp import InputError
+from pam_ocp.control.loop import closed_loop
+from pam_ocp.control.lqr import lqr
+from pam_ocp.control.tvlqr import OpenLoop, tvlqr
+
+
+@pytest.fixture
+def joint(long_muscle):
+    return pam.AntagonisticJoint(long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2)
+
+
+# ---- along a motion
+# --------------------------------------------------------------------------------
+def test_the_riccati_equation_has_the_scalar_solution_of_theory():
+    """x' = u, cost x^2 + u^2, no end cost: P = tanh(T - t)."""
+    plant = pam.Plant("integrator")
+    x, u = plant.state("x"), plant.input("u")
+    plant.der(x, u)
+    motion = pam.simulate(plant, {"u": 0.0}, t=np.linspace(0, 2, 81))
+    feedback = tvlqr(plant, motion, weights={"x": 1.0}, final=[[0.0]])
+    assert feedback.P[:, 0, 0] == pytest.approx(np.tanh(2 - motion.t), abs=1e-6)
+    assert feedback.K[:, 0, 0] == pytest.approx(np.tanh(2 - motion.t), abs=1e-6)
+
+
+def test_along_a_rest_the_gains_are_those_of_the_lqr_there(slide):
+    point = slide.equilibrium(x=0.003, stiffness=2.2e4)
+    rest = {v.name: x for v, x in zip(slide.states, point.x, strict=True)}
+    motion = pam.simulate(
+        slide,
+        {n: point[n] for n in ("muscle1.command", "muscle2.command")},
+        duration=0.3,
+        start=rest,
+    )
+    cost = {"weights": {"x": 20.0, "v": 1.0}, "integral": {"x": 50.0}}
+    stationary, varying = lqr(slide, point, **cost), tvlqr(slide, motion, **cost)
+    scale = np.abs(stationary.K).max()
+    assert np.allclose(varying.K, stationary.K, rtol=1e-4, atol=1e-6 * scale)
+    assert np.allclose(varying.Ki, stationary.Ki, rtol=1e-4)
+
+
+def test_the_cost_to_go_is_what_the_linear_loop_then_costs(slide):
+    """z' P(0) z against the integral of the cost along d' = (A - B K) d, integrated on its own."""
+    from scipy.integrate import solve_ivp
+
+    t = np.linspace(0, 0.1, 201)
+    motion = pam.simulate(
+        slide,
+        {
+            "muscle1.command": lambda s: 3e5 + 1e5 * np.sin(40 * s),
+            "muscle2.command": lambda s: 3e5 - 1e5 * np.sin(40 * s),
+        },
+        t=t,
+        start={"muscle1.pressure": 3e5, "muscle2.pressure": 3e5},
+    )
+    feedback = tvlqr(slide, motion, weights={"x": 10.0, "v": 0.5}, final=np.zeros((4, 4)))
+    from pam_ocp.operating.linear import linearize_along
+
+    along = linearize_along(slide, motion)
+    n, e = slide.vector("state", attribute="nominal"), np.full(2, 1e5)
+
+    def rate(s, d):
+        a, b, _, _ = along.at(s)
+        i = min(int(s / t[1]), 199)
+        share = s / t[1] - i
+        k = (1 - share) * feedback.K[i] + share * feedback.K[i + 1]
+        w = -k @ d[:4]
+        z = d[:4] / n
+        return np.append(a @ d[:4] + b @ w, 100 * z[0] ** 2 + 0.25 * z[1] ** 2 + (w / e) @ (w / e))
+
+    z0 = np.array([0.3, -0.2, 0.1, 0.4])
+    solution = solve_ivp(rate, (0, 0.1), np.append(z0 * n, 0.0), rtol=1e-8, atol=1e-10)
+    assert z0 @ feedback.P[0] @ z0 == pytest.approx(solution.y[-1, -1], rel=1e-3)
+
+
+def test_a_motion_without_inputs_is_refused_and_a_wrong_end_too(slide, hanging):
+    motion = pam.simulate(hanging, duration=0.1)
+    with pytest.raises(InputError, match=r"holds no column 'muscle1\.pressure'"):
+        tvlqr(slide, motion)
+    with pytest.raises(
+        InputError, match=r"final has shape \(1, 1\); the Riccati matrix has \(3, 3\)"
+    ):
+        tvlqr(hanging, motion, final=[[1.0]])
+
+
+def test_open_loop_plays_the_plan(slide):
+    motion = pam.simulate(
+        slide,
+        {"muscle1.command": lambda t: 3e5 + 1e6 * t, "muscle2.command": 3e5},
+        t=np.linspace(0, 0.1, 101),
+        start={"muscle1.pressure": 3e5, "muscle2.pressure": 3e5},
+    )
+    start = {v.name: motion[v.name][0] for v in slide.states}
+    run = closed_loop(slide, OpenLoop(slide, motion, 1e-3), duration=0.1, start=start)
+    assert run["x"] == pytest.approx(motion["x"], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_the_example_holds_its_plan_under_wrong_mass_and_force_to_a_fifth_of_open_loop():
+    module = example("control_tvlqr")
+    plant, motion = module.planned()
+    runs = module.compared(plant, motion)
+    assert set(runs) == set(itertools.product((0.7, 1.0, 1.3), (0.95, 1.0, 1.05)))
+    for pair in runs.values():
+        opened, closed = (module.peak(run, motion) for run in pair.values())
+        assert closed < opened / 5
+
+
+def test_what_is_no_plant_or_motion_is_refused(slide):
+    with pytest.raises(InputError, match="motion is a dict, not a Trajectory"):
+        tvlqr(slide, {})
+    with pytest.raises(InputError, match="plant is a dict, not a Plant"):
+        tvlqr({}, {})
+    with pytest.raises(InputError, match="plant is a str, not a Plant"):
+        pam.lqr("slide")

@@ -1,0 +1,204 @@
+"""The moving-horizon estimator: the Kalman filter where that is exact; bounds, outliers, a wrong
+load.
+"""
+
+import numpy as np
+import pytest
+from conftest import benchmark_slide
+from test_estimate import H, damped_spring
+from test_mpc import double_integrator
+
+import pam_ocp as pam
+from pam_ocp.control.estimators.extended_kalman import KalmanFilter
+from pam_ocp.control.estimators.moving_horizon import MovingHorizonEstimator
+from pam_ocp.control.mpc.mpc import Mpc
+from pam_ocp.control.mpc_loop import closed_loop
+from pam_ocp.core.errors import InputError, UnknownNameError
+
+
+@pytest.mark.parametrize("horizon", [1, 4, 50])
+def test_on_a_linear_plant_it_is_the_kalman_filter(horizon):
+    """A window longer than the record, shorter, and of one step; with measurements missing."""
+    settings = {
+        "step": H,
+        "measured": {"double": 0.02, "v": 0.3},
+        "process": {"v": 0.2},
+        "start": {"x": 0.3},
+        "uncertainty": {"x": 0.1, "v": 0.5},
+        "unknown": {"der(v)": (1.0, 0.1)},
+    }
+    kalman = KalmanFilter(damped_spring(), **settings)
+    window = MovingHorizonEstimator(damped_spring(), horizon=horizon, **settings)
+    rng = np.random.default_rng(0)
+    for k in range(40):
+        seen = {"double": rng.standard_normal(), "v": rng.standard_normal()}
+        if k % 3 == 0:
+            del seen["v"]
+        inputs = {"f": rng.standard_normal()}
+        pairs = (
+            (kalman.correct(seen), window.correct(seen)),
+            (kalman.predict(inputs), window.predict(inputs)),
+        )
+        for expected, found in pairs:
+            assert found.state == pytest.approx(expected.state, abs=1e-8)
+            assert found.values == pytest.approx(expected.values, abs=1e-8)
+            assert found.deviation == pytest.approx(expected.deviation, rel=1e-8)
+
+
+def recorded(mass: float, duration: float, step: float, seed: int):
+    """(plant, rest, samples of a slide of this mass under a square wave, noise, random numbers)."""
+    plant = benchmark_slide()
+    rest = plant.equilibrium(x=0.0, stiffness=2e4)
+    base = {v.name: rest[v.name] for v in plant.inputs}
+
+    def command(t: float) -> dict[str, float]:
+        up = 0.6e5 if t % 0.2 < 0.1 - 1e-9 else -0.6e5
+        return {
+            "muscle1.command": base["muscle1.command"] + up,
+            "muscle2.command": base["muscle2.command"] - up,
+        }
+
+    state = {v.name: rest[v.name] for v in plant.states}
+    real = plant.with_values({"mass": mass})
+    rows = []
+    for k in range(round(duration / step)):
+        inputs = command(k * step)
+        rows.append((dict(state), inputs))
+        run = pam.simulate(real, inputs, start=state, duration=step)
+        state = {n: run[n][-1] for n in state}
+    return plant.with_values({v.name: rest[v.name] for v in plant.states}), rows
+
+
+NOISE = {"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
+SLIDE = {
+    "step": 0.005,
+    "measured": NOISE,
+    "process": {"v": 1e-3},
+    "uncertainty": {"x": 1e-4, "v": 1e-3, "muscle1.pressure": 1e3, "muscle2.pressure": 1e3},
+}
+
+
+def test_a_wrong_load_is_found_within_its_interval():
+    model, rows = recorded(2.6, 0.6, 0.005, seed=0)
+    rng = np.random.default_rng(0)
+    window = MovingHorizonEstimator(model, horizon=15, unknown={"mass": (0.5, 1e-3)}, **SLIDE)
+    for state, inputs in rows:
+        found = window.correct({n: state[n] + s * rng.standard_normal() for n, s in NOISE.items()})
+        window.predict(inputs)
+    assert found.deviation["mass"] < 0.05
+    assert abs(found.values["mass"] - 2.6) < 3 * found.deviation["mass"]
+    assert found.state["v"] == pytest.approx(rows[-1][0]["v"], abs=4 * found.deviation["v"])
+
+
+def test_with_few_outliers_huber_beats_the_extended_kalman_filter():
+    model, rows = recorded(2.0, 0.5, 0.005, seed=1)
+    rng = np.random.default_rng(1)
+    kalman = KalmanFilter(model, **SLIDE)
+    window = MovingHorizonEstimator(model, horizon=10, robust=1.345, iterations=5, **SLIDE)
+    errors = []
+    for state, inputs in rows:
+        seen = {n: state[n] + s * rng.standard_normal() for n, s in NOISE.items()}
+        if rng.random() < 0.1:
+            seen["x"] += 1e-3 * rng.choice([-1, 1])  # 50 standard deviations
+        errors.append([e.correct(seen).state["x"] - state["x"] for e in (kalman, window)])
+        kalman.predict(inputs)
+        window.predict(inputs)
+    filtered, robust = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert robust < 0.5 * filtered
+    assert robust < 2e-5
+
+
+def reservoir() -> pam.Plant:
+    plant = pam.Plant("reservoir", "a vessel that leaks")
+    p = plant.state("p", unit="Pa", start=2e3, min=0.0, nominal=1e5)
+    plant.der(p, -p / 0.2)
+    return plant
+
+
+def test_a_pressure_is_never_negative():
+    settings = {"step": H, "measured": {"p": 3e3}, "process": {"p": 2e3}, "uncertainty": {"p": 3e3}}
+    window = MovingHorizonEstimator(reservoir(), horizon=8, **settings)
+    kalman = KalmanFilter(reservoir(), **settings)
+    rng, lowest = np.random.default_rng(2), 0.0
+    for _ in range(60):
+        seen = {"p": 3e3 * rng.standard_normal()}
+        lowest = min(lowest, kalman.correct(seen).state["p"])
+        assert window.correct(seen).state["p"] >= 0.0
+        assert window.window["p"].min() >= 0.0
+        assert np.all(np.isfinite(window.window["p"]))
+        kalman.predict()
+        window.predict()
+    assert lowest < -500.0  # the filter knows no bounds
+
+
+def test_bounds_give_the_constrained_optimum():
+    """One measurement, prior and bound: by hand the bound itself, and the prior's share of the
+    rest.
+    """
+    window = MovingHorizonEstimator(
+        damped_spring(),
+        step=H,
+        measured={"x": 0.1},
+        uncertainty={"x": 0.1, "v": 0.5},
+        bounds={"x": (None, 0.2)},
+    )
+    assert window.correct({"x": 0.3}).state["x"] == pytest.approx(0.15)  # half way, bound idle
+    window.correct({"x": 0.9})  # replaces the value: 0.45 without the bound
+    assert window.estimate.state["x"] == pytest.approx(0.2, abs=1e-8)
+
+
+def test_a_disturbance_inside_given_bounds():
+    plant = double_integrator()
+    window = MovingHorizonEstimator(
+        plant,
+        step=H,
+        measured={"x": 1e-4},
+        process={"v": 1e-4},
+        unknown={"push": (1.0, 1e-3)},
+        bounds={"push": (-0.5, 0.5)},
+    )
+    x, v = 0.0, 0.0
+    for _ in range(40):
+        found = window.correct({"x": x})
+        window.predict()
+        x, v = x + H * v + H * H / 2 * 1.5, v + H * 1.5  # pushed by 1.5 N
+        assert abs(found.values["push"]) <= 0.5 + 1e-8
+    assert found.values["push"] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_it_takes_the_filters_place_in_a_closed_loop():
+    plant = double_integrator(limit=5.0)
+    window = MovingHorizonEstimator(
+        plant, step=0.1, measured={"x": 1e-4}, process={"v": 1e-3}, unknown={"push": (1.0, 0.01)}
+    )
+    mpc = Mpc(plant, horizon=20, step=0.1, track={"x": 1.0}, rate={"f": 0.01})
+    loop = closed_loop(
+        mpc, plant, {"x": 0.5}, 6.0, estimator=window, disturbances={"push": 0.8}, seed=3
+    )
+    found = loop.estimate.row(-1)
+    assert abs(found["push"] - 0.8) < 4 * found["deviation.push"] < 0.1
+    assert loop.steady_error("x", 1.0) < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"horizon": 0}, "horizon = 0"),
+        ({"iterations": 1.5}, "iterations = 1.5"),
+        ({"robust": -1.0}, "robust"),
+        ({"bounds": {"m": (0, 1)}}, "m is not estimated"),
+        ({"bounds": {"x": (1, 0)}}, "crossed"),
+        ({"bounds": {"x": 3}}, "give \\(low, high\\)"),
+    ],
+)
+def test_arguments_that_cannot_be_meant_are_refused(change, words):
+    settings = {"step": H, "measured": {"x": 1e-3}, **change}
+    with pytest.raises(InputError, match=words):
+        MovingHorizonEstimator(double_integrator(), **settings)
+
+
+def test_unknown_names_get_the_nearest_one():
+    with pytest.raises(UnknownNameError, match="push"):
+        MovingHorizonEstimator(
+            double_integrator(), step=H, measured={"x": 1e-3}, bounds={"pushh": (0, 1)}
+        )

@@ -1,0 +1,399 @@
+"""Model predictive control: the known optimum, bounds, warm start, delay, fallback,
+closed loops.
+"""
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import benchmark_slide
+
+import pam_ocp as pam
+from pam_ocp.control.estimators.extended_kalman import KalmanFilter
+from pam_ocp.control.mpc import sqp
+from pam_ocp.control.mpc.mpc import Mpc
+from pam_ocp.control.mpc.stage_qp import StageQp
+from pam_ocp.control.mpc_loop import closed_loop
+from pam_ocp.core.errors import InputError, UnknownNameError
+
+SOLVERS = ("hpipm", "piqp", "ipopt")
+
+
+def double_integrator(limit: float = np.inf) -> pam.Plant:
+    plant = pam.Plant("mass", "a free mass")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    f = plant.input("f", unit="N", min=-limit, max=limit)
+    push = plant.input("push", unit="N", disturbance=True)
+    m = plant.parameter("m", 1.0, unit="kg", min=1e-3, tunable=True)
+    plant.der(x, v)
+    plant.der(v, (f + push) / m)
+    return plant
+
+
+def slide_mpc(**options) -> Mpc:
+    commands = ("muscle1.command", "muscle2.command")
+    settings = {
+        "horizon": 25,
+        "step": 0.005,
+        "track": {"x": 1.0, "stiffness": 0.1},
+        "rate": dict.fromkeys(commands, 0.1),
+    }
+    return Mpc(benchmark_slide(), **{**settings, **options})
+
+
+def square(t: float) -> float:
+    return 0.010 if t % 0.4 < 0.2 else -0.010
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_linear_plant_with_idle_bounds_gets_the_lqr_of_riccati(solver):
+    h, n, q, r = 0.1, 20, np.diag([3.0, 0.5]), np.array([[0.2]])
+    a, b = np.array([[1.0, h], [0.0, 1.0]]), np.array([[h * h / 2], [h]])
+    p = q
+    for _ in range(n):
+        gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+        p = q + a.T @ p @ (a - b @ gain)
+    mpc = Mpc(
+        double_integrator(), horizon=n, step=h, track={"x": 3.0, "v": 0.5, "f": 0.2}, solver=solver
+    )
+    x = np.array([0.7, -0.3])
+    assert mpc.control(x)["f"] == pytest.approx((-gain @ x).item(), abs=1e-5)
+
+
+def test_weights_on_changes_see_the_input_applied_before():
+    """One step of horizon: min x1^2/2 + r (u - u0)^2/2, by hand."""
+    h, r, before = 0.1, 0.3, 0.8
+    mpc = Mpc(
+        double_integrator(),
+        horizon=1,
+        step=h,
+        track={"v": 1.0},
+        terminal={"v": 1.0},
+        rate={"f": r},
+    )
+    mpc.reset({"f": before})
+    assert mpc.control([0.0, 0.5])["f"] == pytest.approx((r * before - h * 0.5) / (h * h + r))
+
+
+def test_known_disturbances_parameters_and_offsets_are_planned_for():
+    mpc = Mpc(double_integrator(), horizon=40, step=0.1, track={"x": 1.0}, rate={"f": 0.1})
+    mpc.reset({"f": -2.0})
+    assert mpc.control([0, 0], values={"push": 2.0})["f"] == pytest.approx(-2.0, abs=1e-5)
+    mpc.reset({"f": -2.0})
+    values = {"der(v)": 0.5, "m": 4.0}
+    assert mpc.control([0, 0], values=values)["f"] == pytest.approx(-2.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_bounds_of_inputs_hold_and_those_of_states_where_they_can(solver):
+    mpc = Mpc(
+        double_integrator(limit=1.0),
+        horizon=20,
+        step=0.1,
+        track={"x": 1.0},
+        rate={"f": 1e-3},
+        bounds={"v": (-0.4, 0.4)},
+        solver=solver,
+        iterations=5,
+    )
+    loop = mpc.closed_loop(double_integrator(limit=1.0), {"x": 1.0}, 4.0)
+    assert np.abs(loop.trajectory["f"]).max() <= 1.0
+    assert np.abs(loop.trajectory["v"]).max() <= 0.4 + 1e-4
+    assert loop.trajectory["x"][-1] == pytest.approx(1.0, abs=1e-2)
+    assert loop.statistics.failures == 0
+
+
+def test_a_state_outside_its_soft_bound_is_brought_back():
+    mpc = Mpc(
+        double_integrator(limit=1.0),
+        horizon=20,
+        step=0.1,
+        track={"x": 1.0},
+        rate={"f": 1e-3},
+        bounds={"v": (-0.4, 0.4)},
+        iterations=5,
+    )
+    loop = closed_loop(mpc, double_integrator(limit=1.0), {"x": 1.0}, 2.0, start={"v": 0.8})
+    assert loop.statistics.fallbacks == loop.statistics.failures == 0
+    assert loop.trajectory["v"][5:].max() <= 0.4 + 1e-3
+
+
+def test_hard_bounds_that_cannot_be_kept_are_reported():
+    mpc = Mpc(
+        double_integrator(limit=1.0),
+        horizon=5,
+        step=0.1,
+        track={"x": 1.0},
+        soft=False,
+        bounds={"v": (-0.4, 0.4)},
+    )
+    assert np.isfinite(mpc.control([0.0, 2.0])["f"])
+    assert mpc.statistics.fallbacks == mpc.statistics.failures == 1
+
+
+def test_a_shifted_solution_needs_fewer_iterations_than_a_cold_start():
+    warm, cold = slide_mpc(iterations=20), slide_mpc(iterations=20)
+    x = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    warm.reset({v.name: x[v.name] for v in x.plant.inputs})
+    reference = {"x": 0.008, "stiffness": 2e4}
+    state, counts = x.x, []
+    for _ in range(6):
+        cold.reset({v.name: x[v.name] for v in x.plant.inputs})
+        warm.control(state, reference)
+        cold.control(state, reference)
+        counts.append((warm.statistics.steps[-1].iterations, cold.statistics.steps[0].iterations))
+        predicted = warm.prediction()
+        state = [predicted[v.name][1] for v in x.plant.states]
+    assert sum(w for w, _ in counts[1:]) < 0.7 * sum(c for _, c in counts[1:])
+
+
+@pytest.mark.parametrize("method", ["rk4", "rosenbrock"])
+def test_the_prediction_is_the_motion_that_an_exact_integrator_gives(method):
+    mpc = slide_mpc(method=method, substeps=8, iterations=30, tolerance=1e-6)
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    mpc.control(rest.x, {"x": 0.008, "stiffness": 2e4})
+    plan = mpc.prediction()
+    assert plan.compare(pam.simulate(mpc.plant, plan), ["x", "v"]).largest < 1e-3
+
+
+def test_a_solution_by_sqp_is_that_of_ipopt():
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    found = []
+    for solver in SOLVERS:
+        mpc = slide_mpc(solver=solver, iterations=30, tolerance=1e-6)
+        mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
+        found.append(list(mpc.control(rest.x, {"x": 0.008, "stiffness": 2e4}).values()))
+    assert found[1] == pytest.approx(found[2], abs=20.0)  # Pa
+    assert found[0] == pytest.approx(found[2], abs=300.0)  # HPIPM stops at a larger gap
+
+
+def test_with_a_delay_it_plans_from_where_the_inputs_under_way_will_have_led():
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    under_way = {"muscle1.command": 4e5, "muscle2.command": 2e5}
+    late, at_once = (slide_mpc(delay=d, iterations=30, tolerance=1e-6) for d in (1, 0))
+    late.reset(under_way)
+    at_once.reset(under_way)
+    start = {v.name: rest[v.name] for v in rest.plant.states}
+    meanwhile = pam.simulate(rest.plant, under_way, start=start, duration=0.005)
+    there = [meanwhile[n][-1] for n in start]
+    reference = {"x": 0.008, "stiffness": 2e4}
+    chosen = late.control(rest.x, reference)
+    assert at_once.control(there, reference) == pytest.approx(chosen, abs=50.0)  # Pa
+
+
+def test_seeded_noise_gives_the_same_run_twice():
+    def run(seed: int) -> pam.Trajectory:
+        return closed_loop(
+            slide_mpc(),
+            benchmark_slide(),
+            {"x": square, "stiffness": 2e4},
+            0.1,
+            noise={"x": 1e-5},
+            seed=seed,
+        ).trajectory
+
+    assert np.array_equal(run(3)["x"], run(3)["x"])
+    assert not np.array_equal(run(3)["x"], run(4)["x"])
+
+
+def test_hpipm_called_directly_solves_the_quadratic_program_that_piqp_solves():
+    """After a jump of the reference, with hard bounds and soft ones, some of them active."""
+    mpc = slide_mpc(iterations=1, bounds={"x": (None, 0.007)})
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
+    mpc.control(rest.x, {"x": -0.008, "stiffness": 2e4})
+    point, p = mpc._sqp.point, mpc.program
+    mpc._references({"x": 0.012, "stiffness": 2e4})
+    point()
+    direction = np.zeros(p.size)
+    StageQp(point, direction)()
+    conic = ca.conic(
+        "exact",
+        "piqp",
+        {"h": p.h_sparsity, "a": p.a_sparsity},
+        {"piqp": {"eps_abs": 1e-11, "eps_rel": 1e-11}},
+    )
+    exact = conic(
+        h=ca.DM(p.h_sparsity, point.h),
+        g=point.gradient,
+        a=ca.DM(p.a_sparsity, point.a),
+        lba=point.a_low,
+        uba=point.a_high,
+        lbx=point.w_low,
+        ubx=point.w_high,
+    )["x"]
+    assert np.abs(direction).max() > 0.1
+    assert direction == pytest.approx(np.asarray(exact).ravel(), abs=1e-4)
+
+
+def test_without_the_library_hpipm_is_reached_through_casadi(monkeypatch):
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    found = []
+    for direct in (True, False):
+        monkeypatch.setattr(sqp, "available", lambda direct=direct: direct)
+        mpc = slide_mpc(iterations=30, work=None, tolerance=1e-5)
+        mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
+        found.append(list(mpc.control(rest.x, {"x": 0.008, "stiffness": 2e4}).values()))
+        assert (mpc.statistics.steps[0].work > 0) == direct
+    assert found[0] == pytest.approx(found[1], abs=300.0)  # Pa; CasADi's stops at a larger gap
+
+
+def test_the_work_of_a_call_is_bounded_after_a_jump_and_the_solution_completed_later():
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    bounded, free = slide_mpc(iterations=30), slide_mpc(iterations=30, work=None)
+    for mpc in (bounded, free):
+        mpc.reset({v.name: rest[v.name] for v in rest.plant.inputs})
+        state = rest.x
+        for k in range(30):
+            mpc.control(state, {"x": 0.0 if k == 0 else 0.012, "stiffness": 2e4})
+            plan = mpc.prediction()  # the plant follows the model
+            state = [plan[v.name][1] for v in rest.plant.states]
+        steps = mpc.statistics.steps[1:]
+        assert mpc.statistics.fallbacks == 0
+        if mpc is bounded:
+            assert max(s.work for s in steps) < 12 + 20  # the last program is finished
+            assert not steps[0].converged
+        else:
+            assert max(s.work for s in steps) > 30
+            assert steps[0].converged
+        assert steps[-1].converged
+        assert state[0] == pytest.approx(0.012, abs=2e-4)
+
+
+@pytest.mark.slow
+def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
+    """30 % more mass and a constant force that the model leaves out: found as an offset of v'."""
+    plant = benchmark_slide()
+    rest = plant.equilibrium(x=0.0, stiffness=2e4)
+    start = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs)}
+    model = plant.with_values(start)
+    observer = KalmanFilter(
+        model,
+        step=0.005,
+        measured={"x": 2e-5, "muscle1.pressure": 500, "muscle2.pressure": 500},
+        process={"v": 0.01},
+        unknown={"mass": (0.5, 0.05)},
+    )
+    mpc = Mpc(
+        model,
+        horizon=30,
+        step=0.005,
+        delay=1,
+        track={"x": 1.0, "stiffness": 0.05},
+        rate={"muscle1.command": 0.05, "muscle2.command": 0.05},
+    )
+    fmu = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms=["native"])
+    loop = closed_loop(
+        mpc,
+        fmu,
+        {"x": lambda t: square(t) if t < 1 else 0.005, "stiffness": 2e4},
+        1.6,
+        estimator=observer,
+        parameters={"mass": 2.6},
+        start=start,
+    )
+    assert loop.steady_error("x", 0.2) < 2e-4
+    assert loop.estimate["mass"][-1] == pytest.approx(2.6, rel=0.1)
+    assert loop.statistics.failures == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"horizon": 0}, "horizon = 0"),
+        ({"step": -1.0}, "step = -1"),
+        ({"delay": 2}, "delay = 2"),
+        ({"work": 0}, "work = 0"),
+        ({"track": {"x": -1.0}}, "track"),
+        ({"track": {}}, "at least one weight"),
+        ({"rate": {"x": 1.0}}, "x is a state"),
+        ({"rate": {"push": 1.0}}, "push is a disturbance"),
+        ({"bounds": {"m": (0, 1)}}, "m is a parameter"),
+        ({"bounds": {"v": (1, -1)}}, "crossed"),
+        ({"solver": "magic"}, "solver = 'magic'"),
+        ({"method": "euler"}, "method = 'euler'"),
+    ],
+)
+def test_arguments_that_cannot_be_meant_are_refused(change, words):
+    settings = {"horizon": 5, "step": 0.1, "track": {"x": 1.0}, **change}
+    with pytest.raises(InputError, match=words):
+        Mpc(double_integrator(), **settings)
+
+
+def test_unknown_names_get_the_nearest_one():
+    mpc = Mpc(double_integrator(), horizon=5, step=0.1, track={"x": 1.0})
+    with pytest.raises(UnknownNameError, match="push"):
+        mpc.control([0, 0], values={"pushh": 1.0})
+    with pytest.raises(UnknownNameError, match="tracked"):
+        mpc.control([0, 0], {"v": 1.0})
+    with pytest.raises(InputError, match="v is missing"):
+        mpc.control({"x": 0.0})
+    with pytest.raises(InputError, match="6 of them"):
+        mpc.control([0, 0], {"x": [1.0, 2.0]})
+
+
+@pytest.mark.slow
+def test_plant_and_fmu_are_the_same_real_side(tmp_path):
+    plant = benchmark_slide()
+    rest = plant.equilibrium(x=0.0, stiffness=2e4)
+    start = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs)}
+    fmu = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms=["native"])
+    sides = ((plant.with_values(start), {}), (fmu, {"start": start}))
+    one, other = (
+        closed_loop(
+            slide_mpc(),
+            side,
+            {"x": square, "stiffness": 2e4},
+            0.3,
+            parameters={"mass": 2.6},
+            **more,
+        ).trajectory
+        for side, more in sides
+    )
+    assert one.compare(other, ["x", "v", "muscle1.pressure"]).largest < 1e-2
+
+
+def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
+    mpc = Mpc(double_integrator(), horizon=5, step=0.1, track={"x": 1.0})
+    real = double_integrator()
+    with pytest.raises(InputError, match="shorter than a step"):
+        closed_loop(mpc, real, {"x": 1.0}, 0.01)
+    with pytest.raises(UnknownNameError, match="push"):
+        closed_loop(mpc, real, {"x": 1.0}, 1.0, disturbances={"pushh": 1.0})
+    with pytest.raises(InputError, match="no such FMU"):
+        closed_loop(mpc, tmp_path / "none.fmu", {"x": 1.0}, 1.0)
+    slow = KalmanFilter(real, step=0.2, measured={"x": 1e-3})
+    with pytest.raises(InputError, match="estimator's step"):
+        closed_loop(mpc, real, {"x": 1.0}, 1.0, estimator=slow)
+    with pytest.raises(InputError, match=r"controller is a Mpc.*mpc\.closed_loop"):
+        pam.closed_loop(real, mpc, duration=1.0)
+
+
+# ---- what its statistics say
+# ------------------------------------------------------------------------
+def test_steps_that_are_applied_before_they_converged_are_counted():
+    """A jump of the reference with one SQP step per call: not converged; at rest it is again."""
+    mpc = slide_mpc(iterations=1, tolerance=1e-4)
+    loop = mpc.closed_loop(benchmark_slide(), {"x": lambda t: 0.01 if t >= 0.1 else 0.0}, 0.2)
+    steps = loop.statistics.steps
+    expected = sum(s.last_step > 1e-4 for s in steps)
+    assert 0 < expected < len(steps)
+    assert loop.statistics.unconverged == expected
+    assert f"not converged {expected} times" in str(loop)
+
+
+def test_the_error_of_a_prediction_is_that_of_a_tight_integration():
+    """One RK4 step of 50 ms on a regulator's lag of 50 ms: by SciPy, from node to node."""
+    from conftest import scipy_states
+
+    mpc = slide_mpc(step=0.05, substeps=1, horizon=8)
+    mpc.control(mpc.plant.vector("state"), {"x": 0.01})
+    motion, plant = mpc.prediction(), mpc.plant
+    states = motion.array(motion.named("state"))
+    inputs = motion.array(motion.named("input"))
+    nominal = plant.vector("state", attribute="nominal")
+    misses = [
+        np.abs(scipy_states(plant, lambda _, u=u: u, [0.0, 0.05], x)[-1] - after) / nominal
+        for x, u, after in zip(states[:-1], inputs[:-1], states[1:], strict=True)
+    ]
+    assert np.max(misses) > 1e-4  # a rough step
+    assert mpc.prediction_error() == pytest.approx(np.max(misses), rel=1e-2)

@@ -1,0 +1,124 @@
+"""Disturbances estimated and made good for."""
+
+import numpy as np
+import pytest
+from conftest import BAR
+
+import pam_ocp as pam
+from pam_ocp import InputError
+from pam_ocp.control.estimators.stationary import kalman
+from pam_ocp.control.lqr import lqr
+from pam_ocp.control.offset_free import OffsetFree
+
+
+@pytest.fixture
+def pushed(long_muscle):
+    """A joint on which a torque acts from outside, and its rest."""
+    plant = pam.AntagonisticJoint(
+        long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2, loads=[pam.ExternalForce()]
+    )
+    return plant, plant.equilibrium(theta=0.2, stiffness=25.0)
+
+
+NOISE = {"theta": 1e-5, "muscle1.pressure": 50.0, "muscle2.pressure": 50.0}
+DRIFT = {"external_force": 30.0}
+
+
+def run(plant, point, controller, duration=1.5, **options):
+    start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
+    return pam.closed_loop(plant, controller, duration=duration, dt=2e-3, start=start, **options)
+
+
+def test_the_estimate_is_the_torque_that_acts(pushed):
+    plant, point = pushed
+    filter_ = kalman(plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, dt=2e-3)
+    feedback = lqr(plant, point, dt=2e-3)
+    controller = OffsetFree(feedback, filter_, ["theta", "stiffness"])
+    torque = 0.05
+    run(plant, point, controller, disturbances={"external_force": torque})
+    assert filter_.disturbance["external_force"] == pytest.approx(torque, rel=0.02)
+
+
+def test_the_disturbance_is_told_from_an_input_that_feeds_through():
+    """x' = -2 x + 3 u + d, y = x + u/2 + d/5 about d = 5: the true d = 8 by formulas alone."""
+    plant = pam.Plant("fed_through")
+    x, u, d = plant.state("x"), plant.input("u"), plant.input("d", disturbance=True)
+    plant.der(x, -2 * x + 3 * u + d)
+    plant.output("y", x + u / 2 + d / 5)
+    point = plant.equilibrium(u=1.0, d=5.0)
+    assert point["x"] == pytest.approx(4.0)
+    filter_ = kalman(plant, point, measured={"y": 1e-3}, disturbances={"d": 10.0}, dt=0.05)
+    rng, true, keep = np.random.default_rng(4), 3.0, np.exp(-0.1)
+    command = 1.0
+    for _ in range(300):
+        seen = true + command / 2 + 8.0 / 5
+        estimate = filter_.correct({"y": seen})
+        last, command = true, float(rng.normal(1.0, 2.0))
+        filter_.predict({"u": command})
+        true = keep * true + (1 - keep) / 2 * (3 * command + 8.0)
+    assert filter_.disturbance == {"d": pytest.approx(8.0, rel=1e-6)}
+    assert estimate == pytest.approx([last], rel=1e-6)
+
+
+def test_nothing_is_left_of_an_unknown_torque_load_and_weak_muscle(pushed):
+    plant, point = pushed
+    feedback = lqr(plant, point, dt=2e-3)
+    filter_ = kalman(
+        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, dt=2e-3
+    )
+    true = {"link_mass": 1.2, "muscle1.a5": 0.95 * plant.variable("muscle1.a5").start}
+    about = {"disturbances": {"external_force": 1.0}, "parameters": true, "duration": 3.0}
+    plain = run(plant, point, pam.WithEstimate(lqr(plant, point, dt=2e-3), filter_), **about)
+    free = run(plant, point, OffsetFree(feedback, filter_, ["theta"]), **about)
+    assert abs(plain["theta"][-1] - 0.2) > 1e-3
+    assert abs(free["theta"][-1] - 0.2) < 1e-7
+
+
+def test_it_goes_to_another_goal_without_an_integral(pushed):
+    plant, point = pushed
+    filter_ = kalman(
+        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, dt=2e-3
+    )
+    controller = OffsetFree(lqr(plant, point, dt=2e-3), filter_, ["theta"], {"theta": 0.3})
+    moved = run(plant, point, controller, duration=3.0)
+    assert moved["theta"][-1] == pytest.approx(0.3, abs=1e-6)
+    assert moved["theta"].max() < 0.3 + 0.1 * 0.1
+
+
+def test_the_augmented_gain_is_that_of_the_riccati_equation_written_out(pushed):
+    """In the limit of no process noise but the drift: an independent iteration of the filter."""
+    plant, point = pushed
+    found = kalman(plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, dt=2e-3)
+    a, c = np.asarray(found.system.A), np.asarray(found.system.C)
+    n = np.append(plant.vector("state", attribute="nominal"), 10.0)
+    q = np.diag(np.append(np.full(len(n) - 1, 0.1), 3.0) ** 2 * 2e-3)
+    a, c = a * n / n[:, None], c * n / np.array([*NOISE.values()])[:, None]
+    p = q.copy()
+    for _ in range(20000):
+        gain = p @ c.T @ np.linalg.inv(c @ p @ c.T + np.eye(len(c)))
+        p = a @ (p - gain @ c @ p) @ a.T + q
+    expected = gain * n[:, None] / np.array([*NOISE.values()])
+    assert found.gain == pytest.approx(expected, rel=1e-5, abs=1e-9 * np.abs(expected).max())
+
+
+def test_what_cannot_be_estimated_or_held_is_refused(pushed, slide):
+    plant, point = pushed
+    with pytest.raises(InputError, match="theta is a state; name inputs of the plant"):
+        kalman(plant, point, measured=NOISE, disturbances={"theta": 1.0})
+    both = {"external_force": 1.0, "muscle1.command": 1e4}
+    with pytest.raises(InputError, match=r"cannot be told .* by 1 measured value"):
+        kalman(plant, point, measured={"theta": 1e-5}, disturbances=both)
+    with pytest.raises(InputError, match="cannot be told"):  # pressures do not feel the torque
+        kalman(plant, point, measured={"muscle1.pressure": 50.0}, disturbances=DRIFT)
+    filter_ = kalman(plant, point, measured=NOISE, disturbances=DRIFT)
+    feedback = lqr(plant, point)
+    with pytest.raises(InputError, match="hold names 0 value"):
+        OffsetFree(feedback, filter_, [])
+    with pytest.raises(InputError, match="design both for one"):
+        OffsetFree(lqr(plant, point, dt=2e-3), filter_, ["theta"])
+    with pytest.raises(InputError, match="the feedback integrates theta"):
+        OffsetFree(lqr(plant, point, integral={"theta": 5.0}), filter_, ["theta"])
+    with pytest.raises(InputError, match="estimates no disturbance"):
+        OffsetFree(feedback, kalman(plant, point, measured=NOISE), ["theta"])
+    with pytest.raises(InputError, match="theta, omega cannot be held"):
+        OffsetFree(feedback, filter_, ["theta", "omega"], {"theta": 2 * BAR})

@@ -1,0 +1,130 @@
+"""Trajectory and input signals."""
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp import InputError, Trajectory, UnknownNameError, Variable
+from pam_ocp.core.signals import signals
+
+VARIABLES = (
+    Variable("x", "state", unit="m", nominal=0.01),
+    Variable("muscle.command", "input", unit="Pa", nominal=1e5),
+)
+
+
+def record(interpolation="previous") -> Trajectory:
+    return Trajectory(
+        [0.0, 0.1, 0.3],
+        {"x": [0.0, 0.01, 0.03], "muscle.command": [1e5, 2e5, 4e5]},
+        VARIABLES,
+        interpolation,
+    )
+
+
+def test_held_inputs_keep_their_value_between_samples_and_states_are_joined():
+    at = record().at([0.05, 0.1, 0.2])
+    assert at["muscle.command"] == pytest.approx([1e5, 2e5, 2e5])
+    assert at["x"] == pytest.approx([0.005, 0.01, 0.02])
+    assert record("linear").at([0.2])["muscle_command"] == pytest.approx([3e5])
+
+
+@pytest.mark.parametrize("ending", ["npz", "parquet", "csv"])
+def test_what_was_saved_comes_back(tmp_path, ending):
+    before = record()
+    after = Trajectory.load(before.save(tmp_path / f"record.{ending}"))
+    assert np.array_equal(after.t, before.t)
+    assert after.names == before.names
+    assert all(np.array_equal(after[n], before[n]) for n in before.names)
+    assert [v.unit for v in after.variables] == ["m", "Pa"]
+    if ending != "csv":
+        assert after.variables == before.variables
+        assert after.interpolation == "previous"
+
+
+def test_an_unwritable_place_leaves_nothing_behind(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        record().save(tmp_path / "nowhere" / "record.csv")
+    with pytest.raises(InputError, match=r"\.csv, \.npz, \.parquet"):
+        record().save(tmp_path / "record.txt")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_comparison_finds_the_largest_deviation_and_its_time():
+    other = record()
+    other["x"][1] += 1e-3
+    comparison = record().compare(other)
+    assert comparison["x"].largest == pytest.approx(1e-3)
+    assert comparison["x"].time == 0.1
+    assert comparison.largest == pytest.approx(0.1)
+    assert "x" in str(comparison)
+
+
+def test_a_deviation_counts_whichever_way_it_goes():
+    other = record()
+    other["x"][1] -= 5e-3
+    other["x"][2] += 1e-3
+    found = record().compare(other)["x"]
+    assert (found.largest, found.time) == (pytest.approx(5e-3), 0.1)
+    assert found.relative == pytest.approx(0.5)
+    assert found.rms == pytest.approx(np.sqrt((25e-6 + 1e-6) / 3))
+    assert record().compare(other).largest == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("t", "columns", "message"),
+    [
+        ([0.0, 0.0], {"x": [0, 1], "muscle.command": [0, 1]}, "must rise"),
+        ([0.0, np.nan], {"x": [0, 1], "muscle.command": [0, 1]}, "must rise"),
+        ([0.0, 1.0], {"x": [0], "muscle.command": [0, 1]}, "shape"),
+        ([], {"x": [], "muscle.command": []}, "at least one time"),
+    ],
+)
+def test_a_record_that_is_none_is_refused(t, columns, message):
+    with pytest.raises(InputError, match=message):
+        Trajectory(t, columns, VARIABLES)
+
+
+def test_an_unknown_column_brings_the_nearest():
+    with pytest.raises(UnknownNameError, match=r"muscle\.command"):
+        record()["muscle.comand"]
+
+
+def test_a_function_of_time_is_followed_to_its_tolerance(hanging):
+    t = np.linspace(0.0, 2.0, 11)
+    u = signals(hanging, {"muscle.command": lambda s: 3e5 + 1e5 * np.sin(9 * s)}, t)
+    times = np.linspace(0.0, 2.0, 1777)
+    assert u(times)[:, 0] == pytest.approx(3e5 + 1e5 * np.sin(9 * times), abs=1e-3)
+
+
+def test_a_jump_of_a_function_is_found(hanging):
+    u = signals(
+        hanging, {"muscle.command": lambda s: 1e5 if s < 0.7312 else 4e5}, np.array([0.0, 2.0])
+    )
+    assert u([0.7312 - 2e-9])[0, 0] == pytest.approx(1e5)
+    assert u([0.7312 + 2e-9])[0, 0] == pytest.approx(4e5)
+
+
+def test_the_last_sample_of_a_held_input_is_its_end_not_an_interval(slide):
+    t = np.array([0.0, 0.1, 0.2])
+    u = signals(slide, {"muscle1.command": [1e5, 2e5, 5e5], "muscle2.command": 3e5}, t)
+    assert u([0.0, 0.05, 0.1, 0.19]) == pytest.approx(
+        np.array([[1e5, 3e5], [1e5, 3e5], [2e5, 3e5], [2e5, 3e5]])
+    )
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        ({"x": 1.0}, "x is a state of the plant, not an input"),
+        ({"muscle1.command": [1e5, 2e5, 3e5]}, "3 samples for 2 times"),
+        ({"muscle1.command": [1.0, np.nan]}, "sample 1 is nan"),
+        ({"muscle1.command": ([0.0, 0.0], [1e5, 2e5])}, "times must rise"),
+        ({"muscle1.command": lambda t: float("nan")}, "one finite number"),
+        ({"muscle1.command": 9e5}, "outside 0 bar .. 6 bar"),
+        ({"muscle3.command": 1e5}, "muscle1.command"),
+    ],
+)
+def test_bad_inputs_are_refused_with_a_reason(slide, inputs, message):
+    with pytest.raises(InputError, match=message):
+        pam.simulate(slide, inputs, t=[0.0, 0.1])

@@ -1,0 +1,56 @@
+"""Units and variables."""
+
+import math
+
+import pytest
+
+from pam_ocp import InputError, UnknownNameError, Variable
+from pam_ocp.core.units import unit
+
+
+@pytest.mark.parametrize(
+    ("name", "exponents", "factor"),
+    [
+        ("Pa", {"kg": 1, "m": -1, "s": -2}, 1.0),
+        ("bar", {"kg": 1, "m": -1, "s": -2}, 1e5),
+        ("N.s/m", {"kg": 1, "s": -1}, 1.0),
+        ("N.m/rad", {"kg": 1, "m": 2, "s": -2, "rad": -1}, 1.0),
+        ("m3/(s.Pa)", {"kg": -1, "m": 4, "s": 1}, 1.0),
+        ("mm/s2", {"m": 1, "s": -2}, 1e-3),
+        ("1/s", {"s": -1}, 1.0),
+        ("%", {}, 0.01),
+        ("1", {}, 1.0),
+    ],
+)
+def test_units_reduce_to_si_base_units(name, exponents, factor):
+    assert unit(name).base_exponents == exponents
+    assert unit(name).factor == pytest.approx(factor, rel=1e-15)
+
+
+def test_unknown_unit_names_the_nearest():
+    with pytest.raises(UnknownNameError, match="kPa"):
+        unit("KPa")
+
+
+def test_a_variable_shows_its_value_in_the_unit_people_read():
+    assert Variable("p", "state", unit="Pa").shown(2.5e5) == "2.5 bar"
+    assert Variable("x", "state", unit="m").shown(0.015) == "15 mm"
+    assert Variable("k", "output", display_unit="%").shown(0.1) == "10 %"
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ({"name": "2x"}, "letters, digits"),
+        ({"name": "x..y"}, "letters, digits"),
+        ({"name": "x", "min": 2.0, "max": 1.0}, "min = 2 must not lie above max = 1"),
+        ({"name": "x", "nominal": 0.0}, "nominal"),
+        ({"name": "x", "nominal": math.inf}, "nominal"),
+        ({"name": "x", "start": math.nan}, "finite"),
+        ({"name": "x", "start": 3.0, "max": 1.0}, "outside"),
+        ({"name": "x", "unit": "m", "display_unit": "bar"}, "does not measure the same"),
+    ],
+)
+def test_a_variable_refuses_what_makes_no_sense(attributes, message):
+    with pytest.raises(InputError, match=message):
+        Variable(causality="state", **attributes)

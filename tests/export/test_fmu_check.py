@@ -1,0 +1,102 @@
+"""check_fmu finds out what is wrong with an FMU, and plays inputs of every kind."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide
+from fmu_tools import VERSIONS
+from numpy.polynomial import chebyshev, polynomial
+
+import pam_ocp as pam
+from pam_ocp.core.signals import PiecewisePolynomial
+from pam_ocp.export import check_fmu, export_fmu, source
+from pam_ocp.export.runner import UnpackedFmu
+
+
+def test_a_wrong_trajectory_is_found_out(fmus: dict[str, UnpackedFmu], tmp_path: Path) -> None:
+    plant = benchmark_slide()
+    path = export_fmu(plant, tmp_path / "slide.fmu", platforms="native")
+    t = np.linspace(0, 0.1, 11)
+    right = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t)
+    assert check_fmu(path, right).ok
+    other = pam.simulate(plant.with_values(mass=2.01), {"muscle1.command": 4 * BAR}, t=t)
+    found = check_fmu(path, other)
+    assert not found.ok
+    assert "NOT well" in str(found)
+    assert check_fmu(path, other, parameters={"mass": 2.01}).ok
+
+
+def test_damaged_fmus_are_found_out(tmp_path: Path) -> None:
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", platforms="native")
+
+    def changed(change: Any) -> Any:
+        other = tmp_path / "other.fmu"
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(other, "w") as new:
+            for name in old.namelist():
+                content = change(name, old.read(name))
+                if content is not None:
+                    new.writestr(name, content)
+        return check_fmu(other)
+
+    binary = lambda name: name.startswith("binaries/")  # noqa: E731
+    assert "no binary" in str(changed(lambda n, c: None if binary(n) else c))
+    assert "no shared library" in str(changed(lambda n, c: b"nonsense" if binary(n) else c))
+    old_token = changed(
+        lambda n, c: c.replace(b'guid="{', b'guid="{1') if n.endswith(".xml") else c
+    )
+    assert any("belong together" in finding for finding in old_token.findings)
+    foreign = changed(
+        lambda n, c: c.replace(b"fmi2Terminate", b"foreign__name") if binary(n) else c
+    )
+    assert any("foreign__name" in finding for finding in foreign.findings)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_wrong_directional_derivatives_are_found_out(
+    fmi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = source.plant_functions
+
+    def wrong(plant: pam.Plant) -> Any:
+        functions = {f.name(): f for f in right(plant)}
+        forward = functions["plant_forward"]
+        given = forward.sx_in()
+        dxdot, dy = forward(*given)
+        functions["plant_forward"] = ca.Function("plant_forward", given, [1.001 * dxdot, dy])
+        return list(functions.values())
+
+    monkeypatch.setattr(source, "plant_functions", wrong)
+    found = check_fmu(
+        export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")
+    )
+    assert any("directional derivatives along x" in finding for finding in found.findings)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_curved_inputs_that_jump_are_played_in_every_mode(fmi: Any, tmp_path: Path) -> None:
+    """Polynomials of degree 7 with bends of a bar in 50 ms, as plans have them."""
+    plant, rng = benchmark_slide(), np.random.default_rng(5)
+    breaks, h = np.linspace(0.0, 0.4, 9), 0.05
+    pieces = np.zeros((8, 8, 2))
+    for k, i in np.ndindex(8, 2):
+        bends = np.array([3.0, *rng.uniform(-0.25, 0.25, 7)]) * BAR
+        curve = chebyshev.Chebyshev(bends, domain=[0.0, h]).convert(kind=polynomial.Polynomial)
+        pieces[k, :, i] = curve.coef
+    inputs = PiecewisePolynomial(breaks, pieces)
+    motion = pam.simulate(plant, inputs, t=np.linspace(0.0, 0.4, 41))
+    left = inputs(breaks[1:-1] - 1e-9) - inputs(breaks[1:-1])
+    assert np.abs(left).max() > 0.3 * BAR
+    path = export_fmu(plant, tmp_path / "slide.fmu", fmi=fmi, platforms="native")
+    found = check_fmu(path, motion)
+    assert found.ok, str(found)
+    assert found.largest < 2e-7
+    lines = pam.Trajectory(
+        motion.t, {n: motion[n] for n in motion.names}, motion.variables, "linear"
+    )
+    assert check_fmu(path, lines).largest > 1e-3  # the samples alone do not say how they are joined

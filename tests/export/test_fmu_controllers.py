@@ -1,0 +1,121 @@
+"""State feedback as a controller of its own: its law, its FMU,
+and plant and controller in an SSP.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import fmpy.ssp.simulation
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide
+from fmu_tools import coupled
+
+import pam_ocp as pam
+from pam_ocp import InputError
+from pam_ocp.export import check_fmu, export_fmu, export_ssp, state_feedback_controller
+
+COMMANDS = ("muscle1.command", "muscle2.command")
+STATES = ("x", "v", "muscle1.pressure", "muscle2.pressure")
+STEP = 1e-3
+
+
+@pytest.fixture(scope="module")
+def feedback() -> Any:
+    plant = benchmark_slide()
+    point = plant.equilibrium(x=0.002, stiffness=2.2e4)
+    return pam.lqr(plant, point, integral={"x": 200.0, "stiffness": 10.0}, dt=STEP)
+
+
+def test_it_is_the_law_with_the_integral_of_the_error(feedback: Any) -> None:
+    built, point = state_feedback_controller(feedback), feedback.point
+    dx = np.array([3e-4, -2e-3, 800.0, -500.0])
+    error = {"x": dx[0] - 1e-4, "stiffness": 20.0}
+    given = dict(zip(STATES, point.x + dx, strict=True))
+    given |= {"stiffness": point["stiffness"] + 20.0, "reference.x": point["x"] + 1e-4}
+    t = np.linspace(0.0, 0.2, 21)
+    found = pam.simulate(built, given, t=t)
+    law = feedback.K @ dx
+    z = np.array([error["x"], error["stiffness"]])[:, None] * t
+    expected = point.u[:, None] - law[:, None] - feedback.Ki @ z
+    for row, name in zip(expected, COMMANDS, strict=True):
+        assert found[name] == pytest.approx(row, rel=1e-8)
+        assert np.ptp(found[name]) > 100.0
+
+
+def test_held_commands_let_the_integrals_run_back(feedback: Any) -> None:
+    """To where the commands asked for are as far beyond their range as the error drives them."""
+    built, point = state_feedback_controller(feedback, windup_time=0.05), feedback.point
+    given = {**dict(zip(STATES, point.x, strict=True)), "stiffness": point["stiffness"]}
+    run = pam.simulate(built, {**given, "reference.x": 0.2}, t=np.linspace(0, 3, 31))
+    plant = point.plant
+    high = [plant.variable(n).max for n in COMMANDS]
+    assert run[COMMANDS[0]][-1] == pytest.approx(high[0])
+    # without the way back the integral would be at -0.198 * 3 s
+    assert run["integral.x"][-1] == pytest.approx(run["integral.x"][-6], rel=1e-3)
+    assert abs(run["integral.x"][-1]) < 0.198 * 3 / 4
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_as_an_fmu_it_does_the_same(feedback: Any, fmi: Any, tmp_path: Path) -> None:
+    built, point, t = state_feedback_controller(feedback), feedback.point, np.linspace(0, 0.1, 21)
+    given: dict[str, Any] = dict(zip(STATES, point.x, strict=True))
+    given |= {"stiffness": point["stiffness"], "x": lambda s: point["x"] + 5e-4 * np.sin(60 * s)}
+    motion = pam.simulate(built, given, t=t)
+    path = export_fmu(built, tmp_path / "f.fmu", fmi=fmi, platforms="native")
+    checked = check_fmu(path, motion)
+    assert checked.ok, str(checked)
+
+
+def test_without_integrals_it_is_the_static_law_and_can_follow_a_motion(tmp_path: Path) -> None:
+    plant = benchmark_slide()
+    plain = pam.lqr(plant, plant.equilibrium(x=0.0, stiffness=2.2e4))
+    built = state_feedback_controller(plain, follow=True)
+    wanted = {"reference.x": 1e-3, "feedforward.muscle1.command": 2.5 * BAR}
+    given = {**dict(zip(STATES, plain.point.x, strict=True)), **wanted}
+    u0 = np.array([2.5 * BAR, plain.point.u[1]])
+    expected = u0 - plain.K @ np.array([-1e-3, 0, 0, 0])
+    run = pam.simulate(built, given, duration=0.1)
+    assert [run[n][-1] for n in COMMANDS] == pytest.approx(expected, rel=1e-12)
+    assert check_fmu(export_fmu(built, tmp_path / "f.fmu", platforms="native"), run).ok
+
+
+WIRES = {
+    **{f"plant.{n}": f"feedback.{n}" for n in COMMANDS},
+    **{f"feedback.{n}": f"plant.{n}" for n in (*STATES, "stiffness")},
+    "feedback.reference.x": "goal.x",
+    "feedback.reference.stiffness": "goal.stiffness",
+}
+
+
+def goal(times: Any, x: Any, stiffness: Any) -> pam.Trajectory:
+    plant = benchmark_slide()
+    variables = [plant.variable(n) for n in ("x", "stiffness")]
+    return pam.Trajectory(times, {"x": x, "stiffness": stiffness}, variables)
+
+
+def test_in_an_ssp_it_takes_a_heavier_slide_to_its_goal_in_fmpy_as_here(
+    feedback: Any, tmp_path: Path
+) -> None:
+    plant = benchmark_slide()
+    t = np.array([0.0, 0.1, 0.3, 2.0])
+    parts = {
+        "goal": goal(t, np.array([0.002, 0.002, 0.004, 0.004]), np.full(4, 2.3e4)),
+        "feedback": state_feedback_controller(feedback),
+        "plant": plant.with_values(mass=1.3 * float(plant.variable("mass").start or 1.0)),
+    }
+    path = export_ssp(parts, WIRES, tmp_path / "s.ssp", platforms="native", stop_time=1.5)
+    here = coupled(path, tmp_path, 1500, STEP, WIRES, ("plant.x", "plant.stiffness"))
+    there = fmpy.ssp.simulation.simulate_ssp(str(path), stop_time=1.5 - STEP / 2, step_size=STEP)
+    assert there["plant.x"] == pytest.approx(here["plant.x"], abs=1e-12)
+    assert here["plant.x"][-1] == pytest.approx(0.004, abs=1e-6)
+    assert here["plant.stiffness"][-1] == pytest.approx(2.3e4, rel=1e-4)
+
+
+def test_what_is_no_state_feedback_is_refused(feedback: Any) -> None:
+    with pytest.raises(InputError, match="feedback is a AntagonisticSlide, not a StateFeedback"):
+        state_feedback_controller(benchmark_slide())  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="windup_time = 0 s must be > 0"):
+        state_feedback_controller(feedback, windup_time=0.0)

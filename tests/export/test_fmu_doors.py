@@ -1,0 +1,249 @@
+"""An FMU at its doors: steps and states that cannot be are refused, and change nothing."""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmu_tools import DISCARD, ERROR, VERSIONS, now, started
+
+import pam_ocp as pam
+from pam_ocp.core.units import unit
+from pam_ocp.export import export_fmu
+from pam_ocp.export.runner import Runner, UnpackedFmu
+
+HEADER = 80  # bytes before the memory of an instance: 8 zeros, magic, version and size, sum, token
+
+
+def oscillator(**values: float) -> pam.Plant:
+    """x'' = f - x, an output that holds the input itself, an unused parameter of a range."""
+    plant = pam.Plant("oscillator")
+    x, v = plant.state("x", unit="m", start=1.0), plant.state("v", unit="m/s")
+    f = plant.input("f", unit="N")
+    k = plant.parameter("k", 1.0, unit="N/m", min=0.5, max=2.0, tunable=True)
+    plant.der(x, v)
+    plant.der(v, f - k * x)
+    plant.output("sum", 3.0 * f + f * f + 2.0 * x, unit="N")
+    return plant.with_values(values)
+
+
+def built(folder: Path, name: str, fmi: Any, plant: pam.Plant, **options: Any) -> UnpackedFmu:
+    path = export_fmu(plant, folder / f"{name}.fmu", fmi=fmi, platforms="native", **options)
+    return UnpackedFmu(path, folder / name)
+
+
+@pytest.fixture(scope="module", params=VERSIONS)
+def fixed(request: Any, tmp_path_factory: pytest.TempPathFactory) -> UnpackedFmu:
+    folder = tmp_path_factory.mktemp("fixed")
+    return built(folder, "fixed", request.param, oscillator(), fixed_step=1e-2)
+
+
+@pytest.fixture(scope="module", params=VERSIONS)
+def free(request: Any, tmp_path_factory: pytest.TempPathFactory) -> UnpackedFmu:
+    return built(tmp_path_factory.mktemp("free"), "free", request.param, oscillator())
+
+
+def refused(runner: Runner, status: int, call: Any, *arguments: Any) -> str:
+    """The sentence with which a call is refused; time and states stay."""
+    before, said = [now(runner), *runner.get(["x", "v"])], len(runner.log)
+    with pytest.raises(FMICallException) as caught:
+        call(*arguments)
+    assert caught.value.status == status
+    assert [now(runner), *runner.get(["x", "v"])] == before
+    assert len(runner.log) == said + 1
+    return runner.log[-1][1]
+
+
+# ---- steps ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e6, 1e15, 1e300])
+def test_a_step_of_too_many_fixed_steps_is_discarded_with_its_sentence(
+    fixed: UnpackedFmu, size: float
+) -> None:
+    with started(fixed, "CoSimulation") as runner:
+        runner.step(0.0, 0.05)
+        assert "too many internal steps" in refused(runner, DISCARD, runner.step, 0.05, size)
+        runner.step(0.05, 0.05)
+        assert runner.get(["x"])[0] == pytest.approx(math.cos(0.1), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("point", "size"),
+    [
+        (0.0, 0.0),
+        (0.0, -0.01),
+        (0.0, math.nan),
+        (0.0, math.inf),
+        (math.nan, 0.01),
+        (math.inf, 0.01),
+        (-1.0, 0.01),
+        (1e15, 0.01),
+        (-1e300, 0.01),
+        (0.5, 1e-300),
+        (0.5, 1e-17),
+    ],
+)
+def test_points_and_lengths_that_cannot_be_are_refused(
+    fixed: UnpackedFmu, free: UnpackedFmu, point: float, size: float
+) -> None:
+    for fmu in (fixed, free):
+        with started(fmu, "CoSimulation") as runner:
+            runner.step(0.0, 0.5)
+            at = 0.5 if point == 0.0 else point
+            refused(runner, ERROR, runner.step, at, size)
+            runner.step(0.5, 0.01)
+
+
+@pytest.mark.parametrize("time", [math.nan, math.inf, -math.inf])
+def test_a_time_that_is_not_finite_is_refused(free: UnpackedFmu, time: float) -> None:
+    with started(free, "ModelExchange") as runner:
+        refused(runner, ERROR, runner.inner.setTime, time)
+    with Runner(free, "CoSimulation") as runner, pytest.raises(FMICallException):
+        runner.initialize({}, time, None)
+
+
+# ---- slopes and units
+# -----------------------------------------------------------------------------
+
+
+def test_the_slope_of_an_output_holds_what_its_inputs_do(tmp_path: Path) -> None:
+    """d(3 f + f^2 + 2 x)/dt = (3 + 2 f) f' + 2 v, with f = 1 + 0.4 t."""
+    fmu = built(tmp_path, "slopes", "2.0", oscillator())
+    with started(fmu, "CoSimulation") as runner:
+        runner.set({"f": 1.0})
+        runner.inner.setRealInputDerivatives(runner.references(["f"]), [1], [0.4])
+        runner.step(0.0, 0.5)
+        f, v = 1.2, runner.get(["v"])[0]
+        assert runner.get(["f"])[0] == pytest.approx(f)
+        (slope,) = runner.inner.getRealOutputDerivatives(runner.references(["sum"]), [1])
+        assert slope == pytest.approx((3 + 2 * f) * 0.4 + 2 * v, rel=1e-12)
+        runner.step(0.5, 0.5)  # no slope given: the input is held, and so is its share
+        (slope,) = runner.inner.getRealOutputDerivatives(runner.references(["sum"]), [1])
+        assert slope == pytest.approx(2 * runner.get(["v"])[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_derivative_has_the_unit_of_its_state_per_second(fmi: str, tmp_path: Path) -> None:
+    states = {
+        "m": "m/s",
+        "m/s": "m/s2",
+        "1": "1/s",
+        "Pa": "Pa/s",
+        "N/m": "N/(m.s)",
+        "rad": "rad/s",
+        "kg/(m.s)": "kg/(m.s.s)",
+    }
+    plant = pam.Plant("united")
+    for i, name in enumerate(states):
+        plant.der(plant.state(f"s{i}", unit=name), 0.0)
+    fmu = built(tmp_path, "units", fmi, plant)
+    description = fmpy.read_model_description(str(tmp_path / "units.fmu"))
+    bases = {u.name: u.baseUnit for u in description.unitDefinitions}
+    for i, expected in enumerate(states.values()):
+        found = fmu.variables[f"der(s{i})"].unit
+        assert unit(found).exponents == unit(expected).exponents
+        base = {b: getattr(bases[found], b) for b in ("kg", "m", "s", "K", "rad")}
+        assert {b: e for b, e in base.items() if e} == unit(expected).base_exponents
+
+
+# ---- saved states --------------------------------------------------------------------------------
+
+
+def sealed(state: bytearray) -> bytes:
+    """The state with its checksum made good (FNV-1a): only what it says can give it away."""
+    total = 14695981039346656037
+    for byte in state[HEADER:]:
+        total = ((total ^ byte) * 1099511628211) % 2**64
+    state[24:32] = struct.pack("<Q", total)
+    return bytes(state)
+
+
+def saved(fmu: UnpackedFmu, kind: Any = "CoSimulation") -> bytes:
+    with started(fmu, kind) as runner:
+        if kind == "CoSimulation":
+            runner.step(0.0, 0.1)
+        content = runner.save()
+    assert sealed(bytearray(content)) == content  # the layout is as this file takes it to be
+    return content
+
+
+def test_a_state_of_another_unit_is_refused_in_the_process_too(
+    free: UnpackedFmu, tmp_path: Path
+) -> None:
+    for name, plant in (
+        ("twin", oscillator(k=1.5)),
+        ("big", pam.HangingLoad(pam.muscle("DMSP-20-300"))),
+    ):
+        other = built(tmp_path, name, free.fmi, plant)
+        with started(free, "CoSimulation") as runner, started(other, "CoSimulation") as stranger:
+            state = stranger.inner.getFMUState()
+            assert "another FMU" in refused(runner, ERROR, runner.inner.setFMUState, state)
+            assert "another FMU" in refused(runner, ERROR, runner.inner.serializeFMUState, state)
+            assert "another FMU" in refused(runner, ERROR, runner.restore, stranger.save())
+            stranger.inner.freeFMUState(state)
+
+
+# offsets in the memory: kind, mode, time, stop, tolerance, step, x, v, f, k, slope, last slope
+IMPOSSIBLE = {
+    "kind": (0, "i", 2),
+    "kind ": (0, "i", -1),
+    "mode": (4, "i", 0),
+    "mode ": (4, "i", 48),
+    "mode  ": (4, "i", 32),
+    "mode   ": (4, "i", 8),
+    "mode    ": (4, "i", -(2**31)),
+    "time": (8, "d", math.nan),
+    "time ": (16, "d", math.nan),
+    "tolerance": (24, "d", 0.0),
+    "tolerance ": (24, "d", math.inf),
+    "step length": (32, "d", -1.0),
+    "a state": (40, "d", math.nan),
+    "a state ": (48, "d", -math.inf),
+    "an input": (56, "d", math.nan),
+    "a parameter": (64, "d", 2.5),
+    "a parameter ": (64, "d", math.nan),
+    "a slope": (72, "d", math.inf),
+    "a slope ": (80, "d", math.nan),
+}
+
+
+@pytest.mark.parametrize("what", IMPOSSIBLE)
+def test_a_state_that_no_instance_could_have_is_refused(free: UnpackedFmu, what: str) -> None:
+    place, kind, value = IMPOSSIBLE[what]
+    content = bytearray(saved(free))
+    struct.pack_into(f"<{kind}", content, HEADER + place, value)
+    with started(free, "CoSimulation") as runner:
+        assert what.strip() in refused(runner, ERROR, runner.restore, sealed(content))
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_of_two_thousand_damaged_states_none_harms_and_none_is_not_finite(
+    free: UnpackedFmu, kind: Any
+) -> None:
+    rng, good, accepted = np.random.default_rng(11), saved(free, kind), 0
+    with started(free, kind) as runner:
+        for i in range(2000):
+            content = bytearray(good)
+            for place in rng.integers(
+                0 if i % 4 == 0 else HEADER, len(content), rng.integers(1, 9)
+            ):
+                content[place] = rng.choice([0, 0x7F, 0xFF, 0xF0, rng.integers(256)])
+            damaged = bytes(content) if i % 8 == 0 else sealed(content)
+            runner.restore(good)
+            try:
+                runner.restore(damaged)
+            except FMICallException:
+                continue
+            memory = np.frombuffer(damaged[HEADER + 40 :])
+            accepted += 1
+            assert np.all(np.isfinite(memory))
+            assert 0.5 <= memory[3] <= 2.0
+            assert runner.save() == damaged
+    assert 0 < accepted < 1900  # a changed digit of a state is a state all the same

@@ -1,0 +1,287 @@
+"""What an exported FMU holds: description, binaries, reproducible bytes; and what is refused."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import fmpy.validation
+import numpy as np
+import pytest
+from conftest import benchmark_slide
+from lxml import etree
+
+import pam_ocp as pam
+from pam_ocp import ExportError, InputError, UnknownNameError
+from pam_ocp.export import PLATFORMS, check_fmu, export_fmu
+from pam_ocp.export.symbols import exported_symbols
+
+VERSIONS = ("2.0", "3.0")
+
+
+def exported(plant: pam.Plant, folder: Path, fmi: Any = "2.0", **options: Any) -> Path:
+    options.setdefault("platforms", "native")
+    return export_fmu(plant, folder / f"plant{fmi[0]}.fmu", fmi=fmi, **options)
+
+
+def oscillator(name: str = "oscillator") -> pam.Plant:
+    """A plant a user wrote: x'' = (f - k x)/m."""
+    plant = pam.Plant(name, "a mass on a spring")
+    x = plant.state("x", unit="m", start=0.1)
+    v = plant.state("v", unit="m/s")
+    f = plant.input("force", unit="N")
+    m = plant.parameter("mass", 2.0, unit="kg", min=1e-6)
+    k = plant.parameter("spring.rate", 100.0, unit="N/m", min=0.0, tunable=True)
+    plant.der(x, v)
+    plant.der(v, (f - k * x) / m)
+    plant.output("spring.force", k * x, unit="N")
+    plant.output("twice", 2 * f, unit="N")
+    return plant
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+@pytest.mark.parametrize("make", [benchmark_slide, oscillator])
+def test_fmpy_finds_nothing_to_complain_about(make: Any, fmi: str, tmp_path: Path) -> None:
+    assert fmpy.validation.validate_fmu(str(exported(make(), tmp_path, fmi))) == []
+
+
+def test_neighbours_follow_the_schemas_of_fmi_3(tmp_path: Path) -> None:
+    schemas = Path(fmpy.__file__).parent / "schema" / "fmi3"
+    with zipfile.ZipFile(exported(benchmark_slide(), tmp_path, "3.0")) as archive:
+        for name, schema in (
+            ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
+            ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
+        ):
+            document = etree.fromstring(archive.read(name))
+            etree.XMLSchema(etree.parse(str(schemas / schema))).assertValid(document)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_every_variable_tells_unit_range_nominal_and_meaning(fmi: str, tmp_path: Path) -> None:
+    plant = benchmark_slide()
+    description = fmpy.read_model_description(str(exported(plant, tmp_path, fmi)))
+    variables = {v.name: v for v in description.modelVariables}
+    for group, causality in (
+        (plant.states, "output"),
+        (plant.inputs, "input"),
+        (plant.parameters, "parameter"),
+        (plant.outputs, "output"),
+    ):
+        for expected in group:
+            found = variables[expected.name]
+            assert found.causality == causality
+            assert (found.unit, found.description) == (expected.unit, expected.description)
+            assert float(found.nominal) == expected.nominal
+            assert found.displayUnit in (expected.display_unit, None)
+            for bound in ("min", "max"):
+                value = getattr(expected, bound)
+                text = getattr(found, bound)
+                assert float(text) == value if np.isfinite(value) else text is None
+            if causality != "output" or group is plant.states:
+                assert float(found.start) == expected.start
+    assert variables["mass"].variability == "tunable"
+    assert variables["muscle1.a1"].variability == "fixed"
+    units = {u.name: u for u in description.unitDefinitions}
+    assert units["Pa"].displayUnits[0].name == "bar"
+    assert float(units["Pa"].displayUnits[0].factor) == pytest.approx(1e-5)
+    assert (units["Pa"].baseUnit.kg, units["Pa"].baseUnit.m, units["Pa"].baseUnit.s) == (1, -1, -2)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_dependencies_are_exact(fmi: str, tmp_path: Path) -> None:
+    description = fmpy.read_model_description(str(exported(oscillator(), tmp_path, fmi)))
+
+    def known(unknowns: Any) -> dict[str, dict[str, str]]:
+        return {
+            u.variable.name: dict(
+                zip((d.name for d in u.dependencies), u.dependenciesKind, strict=True)
+            )
+            for u in unknowns
+        }
+
+    assert known(description.derivatives) == {
+        "der(x)": {"v": "constant"},
+        "der(v)": {"x": "tunable", "force": "fixed"},
+    }
+    assert known(description.outputs) == {
+        "x": {"x": "constant"},
+        "v": {"v": "constant"},
+        "spring.force": {"x": "tunable"},
+        "twice": {"force": "constant"},
+    }
+    assert known(description.initialUnknowns) == {
+        "der(x)": {"v": "constant"},
+        "der(v)": dict.fromkeys(("x", "force", "mass", "spring.rate"), "dependent"),
+        "spring.force": {"x": "dependent", "spring.rate": "dependent"},
+        "twice": {"force": "constant"},
+    }
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_the_same_plant_gives_the_same_bytes(
+    fmi: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = exported(benchmark_slide(), tmp_path, fmi).read_bytes()
+    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path / "elsewhere"))
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(tmp_path / "zig"))
+    assert exported(benchmark_slide(), tmp_path, fmi).read_bytes() == first
+
+
+def test_another_start_value_gives_another_token(tmp_path: Path) -> None:
+    tokens = {
+        fmpy.read_model_description(str(exported(plant, tmp_path))).guid
+        for plant in (oscillator(), oscillator().with_values(mass=3.0))
+    }
+    assert len(tokens) == 2
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_only_fmi_functions_can_be_seen_from_outside(fmi: str, tmp_path: Path) -> None:
+    path = exported(benchmark_slide(), tmp_path, fmi)
+    with zipfile.ZipFile(path) as archive:
+        (name,) = [n for n in archive.namelist() if n.startswith("binaries/")]
+        library = archive.read(name)
+    symbols = exported_symbols(library)
+    header = (Path(__file__).parents[2] / "fmu" / f"fmi{fmi[0]}Functions.h").read_text()
+    declared = set(re.findall(rf"FMI{fmi[0]}_Export\s+\w+\s+(fmi\w+)\s*;", header))
+    assert set(symbols) == declared
+    assert str(tmp_path).encode() not in library
+    assert str(Path.home()).encode() + b"/" not in library
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_five_platforms_are_in_the_file(fmi: str, tmp_path: Path) -> None:
+    path = exported(benchmark_slide(), tmp_path, fmi, platforms=None)
+    found = check_fmu(path)
+    assert found.ok, str(found)
+    assert set(found.platforms) == {n for n, p in PLATFORMS.items() if not p.on_request}
+    with zipfile.ZipFile(path) as archive:
+        binaries = {n: archive.read(n) for n in archive.namelist() if n.startswith("binaries/")}
+    marks = {".so": b"\x7fELF", ".dll": b"MZ", ".dylib": b"\xcf\xfa\xed\xfe"}
+    if fmi == "2.0":
+        assert len(binaries) == 4
+        marks[".dylib"] = b"\xca\xfe\xba\xbe"  # both processors in one file
+    else:
+        assert len(binaries) == 5
+    for name, content in binaries.items():
+        assert content.startswith(marks[Path(name).suffix]), name
+    if fmi == "2.0":  # what the FMU names is really there, whoever reads the fat header
+        dylib = next(c for n, c in binaries.items() if n.endswith(".dylib"))
+        thin = [int.from_bytes(dylib[16 + 20 * i : 20 + 20 * i], "big") for i in range(2)]
+        assert all(dylib[offset : offset + 4] == b"\xcf\xfa\xed\xfe" for offset in thin)
+
+
+def test_sources_in_the_file_compile_without_warnings(tmp_path: Path) -> None:
+    for fmi in VERSIONS:
+        folder = tmp_path / fmi
+        with zipfile.ZipFile(exported(benchmark_slide(), tmp_path, fmi)) as archive:
+            archive.extractall(folder)
+        command = [sys.executable, "-m", "ziglang", "cc", "-std=c11", "-O1", "-Wall", "-Wextra"]
+        done = subprocess.run(
+            [*command, "-c", "fmu.c", "-o", "fmu.o"],
+            cwd=folder / "sources",
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stderr == ""
+
+
+def test_documentation_shows_equations_and_parameters(tmp_path: Path) -> None:
+    with zipfile.ZipFile(exported(oscillator(), tmp_path)) as archive:
+        page = archive.read("documentation/index.html").decode()
+        assert {"model.png", "documentation/licenses/license.txt"} <= set(archive.namelist())
+    assert "der(x) = v" in page
+    assert "twice = 2.*force" in page
+    for parameter in oscillator().parameters:
+        assert f"<td>{parameter.name}</td>" in page
+
+
+def test_a_reference_motion_goes_into_the_documentation(tmp_path: Path) -> None:
+    plant, t = oscillator(), np.linspace(0, 1, 11)
+    motion = pam.simulate(plant, {"force": 3.0}, t=t)
+    first = exported(plant, tmp_path, reference=motion)
+    assert fmpy.validation.validate_fmu(str(first)) == []
+    content = first.read_bytes()
+    with zipfile.ZipFile(first) as archive:
+        results = archive.read("documentation/oscillator_ref.csv").decode().splitlines()
+        inputs = archive.read("documentation/oscillator_in.csv").decode().splitlines()
+        assert archive.read("documentation/reference.png").startswith(b"\x89PNG")
+        assert "reference.png" in archive.read("documentation/index.html").decode()
+    assert results[0] == '"time","x","v","spring.force","twice"'
+    assert [float(c) for c in results[-1].split(",")] == [
+        1.0,
+        *(motion[n][-1] for n in ("x", "v", "spring.force", "twice")),
+    ]
+    assert inputs[:2] == ['"time","force"', "0.0,3.0"]
+    assert exported(plant, tmp_path, reference=motion).read_bytes() == content
+
+
+def test_changed_values_become_start_values(tmp_path: Path) -> None:
+    plant = oscillator().with_values(mass=3.5, x=-0.2)
+    description = fmpy.read_model_description(str(exported(plant, tmp_path)))
+    start = {v.name: v.start for v in description.modelVariables}
+    assert (float(start["mass"]), float(start["x"])) == (3.5, -0.2)
+
+
+# ---- refused -------------------------------------------------------------------------------------
+
+
+def test_bad_arguments_are_refused_in_a_sentence(tmp_path: Path) -> None:
+    plant, path = oscillator(), tmp_path / "plant.fmu"
+    with pytest.raises(UnknownNameError, match=r"did you mean 'x86_64-linux'"):
+        export_fmu(plant, path, platforms=["x86_64-linus"])
+    with pytest.raises(UnknownNameError, match="FMI version"):
+        export_fmu(plant, path, fmi="1.0")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="not a Plant"):
+        export_fmu("plant", path)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="tolerance"):
+        export_fmu(plant, path, tolerance=0.5)
+    with pytest.raises(InputError, match="fixed_step"):
+        export_fmu(plant, path, fixed_step=-1.0)
+    with pytest.raises(InputError, match="does not exist"):
+        export_fmu(plant, tmp_path / "nowhere" / "plant.fmu", platforms="native")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_variable_named_time_is_refused(tmp_path: Path) -> None:
+    plant = pam.Plant("clock")
+    plant.der(plant.state("time"), 1.0)
+    with pytest.raises(ExportError, match="'time'"):
+        export_fmu(plant, tmp_path / "clock.fmu", platforms="native")
+
+
+def test_without_compiler_the_remedy_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pam_ocp.export import compile as compiler
+
+    monkeypatch.setattr(compiler.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
+    compiler._compiler.cache_clear()
+    try:
+        with pytest.raises(ExportError, match="pip install ziglang"):
+            export_fmu(oscillator(), tmp_path / "plant.fmu", platforms="native")
+    finally:
+        compiler._compiler.cache_clear()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_that_c_keeps_for_itself_is_changed(tmp_path: Path) -> None:
+    description = fmpy.read_model_description(str(exported(oscillator("double"), tmp_path)))
+    assert description.coSimulation.modelIdentifier == "double_"
+
+
+def test_a_file_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plant.fmu"
+    with pytest.raises(InputError, match="no such file"):
+        check_fmu(path)
+    path.write_text("no zip")
+    with pytest.raises(InputError, match="cannot be read as an FMU"):
+        check_fmu(path)

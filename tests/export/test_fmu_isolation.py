@@ -1,0 +1,319 @@
+"""A unit under check may crash, leave or hang: the caller lives, and learns where it happened."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide
+from hostile import contents, hostile_unit, packed
+
+import pam_ocp as pam
+from pam_ocp import check_fmu
+from pam_ocp.cli.main import main
+from pam_ocp.core.errors import ExportError
+from pam_ocp.export.isolation import run_alone
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+@pytest.fixture(scope="session")
+def units(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The hostile unit in both versions, compiled once."""
+    folder = tmp_path_factory.mktemp("hostile")
+    try:
+        return {fmi: hostile_unit(folder, fmi) for fmi in ("2.0", "3.0")}
+    except ExportError as error:
+        pytest.skip(f"no compiler: {error}")
+
+
+def only_finding(path: Path, time_limit: float = 60.0) -> str:
+    checked = check_fmu(path, time_limit=time_limit)
+    assert not checked.ok
+    (finding,) = checked.findings
+    return finding
+
+
+def test_the_unit_is_well_as_long_as_it_is_not_told_to_harm(units: dict[str, Path]) -> None:
+    assert check_fmu(units["2.0"]).ok
+    assert check_fmu(units["3.0"]).ok
+
+
+# ---- what a unit may do
+# ---------------------------------------------------------------------------
+
+
+@posix
+@pytest.mark.parametrize(
+    ("harm", "fmi", "sentence"),
+    [
+        ("segfault DoStep", "2.0", "crashed (segmentation fault) in fmi2DoStep (CoSimulation)"),
+        ("segfault DoStep", "3.0", "crashed (segmentation fault) in fmi3DoStep (CoSimulation)"),
+        ("stack DoStep", "2.0", "crashed (segmentation fault) in fmi2DoStep"),
+        ("abort FreeInstance", "2.0", "aborted in fmi2FreeInstance"),
+        ("exit0 DoStep", "2.0", "ended its process with exit code 0 in fmi2DoStep"),
+        ("_exit0 FreeInstance", "3.0", "ended its process with exit code 0 in fmi3FreeInstance"),
+        ("exit3 ExitInitializationMode", "2.0", "exit code 3 in fmi2ExitInitializationMode"),
+        ("killed DoStep", "2.0", "was killed"),
+        ("segfault loading", "2.0", "crashed (segmentation fault) in the loading of its library"),
+        ("exit0 unloading", "3.0", "exit code 0 in the unloading of its library"),
+        ("close DoStep", "2.0", "ended its process with exit code"),
+    ],
+)
+def test_a_unit_that_dies_is_a_finding_that_names_the_call(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, harm: str, fmi: str, sentence: str
+) -> None:
+    monkeypatch.setenv("HOSTILE", harm)
+    assert sentence in only_finding(units[fmi])
+
+
+@posix
+@pytest.mark.parametrize(
+    ("harm", "fmi"), [("spin DoStep", "2.0"), ("hang DoStep", "3.0"), ("hang FreeInstance", "2.0")]
+)
+def test_a_unit_that_hangs_is_stopped(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, harm: str, fmi: str
+) -> None:
+    monkeypatch.setenv("HOSTILE", harm)
+    finding = only_finding(units[fmi], time_limit=2.0)
+    assert f"was stopped after 2 s (time_limit) in fmi{fmi[0]}{harm.split()[1]}" in finding
+
+
+@linux
+def test_a_unit_cannot_take_all_memory(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOSTILE", "memory DoStep")
+    assert "crashed (segmentation fault) in fmi2DoStep" in only_finding(units["2.0"])
+
+
+def test_what_a_unit_prints_does_no_harm(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOSTILE", "print DoStep")
+    assert check_fmu(units["3.0"]).ok
+    assert capfd.readouterr() == ("", "")
+
+
+@linux
+def test_what_a_unit_has_started_ends_with_the_check(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("HOSTILE", "fork DoStep")
+    monkeypatch.setenv("HOSTILE_PID", str(tmp_path / "pid"))
+    assert check_fmu(units["2.0"]).ok
+    assert gone(int((tmp_path / "pid").read_text()))
+
+
+@posix
+def test_what_was_found_before_a_crash_is_kept(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("HOSTILE", "segfault DoStep")
+    content = contents(units["2.0"])
+    text = content["modelDescription.xml"].decode()
+    content["modelDescription.xml"] = text.replace('unit="Pa"', 'unit="Pq"').encode()
+    checked = check_fmu(packed(tmp_path / "wrong.fmu", content))
+    assert checked.fmi == "2.0"
+    assert len(checked.platforms) == 1
+    assert len(checked.findings) > 1
+    assert "segmentation fault" in checked.findings[-1]
+    assert "Pq" in checked.findings[0]
+
+
+@posix
+def test_the_command_answers_with_an_exit_code_of_its_own(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOSTILE", "exit0 DoStep")
+    assert main(["check", str(units["2.0"])]) == 1
+    assert "NOT well" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+def test_a_library_that_is_cut_is_a_finding(
+    units: dict[str, Path], tmp_path: Path, share: float
+) -> None:
+    content = contents(units["2.0"])
+    (binary,) = (n for n in content if n.startswith("binaries/"))
+    content[binary] = content[binary][: int(share * len(content[binary]))]
+    assert check_fmu(packed(tmp_path / "cut.fmu", content)).findings
+
+
+def test_damage_anywhere_in_the_library_leaves_the_caller_alive(
+    units: dict[str, Path], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(15)
+    for _ in range(4):
+        content = contents(units["3.0"])
+        (binary,) = (n for n in content if n.startswith("binaries/"))
+        damaged = bytearray(content[binary])
+        start = int(rng.integers(64, len(damaged) - 1000))
+        damaged[start : start + 1000] = rng.bytes(1000)
+        content[binary] = bytes(damaged)
+        check_fmu(packed(tmp_path / "damaged.fmu", content), time_limit=5.0)
+
+
+# ---- the caller ----------------------------------------------------------------------------------
+
+
+def test_the_figures_cross_the_border_unchanged(tmp_path: Path) -> None:
+    """The motion that comes back is the one compared, with the record's inputs and times."""
+    plant = benchmark_slide()
+    path = pam.export_fmu(plant, tmp_path / "slide.fmu", platforms="native")
+    t = np.linspace(0.0, 0.05, 6)
+    motion = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t)
+    checked = check_fmu(path, motion)
+    assert set(checked.trajectories) == {"CoSimulation", "ModelExchange"}
+    for mode, run in checked.trajectories.items():
+        assert list(run.t) == list(t)
+        assert list(run["muscle1.command"]) == [4 * BAR] * 6
+        nominal = motion.variable("x").nominal
+        found = float(np.max(np.abs(run["x"] - motion["x"]))) / nominal
+        assert found == pytest.approx(checked.deviations[mode]["x"], rel=1e-6, abs=1e-15)
+
+
+def test_wrong_arguments_are_refused_here(units: dict[str, Path]) -> None:
+    with pytest.raises(pam.InputError, match="time_limit"):
+        check_fmu(units["2.0"], time_limit=0.0)
+    with pytest.raises(pam.InputError, match="against is a str"):
+        check_fmu(units["2.0"], "slide.npz")  # type: ignore[arg-type]
+    with pytest.raises(pam.InputError, match="mass"):
+        check_fmu(units["2.0"], parameters={"mass": float("nan")})
+    with pytest.raises(pam.InputError, match="did you mean 'mass'"):
+        check_fmu(units["2.0"], parameters={"masss": 1.0})
+    with pytest.raises(pam.InputError, match="no column that is an output"):
+        check_fmu(units["2.0"], pam.Trajectory([0.0, 0.1], {"other": [0.0, 0.0]}))
+
+
+def test_a_script_without_a_guard_can_check(units: dict[str, Path], tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(f"import pam_ocp\nprint(pam_ocp.check_fmu({str(units['2.0'])!r}).ok)\n")
+    for arguments, text in (([str(script)], None), (["-"], script.read_text())):
+        done = run_python(arguments, text, tmp_path)
+        assert (done.stdout, done.stderr) == ("True\n", "")
+
+
+def test_names_of_modules_beside_the_caller_are_not_taken(
+    units: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("pickle", "numpy", "json"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('not this one')")
+    monkeypatch.chdir(tmp_path)
+    assert check_fmu(units["2.0"]).ok
+
+
+def test_checks_from_several_threads_do_not_disturb_each_other(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[bool] = []
+    threads = [
+        threading.Thread(target=lambda p=path: seen.append(check_fmu(p).ok))  # type: ignore[misc]
+        for path in units.values()
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert seen == [True, True]
+
+
+def test_a_worker_that_cannot_be_loaded_is_said_so(tmp_path: Path) -> None:
+    with pytest.raises(pam.SimulationError, match=r"did not start: .*no_such_module"):
+        run_alone("no_such_module:f", {}, tmp_path, 1.0, lambda **_: None)
+
+
+@linux
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_process_of_a_hanging_unit_ends_with_the_caller(
+    units: dict[str, Path], tmp_path: Path, end: signal.Signals
+) -> None:
+    script = f"import pam_ocp\npam_ocp.check_fmu({str(units['2.0'])!r})\n"
+    environment = os.environ | {"HOSTILE": "hang DoStep", "HOSTILE_PID": str(tmp_path / "pid")}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    (tmp_path / "tmp").mkdir()
+    environment["TMPDIR"] = str(tmp_path / "tmp")
+    caller = subprocess.Popen(
+        [sys.executable, "-c", script], env=environment, stderr=subprocess.PIPE, text=True
+    )
+    unit = pid_in(tmp_path / "pid")
+    assert not gone(unit, 0.0)
+    caller.send_signal(end)
+    words = caller.communicate(timeout=10)[1]
+    assert caller.returncode != 0
+    assert ("KeyboardInterrupt" in words) == (end == signal.SIGINT)
+    assert gone(unit)
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+@linux
+def test_a_caller_that_has_forked_is_missed_all_the_same(
+    units: dict[str, Path], tmp_path: Path
+) -> None:
+    """Its child holds copies of all pipes, and lives on."""
+    script = (
+        "import os, threading, time, pam_ocp\n"
+        f"check = lambda: pam_ocp.check_fmu({str(units['3.0'])!r})\n"
+        "threading.Thread(target=check).start()\n"
+        f"while not os.path.exists({str(tmp_path / 'pid')!r}): time.sleep(0.02)\n"
+        "child = os.fork()\n"
+        "time.sleep(0.2 if child else 20)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    environment = os.environ | {"HOSTILE": "hang DoStep", "HOSTILE_PID": str(tmp_path / "pid")}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    caller = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", script], env=environment, start_new_session=True
+    )
+    unit = pid_in(tmp_path / "pid")
+    assert caller.wait(timeout=10) == -signal.SIGKILL
+    assert gone(unit)
+    os.killpg(caller.pid, signal.SIGKILL)  # the fork
+
+
+def run_python(
+    arguments: list[str], text: str | None, folder: Path
+) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.run(
+        [sys.executable, *arguments],
+        input=text,
+        env=environment,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def pid_in(path: Path) -> int:
+    """The number that a unit writes once it hangs."""
+    end = time.monotonic() + 30
+    while time.monotonic() < end:
+        if path.is_file() and path.read_text().endswith("\n"):
+            return int(path.read_text())
+        time.sleep(0.02)
+    raise AssertionError("the unit was never called")
+
+
+def gone(pid: int, within: float = 5.0) -> bool:
+    """Whether a process has ended, be it still listed for a parent that does not ask."""
+    end = time.monotonic() + within
+    while True:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:
+            return True
+        if state in "ZX":
+            return True
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)

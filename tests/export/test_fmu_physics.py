@@ -1,0 +1,135 @@
+"""Each force law, loss and feed goes through an FMU and moves there as it does in Python."""
+
+import warnings
+
+import numpy as np
+import pytest
+from conftest import BAR
+
+import pam_ocp as pam
+from pam_ocp.muscles.catalogue import catalogue_entry
+from pam_ocp.muscles.law import coefficient
+from pam_ocp.muscles.laws.user_defined import own_law, polynomial_law, spline_law
+from pam_ocp.plants.losses import CoulombFriction, DirectionalDamping
+from pam_ocp.plants.memory import BoucWen, Creep, MaxwellSlip
+from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
+
+pytestmark = pytest.mark.slow
+
+
+def laws():
+    """A muscle of every law of the library and of every way to make one's own, taut at 5-15 %."""
+    by_law = {}
+    for name in pam.muscle_names():
+        known = "rest_length" in catalogue_entry(name)
+        muscle = pam.muscle(name, rest_length=None if known else 0.25)
+        by_law.setdefault(muscle.law.name, muscle)
+    six = pam.muscle("DMSP-20-300")
+    fitted = {}
+    kappa, p = np.meshgrid(np.linspace(0.02, 0.2, 8), np.linspace(1e5, 6e5, 6))
+    table = pam.ForceTable(
+        p.ravel(), kappa.ravel(), np.maximum(six.tension(p, kappa), 0).ravel(), 0.3
+    )
+    for law in ("geometric", "corrected", "five-parameter", "hildebrandt"):
+        if law in pam.LAWS and law not in by_law:
+            held = {
+                n: {"radius": 0.01, "rest_radius": 0.01, "r0": 0.01}[n]
+                for n, default in pam.LAWS[law].fixed_coefficients().items()
+                if default is None and n in ("radius", "rest_radius", "r0")
+            }
+            fitted[law] = pam.fit_force(table, law, fixed=held or None).muscle(diameter=0.02)
+    for made in (polynomial_law(2, 3), spline_law([0.0, 0.1, 0.25])):
+        fitted[made.name] = pam.fit_force(table, made).muscle(diameter=0.02)
+    own = own_law(
+        "own",
+        lambda p, kappa, a, b: a * p * (1 - b * kappa),
+        {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("1", 1.0, "decline")},
+    )
+    fitted["own"] = pam.Muscle(own(2.5e-3, 3.5), 0.3, 0.02)
+    return {**by_law, **fitted}
+
+
+def agreement(plant, inputs, tmp_path, duration=0.3):
+    t = np.linspace(0.0, duration, 61)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        motion = pam.simulate(plant, {n: f(t) for n, f in inputs.items()}, t=t, rtol=1e-11)
+    check = pam.check_fmu(
+        pam.export_fmu(plant, tmp_path / "plant.fmu", platforms="native"), against=motion
+    )
+    assert check.findings == ()
+    assert set(check.deviations) == {"CoSimulation", "ModelExchange"}
+    assert check.largest < 1e-6
+    moved = motion["x"]
+    assert np.ptp(moved) > 1e-3  # something happened
+    return check
+
+
+def wave(t):
+    return 3.5 * BAR + 1.0 * BAR * np.sign(np.sin(20 * t))
+
+
+@pytest.mark.parametrize("name", sorted(laws()))
+def test_every_force_law_agrees(name, tmp_path):
+    plant = pam.HangingLoad(laws()[name], 12.0, damping=pam.ConstantDamping(200.0))
+    agreement(plant, {"muscle.command": wave}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "losses",
+    [
+        (CoulombFriction(10.0, 1e-5, 0.5),),
+        (BoucWen(),),
+        (MaxwellSlip(),),
+        (Creep(),),
+        (DirectionalDamping.reynolds(),),
+        (DirectionalDamping.festo(),),
+        (CoulombFriction(), MaxwellSlip(), Creep()),
+    ],
+    ids=lambda losses: "+".join(type(loss).__name__ for loss in losses),
+)
+def test_every_loss_agrees(losses, tmp_path):
+    plant = pam.HangingLoad(
+        pam.muscle("DMSP-20-300"), 10.0, damping=pam.ConstantDamping(40.0), losses=losses
+    )
+    agreement(plant, {"muscle.command": wave}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("feed", "inputs"),
+    [
+        (SpoolValve(), {"muscle.command": lambda t: 0.4 * np.sign(np.sin(20 * t))}),
+        (
+            SpoolValve(tube=Tube(), leak=1e-10, totals=True),
+            {"muscle.command": lambda t: 0.4 * np.sign(np.sin(20 * t))},
+        ),
+        (
+            OnOffValves(),
+            {
+                "muscle.fill": lambda t: 0.3 * (np.sin(20 * t) > 0),
+                "muscle.vent": lambda t: 0.3 * (np.sin(20 * t) <= 0),
+            },
+        ),
+    ],
+    ids=["spool", "spool-tube-leak-totals", "on-off"],
+)
+def test_every_feed_agrees(feed, inputs, tmp_path):
+    plant = pam.HangingLoad(pam.muscle("DMSP-20-300"), 10.0, feed=feed)
+    agreement(plant, inputs, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pam.SpringOverMuscle(
+            pam.muscle("DMSP-20-300"), loads=(pam.Wall(0.04), pam.ExternalForce())
+        ),
+        pam.SeriesLoad(pam.muscle("DMSP-20-300"), 10.0, loads=(pam.DryFriction(3.0),)),
+        pam.HangingLoad(
+            pam.muscle("DMSP-20-300"), 10.0, inclination=0.6, loads=(pam.Spring(300.0),)
+        ),
+    ],
+    ids=lambda p: p.name,
+)
+def test_every_arrangement_agrees(plant, tmp_path):
+    agreement(plant, {"muscle.command": wave}, tmp_path)

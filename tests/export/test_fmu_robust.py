@@ -1,0 +1,304 @@
+"""Under sanitizers, in threads, in strange folders, from other importers: an FMU stays sound."""
+
+from __future__ import annotations
+
+import gc
+import shutil
+import subprocess
+import sys
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide, flat
+from scipy.linalg import expm
+
+import pam_ocp as pam
+from pam_ocp import ExportError
+from pam_ocp.export import check_fmu, export_fmu
+from pam_ocp.export import compile as compiler
+from pam_ocp.export.runner import Runner, UnpackedFmu
+
+VERSIONS = ("2.0", "3.0")
+HERE = Path(__file__).parents[1] / "c"
+
+
+def exported(folder: Path, fmi: Any, plant: pam.Plant | None = None, **options: Any) -> Path:
+    plant = plant or benchmark_slide()
+    return export_fmu(plant, folder / f"{fmi[0]}.fmu", fmi=fmi, platforms="native", **options)
+
+
+def lonely() -> pam.Plant:
+    """No input, no parameter, no output of its own."""
+    plant = pam.Plant("lonely")
+    x, v = plant.state("x", start=1.0), plant.state("v")
+    plant.der(x, v)
+    plant.der(v, -x)
+    return plant
+
+
+def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -> Path:
+    """A C program of tests/c, compiled by gcc together with the sources of an FMU."""
+    with zipfile.ZipFile(exported(folder, fmi, plant)) as archive:
+        archive.extractall(folder / "fmu")
+    target = folder / program
+    subprocess.run(
+        [
+            "gcc",
+            "-std=c11",
+            "-g",
+            "-O1",
+            *flags,
+            "-I",
+            str(folder / "fmu" / "sources"),
+            str(HERE / f"{program}.c"),
+            "-o",
+            str(target),
+            "-lm",
+        ],
+        check=True,
+    )
+    return target
+
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc with sanitizers")
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [benchmark_slide, lonely])
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_million_random_calls_do_no_harm(fmi: str, make: Any, tmp_path: Path) -> None:
+    fuzz = built(
+        tmp_path, fmi, make(), "fuzz", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    )
+    for seed in range(4):
+        done = subprocess.run(
+            [str(fuzz), "250000", str(seed)], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout[-500:] + done.stderr[-2000:]
+        assert "0 silent" in done.stdout
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.parametrize("sanitizer", ["address,undefined", "thread"])
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_eight_threads_do_as_one_under_sanitizers(fmi: str, sanitizer: str, tmp_path: Path) -> None:
+    program = built(
+        tmp_path,
+        fmi,
+        benchmark_slide(),
+        "threads",
+        f"-fsanitize={sanitizer}",
+        "-fno-sanitize-recover=all",
+        "-pthread",
+    )
+    done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr[-2000:]
+    assert "0 of 8 threads differ, failed: 0" in done.stdout
+
+
+@needs_gcc
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="needs valgrind")
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_valgrind_finds_no_error_and_no_leak(fmi: str, tmp_path: Path) -> None:
+    fuzz = built(tmp_path, fmi, benchmark_slide(), "fuzz")
+    command = ["valgrind", "-q", "--error-exitcode=9", "--leak-check=full", str(fuzz), "10000", "3"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_a_stiff_linear_plant_of_badly_scaled_states_follows_the_matrix_exponential(
+    tmp_path: Path,
+) -> None:
+    rng, n = np.random.default_rng(5), 9
+    scale = 10.0 ** rng.integers(-4, 6, n)
+    basis = rng.normal(size=(n, n))
+    rates = -np.logspace(0, 5, n)
+    a = np.diag(scale) @ basis @ np.diag(rates) @ np.linalg.inv(basis) @ np.diag(1 / scale)
+    start = scale * rng.normal(size=n)
+    plant = pam.Plant("chain")
+    states = [plant.state(f"x{i}", start=start[i], nominal=scale[i]) for i in range(n)]
+    for row, state in zip(a, states, strict=True):
+        plant.der(state, sum(float(c) * x for c, x in zip(row, states, strict=True)))
+    expected = expm(a * 0.5) @ start
+    for fmi in VERSIONS:
+        fmu = UnpackedFmu(exported(tmp_path, fmi, plant), tmp_path / fmi)
+        with Runner(fmu, "CoSimulation") as runner:
+            runner.initialize({}, 0.0, None)
+            runner.step(0.0, 0.5)
+            found = runner.get(fmu.states)
+        assert np.max(np.abs(found - expected) / scale) < 1e-6
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler of the system")
+def test_without_zig_the_compiler_of_the_system_builds_for_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiler.util, "find_spec", lambda name: None)
+    compiler._compiler.cache_clear()
+    try:
+        found = check_fmu(exported(tmp_path, "2.0"))
+        assert found.ok, str(found)
+        with pytest.raises(ExportError, match="for this machine only"):
+            export_fmu(benchmark_slide(), tmp_path / "all.fmu")
+    finally:
+        compiler._compiler.cache_clear()
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_eight_threads_give_the_same_bits_as_one(fmi: str, tmp_path: Path) -> None:
+    fmu = UnpackedFmu(exported(tmp_path, fmi), tmp_path / "unpacked")
+
+    def play(runner: Runner) -> Any:
+        for k in range(200):
+            runner.set({"muscle1.command": (2 + k % 3) * BAR})
+            runner.step(k * 1e-3, 1e-3)
+        return runner.get(fmu.names("output"))
+
+    runners = [Runner(fmu, "CoSimulation") for _ in range(9)]
+    for runner in runners:
+        runner.initialize({"x": 0.004}, 0.0, None)
+    alone = play(runners.pop())
+    with ThreadPoolExecutor(8) as pool:
+        for together in pool.map(play, runners):
+            assert np.array_equal(together, alone)
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_read_only_folder_with_spaces_and_umlauts_is_no_hindrance(
+    fmi: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "Prüfstand mit Müskeln"
+    folder.mkdir()
+    moved = Path(shutil.move(exported(tmp_path, fmi), folder / "schlitten größe 1.fmu"))
+    subprocess.run(["unzip", "-q", str(moved), "-d", str(folder / "ausgepackt")], check=True)
+    for file in sorted(folder.rglob("*"), reverse=True):
+        file.chmod(0o555)
+    try:
+        result = fmpy.simulate_fmu(str(folder / "ausgepackt"), stop_time=0.01)
+        assert result["x"][-1] == pytest.approx(0.0, abs=1e-12)
+    finally:
+        for file in sorted(folder.rglob("*")):
+            file.chmod(0o755)
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_fmpy_simulates_it_in_one_call(fmi: str, kind: str, tmp_path: Path) -> None:
+    plant, t = benchmark_slide(), np.linspace(0, 0.2, 21)
+    truth = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t, parameters={"mass": 1.5})
+    result = fmpy.simulate_fmu(
+        str(exported(tmp_path, fmi)),
+        fmi_type=kind,
+        stop_time=0.2,
+        output_interval=0.01,
+        start_values={"muscle1.command": 4 * BAR, "mass": 1.5},
+        relative_tolerance=1e-10,
+    )
+    assert result["time"] == pytest.approx(t, abs=1e-12)
+    for variable in (*plant.states, *plant.outputs):
+        name = variable.name
+        assert np.max(np.abs(result[name] - truth[name])) < 1e-6 * variable.nominal, name
+
+
+def test_casadi_imports_it_for_model_exchange(tmp_path: Path) -> None:
+    plant = benchmark_slide()
+    with zipfile.ZipFile(exported(tmp_path, "2.0")) as archive:
+        archive.extractall(tmp_path / "unpacked")
+    builder = ca.DaeBuilder("slide", str(tmp_path / "unpacked"))
+    f = builder.create("f", ["x", "u"], ["ode"])
+    names = builder.x()
+    order = [names.index(v.name) for v in plant.states]
+    x = plant.vector("state", {"x": 0.004, "v": 0.1})
+    u = plant.vector("input")
+    given = np.empty(len(names))
+    given[order] = x
+    ode = flat(f(given, u))[order]
+    expected = flat(plant.function(x, u, plant.vector("parameter"))[0])
+    assert ode == pytest.approx(expected, rel=1e-12, abs=1e-9)
+    jacobian = np.asarray(f.factory("j", ["x", "u"], ["jac:ode:x"])(given, u))
+    exact = ca.Function(
+        "J",
+        [plant.x, plant.u, plant.p],
+        [ca.jacobian(plant.function(plant.x, plant.u, plant.p)[0], plant.x)],
+    )
+    expected_jacobian = np.asarray(ca.densify(exact(x, u, plant.vector("parameter"))))
+    assert jacobian[np.ix_(order, order)] == pytest.approx(expected_jacobian, rel=1e-9, abs=1e-9)
+
+
+_ELSEWHERE = """
+import sys
+from pathlib import Path
+from pam_ocp.export.runner import Runner, UnpackedFmu
+fmu = UnpackedFmu(Path(sys.argv[1]), Path(sys.argv[2]))
+with Runner(fmu, "CoSimulation") as runner:
+    runner.initialize({}, 0.0, None)
+    runner.restore(Path(sys.argv[3]).read_bytes())
+    for k in range(50, 100):
+        runner.step(k * 1e-3, 1e-3)
+    print(*(float(v).hex() for v in runner.get(fmu.names("output"))))
+"""
+
+
+@pytest.mark.parametrize("fmi", VERSIONS)
+def test_a_state_saved_in_the_middle_continues_to_the_last_bit_in_another_process(
+    fmi: str, tmp_path: Path
+) -> None:
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", fmi=fmi, platforms="native")  # type: ignore[arg-type]
+    fmu = UnpackedFmu(path, tmp_path / "here")
+    with Runner(fmu, "CoSimulation") as runner:
+        runner.initialize({"mass": 1.7, "x": 0.003}, 0.0, None)
+        runner.set({"muscle1.command": 4.2e5})
+        for k in range(50):
+            runner.step(k * 1e-3, 1e-3)
+        (tmp_path / "state").write_bytes(runner.save())
+        for k in range(50, 100):
+            runner.step(k * 1e-3, 1e-3)
+        end = [float(v).hex() for v in runner.get(fmu.names("output"))]
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            _ELSEWHERE,
+            str(path),
+            str(tmp_path / "there"),
+            str(tmp_path / "state"),
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == end
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
+def test_ten_thousand_instances_leave_no_memory_behind(tmp_path: Path) -> None:
+    path = export_fmu(benchmark_slide(), tmp_path / "slide.fmu", platforms="native")
+    fmu = UnpackedFmu(path, tmp_path / "here")
+
+    def resident() -> int:
+        gc.collect()  # the callbacks of FMPy's instances form cycles
+        return int(Path("/proc/self/statm").read_text().split()[1])
+
+    def use() -> None:
+        with Runner(fmu, "CoSimulation") as runner:
+            runner.initialize({}, 0.0, None)
+            runner.step(0.0, 1e-3)
+
+    with Runner(fmu, "CoSimulation") as keeps_the_library_loaded:
+        keeps_the_library_loaded.initialize({}, 0.0, None)
+        for _ in range(1000):  # until the heap has found its size
+            use()
+        before = resident()
+        for _ in range(10_000):
+            use()
+        assert resident() - before < 512  # pages: a twentieth of one for each instance

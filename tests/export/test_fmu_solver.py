@@ -1,0 +1,141 @@
+"""The FMU's integrator (c/solver.c) on its own: order, stiffness, failure."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pam_ocp.export.compile import compile_library, native
+from pam_ocp.export.runtime import c_sources
+
+OK, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS = range(4)
+
+
+@dataclass
+class Outcome:
+    status: int
+    x: Any
+    reached: float
+    steps: int
+
+
+@pytest.fixture(scope="module")
+def solver(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Outcome]:
+    """solver(problem, x, span, tolerance=..., fixed_step=..., max_steps=...)"""
+    folder = tmp_path_factory.mktemp("solver")
+    c = c_sources()
+    harness = (Path(__file__).parents[1] / "c" / "solver_harness.c").read_text("utf-8")
+    loaded: dict[int, Any] = {}
+
+    def library(problem: int) -> Any:
+        if problem not in loaded:
+            sources = {n: (c / n).read_text("utf-8") for n in ("solver.c", "solver.h")}
+            sources["harness.c"] = f"#define PROBLEM {problem}\n{harness}"
+            path = folder / f"solver{problem}{native().suffix}"
+            path.write_bytes(compile_library(sources, "harness.c", native(), "solver"))
+            loaded[problem] = ctypes.CDLL(str(path))
+        return loaded[problem]
+
+    def advance(
+        problem: int,
+        x: Any,
+        span: float,
+        tolerance: float = 1e-6,
+        fixed_step: float = 0.0,
+        max_steps: int = 1_000_000,
+    ) -> Outcome:
+        state, numbers = (ctypes.c_double * len(x))(*x), (ctypes.c_double * 4)()
+        status = library(problem).advance(
+            ctypes.c_double(span),
+            ctypes.c_double(tolerance),
+            ctypes.c_double(fixed_step),
+            ctypes.c_long(max_steps),
+            state,
+            numbers,
+        )
+        return Outcome(status, np.array(state), numbers[0], int(numbers[2]))
+
+    return advance
+
+
+def non_autonomous(t: float, x: Any) -> list[float]:
+    return [-x[0] * x[1] + np.sin(3 * t), x[0] - x[1] + t * t]
+
+
+def van_der_pol(t: float, x: Any) -> list[float]:
+    return [x[1], 1e3 * (1 - x[0] ** 2) * x[1] - x[0]]
+
+
+def robertson(t: float, x: Any) -> list[float]:
+    down, up, burnt = 0.04 * x[0], 1e4 * x[1] * x[2], 3e7 * x[1] ** 2
+    return [-down + up, down - up - burnt, burnt]
+
+
+def test_order_is_four_also_with_explicit_time(solver: Callable[..., Outcome]) -> None:
+    x0, span = [1.0, 0.5], 2.0
+    truth = solve_ivp(non_autonomous, (0, span), x0, method="DOP853", rtol=1e-13, atol=1e-14)
+    errors = [
+        np.max(np.abs(solver(1, x0, span, fixed_step=span / n).x - truth.y[:, -1]))
+        for n in (80, 160, 320, 640)
+    ]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(orders > 3.85), orders
+    assert orders[-1] > 3.95, orders
+    assert np.all(orders < 4.2), orders
+
+
+def test_error_follows_the_tolerance(solver: Callable[..., Outcome]) -> None:
+    x0, span = [1.0, 0.5], 2.0
+    truth = solve_ivp(non_autonomous, (0, span), x0, method="DOP853", rtol=1e-13, atol=1e-14)
+    errors = [
+        np.max(np.abs(solver(1, x0, span, tolerance=10.0**-k).x - truth.y[:, -1]))
+        for k in (4, 6, 8, 10)
+    ]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 1e-9
+
+
+@pytest.mark.parametrize("span", [1.0, 600.0, 1500.0])
+def test_stiff_van_der_pol_agrees_with_radau(solver: Callable[..., Outcome], span: float) -> None:
+    x0 = [2.0, 0.0]
+    truth = solve_ivp(van_der_pol, (0, span), x0, method="Radau", rtol=1e-11, atol=1e-13)
+    found = solver(2, x0, span, tolerance=1e-10)
+    assert found.status == OK
+    assert found.x == pytest.approx(truth.y[:, -1], rel=2e-6, abs=1e-9)
+
+
+def test_stiff_robertson_needs_few_steps_and_keeps_mass(solver: Callable[..., Outcome]) -> None:
+    x0, span = [1.0, 0.0, 0.0], 1e4
+    truth = solve_ivp(robertson, (0, span), x0, method="Radau", rtol=1e-11, atol=1e-15)
+    found = solver(3, x0, span, tolerance=1e-9)
+    assert found.status == OK
+    assert found.steps < 500
+    assert found.x == pytest.approx(truth.y[:, -1], rel=1e-5)
+    assert np.sum(found.x) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_fixed_step_makes_just_the_steps_asked_for(solver: Callable[..., Outcome]) -> None:
+    assert solver(1, [1.0, 0.5], 1.0, fixed_step=0.1).steps == 10
+    assert solver(1, [1.0, 0.5], 1.0, fixed_step=0.3).steps == 4  # none longer than asked for
+    assert solver(1, [1.0, 0.5], 1.0, fixed_step=7.0).steps == 1
+
+
+def test_blow_up_is_reported_with_the_time_reached(solver: Callable[..., Outcome]) -> None:
+    found = solver(4, [1.0, 0.0], 2.0)  # x = 1/(1 - s)
+    assert found.status in (STEP_TOO_SMALL, NOT_FINITE, TOO_MANY_STEPS)
+    assert 0.9 < found.reached < 1.01
+    assert np.all(np.isfinite(found.x))
+
+
+def test_nan_at_the_start_and_too_many_steps_are_reported(solver: Callable[..., Outcome]) -> None:
+    assert solver(1, [np.nan, 0.0], 1.0).status == NOT_FINITE
+    found = solver(2, [2.0, 0.0], 1500.0, tolerance=1e-10, max_steps=50)
+    assert found.status == TOO_MANY_STEPS
+    assert 0 < found.reached < 1500

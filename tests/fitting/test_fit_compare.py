@@ -1,0 +1,95 @@
+"""Laws compared: known figures, criteria, and a level left out computed a second way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.fitting import LawComparison, compare_laws, read_table
+
+# REFERENCE: mean RMSE over the interior levels left out, six-parameter law
+KNOWN = {"DMSP-20-300": (0.300, 17.6), "DMSP-10-250": (0.250, 5.8)}
+
+
+@pytest.fixture(scope="module")
+def long() -> LawComparison:
+    table = read_table("DMSP-20-300_static.csv", rest_length=0.300)
+    return compare_laws(
+        table,
+        ["six-parameter", "five-parameter", "thick-wall", "geometric"],
+        fixed={"rest_diameter": 0.02},
+    )
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_the_six_parameter_law_has_its_known_error_at_levels_left_out(name: str) -> None:
+    length, error = KNOWN[name]
+    found = compare_laws(read_table(f"{name}_static.csv", rest_length=length), ["six-parameter"])
+    assert found.best.left_out_rmse == pytest.approx(error, abs=0.05)
+
+
+def test_a_level_left_out_agrees_with_scipy(long: LawComparison) -> None:
+    law = long["six-parameter"]
+    assert law.fit is not None
+    taut = law.fit.cells
+    kappa, p, force = taut.contraction * 100, taut.pressure / 1e5, taut.force
+    there = np.abs(taut.contraction - 0.11) < 0.01
+
+    def tension(c: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        k, q = kappa[rows], p[rows]
+        return (c[0] * q + c[1]) * np.exp(c[2] * k) + c[3] * k * q + c[4] * q + c[5]
+
+    best = min(
+        (
+            least_squares(
+                lambda c: tension(c, ~there) - force[~there],
+                [1, 300, a3, -9, 270, -300],
+                x_scale=[10, 100, 0.1, 1, 100, 100],
+                xtol=1e-14,
+                ftol=1e-14,
+                gtol=1e-14,
+            )
+            for a3 in (-1.0, -0.5, -0.2)
+        ),
+        key=lambda answer: answer.cost,
+    )
+    error = np.sqrt(np.mean((tension(best.x, there) - force[there]) ** 2))
+    left_out = {round(k, 3): e for k, e in law.left_out.items()}
+    assert left_out[0.11] == pytest.approx(error, rel=1e-4)
+    assert list(left_out) == [0.06, 0.11, 0.167]  # the interior ones of five levels
+
+
+def test_criteria_are_those_of_akaike_and_schwarz(long: LawComparison) -> None:
+    law = long["five-parameter"]
+    assert law.fit is not None
+    squares = np.sum(law.fit.residuals**2)
+    # 5 coefficients and the variance, 60 taut cells
+    assert law.aic == pytest.approx(60 * np.log(squares / 60) + 12)
+    assert law.bic == pytest.approx(60 * np.log(squares / 60) + 6 * np.log(60))
+
+
+def test_the_table_is_sorted_by_the_error_left_out_and_names_what_is_missing(
+    long: LawComparison,
+) -> None:
+    assert [law.name for law in long.laws] == [
+        "thick-wall",
+        "five-parameter",
+        "six-parameter",
+        "geometric",
+    ]
+    lines = str(long).splitlines()
+    assert lines[2].split()[:2] == ["thick-wall", "5"]
+    assert "needs fixed={'radius': ...}" in lines[-1]
+    assert np.isnan(long["geometric"].aic)
+
+
+def test_names_that_no_law_knows_are_refused() -> None:
+    table = read_table("DMSP-10-250_static.csv", rest_length=0.250)
+    with pytest.raises(UnknownNameError, match="'radios'"):
+        compare_laws(table, ["geometric"], fixed={"radios": 0.005})
+    with pytest.raises(UnknownNameError, match="did you mean 'six-parameter'"):
+        compare_laws(table, ["six-parametre"])
+    with pytest.raises(InputError, match="laws is empty"):
+        compare_laws(table, [])

@@ -1,0 +1,197 @@
+"""Free runs: against SciPy's integration of the same equations, and the truth back from them."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import pam_ocp as pam
+from pam_ocp.core.errors import FitError, InputError, UnknownNameError
+from pam_ocp.fitting.dynamic.experiment import groups
+from pam_ocp.fitting.dynamic.free_run import fit_free_run, free_run
+from pam_ocp.fitting.dynamic.rollout import Rollout
+from pam_ocp.fitting.dynamic.runs import runs_of
+
+TRUTH = {"stiffness": 40.0, "damping": 1.5, "friction": 2.0, "gain": 30.0}
+SPEED = 0.05
+
+
+def rubbing() -> pam.Plant:
+    """q'' = gain u - stiffness q - damping q' - friction tanh(q'/v): it sticks and slides."""
+    plant = pam.Plant("rubbing", "a joint with dry friction")
+    q, w = plant.state("q", unit="rad"), plant.state("w", unit="rad/s")
+    u = plant.input("u")
+    k, c, f, g = (plant.parameter(n, v, min=0, nominal=v) for n, v in TRUTH.items())
+    plant.parameter("idle", 1.0)
+    plant.der(q, w)
+    plant.der(w, g * u - k * q - c * w - f * ca.tanh(w / SPEED))
+    plant.output("torque", g * u - k * q)
+    return plant
+
+
+def force(t: np.ndarray, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return np.interp(t, np.linspace(0, t[-1], 9), random.uniform(-1, 1, 9))
+
+
+def reference(
+    t: np.ndarray, u: np.ndarray, x0: tuple[float, float], held: bool = False
+) -> np.ndarray:
+    """The equations of ``rubbing`` once more, by SciPy: states (n, 2) at t."""
+
+    def slope(time: float, x: np.ndarray, value: float | None) -> list[float]:
+        f = np.interp(time, t, u) if value is None else value
+        rub = TRUTH["friction"] * np.tanh(x[1] / SPEED)
+        return [x[1], TRUTH["gain"] * f - TRUTH["stiffness"] * x[0] - TRUTH["damping"] * x[1] - rub]
+
+    rows = [np.array(x0)]
+    for k in range(len(t) - 1):
+        value = float(u[k]) if held else None
+        rows.append(
+            solve_ivp(
+                slope, t[k : k + 2], rows[-1], method="Radau", rtol=1e-9, atol=1e-11, args=(value,)
+            ).y[:, -1]
+        )
+    return np.array(rows)
+
+
+def record(seed: int, *, with_speed: bool = True, held: bool = False) -> pam.Trajectory:
+    t = np.arange(121) / 100
+    u = force(t, seed)
+    q, w = reference(t, u, (0.3, 0.0), held).T
+    columns = {"q": q, "u": u, **({"w": w} if with_speed else {})}
+    return pam.Trajectory(t, columns, interpolation="previous" if held else "linear")
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_runs_follow_an_independent_integration(held: bool) -> None:
+    measured = record(1, held=held)
+    runs = free_run(rubbing(), measured, horizon=0.4, every=0.2, outputs=["q", "w"], steps=8)
+    np.testing.assert_allclose(runs.start, [0.2, 0.4, 0.6, 0.8])
+    assert runs.predicted.shape == (4, 40, 2)
+    # the record is that integration, so from its own states the runs must stay on it
+    assert np.abs(runs.predicted - runs.measured).max() < 1e-4 * np.ptp(measured["w"])
+    assert runs.rmse["q"] < 1e-5
+
+
+def test_the_integration_converges_with_its_order() -> None:
+    measured = record(2)
+    errors = [
+        free_run(rubbing(), measured, horizon=0.4, every=0.2, outputs=["q"], steps=s).rmse["q"]
+        for s in (2, 4, 8, 16)
+    ]
+    assert errors[3] < errors[0] / 20
+    assert sorted(errors, reverse=True) == errors
+
+
+def test_a_stiff_plant_does_not_blow_up() -> None:
+    """Damped at a rate of 1e5 1/s: explicit steps of 2.5 ms would grow 250-fold each."""
+    plant = rubbing().with_values(damping=1e5)
+    measured = record(3)
+    runs = free_run(plant, measured, horizon=0.4, every=0.2, outputs=["q"])
+    start = np.interp(runs.start, measured.t, measured["q"])
+    assert np.abs(runs.predicted[:, -1, 0] - start).max() < 0.005  # it all but stands still
+
+
+def test_velocity_comes_from_the_past_alone() -> None:
+    plant = pam.Plant("coasting")
+    q, w = plant.state("q"), plant.state("w")
+    plant.der(q, w)
+    plant.der(w, 0.0)
+    t = np.arange(60) / 100
+    bent = np.where(t <= 0.2, 2 * t, 0.4 - 3 * (t - 0.2))  # turns round at the first start
+    runs = free_run(plant, pam.Trajectory(t, {"q": bent}), horizon=0.1, every=0.2)
+    np.testing.assert_allclose(runs.predicted[0, :, 0], 0.4 + 2 * runs.t, atol=1e-12)
+    np.testing.assert_allclose(runs.predicted[1], runs.measured[1], atol=1e-12)
+
+
+def test_outputs_are_read_with_the_inputs_of_their_time() -> None:
+    measured = record(4)
+    torque = TRUTH["gain"] * measured["u"] - TRUTH["stiffness"] * measured["q"]
+    whole = pam.Trajectory(
+        measured.t, {"q": measured["q"], "w": measured["w"], "u": measured["u"], "torque": torque}
+    )
+    runs = free_run(rubbing(), whole, horizon=0.4, every=0.2, outputs=["torque"], steps=8)
+    assert runs.rmse["torque"] < 1e-3 * np.std(torque)
+
+
+def test_sensitivities_are_those_of_finite_differences() -> None:
+    plant = rubbing().with_values(stiffness=30.0)
+    runs = runs_of(plant, [record(5)], 0.3, 0.2, ["q"], 3, 4)
+    unknowns = groups(plant, list(TRUTH), {})
+    rollout = Rollout(plant, runs, unknowns)
+    z, step = np.ones(len(unknowns)), 1e-6
+    exact = rollout.jacobian(z)
+    for i, unit in enumerate(np.eye(len(z))):
+        difference = (rollout.residuals(z + step * unit) - rollout.residuals(z - step * unit)) / (
+            2 * step
+        )
+        np.testing.assert_allclose(exact[:, i], difference, atol=1e-5 * np.abs(exact).max())
+
+
+def test_the_truth_comes_back_from_stick_and_slip() -> None:
+    records = [record(seed) for seed in range(6)]
+    off = rubbing().with_values(stiffness=30.0, damping=3.0, friction=0.8, gain=22.0)
+    fit = fit_free_run(off, records, list(TRUTH), horizon=0.4, every=0.1, outputs=["q"], steps=8)
+    for name, value in TRUTH.items():
+        assert fit.values[name] == pytest.approx(value, rel=0.02)
+        assert fit.plant.variable(name).start == fit.values[name]
+    assert fit.cost[1] < 1e-4 * fit.cost[0]
+    assert fit.integration_error["q"] < 0.01 * np.std([r["q"] for r in records])
+    assert fit.at_bound == ()
+    assert "free runs of 0.4 s" in str(fit)
+
+
+def test_a_value_held_back_by_its_range_is_named() -> None:
+    fit = fit_free_run(
+        rubbing().with_values(friction=0.5),
+        record(7),
+        ["friction"],
+        horizon=0.4,
+        every=0.1,
+        outputs=["q"],
+        bounds={"friction": (0.1, 1.0)},
+    )
+    assert fit.at_bound == ("friction",)
+    assert fit.values["friction"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"horizon": 0.123456}, "horizon = 0.123456 s is no multiple of the sampling time 0.01 s"),
+        ({"every": 0.0}, "every"),
+        ({"horizon": 3.0}, "the longest lasts 1.2 s"),
+        ({"history": 1}, "history = 1: give a whole number >= 2"),
+        ({"steps": 0}, "steps = 0"),
+    ],
+)
+def test_arguments_that_cannot_be(options: dict[str, float], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        free_run(rubbing(), record(1), **{"horizon": 0.4, "every": 0.2, **options})  # type: ignore[arg-type]
+
+
+def test_records_that_cannot_be() -> None:
+    good = record(1)
+    t = good.t.copy()
+    t[60:] += 0.005
+    columns = {n: good[n] for n in ("q", "w", "u")}
+    with pytest.raises(InputError, match=r"a step of 0\.015 s at t = 0\.59 s"):
+        free_run(rubbing(), pam.Trajectory(t, columns), horizon=0.4, every=0.2)
+    with pytest.raises(InputError, match="no column for the input u"):
+        free_run(rubbing(), pam.Trajectory(good.t, {"q": good["q"]}), horizon=0.4, every=0.2)
+    broken = {**columns, "u": np.where(good.t > 0.5, np.nan, good["u"])}
+    with pytest.raises(InputError, match="an input is not finite"):
+        free_run(rubbing(), pam.Trajectory(good.t, broken), horizon=0.4, every=0.2)
+
+
+def test_parameters_that_cannot_be_fitted() -> None:
+    common = {"horizon": 0.4, "every": 0.2, "outputs": ["q"]}
+    with pytest.raises(InputError, match="free is empty"):
+        fit_free_run(rubbing(), record(1), [], **common)  # type: ignore[arg-type]
+    with pytest.raises(FitError, match="idle has no influence"):
+        fit_free_run(rubbing(), record(1), ["friction", "idle"], **common)  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match="fricton"):
+        fit_free_run(rubbing(), record(1), ["fricton"], **common)  # type: ignore[arg-type]

@@ -1,0 +1,145 @@
+"""How inputs ran between samples, and errors of measured inputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide
+
+import pam_ocp as pam
+from pam_ocp.core.errors import FitError, InputError
+from pam_ocp.fitting import fit_plant, read_record
+from pam_ocp.fitting.dynamic.between import deviance
+
+FREE = ["damping", "muscle*.lag"]
+T = np.arange(0, 1.2, 0.01)
+
+
+@pytest.fixture(scope="module")
+def rig() -> pam.Plant:
+    return benchmark_slide(pam.Regulator(0.05, max_pressure=6 * BAR))
+
+
+def run(rig: pam.Plant, seed: int, way: str = "previous") -> pam.Trajectory:
+    levels = np.random.default_rng(seed).uniform(2.2 * BAR, 4.5 * BAR, (2, 7))
+    place = (T / 0.2 + 1e-9).astype(int)
+    inputs = {f"muscle{i + 1}.command": levels[i][place] for i in (0, 1)}
+    start = {"muscle1.pressure": 3 * BAR, "muscle2.pressure": 3 * BAR}
+    return pam.simulate(rig, inputs, t=T, interpolation=way, start=start)  # type: ignore[arg-type]
+
+
+def measured(
+    rig: pam.Plant, motion: pam.Trajectory, seed: int, command: float = 0.0, way: str | None = None
+) -> pam.Trajectory:
+    random = np.random.default_rng([seed, 1])
+    columns = {
+        n: motion[n] + command * random.standard_normal(T.size) for n in motion.named("input")
+    }
+    columns["x"] = motion["x"] + 2e-5 * random.standard_normal(T.size)
+    return pam.Trajectory(T, columns, [rig.variable(n) for n in columns], way)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("way", ["previous", "linear"])
+@pytest.mark.parametrize("ending", ["csv", "npz", "parquet"])
+def test_a_saved_record_says_how_its_inputs_ran(
+    rig: pam.Plant, tmp_path: Path, ending: str, way: str
+) -> None:
+    motion = run(rig, 1, way)
+    path = motion.save(tmp_path / f"record.{ending}")
+    for back in (pam.Trajectory.load(path), read_record(path, rig), read_record(path)):
+        assert back.interpolation_known
+        assert back.interpolation == way
+        assert "inputs_held" not in back.names
+        np.testing.assert_array_equal(back["x"], motion["x"])
+
+
+def test_a_record_that_does_not_say_it_stays_open(rig: pam.Plant, tmp_path: Path) -> None:
+    unknown = measured(rig, run(rig, 1), 1)
+    for ending in ("csv", "npz"):
+        assert not read_record(unknown.save(tmp_path / f"r.{ending}"), rig).interpolation_known
+    path = tmp_path / "r.csv"
+    assert read_record(path, rig, inputs="held").interpolation == "previous"
+    assert unknown.running("previous").interpolation_known
+    with pytest.raises(InputError, match="contradicts"):
+        read_record(path, rig, inputs="held", interpolation="linear")
+    with pytest.raises(InputError, match="'held' or 'linear'"):
+        read_record(path, rig, inputs="zoh")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("way", ["previous", "linear"])
+def test_the_likelihood_decides_how_inputs_ran(rig: pam.Plant, way: str) -> None:
+    record = measured(rig, run(rig, 3, way), 3)
+    fit = fit_plant(rig, record, FREE)
+    assert fit.interpolation == way
+    assert {"previous": "count as held", "linear": "joined by lines between"}[way] in fit.report()
+    for name, (low, high) in fit.intervals(0.999).items():
+        assert low <= float(rig.variable(name.replace("*", "1")).start or 0) <= high
+    told = fit_plant(rig, record.running(way), FREE)  # type: ignore[arg-type]
+    assert told.inputs_ran == ""
+    assert told.values == pytest.approx(fit.values, rel=1e-6)
+
+
+def test_the_deviance_is_that_of_normal_errors() -> None:
+    from scipy.stats import norm
+
+    e = np.random.default_rng(0).standard_normal((50, 2)) * [1.0, 3.0]
+    sigma = np.sqrt(np.mean(e**2, axis=0))
+    exact = -2 * np.sum(norm.logpdf(e, scale=sigma)) - 100 * (1 + np.log(2 * np.pi))
+    assert deviance(e) == pytest.approx(exact)
+    assert deviance(e, np.array([1.0, 3.0])) == pytest.approx(np.sum((e / [1.0, 3.0]) ** 2))
+
+
+@pytest.mark.slow
+def test_errors_of_measured_inputs_no_longer_bias_the_damping(rig: pam.Plant) -> None:
+    noise = {"muscle1.command": 5e3, "muscle2.command": 5e3}
+    hits: dict[bool, list[bool]] = {True: [], False: []}
+    for seed in range(20):
+        record = measured(rig, run(rig, 50 + seed), seed, 5e3, "previous")
+        for known in (True, False):
+            extra = {"input_noise": noise} if known else {}
+            fit = fit_plant(rig, record, FREE, noise={"x": 2e-5}, degree=3, **extra)  # type: ignore[arg-type]
+            for name, (low, high) in fit.intervals().items():
+                truth = float(rig.variable(name.replace("*", "1")).start or 0)
+                hits[known].append(low <= truth <= high)
+    assert np.mean(hits[True]) >= 0.85
+    assert np.mean(hits[False]) < 0.75
+
+
+def test_input_noise_is_refused_where_it_cannot_be(rig: pam.Plant) -> None:
+    record = measured(rig, run(rig, 1), 1, way="previous")
+    with pytest.raises(InputError, match="input_noise needs noise"):
+        fit_plant(rig, record, FREE, input_noise={"muscle1.command": 5e3})
+    with pytest.raises(InputError, match="x is a state, not an input"):
+        fit_plant(rig, record, FREE, noise={"x": 1e-5}, input_noise={"x": 1e-5})
+
+
+# ---- free runs ----------------------------------------------------------------------------------
+def test_a_free_run_that_diverges_says_so() -> None:
+    from pam_ocp.fitting.dynamic.runs import FreeRun
+
+    t = np.array([0.1, 0.2])
+    wild = np.array([[[1.0], [np.inf]], [[1.0], [1.1]], [[1.0], [5e3]]])
+    runs = FreeRun(
+        ("x",), np.zeros(3), np.array([0.0, 1.0, 2.0]), t, np.ones((3, 2, 1)), wild, np.ones(1)
+    )
+    assert runs.diverged.tolist() == [True, False, True]
+    assert "2 of 3 free runs diverge" in str(runs)
+    assert np.isinf(runs.rmse["x"])
+
+
+def test_discarded_sensitivities_are_not_called_no_influence() -> None:
+    from types import SimpleNamespace
+
+    from pam_ocp.fitting.dynamic.free_run import _require_sense
+
+    groups = [SimpleNamespace(name="stiffness")]
+    for wild, words in ((True, "cannot be told"), (False, "no influence")):
+        slopes = np.full((4, 6, 1), np.nan if wild else 0.0)
+        rollout = SimpleNamespace(
+            residuals=lambda z: np.zeros(24),
+            sensitivities=lambda z, s=slopes, w=wild: (s, np.full(4, w)),
+        )
+        with pytest.raises(FitError, match=words):
+            _require_sense(rollout, np.ones(1), groups)  # type: ignore[arg-type]

@@ -1,0 +1,130 @@
+"""Measured records: what is recognised and converted, and what is refused in which words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.fitting import read_record, read_records
+
+T = [0.0, 0.01, 0.02, 0.03]
+
+
+def columns(**changes: Any) -> dict[str, Any]:
+    good = {
+        "time [ms]": [0.0, 10.0, 20.0, 30.0],
+        "x [mm]": [1.0, 2.0, 3.0, 4.0],
+        "muscle1_command [bar]": [2.0, 3.0, 3.0, 2.0],
+        "comment": ["", "", "", ""],
+    }
+    return {**good, **changes}
+
+
+def test_names_and_units_of_a_plant_are_recognised(slide: pam.Plant) -> None:
+    record = read_record(columns(), slide)
+    assert record.names == ("x", "muscle1.command")
+    np.testing.assert_allclose(record.t, T)
+    np.testing.assert_allclose(record["x"], [1e-3, 2e-3, 3e-3, 4e-3])
+    np.testing.assert_allclose(record["muscle1.command"], [2e5, 3e5, 3e5, 2e5])
+    assert record.variable("muscle1.command").causality == "input"
+    assert record.interpolation == "linear"
+
+
+def test_columns_and_units_can_be_told(slide: pam.Plant) -> None:
+    raw = {"t": T, "ch1": [1.0, 2.0, 3.0, 4.0]}
+    record = read_record(
+        raw, slide, columns={"x": "ch1"}, units={"x": "mm"}, interpolation="previous"
+    )
+    np.testing.assert_allclose(record["x"], [1e-3, 2e-3, 3e-3, 4e-3])
+    assert record.interpolation == "previous"
+
+
+def test_without_a_plant_every_column_is_an_output_in_si() -> None:
+    record = read_record(
+        {"t_s": T, "angle [deg]": [0, 90, 180, 0], "p1_bar": [0, 1, 2, 3], "n": [1, 2, 3, 4]}
+    )
+    np.testing.assert_allclose(record["angle"], [0, np.pi / 2, np.pi, 0])
+    np.testing.assert_allclose(record["p1"], [0, 1e5, 2e5, 3e5])
+    assert [v.unit for v in record.variables] == ["rad", "Pa", "1"]
+
+
+def test_a_saved_trajectory_is_read_back(tmp_path: Path, slide: pam.Plant) -> None:
+    run = pam.simulate(slide, {"muscle1.command": 3e5, "muscle2.command": 2e5}, duration=0.1)
+    read = read_record(run.save(tmp_path / "run.csv"), slide)
+    assert set(read.names) == set(run.names)
+    for name in run.names:
+        np.testing.assert_array_equal(read[name], run[name])
+
+
+def test_several_files_and_one_file_in_parts_are_the_same_set(tmp_path: Path) -> None:
+    one, two = "t,x_mm\n0,1\n0.1,2\n0.2,3\n", "t,x_mm\n0,4\n0.1,5\n"
+    for name, text in (("1.csv", one), ("2.csv", two)):
+        (tmp_path / name).write_text(text)
+    files = read_records([tmp_path / "1.csv", tmp_path / "2.csv"])
+    assert [len(r) for r in files] == [3, 2]
+    numbered = tmp_path / "numbered.csv"
+    numbered.write_text("run,t,x_mm\n1,0,1\n1,0.1,2\n1,0.2,3\n2,0,4\n2,0.1,5\n")
+    cut = read_records(numbered, split="run")
+    for a, b in zip(files, cut, strict=True):
+        np.testing.assert_array_equal(a["x"], b["x"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"time [ms]": [0, 10, 5, 30]}, r"time runs backwards in row 3, from 0.01 to 0.005 s"),
+        ({"time [ms]": [0, 10, 10, 30]}, "time stands still in row 3"),
+        ({"time [ms]": [0, 10, 20, 900]}, r"a gap of 0.88 s before row 4 \(from 0.02 to 0.9 s"),
+        ({"time [ms]": [0, 10, float("nan"), 30]}, "row 3 holds nan"),
+        ({"x [mm]": [1.0, float("nan"), 3.0, 4.0]}, r"column 'x \[mm\]', row 2 holds nan"),
+        ({"x [mm]": [1.0, "", 3.0, 4.0]}, "row 2 is empty"),
+    ],
+)
+def test_times_and_cells_that_cannot_be_are_refused_with_their_place(
+    changes: dict[str, Any], words: str, slide: pam.Plant
+) -> None:
+    with pytest.raises(InputError, match=words):
+        read_record(columns(**changes), slide)
+
+
+def test_a_gap_can_be_allowed(slide: pam.Plant) -> None:
+    wide = columns(**{"time [ms]": [0, 10, 20, 900]})
+    assert read_record(wide, slide, max_gap=1.0).duration == pytest.approx(0.9)
+
+
+def test_units_that_do_not_measure_the_quantity_are_refused(slide: pam.Plant) -> None:
+    with pytest.raises(InputError, match=r"is in bar, which is no unit of x \(m\)"):
+        read_record({"t": T, "x [bar]": [1, 2, 3, 4]}, slide)
+    with pytest.raises(InputError, match="says mm but units"):
+        read_record({"t": T, "x [mm]": [1, 2, 3, 4]}, slide, units={"x": "bar"})
+    with pytest.raises(UnknownNameError, match="unknown unit"):
+        read_record({"t": T, "x [furlong]": [1, 2, 3, 4]}, slide)
+
+
+def test_units_that_cannot_be_are_refused_with_the_place(slide: pam.Plant) -> None:
+    with pytest.raises(InputError, match=r"'x', row 4, is 4 m \(read in m, as no unit was named\)"):
+        read_record({"t": T, "x": [1, 2, 3, 4]}, slide)
+    with pytest.raises(InputError, match=r"the unit cannot be right.*units=\{'muscle1.command'"):
+        read_record({"t": T, "muscle1_command [bar]": [2e5, 3e5, 3e5, 2e5]}, slide)
+    with pytest.raises(InputError, match="it looks like bar or kPa"):
+        read_record({"t": T, "muscle1_command": [2.0, 3.0, 3.0, 2.0]}, slide)
+    none = read_record({"t": T, "x [mm]": [1, 2, 3, 4], "muscle1_command": [0.0] * 4}, slide)
+    assert np.all(none["muscle1.command"] == 0)  # a muscle without pressure is no wrong unit
+
+
+def test_what_is_not_there_is_named(slide: pam.Plant) -> None:
+    with pytest.raises(InputError, match="no column for the time"):
+        read_record({"x": [1, 2]}, slide)
+    with pytest.raises(InputError, match="bears the name of a variable of plant"):
+        read_record({"t": [0, 1], "foo": [1, 2]}, slide)
+    with pytest.raises(UnknownNameError, match="column 'bar'"):
+        read_record({"t": [0, 1], "foo": [1, 2]}, slide, columns={"x": "bar"})
+    with pytest.raises(UnknownNameError, match="column to split at"):
+        read_records({"t": [0, 1], "x": [1, 2]}, slide, split="episode")
+    with pytest.raises(InputError, match="1 sample"):
+        read_record({"t": [0.0], "x": [1.0]}, slide)

@@ -1,0 +1,299 @@
+"""Measured tables: what is recognised, what is converted, and what is refused in which words."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.fitting import ForceTable, read_table
+
+L0 = 0.3
+LENGTHS = [0.30, 0.285, 0.27, 0.255]
+PRESSURES = [2e5, 4e5, 6e5, 6e5]
+FORCES = [400.0, 500.0, 450.0, 0.0]
+
+
+def table(**changes: Any) -> dict[str, Any]:
+    """A good table in SI, with some columns replaced (None: taken out)."""
+    columns = {"length_m": LENGTHS, "pressure_Pa": PRESSURES, "force_N": FORCES} | changes
+    return {name: values for name, values in columns.items() if values is not None}
+
+
+def scaled(values: list[float], factor: float) -> list[float]:
+    return [v / factor for v in values]
+
+
+def changed(values: list[float], row: int, value: Any) -> list[Any]:
+    return [value if i == row else v for i, v in enumerate(values)]
+
+
+def write(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+# ---- what is read --------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "rest_length", "cells", "taut"),
+    [("DMSP-20-300_static.csv", 0.300, 126, 60), ("DMSP-10-250_static.csv", 0.250, 85, 40)],
+)
+def test_bundled_tables_are_found_by_name_from_any_folder(
+    name: str, rest_length: float, cells: int, taut: int, tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    read = read_table(name, rest_length=rest_length)
+    assert (len(read), len(read.taut), int(read.slack.sum())) == (cells, taut, cells - taut)
+    assert read.source == name
+
+
+def test_a_file_in_the_working_folder_comes_before_the_bundled_one(
+    tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, "DMSP-20-300_static.csv", "kappa,p_bar,F_N\n0.1,5,700\n")
+    assert len(read_table("DMSP-20-300_static.csv")) == 1
+
+
+@pytest.mark.parametrize(
+    ("length", "pressure", "force"),
+    [
+        ("length_m", "pressure_Pa", "force_N"),
+        ("length [mm]", "p [kPa]", "F [N]"),
+        ("l/mm", "p/bar", "F/N"),
+        ("Length (cm)", "pressure (bar)", "Force (kN)"),
+        ("muscle_length_mm", "gauge pressure [MPa]", "pulling force (N)"),
+        ("L in mm", "P in psi", "F in lbf"),
+    ],
+)
+def test_headers_say_quantity_and_unit_in_the_usual_spellings(
+    length: str, pressure: str, force: str
+) -> None:
+    factor = {
+        "m": 1.0,
+        "mm": 1e-3,
+        "cm": 1e-2,
+        "Pa": 1.0,
+        "kPa": 1e3,
+        "bar": 1e5,
+        "MPa": 1e6,
+        "psi": 0.45359237 * 9.80665 / 0.0254**2,
+        "N": 1.0,
+        "kN": 1e3,
+        "lbf": 0.45359237 * 9.80665,
+    }
+
+    def unit_of(header: str) -> float:
+        return factor[
+            header.rstrip("])")
+            .replace("[", " ")
+            .replace("(", " ")
+            .replace("/", " ")
+            .replace("_", " ")
+            .split()[-1]
+        ]
+
+    read = read_table(
+        {
+            length: scaled(LENGTHS, unit_of(length)),
+            pressure: scaled(PRESSURES, unit_of(pressure)),
+            force: scaled(FORCES, unit_of(force)),
+        },
+        rest_length=L0,
+    )
+    assert read.pressure == pytest.approx(PRESSURES, rel=1e-9)
+    assert read.force == pytest.approx(FORCES, rel=1e-9)
+    assert read.contraction == pytest.approx([0.0, 0.05, 0.1, 0.15], abs=1e-12)
+
+
+@pytest.mark.parametrize("header", ["kappa [%]", "contraction_percent", "contraction ratio (%)"])
+def test_contraction_in_percent_needs_no_rest_length(header: str) -> None:
+    read = read_table(table(length_m=None, **{header: [0.0, 5.0, 10.0, 15.0]}))
+    assert read.contraction == pytest.approx([0.0, 0.05, 0.1, 0.15])
+    assert read.rest_length is None
+
+
+def test_columns_and_units_are_told_where_the_header_does_not() -> None:
+    read = read_table(
+        {"P1": [2, 4, 6, 6], "P2": [1, 1, 1, 1], "x": LENGTHS, "load": FORCES},
+        rest_length=L0,
+        columns={"pressure": "P1", "length": "x", "force": "load"},
+        units={"pressure": "bar"},
+    )
+    assert read.pressure == pytest.approx(PRESSURES)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "length_m,p [bar],F\n0.30,2,400\n0.27,6,450\n"),
+        ("b.tsv", "length_m\tp [bar]\tF\n0.30\t2\t400\n0.27\t6\t450\n"),
+        ("c.csv", "# rig 7\nlength_m;p [bar];F\n0,30;2,0;400\n0,27;6,0;450\n;;\n\n"),
+        ("d.txt", "\ufefflength_m, p [bar], F\n0.30, 2, 400\n0.27, 6, 450\n"),
+    ],
+)
+def test_separators_comments_and_decimal_commas(name: str, text: str, tmp_path: Path) -> None:
+    read = read_table(write(tmp_path, name, text), rest_length=L0)
+    assert read.pressure == pytest.approx([2e5, 6e5])
+    assert read.contraction == pytest.approx([0.0, 0.1], abs=1e-12)
+    assert read.force == pytest.approx([400, 450])
+
+
+def test_frames_and_binary_files_read_like_text(tmp_path: Path) -> None:
+    pandas, scipy_io = pytest.importorskip("pandas"), pytest.importorskip("scipy.io")
+    pytest.importorskip("pyarrow")
+    frame = pandas.DataFrame(table())
+    frame.to_parquet(tmp_path / "t.parquet")
+    np.savez(tmp_path / "t.npz", **table())
+    scipy_io.savemat(tmp_path / "t.mat", table())
+    expected = read_table(table(), rest_length=L0)
+    for source in (frame, *(tmp_path / f"t.{s}" for s in ("parquet", "npz", "mat"))):
+        read = read_table(source, rest_length=L0)
+        for name in ("pressure", "contraction", "force"):
+            np.testing.assert_array_equal(getattr(read, name), getattr(expected, name))
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.75, 1.05), st.floats(0.1, 7.0), st.floats(1.0, 2000.0)),
+        min_size=1,
+        max_size=8,
+    ),
+    st.sampled_from([("Pa", 1.0), ("kPa", 1e3), ("bar", 1e5), ("MPa", 1e6)]),
+)
+def test_the_unit_of_the_pressure_does_not_change_the_table(
+    rows: list[tuple[float, float, float]], unit: tuple[str, float]
+) -> None:
+    lengths, bars, forces = (np.array(c) for c in zip(*rows, strict=True))
+    read = read_table(
+        {"length": lengths * L0, f"p [{unit[0]}]": bars * 1e5 / unit[1], "F": forces},
+        rest_length=L0,
+    )
+    np.testing.assert_allclose(read.pressure, bars * 1e5, rtol=1e-12)
+    np.testing.assert_allclose(read.contraction, 1 - lengths, atol=1e-12)
+
+
+# ---- what a table knows
+# -----------------------------------------------------------------------------
+def test_a_force_of_zero_or_less_is_slack() -> None:
+    cells = ForceTable([2e5, 4e5, 6e5], [0.2, 0.1, 0.0], [-3.0, 0.0, 50.0])
+    assert cells.slack.tolist() == [True, True, False]
+    assert cells.taut.force.tolist() == [50.0]
+    assert "1 taut" in repr(cells)
+
+
+def test_arrays_of_a_table_cannot_be_written() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        read_table(table(), rest_length=L0).force[0] = 1.0
+
+
+def test_nearly_equal_contractions_are_one_level() -> None:
+    cells = ForceTable(np.full(5, 1e5), [0.1, 0.2, 0.1004, 0.1996, 0.0], np.ones(5))
+    assert cells.levels().tolist() == [1, 2, 1, 2, 0]
+
+
+# ---- what is refused
+# ----------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        (table(pressure_Pa=None), "no column for the pressure"),
+        (table(pressure_Pa=None, presure_Pa=PRESSURES), "did you mean 'presure_Pa'"),
+        (table(length_m=None), "no column for the length or contraction"),
+        (table(p=PRESSURES), "'pressure_Pa' and 'p' both read as pressure"),
+        (table(pressure_Pa=scaled(PRESSURES, 1e5)), r"6 Pa in row 3 .* looks like bar"),
+        (table(pressure_Pa=scaled(PRESSURES, 1e3)), r"600 Pa in row 3 .* looks like kPa"),
+        (table(pressure_Pa=None, p_bar=PRESSURES), r"600000 bar in row 3 .* looks like Pa"),
+        (table(pressure_Pa=changed(PRESSURES, 0, 2.0)), "row 1 .* mixes units"),
+        (table(pressure_Pa=changed(PRESSURES, 1, -5e4)), "-50000 Pa in row 2 is negative"),
+        (table(pressure_Pa=None, **{"p [mm]": PRESSURES}), "unit mm, which is none of a pressure"),
+        (table(pressure_Pa=None, **{"p [furlong]": PRESSURES}), "unknown unit 'furlong'"),
+        (table(force_N=changed(FORCES, 1, float("nan"))), "column 'force_N', row 2 holds nan"),
+        (table(force_N=changed(FORCES, 1, "n/a")), "column 'force_N', row 2 holds 'n/a'"),
+        (table(force_N=changed(FORCES, 1, None)), "column 'force_N', row 2 is empty"),
+        (table(force_N=changed(FORCES, 1, 1e6)), "1e\\+06 N in row 2 .* beyond any"),
+        (table(force_N=[0.0] * 4), "all 4 cells are slack"),
+        (table(force_N=[-5.0, -9.0, 0.0, 0.0]), "count pulling as positive"),
+        (table(length_m=changed(LENGTHS, 2, -0.27)), "length -0.27 m in row 3 must be > 0"),
+        (table(length_m=changed(LENGTHS, 2, 0.34)), "0.34 m in row 3 .* more than 10 % beyond"),
+        (table(length_m=scaled(LENGTHS, 1e-3)), "unit of the lengths"),
+        (table(length_m=None, kappa=[0.0, 5.0, 10.0, 15.0]), "15 in row 4 .* looks like percent"),
+        (table(length_m=None, kappa=[0.0, 0.1, 0.8, 0.1]), "0.8 in row 3 is outside -10 .. 60 %"),
+        (table(length_m=None, **{"kappa [%]": [0, 0.1, 0.2, 0.25]}), "looks like a fraction"),
+        (table(kappa=[0.0, 0.05, 0.20, 0.15]), "0.2 in row 3 contradicts length 0.27 m in row 3"),
+        (table(force_N=FORCES[:3]), "differ in length"),
+        ({"length_m": [], "pressure_Pa": [], "force_N": []}, "is empty"),
+        ({}, "is empty"),
+    ],
+)
+def test_bad_tables_are_refused_in_words(columns: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read_table(columns, rest_length=L0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"rest_length": None}, "give rest_length in metres"),
+        ({"rest_length": -0.3}, "rest_length = -0.3 m must be > 0"),
+        ({"rest_length": 300.0}, "check rest_length"),
+        ({"columns": {"presure": "p"}}, "unknown quantity in columns 'presure': did you mean"),
+        ({"columns": {"pressure": "pressure_pa"}}, "did you mean 'pressure_Pa'"),
+        ({"units": {"pressure": "kPa"}}, "says Pa but units"),
+        ({"units": {"pressure": "mm"}}, "no unit of a pressure"),
+        ({"units": {"pressure": "furlong"}}, "unknown unit"),
+    ],
+)
+def test_bad_arguments_are_refused_in_words(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read_table(table(), **{"rest_length": L0, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("length_m,pressure_Pa,force_N\n", "is empty"),
+        ("0.3,2e5,400\n0.27,6e5,450\n", "must name the columns"),
+        ("length_m,pressure_Pa,force_N\n0.3,2e5,400\n0.27,6e5\n", "line 3 has 2 cells"),
+        ("length_m,p,p,force_N\n0.3,2e5,2e5,400\n", "'p' occurs twice"),
+        ("length_m,p,F\n\n0.3,2e5,400\n0.3,,400\n", r"'p', row 2 \(line 4\) is empty"),
+    ],
+)
+def test_bad_files_are_refused_with_their_line(text: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        read_table(write(tmp_path, "t.csv", text), rest_length=L0)
+
+
+def test_a_missing_file_names_its_neighbours(tmp_path: Path) -> None:
+    write(tmp_path, "muscle7.csv", "")
+    with pytest.raises(UnknownNameError, match=r"did you mean '.*muscle7\.csv'"):
+        read_table(tmp_path / "muscle_7.csv", rest_length=L0)
+    with pytest.raises(UnknownNameError, match=r"'DMSP-20-300_static\.csv'"):
+        read_table("DMSP-20-300.csv", rest_length=0.3)
+
+
+def test_a_source_of_the_wrong_kind_is_refused() -> None:
+    with pytest.raises(InputError, match="give a path, a pandas DataFrame or a mapping"):
+        read_table(3.0, rest_length=L0)
+    with pytest.raises(InputError, match="equally long"):
+        ForceTable([1e5, 2e5], [0.0, 0.1], [1.0])
+
+
+def test_a_missing_package_is_named_with_the_way_round_it(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=r"pandas.*save the table as CSV"):
+        read_table(write(tmp_path, "t.xlsx", ""), rest_length=L0)
+
+
+def test_a_damaged_binary_file_is_refused(tmp_path: Path) -> None:
+    for name in ("t.npz", "t.mat"):
+        with pytest.raises(InputError, match=f"{name} is no readable"):
+            read_table(write(tmp_path, name, "x" * 200), rest_length=L0)

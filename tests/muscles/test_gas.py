@@ -1,0 +1,394 @@
+"""Gas in a muscle: volume, energy, closed-valve stiffness, flow by ISO 6358, feeds of air."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp, trapezoid
+from scipy.optimize import brentq
+
+from pam_ocp.core.errors import InputError
+from pam_ocp.muscles.catalogue import muscle
+from pam_ocp.muscles.gas import (
+    BraidVolume,
+    ConsistentVolume,
+    Gas,
+    PolynomialVolume,
+    closed_stiffness,
+    conductance_from_flow,
+    iso6358,
+    muscle_volume,
+)
+from pam_ocp.muscles.laws.braid import CorrectedLaw, GeometricLaw
+from pam_ocp.muscles.laws.thick_wall import ThickWallLaw
+from pam_ocp.muscles.muscle import Muscle
+from pam_ocp.plants.hanging import HangingLoad
+from pam_ocp.plants.losses import ConstantDamping, StiffnessDamping
+from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
+
+R, T, RHO0 = 287.05, 293.15, 1.185
+GRAVITY = 9.80665
+# DMSP-20-400N: p in bar, kappa in percent, F in N; rest length and inner diameter in m
+A1, A2, A3, A4, A5, A6 = -4.35573, 281.22370, -0.32866, -9.27035, 302.20107, -263.69185
+L0, D0, DEAD = 0.4, 0.02, 20e-6
+
+
+@pytest.fixture(scope="module")
+def fluidic() -> Muscle:
+    return muscle("DMSP-20-400N")
+
+
+def reference_volume(kappa):
+    """V0 + l0/1e7 [(a1/a3)(e^(a3 k) - 1) + a4 k^2/2 + a5 k], k in percent; without dead volume."""
+    k = 100 * np.asarray(kappa)
+    integral = A1 / A3 * (np.exp(A3 * k) - 1) + A4 * k**2 / 2 + A5 * k
+    return math.pi * (D0 / 2) ** 2 * L0 + L0 / 1e7 * integral
+
+
+def braid_volume(kappa):
+    alpha = math.radians(24.42)
+    length = 1 - np.asarray(kappa)
+    rest = math.pi * (D0 / 2) ** 2 * L0
+    return rest * length * (1 - (math.cos(alpha) * length) ** 2) / math.sin(alpha) ** 2
+
+
+def wall_energy(kappa):
+    """-l0 times the integral of the force at p = 0 [J], by hand from eq. (3)."""
+    k = 100 * np.asarray(kappa)
+    return -L0 / 100 * (A2 / A3 * (np.exp(A3 * k) - 1) + A6 * k)
+
+
+# ---- volume -------------------------------------------------------------------------------------
+
+
+def test_consistent_volume_is_that_of_the_reference(fluidic):
+    kappa = np.linspace(-0.02, 0.27, 30)
+    assert muscle_volume(fluidic, kappa) == pytest.approx(reference_volume(kappa), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["DMSP-20-200N", "DMSP-20-400N"])
+def test_volume_grows_by_241_to_248_percent_at_25_percent(name):
+    known = muscle(name)
+    ratio = muscle_volume(known, 0.25) / muscle_volume(known, 0.0)
+    assert 2.405 < ratio < 2.485
+    braid = BraidVolume(math.radians(24.42))
+    assert muscle_volume(known, 0.25, braid) / muscle_volume(known, 0.0, braid) == pytest.approx(
+        2.34, abs=0.005
+    )
+
+
+def test_volume_of_the_ideal_braid_is_consistent_with_its_own_law():
+    alpha = math.radians(22.0)
+    ideal = Muscle(GeometricLaw(alpha, D0 / 2), rest_length=L0, diameter=D0)
+    kappa = np.linspace(0, 0.3, 7)
+    assert muscle_volume(ideal, kappa) == pytest.approx(
+        muscle_volume(ideal, kappa, BraidVolume(alpha)), rel=1e-12
+    )
+
+
+def test_thick_wall_law_fills_its_own_cylinder():
+    theta = math.radians(28.6) - 0.073
+    fibre, turns = 0.3 / math.cos(theta), 0.3 * math.tan(theta) / (math.pi * 0.02)
+    known = Muscle(ThickWallLaw.from_published("DMSP-20-300"), rest_length=0.3, diameter=0.02)
+    for kappa in (0.0, 0.1, 0.2):
+        length = 0.3 * (1 - kappa)
+        diameter = math.sqrt(fibre**2 - length**2) / (turns * math.pi)
+        assert muscle_volume(known, kappa) == pytest.approx(
+            math.pi / 4 * diameter**2 * length, rel=1e-12
+        )
+
+
+def test_polynomial_volume_is_its_polynomial(fluidic):
+    assert muscle_volume(fluidic, 0.1, PolynomialVolume([1e-4, 5e-4, -1e-3])) == pytest.approx(
+        1.4e-4
+    )
+
+
+def test_volumes_that_cannot_be_known_are_refused():
+    bare = Muscle(GeometricLaw(0.4, 0.01), rest_length=0.3)
+    with pytest.raises(InputError, match="has no diameter"):
+        muscle_volume(bare, 0.1)
+    corrected = Muscle(CorrectedLaw(0.4, 0.3, 1.0, 0.01), rest_length=0.3, diameter=0.02)
+    with pytest.raises(InputError, match="not a straight line in pressure"):
+        muscle_volume(corrected, 0.1)
+    with pytest.raises(InputError, match="must be > 0"):
+        PolynomialVolume([-1e-4])
+    with pytest.raises(InputError, match="must lie in 1"):
+        Gas(exponent=0.5)
+
+
+# ---- stiffness with closed valve
+# ------------------------------------------------------------------
+
+# kappa, volume, stiffness isobaric / isothermal / adiabatic at 4 bar [N/mm]
+CLOSED = [
+    (0.10, ConsistentVolume(), (10.1, 19.0, 22.5)),
+    (0.10, BraidVolume(math.radians(24.42)), (10.1, 18.3, 21.6)),
+    (0.20, ConsistentVolume(), (9.3, 11.5, 12.4)),
+    (0.20, BraidVolume(math.radians(24.42)), (9.3, 11.5, 12.3)),
+]
+
+
+@pytest.mark.parametrize(("kappa", "volume", "expected"), CLOSED)
+def test_closed_valve_stiffnesses_are_those_of_the_reference(fluidic, kappa, volume, expected):
+    found = [fluidic.stiffness(4e5, kappa)] + [
+        closed_stiffness(fluidic, 4e5, kappa, Gas(volume, DEAD, n)) for n in (1.0, 1.4)
+    ]
+    assert [round(k / 1e3, 1) for k in found] == list(expected)
+
+
+def test_closed_valve_stiffness_is_the_slope_along_the_adiabat(fluidic):
+    n, kappa, h = 1.4, 0.12, 1e-5
+
+    def force(k):
+        ratio = (reference_volume(kappa) + DEAD) / (reference_volume(k) + DEAD)
+        return fluidic.tension((3e5 + 101325) * ratio**n - 101325, k)
+
+    slope = -(force(kappa + h) - force(kappa - h)) / (2 * h) / L0
+    found = closed_stiffness(fluidic, 3e5, kappa, Gas(exponent=n, dead_volume=DEAD))
+    assert found == pytest.approx(slope, rel=1e-7)
+    assert found > fluidic.stiffness(3e5, kappa)  # closed is stiffer than open
+
+
+# ---- flow ----------------------------------------------------------------------------------------
+
+
+def test_flow_is_iso_6358_at_random_states():
+    rng = np.random.default_rng(6358)
+    choked = laminar = 0
+    for _ in range(1000):
+        p1, b = rng.uniform(1e5, 9e5), rng.uniform(0.1, 0.5)
+        conductance, temperature = 10 ** rng.uniform(-9, -7), rng.uniform(260, 330)
+        ratio = rng.choice([rng.uniform(0.05, 1.0), rng.uniform(0.9985, 1.0)])
+        full = p1 * conductance * RHO0 * math.sqrt(T / temperature)
+        if ratio <= b:
+            expected, choked = full, choked + 1
+        elif ratio <= 0.999:
+            expected = full * math.sqrt(1 - ((ratio - b) / (1 - b)) ** 2)
+        else:
+            edge = math.sqrt(1 - ((0.999 - b) / (1 - b)) ** 2)
+            expected, laminar = full * edge * (1 - ratio) / 0.001, laminar + 1
+        forward = float(iso6358(p1, ratio * p1, conductance, b, temperature))
+        assert forward == pytest.approx(expected, rel=1e-9, abs=1e-12 * full)
+        backward = float(iso6358(ratio * p1, p1, conductance, b, temperature))
+        assert backward == -forward
+    assert choked > 100
+    assert laminar > 100
+
+
+def test_flow_has_finite_derivatives_everywhere_also_without_difference_of_pressure():
+    p1, p2 = ca.SX.sym("p1"), ca.SX.sym("p2")
+    flow = iso6358(p1, p2, 2.75e-8, 0.3)
+    slopes = ca.Function("s", [p1, p2], [ca.jacobian(flow, ca.vertcat(p1, p2))])
+    edge = math.sqrt(1 - (0.699 / 0.7) ** 2) * 2.75e-8 * RHO0 / 0.001  # straight line's slope
+    assert np.asarray(slopes(5e5, 5e5)).ravel() == pytest.approx([edge, -edge], rel=1e-9)
+    for ratio in (0.1, 0.3, 0.5, 0.999, 0.9999, 1.0, 1.0001, 1.001, 2.0, 10.0):
+        found = np.asarray(slopes(5e5, 5e5 * ratio)).ravel()
+        assert np.all(np.isfinite(found))
+        assert np.all(np.abs(found) <= 2 * edge)
+
+
+def test_conductance_from_a_catalogue_flow():
+    assert conductance_from_flow(700) == pytest.approx(2.75e-8, abs=5e-11)
+    # and back: with rho0 at the reference state, 700 l/min of it flow from 6 to 5 bar gauge
+    mass_flow = float(iso6358(7.013e5, 6.013e5, conductance_from_flow(700), 0.3))
+    assert mass_flow / RHO0 * 60e3 == pytest.approx(700, rel=1e-12)
+    with pytest.raises(InputError, match="must be above downstream"):
+        conductance_from_flow(700, upstream=1e5, downstream=2e5)
+
+
+# ---- filling -------------------------------------------------------------------------------------
+
+
+def solved(plant, inputs, start, duration, rtol=1e-8, **options):
+    """States over time by SciPy, inputs constant; returns (solution, {name: row})."""
+    x0, p = plant.vector("state", start), plant.vector("parameter")
+    u = plant.vector("input", inputs)
+    scale = plant.vector("state", attribute="nominal")
+
+    def slope(t, x):
+        return np.asarray(plant.function(x, u, p)[0]).ravel()
+
+    solution = solve_ivp(
+        slope, (0, duration), x0, method="LSODA", rtol=rtol, atol=rtol * scale, **options
+    )
+    assert solution.success
+    return solution, {v.name: i for i, v in enumerate(plant.states)}
+
+
+@pytest.mark.parametrize(("flow", "t90"), [(700, 0.13), (350, 0.21), (100, 0.64)])
+def test_filling_times_are_those_of_the_reference(fluidic, flow, t90):
+    gas = Gas(BraidVolume(math.radians(24.42)), dead_volume=DEAD, exponent=1.2, ambient=101300.0)
+    feed = SpoolValve(conductance=conductance_from_flow(flow), supply=5e5 - 101300.0, gas=gas)
+    plant = HangingLoad(fluidic, 20.0, damping=StiffnessDamping(0.08), feed=feed)
+    rest = brentq(lambda k: float(fluidic.tension(1e5, k)) - 20 * GRAVITY, 0, 0.2)
+    start = {"x": rest * L0, "muscle.pressure": 1e5}
+    target = 1e5 + 0.9 * (feed.supply - 1e5)
+
+    def reached(t, x):
+        return x[2] - target
+
+    reached.terminal = True
+    solution, row = solved(plant, {"muscle.command": 1.0}, start, 3.0, events=reached)
+    assert row["muscle.pressure"] == 2
+    assert round(solution.t_events[0][0], 2) == t90
+
+
+# ---- energy --------------------------------------------------------------------------------------
+
+MOTIONS, EXPONENT, DAMPING = 200, 1.2, 30.0
+
+
+def energy_balance(fluidic, volume, volume_by_hand):
+    """Largest gap of 200 random motions, of the energy that passed the valve.
+
+    stored = kinetic + weight + wall + gas p_abs V/(n-1) + p_0 V, with all terms by hand;
+    supplied = integral of n/(n-1) R T mdot; lost = integral of c v^2.
+    """
+    feed = SpoolValve(
+        supply=9e5, conductance=conductance_from_flow(300), gas=Gas(volume, DEAD, EXPONENT)
+    )
+    plant = HangingLoad(fluidic, damping=ConstantDamping(DAMPING), feed=feed)
+    rng = np.random.default_rng(1)
+    mass = rng.uniform(20, 60, MOTIONS)
+    parameters = np.tile(plant.vector("parameter")[:, None], MOTIONS)
+    names = [v.name for v in plant.parameters]
+    parameters[names.index("mass")] = mass
+    outputs = [v.name for v in plant.outputs]
+    flow_row, force_row = outputs.index("muscle.mass_flow"), outputs.index("muscle.force")
+    frequency, phase = rng.uniform(2, 6, MOTIONS), rng.uniform(0, 2 * np.pi, MOTIONS)
+    amplitude = rng.uniform(0.05, 0.15, MOTIONS)
+    kappa = rng.uniform(0.02, 0.12, MOTIONS)
+    rest = fluidic.pressure(mass * GRAVITY, kappa)
+    start = np.array(  # x, v, p, supplied, throughput, lost
+        [kappa * L0, rng.uniform(-0.1, 0.1, MOTIONS), rest, *np.zeros((3, MOTIONS))]
+    )
+    scale = np.array([0.01, 0.1, 1e5, 1.0, 1.0, 1.0])[:, None]
+    weakest = [math.inf]
+
+    def slope(t, flat):
+        state = flat.reshape(6, MOTIONS) * scale
+        command = amplitude * np.sin(2 * np.pi * frequency * t + phase)
+        xdot, y, _ = (np.asarray(a) for a in plant.function(state[:3], command[None], parameters))
+        weakest[0] = min(weakest[0], y[force_row].min())
+        supplied = EXPONENT / (EXPONENT - 1) * R * T * y[flow_row]
+        lost = DAMPING * state[1] ** 2
+        return (np.vstack([xdot, supplied, np.abs(supplied), lost]) / scale).ravel()
+
+    def stored(state):
+        x, v, p = state
+        kappa = x / L0
+        filled = volume_by_hand(kappa) + DEAD
+        gas = (p + 101325) * filled / (EXPONENT - 1) + 101325 * filled
+        return mass * v**2 / 2 + mass * GRAVITY * x + wall_energy(kappa) + gas
+
+    run = solve_ivp(
+        slope, (0, 0.5), (start / scale).ravel(), method="DOP853", rtol=1e-10, atol=1e-10
+    )
+    end = run.y[:, -1].reshape(6, MOTIONS) * scale
+    assert weakest[0] > 1.0  # taut, so the clamp is not in play
+    gap = stored(end[:3]) - stored(start[:3]) + end[5] - end[3]
+    return float(np.max(np.abs(gap) / end[4]))
+
+
+def test_muscle_with_consistent_volume_neither_gains_nor_loses_energy(fluidic):
+    assert energy_balance(fluidic, ConsistentVolume(), reference_volume) < 1e-8
+
+
+def test_muscle_with_another_volume_does_not_keep_its_energy(fluidic):
+    assert energy_balance(fluidic, BraidVolume(math.radians(24.42)), braid_volume) > 1e-3
+
+
+# ---- feeds ---------------------------------------------------------------------------------------
+
+
+def test_air_is_conserved_between_valve_tube_muscle_and_leak(fluidic):
+    feed = OnOffValves(
+        tube=Tube(volume=15e-6, lag=8e-3), leak=2e-10, gas=Gas(exponent=1.0), totals=True
+    )
+    plant = HangingLoad(fluidic, 20.0, feed=feed)
+    start = {"x": 0.03, "muscle.pressure": 2e5, "muscle.tube_pressure": 2e5}
+    inputs = {"muscle.fill": 0.2, "muscle.vent": 0.0}
+    solution, row = solved(plant, inputs, start, 1.0, rtol=1e-9, dense_output=True)
+
+    def air(state):  # isothermal: m = p V/(R T)
+        filled = reference_volume(state[row["x"]] / L0) + DEAD
+        inside = (state[row["muscle.pressure"]] + 101325) * filled
+        tube = (state[row["muscle.tube_pressure"]] + 101325) * 15e-6
+        return (inside + tube) / (R * T)
+
+    t = np.linspace(0, 1, 20001)
+    pressure = solution.sol(t)[row["muscle.pressure"]] + 101325
+    leaked = trapezoid([float(iso6358(p, 101325, 2e-10)) for p in pressure[::20]], t[::20])
+    drawn = solution.y[row["muscle.air_drawn"], -1]
+    gained = air(solution.y[:, -1]) - air(solution.y[:, 0])
+    assert drawn == pytest.approx(gained + leaked, rel=1e-6)
+    assert leaked > 1e-3 * drawn
+
+
+def test_pressure_in_the_tube_settles_within_its_lag(fluidic):
+    plant = HangingLoad(fluidic, 20.0, feed=OnOffValves(tube=Tube(volume=1e-9, lag=0.01)))
+    values = plant.vector(
+        "state", {"muscle.pressure": 2e5, "muscle.tube_pressure": 2.5e5, "x": 0.03}
+    )
+    inputs = plant.vector("input", {"muscle.fill": 0.0, "muscle.vent": 0.0})
+    xdot = np.asarray(plant.function(values, inputs, plant.vector("parameter"))[0]).ravel()
+    row = [v.name for v in plant.states].index("muscle.tube_pressure")
+    assert xdot[row] == pytest.approx(-(2.5e5 - 2e5) / 0.01)
+
+
+def test_duty_scales_the_flow_and_the_spool_is_closed_in_the_middle(fluidic):
+    def flow(feed, inputs):
+        plant = HangingLoad(fluidic, 20.0, feed=feed)
+        state = plant.vector("state", {"muscle.pressure": 3e5})
+        y = plant.function(state, plant.vector("input", inputs), plant.vector("parameter"))[1]
+        return float(y[[v.name for v in plant.outputs].index("muscle.mass_flow")])
+
+    full = float(iso6358(7e5 + 1325, 401325, conductance_from_flow(700)))
+    for duty in (0.0, 0.3, 1.0):
+        assert flow(OnOffValves(), {"muscle.fill": duty, "muscle.vent": 0.0}) == pytest.approx(
+            duty * full
+        )
+    spool = SpoolValve()
+    assert flow(spool, {"muscle.command": 0.0}) == 0.0
+    assert flow(spool, {"muscle.command": 1.0}) == pytest.approx(full)
+    vented = float(iso6358(401325, 101325, conductance_from_flow(700)))
+    assert flow(spool, {"muscle.command": -1.0}) == pytest.approx(-vented)
+
+
+def test_lifting_a_load_costs_more_exergy_than_the_work_it_gives(fluidic):
+    heavy = Muscle(**{**fluidic.__dict__, "mass": 0.5})
+    plant = HangingLoad(heavy, 40.0, feed=SpoolValve(totals=True))
+    start = {"x": 0.02, "muscle.pressure": 2.2e5}
+    solution, row = solved(plant, {"muscle.command": 1.0}, start, 1.5)
+    end = solution.y[:, -1]
+    u, p = plant.vector("input", {"muscle.command": 1.0}), plant.vector("parameter")
+    y = np.asarray(plant.function(end, u, p)[1]).ravel()
+    found = dict(zip([v.name for v in plant.outputs], y, strict=True))
+    work, drawn = end[row["muscle.work"]], end[row["muscle.air_drawn"]]
+    rise = end[row["x"]] - 0.02
+    dissipated = work - 40 * (GRAVITY * rise + end[row["v"]] ** 2 / 2)
+    assert dissipated > 0  # in the damper
+    exergy = drawn * R * T * math.log((6e5 + 101325) / 101325)
+    assert found["muscle.exergy_drawn"] == pytest.approx(exergy)
+    assert found["muscle.efficiency"] == pytest.approx(work / exergy)
+    assert 0.02 < found["muscle.efficiency"] < 0.5
+    assert found["muscle.work_per_mass"] == pytest.approx(work / 0.5)
+    assert found["muscle.power_per_mass"] == pytest.approx(found["muscle.power"] / 0.5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"conductance": 0.0}, "SpoolValve.conductance = 0"),
+        ({"critical_ratio": 1.0}, "critical_ratio = 1 must lie in 0"),
+        ({"overlap": -0.01}, "overlap = -0.01 must lie in 0"),
+        ({"supply": -1e5}, "SpoolValve.supply = -100000 Pa must be > 0"),
+    ],
+)
+def test_impossible_valves_are_refused(arguments, words):
+    with pytest.raises(InputError, match=words):
+        SpoolValve(**arguments)

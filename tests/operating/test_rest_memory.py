@@ -1,0 +1,374 @@
+"""Rest with memory: hysteresis keeps a force at rest, and the point on the continuum is chosen."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from conftest import BAR
+from scipy.optimize import brentq
+
+import pam_ocp as pam
+from pam_ocp import EquilibriumError, InputError, vibration
+from pam_ocp.operating.branch import equilibrium_branch
+from pam_ocp.operating.held import carried, held
+from pam_ocp.operating.several import equilibria, equilibrium_path
+from pam_ocp.plants.regulated import RegulatedLoad
+
+GRAVITY = 9.80665
+WEIGHT = 20 * GRAVITY
+FRICTION, YIELD, LENGTH = 18.0, 0.006, 0.4
+MUSCLE = pam.muscle("DMSP-20-400N")
+
+
+def hanging(*losses, **more):
+    return pam.HangingLoad(MUSCLE, 20.0, losses=losses or (pam.BoucWen(FRICTION, YIELD),), **more)
+
+
+def rest_by_hand(pressure, friction):
+    """Position at which the law's pull, less friction, carries the load."""
+    return LENGTH * brentq(
+        lambda k: float(MUSCLE.tension(pressure, k)) - friction - WEIGHT, 0.0, 0.27
+    )
+
+
+# ---- found ---------------------------------------------------------------------------------------
+
+
+def study(monkeypatch):
+    path = Path(__file__).parents[2] / "benchmarks" / "rest_study.py"
+    spec = importlib.util.spec_from_file_location("rest_study", path)
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "rest_study", module)  # its dataclasses look there
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_rest_is_found_in_balance_and_stays_for_all_arrangements_feeds_and_losses(monkeypatch):
+    module = study(monkeypatch)
+    answers = [a for rows in module.study(10, seed=20261122).values() for a in rows]
+    assert len(answers) == 60
+    assert all(a.found for a in answers), [a.words for a in answers if not a.found]
+    assert max(a.missed for a in answers) < 1e-9
+    assert np.nanmax([a.moved for a in answers]) < 1e-6
+
+
+@pytest.mark.parametrize(("memory", "share"), [("virgin", 0), ("above", -1), ("below", 1)])
+def test_a_load_rests_where_friction_from_its_side_holds_it(memory, share):
+    point = hanging().equilibrium({"muscle.command": 3 * BAR}, memory=memory)
+    assert point["x"] == pytest.approx(rest_by_hand(3 * BAR, share * FRICTION), rel=1e-9)
+    assert point.memory == {"muscle.hysteresis": share}
+    assert point.residual < 1e-9
+
+
+def test_a_memory_among_the_values_is_given_and_one_that_is_free_is_found():
+    plant = hanging()
+    given = plant.equilibrium({"muscle.command": 3 * BAR, "muscle.hysteresis": 0.4})
+    assert given["x"] == pytest.approx(rest_by_hand(3 * BAR, 0.4 * FRICTION), rel=1e-9)
+    x = rest_by_hand(3 * BAR, -0.7 * FRICTION)
+    found = plant.equilibrium({"muscle.command": 3 * BAR, "x": x}, free=["muscle.hysteresis"])
+    assert found.memory["muscle.hysteresis"] == pytest.approx(-0.7, rel=1e-6)
+
+
+def odd(kind):
+    """A load on a muscle in coordinates whose rate is no state: a gear, a momentum."""
+    plant = pam.Plant("odd")
+    x = plant.state("x", unit="m", min=0.0, max=0.1, nominal=0.01)
+    w = plant.state("w", nominal=1.0)
+    speed = {"gear": w / 2, "backwards": -3 * w, "momentum": w / 20.0}[kind]
+    part = plant.add_muscle(
+        "muscle", MUSCLE, shortening=x, rate=speed, losses=(pam.BoucWen(FRICTION, YIELD),)
+    )
+    pull = part.force - WEIGHT - 200 * speed
+    plant.der(x, speed)
+    plant.der(w, {"gear": pull / 10, "backwards": -pull / 60, "momentum": pull}[kind])
+    return plant
+
+
+@pytest.mark.parametrize("kind", ["gear", "backwards", "momentum"])
+def test_sides_are_those_of_the_position_in_any_coordinates(kind):
+    plant = odd(kind)
+    for memory, share in (("above", -1), ("below", 1)):
+        point = plant.equilibrium({"muscle.command": 3 * BAR}, memory=memory)
+        assert point["x"] == pytest.approx(rest_by_hand(3 * BAR, share * FRICTION), rel=1e-9)
+
+
+def test_of_a_pair_one_muscle_has_slid_each_way():
+    losses = (pam.MaxwellSlip((5.0,), (0.01,)),)
+    other = pam.muscle("DMSP-20-300")
+    for plant in (
+        pam.AntagonisticSlide(MUSCLE, muscle2=other, losses=losses, feed=pam.SpoolValve()),
+        pam.AntagonisticJoint(MUSCLE, muscle2=other, moment_arm2=0.03, losses=losses),
+    ):
+        assert held(plant, "above") == {"muscle1.slip1": -1.0, "muscle2.slip1": 1.0}
+        assert held(plant, "below") == {"muscle1.slip1": 1.0, "muscle2.slip1": -1.0}
+
+
+def test_sides_that_cannot_be_meant_are_refused():
+    with pytest.raises(InputError, match="choose 'virgin', 'above', 'below'"):
+        hanging().equilibrium(x=0.05, memory="left")
+    with pytest.raises(InputError, match=r"memory: x is no state with a held memory"):
+        hanging().equilibrium(x=0.05, memory={"x": 1.0})
+    with pytest.raises(InputError, match=r"memory = 1.5 is outside -1 .. 1"):
+        hanging().equilibrium(x=0.05, memory={"muscle.hysteresis": 1.5})
+
+
+# ---- said ----------------------------------------------------------------------------------------
+
+IMPOSSIBLE = [
+    (hanging, {"mass": 70.0, "muscle.command": 2 * BAR}),
+    (hanging, {"mass": 20.0, "x": 0.110}),
+    (lambda: hanging(pam.MaxwellSlip(), pam.Creep()), {"mass": 70.0, "muscle.command": 2 * BAR}),
+    (
+        lambda: hanging(pam.MaxwellSlip(), feed=pam.SpoolValve()),
+        {"mass": 70.0, "muscle.pressure": 2 * BAR},
+    ),
+    (
+        lambda: pam.AntagonisticSlide(MUSCLE, losses=(pam.MaxwellSlip(),)),
+        {"x": 0.0, "stiffness": 1e5},
+    ),
+    (
+        lambda: pam.AntagonisticJoint(
+            MUSCLE, link_mass=3.0, link_length=0.3, losses=(pam.BoucWen(),)
+        ),
+        {"muscle1.command": 0.0, "theta": 0.3},
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "conditions"), IMPOSSIBLE)
+def test_what_is_said_to_do_does(make, conditions):
+    plant = make()
+    with pytest.raises(EquilibriumError) as caught:
+        plant.equilibrium(conditions, memory="below")
+    words = str(caught.value)
+    remedies = re.findall(r"(?:is, | or )([\w.]+) = (\S+)(?: \S+)? would do(?! \(beyond)", words)
+    assert " =  " not in words
+    assert "is, would" not in words
+    assert remedies
+    for name, value in remedies:
+        changed = {**conditions, name: float(value) * plant.variable(name).display_factor}
+        assert changed[name] != conditions[name]
+        plant.equilibrium(changed, memory="below")
+
+
+# ---- bands ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("loss", [pam.BoucWen(12.0), pam.MaxwellSlip((7.0, 5.0), (0.002, 0.01))])
+def test_the_points_of_rest_are_one_band_with_its_ends(loss):
+    found = equilibria(hanging(loss), {"muscle.command": 3 * BAR})
+    assert len(found) == len(found.bands) == 1
+    (band,) = found.bands
+    assert band.virgin["x"] == found[0]["x"] == pytest.approx(rest_by_hand(3 * BAR, 0.0), rel=1e-9)
+    assert band.below["x"] == pytest.approx(rest_by_hand(3 * BAR, 12.0), rel=1e-9)
+    assert band.above["x"] == pytest.approx(rest_by_hand(3 * BAR, -12.0), rel=1e-9)
+    assert band["x"] == (band.below["x"], band.above["x"])
+    assert re.search(r"x +\d\S* mm \.\. \d\S* mm \(virgin", str(band))
+    (above,) = equilibria(hanging(loss), {"muscle.command": 3 * BAR}, memory="above")
+    assert above["x"] == pytest.approx(band.above["x"], rel=1e-12)
+
+
+def test_paths_and_branches_keep_the_memory():
+    masses = np.linspace(10.0, 25.0, 4)
+    path = equilibrium_path(hanging(), "mass", masses, {"muscle.command": 3 * BAR}, memory="below")
+    branch = equilibrium_branch(
+        hanging(), "mass", 10.0, 25.0, {"muscle.command": 3 * BAR}, memory="below"
+    )
+    for point in (*path.points, *branch.points):
+        pull = float(MUSCLE.tension(3 * BAR, point["x"] / LENGTH)) - FRICTION
+        assert pull == pytest.approx(point["mass"] * GRAVITY, rel=1e-9)
+
+
+# ---- keeping -------------------------------------------------------------------------------------
+
+
+def test_at_rest_bouc_wen_keeps_its_force():
+    plant = hanging()
+    for z, kept in ((0.9, 0.9), (-0.5, -0.5), (1.0, 0.98)):
+        point = plant.equilibrium({"muscle.command": 3 * BAR}, memory={"muscle.hysteresis": z})
+        run = pam.simulate(
+            plant,
+            {"muscle.command": 3 * BAR},
+            duration=300.0,
+            start={v.name: x for v, x in zip(plant.states, point.x, strict=True)},
+        )
+        assert run["muscle.hysteresis"][-1] == pytest.approx(kept, abs=2e-3 if z == 1 else 1e-9)
+
+
+@pytest.mark.parametrize("rate", [1e-7, 1e-5, 1e-3])
+def test_bouc_wen_stays_in_its_range_however_slow_the_motion(rate):
+    plant = pam.Plant("drawn")
+    x = plant.state("x", unit="m")
+    plant.der(x, rate * LENGTH)
+    plant.add_muscle("muscle", MUSCLE, shortening=x, rate=rate * LENGTH, losses=(pam.BoucWen(),))
+    run = pam.simulate(plant, duration=0.05 / rate)
+    assert run["muscle.hysteresis"].max() <= 1 + 1e-9
+    assert run["muscle.hysteresis"][-1] > 0.98
+
+
+def test_states_beyond_their_range_by_rounding_are_taken_at_its_end():
+    plant = hanging()
+    moved = plant.with_values({"muscle.hysteresis": 1 + 1e-9})
+    assert moved.variable("muscle.hysteresis").start == 1.0
+    run = pam.simulate(plant, start={"muscle.hysteresis": -1 - 1e-7}, duration=0.01)
+    assert run["muscle.hysteresis"][0] == -1.0
+    with pytest.raises(InputError, match=r"outside -1 .. 1"):
+        plant.with_values({"muscle.hysteresis": 1 + 1e-5})
+
+
+# ---- small motion --------------------------------------------------------------------------------
+
+
+def spring_of(point):
+    """Of the law, by its own slope, and of the element that sticks [N/m]."""
+    k = point["x"] / LENGTH
+    step = 1e-6
+    law = (MUSCLE.tension(3 * BAR, k - step) - MUSCLE.tension(3 * BAR, k + step)) / (2 * step)
+    return float(law) / LENGTH, FRICTION / YIELD / LENGTH
+
+
+def test_an_element_that_sticks_is_a_spring():
+    plant = hanging(feed=pam.IdealPressure(), damping=pam.ConstantDamping(60.0))
+    for z, share in ((0.0, 1.0), (0.9, 1.0), (-1.0, 0.5)):
+        memory = {"muscle.hysteresis": z}
+        point = plant.equilibrium({"muscle.pressure": 3 * BAR}, memory=memory)
+        law, friction = spring_of(point)
+        expected = np.roots([20.0, 60.0, law + share * friction])
+        assert np.sort_complex(point.poles) == pytest.approx(np.sort_complex(expected), rel=1e-5)
+        assert point.stability == "stable"
+
+
+def test_the_stuck_system_answers_as_the_whole_one_and_as_the_plant():
+    plant = hanging(damping=pam.ConstantDamping(60.0))
+    point = plant.equilibrium({"muscle.command": 3 * BAR}, memory={"muscle.hysteresis": 0.5})
+    whole = plant.linearize(point, inputs=["muscle.command"], outputs=["x", "muscle.hysteresis"])
+    stuck = plant.linearize(
+        point, inputs=["muscle.command"], outputs=["x", "muscle.hysteresis"], stuck=True
+    )
+    assert (whole.nstates, stuck.nstates) == (4, 3)
+    w = np.geomspace(0.1, 300, 30)
+    assert stuck(1j * w) == pytest.approx(whole(1j * w), rel=1e-8)
+    t = np.linspace(0, 0.5, 101)
+    start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
+    run = pam.simulate(plant, {"muscle.command": 3 * BAR + 0.1}, t=t, start=start, rtol=1e-13)
+    expected = np.asarray(control.forced_response(stuck, t, np.full((1, len(t)), 0.1)).outputs)
+    for name, row in zip(("x", "muscle.hysteresis"), expected, strict=True):
+        assert run[name] - point[name] == pytest.approx(row, abs=0.01 * np.abs(row).max())
+
+
+@pytest.mark.parametrize(
+    "losses",
+    [(pam.BoucWen(),), (pam.MaxwellSlip(), pam.Creep())],
+    ids=["bouc-wen", "slip and creep"],
+)
+def test_lqr_and_kalman_hold_a_joint_with_hysteresis(losses):
+    plant = pam.AntagonisticJoint(MUSCLE, losses=losses, damping=pam.ConstantDamping(1.0))
+    point = plant.equilibrium({"theta": 0.1, "muscle2.command": 2 * BAR}, memory="above")
+    feedback = pam.lqr(plant, point, integral={"theta": 30.0})
+    columns = [v.memory == "held" for v in plant.states]
+    assert np.all(feedback.K[:, columns] == 0)
+    assert feedback.poles.real.max() < -0.1
+    filtered = pam.kalman(plant, point, measured={"theta": 1e-4}, dt=2e-3)
+    controller = pam.WithEstimate(feedback, filtered)
+    start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)} | {"theta": 0.13}
+    for used in (feedback, controller):
+        run = pam.closed_loop(plant, used, duration=2.0, dt=2e-3, start=start)
+        assert run["theta"][-1] == pytest.approx(0.1, abs=0.003)
+
+
+def test_tvlqr_ends_as_lqr_holds():
+    plant = hanging()
+    memory = {"muscle.hysteresis": 0.5}
+    point = plant.equilibrium({"muscle.command": 3 * BAR}, memory=memory)
+    start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
+    still = pam.simulate(plant, {"muscle.command": 3 * BAR}, duration=0.2, start=start)
+    along = pam.tvlqr(plant, still)
+    assert along.K[-1] == pytest.approx(pam.lqr(plant, point).K, rel=1e-5, abs=1e-9)
+
+
+def test_mpc_moves_a_slide_whose_muscles_have_slid():
+    plant = pam.AntagonisticSlide(MUSCLE, losses=(pam.MaxwellSlip((6.0, 6.0), (0.003, 0.02)),))
+    point = plant.equilibrium({"x": 0.0, "muscle1.command": 3 * BAR}, memory="above")
+    rate = {v.name: 0.02 for v in plant.inputs}
+    mpc = pam.Mpc(plant, horizon=15, step=0.02, track={"x": 10.0}, rate=rate, method="rosenbrock")
+    start = {v.name: point[v.name] for v in (*plant.states, *plant.inputs)}
+    loop = mpc.closed_loop(plant, {"x": 0.004}, 0.6, start=start)
+    assert mpc.statistics.failures == 0
+    assert loop.trajectory["x"][-1] == pytest.approx(0.004, abs=4e-5)
+
+
+# ---- vibration -----------------------------------------------------------------------------------
+
+
+def test_the_hopf_border_is_that_of_the_stuck_spring():
+    mass, c, lag = 20.0, 9.0, 0.1
+    plant = RegulatedLoad(
+        MUSCLE,
+        mass,
+        lag=lag,
+        damping=pam.ConstantDamping(c),
+        losses=(pam.BoucWen(FRICTION, YIELD),),
+    )
+    found = vibration.hopf(
+        plant, "muscle.gain", (1e5, 2e7), {"x": 0.04, "muscle.reference": 0.04}, memory="virgin"
+    )
+    pressure, kappa = found.point["muscle.pressure"], 0.1
+    k = float(MUSCLE.stiffness(pressure, kappa)) + FRICTION / YIELD / LENGTH
+    slope = float(MUSCLE.tension(pressure + 1, kappa) - MUSCLE.tension(pressure - 1, kappa)) / 2
+    gain = ((mass + c * lag) * (c + k * lag) / (mass * lag) - k) / slope
+    assert found.value == pytest.approx(gain, rel=1e-6)
+    poles = vibration.stability_path(
+        plant, "muscle.gain", [0.9 * gain, 1.1 * gain], {"x": 0.04, "muscle.reference": 0.04}
+    )
+    assert list(poles.stable) == [True, False]
+
+
+def test_a_muscle_drawn_to_an_offset_has_carried_its_memory_along():
+    plant = hanging(pam.BoucWen(FRICTION, YIELD, order=1.0), feed=pam.IdealPressure())
+    point = plant.equilibrium({"muscle.pressure": 3 * BAR})
+    for offset in (0.003, -0.002):
+        z = carried(plant, point.x, point.u, "x", offset)["muscle.hysteresis"]
+        slid = 1 - np.exp(-abs(offset) / LENGTH / YIELD)  # dz/dkappa = (1 - |z|)/yield
+        assert z == pytest.approx(np.sign(offset) * slid, rel=1e-3)
+
+
+def test_small_free_vibration_has_the_frequency_of_the_stuck_spring():
+    slip = pam.MaxwellSlip((FRICTION,), (YIELD,))
+    plant = hanging(slip, feed=pam.IdealPressure(), damping=pam.ConstantDamping(10.0))
+    found = vibration.free_vibration(plant, {"muscle.pressure": 3 * BAR}, 1e-4, cycles=4, rtol=1e-9)
+    expected = np.sqrt(sum(spring_of(found.point)) / 20.0) / (2 * np.pi)
+    assert found.frequency == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("memory", ["above", "below"])
+def test_from_the_end_of_a_band_a_load_swings_about_where_friction_leaves_it(memory):
+    plant = hanging(feed=pam.IdealPressure(), damping=pam.ConstantDamping(20.0))
+    at = {"muscle.pressure": 3 * BAR}
+    found = vibration.free_vibration(plant, at, 0.004, cycles=12, rtol=1e-9, memory=memory)
+    ends = [plant.equilibrium(at, memory=side)["x"] for side in ("below", "above")]
+    assert ends[0] < found.rest < ends[1]
+    z = float(found.trajectory["muscle.hysteresis"][-1])
+    assert found.rest == pytest.approx(rest_by_hand(3 * BAR, z * FRICTION), abs=3e-4)
+    assert np.all(np.diff(found.amplitudes) < 0)
+
+
+def test_a_load_study_takes_losses_and_a_side():
+    found = {
+        memory: pam.load_study(
+            MUSCLE, (20.0,), (3 * BAR,), losses=(pam.BoucWen(FRICTION, YIELD),), memory=memory
+        ).cases[0]
+        for memory in ("virgin", "above", "below")
+    }
+    for memory, share in (("virgin", 0), ("above", -1), ("below", 1)):
+        case = found[memory]
+        assert case.position == pytest.approx(rest_by_hand(3 * BAR, share * FRICTION), rel=1e-6)
+        assert case.frequency > 1
+        assert 0 < case.settling_time < 4
+    plain = pam.load_study(MUSCLE, (20.0,), (3 * BAR,)).cases[0]
+    assert found["below"].overshoot < plain.overshoot

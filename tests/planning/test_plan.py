@@ -1,0 +1,272 @@
+"""plan: the benchmark PAM-2DIR, known optima, and what is refused."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide, scipy_states
+
+import pam_ocp as pam
+from pam_ocp import Collocation, InputError, PlanError
+
+STOPS = [{"x": -0.015}, {"x": 0.015}]
+
+
+def double_integrator(limit=1.0):
+    plant = pam.Plant("double_integrator")
+    x = plant.state("x", unit="m")
+    v = plant.state("v", unit="m/s")
+    u = plant.input("u", unit="N", min=-limit, max=limit)
+    plant.der(x, v)
+    plant.der(v, u)
+    return plant
+
+
+@pytest.mark.parametrize(("intervals", "seconds"), [(50, 0.060778), (100, 0.060630)])
+def test_the_benchmark_in_minimum_time(slide, intervals, seconds):
+    plan = pam.plan(slide, STOPS, cyclic="mirrored", method=Collocation(intervals))
+    assert plan.duration == pytest.approx(seconds, abs=1e-6)
+    assert plan.replay_error < 1e-6
+    assert plan.replay.violation < 1e-6
+
+
+def test_the_benchmark_as_a_whole_cycle(slide):
+    plan = pam.plan(slide, STOPS, cyclic=True, minimise="time")
+    assert plan.durations == pytest.approx([0.060778, 0.060778], abs=1e-6)
+    assert plan.replay_error < 1e-6
+    end = plan.trajectory
+    nominal = slide.vector("state", attribute="nominal")
+    states = end.array(end.named("state"))
+    assert np.max(np.abs(states[-1] - states[0]) / nominal) < 1e-8
+
+
+def test_the_replay_error_is_what_scipy_finds_too(slide):
+    plan = pam.plan(slide, STOPS, cyclic="mirrored", method=Collocation(20, 2))
+    motion = plan.trajectory
+    u = motion.array(motion.named("input"))
+
+    def held(time):
+        return u[min(int(np.searchsorted(motion.t, time, side="right")) - 1, len(u) - 1)]
+
+    states = motion.array(motion.named("state"))
+    exact = scipy_states(slide, held, motion.t, states[0])
+    error = np.max(np.abs(exact - states) / slide.vector("state", attribute="nominal"))
+    assert error > 1e-6  # a coarse plan, so that there is something to find
+    assert plan.replay_error == pytest.approx(error, rel=1e-3)
+
+
+def test_double_integrator_in_minimum_time():
+    """Bang-bang: T = 2 sqrt(d/a), switching in the middle (Bryson-Ho 1975)."""
+    plan = pam.plan(double_integrator(), [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}], rest=False)
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
+    u = plan.trajectory["u"]
+    assert u[0] == pytest.approx(1.0, abs=1e-6)
+    assert u[-1] == pytest.approx(-1.0, abs=1e-6)
+
+
+def test_double_integrator_with_least_effort():
+    """u = 6 - 12 t, integral of u^2 = 12 for one metre in one second; linear inputs hold it
+    exactly.
+    """
+    plan = pam.plan(
+        double_integrator(limit=10.0),
+        [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}],
+        rest=False,
+        duration=1.0,
+        minimise="effort",
+        method=Collocation(10, 3, "linear"),
+    )
+    assert plan.objective == pytest.approx(12.0, rel=1e-8)
+    assert plan.trajectory["u"] == pytest.approx(6 - 12 * plan.trajectory.t, abs=1e-6)
+    assert plan.replay_error < 1e-8
+
+
+def test_bryson_denham():
+    """min 1/2 integral u^2, x(0) = x(1) = 0, v = 1 -> -1, x <= L = 1/9: 4/(9 L) = 4 for half the
+    squared input (Bryson-Ho 1975, sect. 3.11)."""
+    plan = pam.plan(
+        double_integrator(limit=20.0),
+        [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}],
+        rest=False,
+        duration=1.0,
+        minimise="effort",
+        bounds={"x": (None, 1 / 9)},
+        method=Collocation(60, 3, "linear"),
+    )
+    assert plan.objective / 2 == pytest.approx(4.0, rel=1e-4)
+
+
+class RateOfCommand:
+    """A feed whose input is the rate of the commanded pressure (case (b) of the benchmark)."""
+
+    lag, limit = 0.05, 2000 * BAR
+
+    def connect(self, plant, name, muscle, contraction, rate):
+        bounds = {"unit": "Pa", "min": 0.0, "max": 6 * BAR, "start": 3 * BAR, "nominal": BAR}
+        pressure = plant.state(f"{name}.pressure", **bounds)
+        command = plant.state(f"{name}.command", **bounds)
+        w = plant.input(
+            f"{name}.command_rate", unit="Pa/s", min=-self.limit, max=self.limit, nominal=BAR
+        )
+        change = (command - pressure) / self.lag
+        plant.der(pressure, change)
+        plant.der(command, w)
+        plant.constraint(
+            f"{name}.pressure_rate",
+            change,
+            unit="Pa/s",
+            min=-40 * BAR,
+            max=40 * BAR,
+            nominal=10 * BAR,
+        )
+        return pressure
+
+
+@pytest.mark.parametrize(("intervals", "objective"), [(50, 0.89646), (100, 0.89597)])
+def test_the_benchmark_with_least_rate_of_command(intervals, objective):
+    # the benchmark's force has no smooth clamp, and F = 0 is active here: a narrow one comes near
+    muscle = replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2)
+    plan = pam.plan(
+        benchmark_slide(RateOfCommand(), muscle),
+        STOPS,
+        cyclic="mirrored",
+        duration=0.15,
+        minimise={"effort": 1e-2},
+        method=Collocation(intervals, 4),
+    )
+    assert plan.objective == pytest.approx(objective, abs=1e-5)
+
+
+def test_forces_stay_within_the_bounds_asked_for(slide):
+    plan = pam.plan(slide, STOPS, cyclic=True, bounds={"muscle1.force": (100.0, 800.0)})
+    force = plan.replay.trajectory["muscle1.force"]
+    assert force.min() > 100.0 - 0.5
+    assert force.max() < 800.0 + 0.5
+    assert plan.duration > 2 * 0.060778
+
+
+def test_no_plan_lets_a_muscle_go_slack(slide):
+    plan = pam.plan(slide, STOPS, cyclic=True)
+    motion = plan.replay.trajectory
+    for i, sign in ((1, 1), (2, -1)):
+        kappa = 0.10 + sign * motion["x"] / 0.2
+        tension = pam.muscle("DMSP-20-200N").tension(motion[f"muscle{i}.pressure"], kappa)
+        assert tension.min() > -0.1
+
+
+def test_an_impossible_motion_names_the_most_violated_constraint(slide):
+    with pytest.raises(
+        PlanError, match=r"most violated constraint is stop 2: x \(= 15 mm\)"
+    ) as caught:
+        pam.plan(slide, STOPS, duration=0.03)
+    sealed = caught.value.plan
+    assert not sealed.success
+    with pytest.raises(PlanError, match="holds no solution"):
+        _ = sealed.trajectory
+    assert len(sealed.unverified()) == 151
+
+
+@pytest.mark.parametrize(
+    ("stops", "arguments", "message"),
+    [
+        ([{"x": 0.0}], {}, "at least two stops"),
+        ({"x": 0.0}, {}, "list of mappings"),
+        ([{"x": 0.0}, {}], {}, "stop 2 is empty"),
+        ([{"x": 0.0}, {"x": 0.05}], {}, "x = 50 mm is outside the stroke -16 mm .. 16 mm"),
+        ([{"x": 0.0}, {"y": 0.01}], {}, "unknown variable"),
+        ([{"x": 0.0}, {"mass": 1.0}], {}, "mass is a parameter"),
+        (STOPS, {"bounds": {"x": (0.01, -0.01)}}, "crossed"),
+        (STOPS, {"bounds": {"x": (1.0, 2.0)}}, "lie outside the plant's own"),
+        (STOPS, {"bounds": {"x": (-0.01, 0.01)}}, "outside the stroke"),
+        (STOPS, {"bounds": {"mass": (1.0, 2.0)}}, "with_values"),
+        (STOPS, {"duration": -1.0}, "duration = -1 s must be > 0"),
+        (STOPS, {"duration": (2.0, 1.0)}, "crossed"),
+        (STOPS, {"duration": [1.0, 1.0]}, "2 entries for 1 phases"),
+        (STOPS, {"minimise": "tyme"}, "time"),
+        (STOPS, {"minimise": "effort"}, "needs a fixed duration"),
+        (STOPS, {"cyclic": "sideways"}, "choose True, False or 'mirrored'"),
+        ([{"x": -0.015}, {"x": 0.010}], {"cyclic": "mirrored"}, "not the mirror image"),
+        (STOPS, {"options": {"no_such_option": 1}}, "options"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(slide, stops, arguments, message):
+    with pytest.raises(InputError, match=message):
+        pam.plan(slide, stops, **arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"intervals": 0}, {"degree": 0}, {"degree": 10}, {"control": "cubic"}]
+)
+def test_a_method_that_does_not_exist_is_refused(arguments):
+    with pytest.raises(InputError):
+        Collocation(**arguments)
+
+
+def test_a_plant_without_inputs_can_be_timed():
+    """A pendulum-free check of the transcription: x' = -x from 1 to 1/e takes one second."""
+    plant = pam.Plant("decay")
+    x = plant.state("x", start=1.0)
+    plant.der(x, -x)
+    plan = pam.plan(
+        plant, [{"x": 1.0}, {"x": float(np.exp(-1))}], rest=False, method=Collocation(5, 5)
+    )
+    assert plan.duration == pytest.approx(1.0, rel=1e-8)
+    assert isinstance(plan.plant.expression("x"), ca.SX)
+
+
+def test_few_intervals_of_high_degree_reach_the_benchmarks_limit(slide):
+    plan = pam.plan(slide, STOPS, cyclic="mirrored", method=Collocation(6, 9, "polynomial"))
+    assert plan.duration == pytest.approx(0.06048, rel=1e-3)
+    muscle = replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2)
+    plan = pam.plan(
+        benchmark_slide(RateOfCommand(), muscle),
+        STOPS,
+        cyclic="mirrored",
+        duration=0.15,
+        minimise={"effort": 1e-2},
+        method=Collocation(6, 9, "polynomial"),
+    )
+    assert plan.objective == pytest.approx(0.89577, rel=1e-4)
+
+
+def test_refinement_meets_the_tolerance_asked_for(slide):
+    coarse = pam.plan(slide, STOPS, cyclic="mirrored", method=Collocation(20, 3, "linear"))
+    fine = pam.plan(
+        slide, STOPS, cyclic="mirrored", method=Collocation(20, 3, "linear"), tolerance=1e-7
+    )
+    assert coarse.replay_error > 1e-6 > 1e-7 > fine.replay_error
+    assert len(fine.meshes) > 1
+    assert fine.duration == pytest.approx(0.06048, rel=1e-3)
+
+
+@pytest.mark.parametrize("control", ["constant", "linear", "polynomial"])
+def test_a_plan_replays_through_its_trajectory_also_from_a_file(slide, control, tmp_path):
+    plan = pam.plan(slide, STOPS, cyclic=True, method=Collocation(15, 4, control))
+    stored = pam.Trajectory.load(plan.trajectory.save(tmp_path / "plan.npz"))
+    for motion in (plan.trajectory, stored):
+        replay = pam.simulate(slide, motion)
+        error = motion.compare(replay, motion.named("state")).largest
+        assert error == pytest.approx(plan.replay_error, rel=1e-3)
+
+
+def test_a_running_cost_of_ones_own_is_integrated():
+    """min integral of (u^2 + x^2) of x' = u, x(0) = 1, free end, long horizon:
+    the LQR's x0^2 = 1.
+    """
+    plant = pam.Plant("integrator")
+    x = plant.state("x", start=1.0)
+    u = plant.input("u")
+    plant.der(x, u)
+    plan = pam.plan(
+        plant,
+        [{"x": 1.0}, {"x": (-1.0, 1.0)}],
+        rest=False,
+        duration=12.0,
+        minimise="effort",
+        integrand=plant.expression("x") ** 2,
+        method=Collocation(20, 6, "polynomial"),
+    )
+    assert plan.objective == pytest.approx(np.tanh(12.0), rel=1e-8)
+    with pytest.raises(InputError, match="stranger"):
+        pam.plan(plant, [{"x": 1.0}, {"x": 0.0}], duration=1.0, integrand=ca.SX.sym("stranger"))

@@ -1,0 +1,91 @@
+"""Refinement: where the mesh is made finer, and where inputs are looked at between their points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp import Collocation
+from pam_ocp.planning.transcription import mesh as rules
+
+TASK = [{"x": 0.0372}, {"x": 0.0260}]
+METHOD = Collocation(7, 8, "polynomial")
+
+
+@pytest.fixture(scope="module")
+def by_valve() -> pam.Plant:
+    """A valve that switches from one end to the other: its polynomial swings."""
+    return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.9, feed=pam.SpoolValve())
+
+
+def test_inputs_end_within_their_bounds_between_the_points_too(by_valve):
+    with pytest.warns(pam.PlanWarning, match="not verified"):
+        loose = pam.plan(by_valve, TASK, method=METHOD, tolerance=None, starts=1)
+    assert max(each.get("muscle.command", 0.0) for each in loose.replay.beyond) > 0.02
+    plan = pam.plan(by_valve, TASK, method=METHOD, starts=1)
+    assert plan.verified
+    u = plan.trajectory.signals(np.linspace(0.0, plan.duration, 20001))
+    assert np.max(np.abs(u)) <= 1.0 + 1e-3 * 0.1  # nominal 0.1
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+def test_the_tolerance_is_that_of_the_whole_motion(tolerance):
+    """A plant that grows along the motion: x'' = 400 x + u, errors by exp(20 t)."""
+    plant = pam.Plant("falling")
+    x = plant.state("x", unit="m")
+    v = plant.state("v", unit="m/s")
+    u = plant.input("u", unit="m/s2", min=-40.0, max=40.0, nominal=10.0)
+    plant.der(x, v)
+    plant.der(v, 400 * x + u)
+    plan = pam.plan(
+        plant,
+        [{"x": 0.0}, {"x": 0.05}],
+        duration=0.5,
+        rest=False,
+        minimise="effort",
+        method=Collocation(4, 2, "linear"),
+        tolerance=tolerance,
+    )
+    assert plan.verified
+    assert plan.replay_error <= tolerance
+
+
+def test_an_excess_is_that_of_the_polynomial_itself(by_valve):
+    """Against NumPy's polynomial through the values at the points, on a thousand places."""
+    rough = {"tolerance": None, "starts": 1, "method": replace(METHOD, guarded=False)}
+    with pytest.warns(pam.PlanWarning):
+        plan = pam.plan(by_valve, TASK, **rough)
+    found, mesh = plan._solved, plan.meshes[-1]
+    seen = [each.get("muscle.command", 0.0) for each in plan.replay.beyond]
+    nx = len(by_valve.states)
+    taus = rules.Form("radau", "polynomial").input_taus(8)
+    bounds = np.array(found.program.problem.legs[0].bounds["muscle.command"])
+    low, high = bounds / by_valve.variable("muscle.command").nominal
+    begin, expected = nx, []
+    for _ in mesh.intervals:
+        begin += nx * len(taus)
+        values = found.outcome.w[begin : begin + len(taus)]
+        begin += len(taus)
+        u = np.polynomial.Polynomial.fit(taus, values, 7)(np.linspace(0, 1, 1001))
+        expected.append(max(0.0, float(np.max(u)) - high, low - float(np.min(u))))
+    assert max(expected) > 0.1
+    assert seen == pytest.approx(expected, abs=5e-3 * max(expected))
+
+
+def test_what_is_seen_beyond_its_limit_is_checked_then_held_back_then_split():
+    mesh = METHOD.mesh(1)
+    beyond = [{}] * 3 + [{"u": 0.01}] + [{}] * 3
+    checked = rules.watched(mesh, beyond, 1e-3)
+    assert [i.watched for i in checked.intervals] == [()] * 3 + [(("u", 0.0),)] + [()] * 3
+    back = rules.watched(checked, beyond, 1e-3)
+    assert back.intervals[3].watched == (("u", pytest.approx(rules.MARGIN * 0.01)),)
+    far = rules.watched(back, [{}] * 3 + [{"u": 1.0}] + [{}] * 3, 1e-3)
+    assert len(far.intervals) == 8
+    assert sum(i.fraction for i in far.intervals) == pytest.approx(1.0)
+    assert rules.watched(mesh, [{"u": 9e-4}] * 7, 1e-3) == mesh
+    held = rules.held(mesh)
+    assert held.form.control == "constant"
+    assert len(held.intervals) == 7 * 8

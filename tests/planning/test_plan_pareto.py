@@ -1,0 +1,172 @@
+"""pareto: the front of two objectives against known optima."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp import Collocation, InputError
+from pam_ocp.planning.studies.pareto import pareto
+
+METHOD = Collocation(6, 6, "polynomial")
+LIMIT, DISTANCE = 100.0, 1.0
+
+
+def double_integrator():
+    plant = pam.Plant("double_integrator")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    u = plant.input("u", unit="N", min=-LIMIT, max=LIMIT)
+    plant.der(x, v)
+    plant.der(v, u)
+    return plant
+
+
+STOPS = [{"x": 0.0, "v": 0.0}, {"x": DISTANCE, "v": 0.0}]
+
+
+@pytest.mark.parametrize(("first", "second"), [("time", "effort"), ("effort", "time")])
+def test_time_against_effort_of_the_double_integrator(first, second):
+    """E = 12 d^2/T^3 while u = 6 d/T^2 (1 - 2 t/T) keeps its limit; bang-bang at its end, u^2 T."""
+    limits = {} if first == "time" else {"duration": (0.05, 0.6)}
+    front = pareto(
+        double_integrator(),
+        STOPS,
+        first=first,
+        second=second,
+        rest=False,
+        method=METHOD,
+        points=9,
+        **limits,
+    )
+    assert not front.failures
+    time, effort = front.values.T if first == "time" else front.values.T[::-1]
+    quickest = 2 * np.sqrt(DISTANCE / LIMIT)
+    ends = [(quickest, LIMIT**2 * quickest), (0.6, 12 * DISTANCE**2 / 0.6**3)]
+    for at, (t, e) in zip((0, -1), ends if first == "time" else ends[::-1], strict=True):
+        assert (time[at], effort[at]) == (pytest.approx(t, rel=1e-5), pytest.approx(e, rel=1e-4))
+    free = time > np.sqrt(6 * DISTANCE / LIMIT)
+    assert free.sum() > 5
+    assert effort[free] * time[free] ** 3 == pytest.approx(12 * DISTANCE**2, rel=1e-6)
+    assert np.all(effort[~free] * time[~free] ** 3 > 12 * DISTANCE**2)
+    assert np.all(np.diff(front.values[:, 0]) > 0)
+    assert np.all(np.diff(front.values[:, 1]) < 0)
+
+
+def test_rate_is_swept_as_the_second():
+    """The least of the integral of u'^2 from rest to rest with u = 0 at the ends: 720 d^2/T^5."""
+    front = pareto(
+        double_integrator(),
+        [{"x": 0.0}, {"x": DISTANCE}],
+        second="rate",
+        points=4,
+        until=1.0,
+        method=Collocation(6, 6, "polynomial"),
+    )
+    time, rate = front.values.T
+    assert time[-1] == pytest.approx(1.0)
+    assert rate[-2:] * time[-2:] ** 5 == pytest.approx(720 * DISTANCE**2, rel=1e-5)
+    assert rate[0] > 720 / time[0] ** 5
+
+
+def test_time_against_the_largest_force(slide):
+    """Each point is the plan of least time under that force: solved alone, it is the same."""
+    stops, method = [{"x": -0.01}, {"x": 0.01}], Collocation(15)
+    front = pareto(
+        slide, stops, first="peak(muscle1.force)", second="time", points=4, method=method
+    )
+    assert front.first.unit == "N"
+    for plan, (force, time) in zip(front.plans[1:], front.values[1:], strict=True):
+        assert np.max(plan.trajectory["muscle1.force"]) == pytest.approx(force)
+        bounds = {"muscle1.force": (None, force * (1 + 1e-7))}
+        alone = pam.plan(slide, stops, bounds=bounds, method=method)
+        assert time == pytest.approx(alone.duration, rel=1e-5)
+    assert str(front).count("\n") == len(front)
+    assert "knee" in str(front).splitlines()[1 + front.knee]
+
+
+def test_a_users_own_budget_stays(slide):
+    """The sweep's bound never loosens what the user asks for."""
+    stops, method = [{"x": -0.01}, {"x": 0.01}], Collocation(10)
+    budgets = {"effort": 1.5, "time": 0.06}
+    front = pareto(slide, stops, budgets=budgets, until=1.0, points=3, method=method)
+    assert front.values[:, 0].max() <= 0.06 + 1e-7
+    assert front.values[:, 1].max() <= 1.5 + 1e-7
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"points": 1}, "points = 1"),
+        ({"first": "rate"}, "exchange first and second"),
+        ({"first": "hurry"}, "unknown objective 'hurry'"),
+        ({"minimise": "time"}, "minimise is not an argument"),
+        ({"tolerance": 1e-6}, "tolerance is not an argument"),
+        ({"until": 0.01}, "is not more than the least of time"),
+        ({"second": "peak(force)"}, "unknown variable"),
+    ],
+)
+def test_what_cannot_be_swept_is_refused(slide, arguments, message):
+    stops = [{"x": -0.01}, {"x": 0.01}]
+    with pytest.raises(InputError, match=message):
+        pareto(slide, stops, **{"method": Collocation(10), **arguments})
+
+
+def test_a_planner_with_polynomial_inputs_takes_other_budgets_and_bounds():
+    """Inputs are guarded between their points: their limits are renewed with the others."""
+    planner = pam.Planner(
+        double_integrator(),
+        STOPS,
+        rest=False,
+        minimise="time",
+        bounds={"u": (-50.0, 50.0)},
+        method=METHOD,
+    )
+    first = planner()
+    again = planner(bounds={"u": (-12.5, 12.5)}, guess=first)
+    assert first.duration == pytest.approx(2 * np.sqrt(DISTANCE / 50.0), rel=1e-6)
+    assert again.duration == pytest.approx(2 * np.sqrt(DISTANCE / 12.5), rel=1e-6)
+
+
+def test_a_budget_of_time_ends_a_motion_of_least_effort():
+    plan = pam.plan(
+        double_integrator(),
+        [STOPS[0], {"x": 0.4}, STOPS[1]],
+        rest=False,
+        minimise="effort",
+        budgets={"time": 0.8},
+        method=METHOD,
+    )
+    assert sum(plan.durations) == pytest.approx(0.8, rel=1e-7)
+    assert plan.objective == pytest.approx(12 / 0.8**3, rel=1e-6)  # passing 0.4 costs nothing
+
+
+def test_phases_with_limits_of_their_own_keep_them_between_polynomial_points():
+    """Guarded inputs: the limit of one leg is not taken for that of the other."""
+    plan = pam.plan(
+        double_integrator(),
+        [*STOPS, STOPS[0]],
+        rest=False,
+        method=METHOD,
+        phases=[pam.Phase(bounds={"u": (-10.0, 10.0)}), None],
+    )
+    slow, quick = (2 * np.sqrt(DISTANCE / limit) for limit in (10.0, LIMIT))
+    assert plan.durations == pytest.approx((slow, quick), rel=1e-5)
+
+
+def test_plans_of_a_front_that_are_not_verified_are_marked(slide):
+    stops = [{"x": -0.01}, {"x": 0.01}]
+    front = pam.pareto(slide, stops, points=3, method=pam.Collocation(10, 3))
+    assert front.unverified == ()
+    assert "NOT VERIFIED" not in str(front)
+    off = replace(front.plans[1].replay, error=0.5, state="v")
+    wrong = replace(
+        front, plans=(front.plans[0], replace(front.plans[1], replay=off), front.plans[2])
+    )
+    assert wrong.unverified == (1,)
+    lines = str(wrong).splitlines()
+    assert lines[0].startswith("NOT VERIFIED: 1 of 3 plans")
+    assert "deviates by 0.5 of nominal in v" in lines[3]
+    (axes,) = wrong.plot().axes
+    (cross,) = (line for line in axes.lines if line.get_marker() == "x")
+    assert len(cross.get_xdata()) == 1

@@ -1,0 +1,246 @@
+"""Rest at stops, in whatever coordinates a plant is written; and what the past leaves at the first
+stop.
+"""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp import Collocation, InputError
+
+METHOD = Collocation(10, 5)
+
+
+def moved(rate, spread, states=("v",), unit="1", name="x"):
+    """x' = rate(x, velocities), velocities' = spread(velocities) u, |u| <= 1: always x'' = u."""
+    plant = pam.Plant("mass")
+    velocities = [plant.state(n) for n in states]  # before the position: the order says nothing
+    x = plant.state(name, unit=unit)
+    u = plant.input("u", min=-1.0, max=1.0)
+    plant.der(x, rate(x, *velocities))
+    for velocity, share in zip(velocities, spread(x, *velocities), strict=True):
+        plant.der(velocity, share * u)
+    return plant
+
+
+COORDINATES = {
+    "literal": moved(lambda x, v: v, lambda x, v: [1]),
+    "gear": moved(lambda x, v: v / 2, lambda x, v: [2]),
+    "momentum": moved(lambda x, p: p / 3, lambda x, p: [3], ["momentum"], "m"),
+    "millimetres": moved(lambda x, v: 1e-3 * v, lambda x, v: [1e3]),
+    "sum of two": moved(lambda x, v, w: v + w, lambda x, v, w: [0.3, 0.7], ["v", "w"]),
+    "function": moved(lambda x, v: ca.sinh(v), lambda x, v: [1 / ca.cosh(v)]),
+}
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_a_motion_from_rest_to_rest_is_the_same_in_all_coordinates(coordinates):
+    """T = 2 sqrt(d/a), with the switch on the mesh."""
+    plan = pam.plan(COORDINATES[coordinates], [{"x": 0.0}, {"x": 1.0}], method=METHOD)
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
+    ends = plan.trajectory.array([v.name for v in plan.plant.states if v.name != "x"])[[0, -1]]
+    assert ends.sum(axis=1) == pytest.approx([0.0, 0.0], abs=1e-8)
+
+
+def test_generalised_coordinates_rest_as_the_place_does():
+    """q with x = sinh(q) and q' = v/cosh(q)."""
+    plant = pam.Plant("generalised")
+    q, v = plant.state("q"), plant.state("v")
+    u = plant.input("u", min=-1.0, max=1.0)
+    plant.der(q, v / ca.cosh(q))
+    plant.der(v, u)
+    plant.output("x", ca.sinh(q))
+    plan = pam.plan(plant, [{"x": 0.0}, {"x": 1.0}], method=METHOD)
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
+
+
+def test_a_wheel_that_counts_and_an_integral_ask_for_nothing_more():
+    plant = pam.Plant("mass")
+    x, v = plant.state("x"), plant.state("v")
+    wheel, total = plant.state("wheel"), plant.state("total")
+    u = plant.input("u", min=-1.0, max=1.0)
+    plant.der(x, v)
+    plant.der(v, u)
+    plant.der(wheel, -3 * v)
+    plant.der(total, x)
+    plan = pam.plan(plant, [{"x": 0.0}, {"x": 1.0}], method=METHOD)
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
+    assert plan.trajectory["total"][0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_lag_before_the_force_must_have_settled_but_may_not_rest():
+    """m x'' = f, f' = (u - f)/lag: velocity and acceleration vanish, the force's rate need not."""
+
+    def plant_with(scale):
+        plant = pam.Plant("lagging")
+        x, v, f = plant.state("x"), plant.state("v"), plant.state("f")
+        u = plant.input("u", min=-1.0, max=1.0)
+        plant.der(x, v * scale)
+        plant.der(v, f / scale)
+        plant.der(f, (u - f) / 0.1)
+        return plant
+
+    plans = [
+        pam.plan(plant_with(scale), [{"x": 0.0}, {"x": 1.0}], method=Collocation(20, 3))
+        for scale in (1.0, 0.5)
+    ]
+    assert plans[0].duration == pytest.approx(plans[1].duration, rel=1e-6)
+    for plan in plans:
+        motion = plan.trajectory
+        assert motion.array(["v", "f"])[[0, -1]] == pytest.approx(np.zeros((2, 2)), abs=1e-7)
+        assert abs(motion["u"][-1] - motion["f"][-1]) / 0.1 > 1.0
+
+
+def test_a_stop_is_a_place_where_inputs_could_hold_the_plant():
+    """A thrown ball has no velocity at its height, but cannot stay there: |u| < g."""
+    plant = pam.Plant("ball")
+    x, v = plant.state("x"), plant.state("v")
+    u = plant.input("u", min=-5.0, max=5.0)
+    plant.der(x, v)
+    plant.der(v, u - 9.81)
+    with pytest.raises(pam.PlanError, match=r"at rest|holds it"):
+        pam.plan(plant, [{"x": 0.0}, {"x": 0.1}], method=METHOD)
+
+
+def test_where_nothing_can_rest_it_is_said():
+    plant = pam.Plant("decay")
+    y = plant.state("y")
+    plant.der(y, -y)
+    with pytest.raises(InputError, match="rest=False"):
+        pam.plan(plant, [{"y": 1.0}, {"y": 0.5}])
+
+
+def test_a_level_without_a_position_stands_where_an_input_can_hold_it():
+    plant = pam.Plant("lag")
+    y, u = plant.state("y"), plant.input("u", min=-1.0, max=1.0)
+    plant.der(y, (u - y) / 0.1)
+    plan = pam.plan(plant, [{"y": 0.0}, {"y": 0.5}])
+    assert plan.verified
+    assert plan.duration == pytest.approx(0.1 * np.log(2.0), rel=1e-6)  # u = 1 all along
+    with pytest.raises(pam.PlanError):  # no input holds 1.5
+        pam.plan(plant, [{"y": 0.0}, {"y": 1.5}])
+
+
+def test_a_sum_of_states_stands_still_where_no_state_is_a_position():
+    """A double integrator in a = x + v, b = x - v: 2 sqrt(distance) as in any other coordinates."""
+    plant = pam.Plant("turned")
+    a, b, u = plant.state("a"), plant.state("b"), plant.input("u", min=-1.0, max=1.0)
+    plant.der(a, (a - b) / 2 + u)
+    plant.der(b, (a - b) / 2 - u)
+    plant.output("x", (a + b) / 2)
+    plan = pam.plan(plant, [{"x": 0.0}, {"x": 1.0}])
+    assert plan.verified
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), losses=(pam.MaxwellSlip(), pam.Creep())),
+        pam.HangingLoad(pam.muscle("DMSP-20-200N"), feed=pam.SpoolValve(tube=pam.Tube())),
+        pam.RegulatedLoad(pam.muscle("DMSP-20-200N"), losses=(pam.BoucWen(),)),
+    ],
+    ids=lambda plant: plant.name,
+)
+def test_pressures_and_memories_are_no_positions(plant):
+    assert [q.name for q in plant.resting()] == ["x"]
+
+
+# ---- memory ----------------------------------------------------------------------------------
+LOSSES = (pam.MaxwellSlip(), pam.Creep())
+MEMORIES = [f"muscle.slip{i}" for i in (1, 2, 3, 4)]
+
+
+@pytest.fixture(scope="module")
+def lossy():
+    return pam.HangingLoad(pam.muscle("DMSP-20-200N"), mass=10.0, losses=LOSSES)
+
+
+WAY = [{"x": 0.010}, {"x": 0.030}]
+
+
+@pytest.mark.parametrize(("memory", "expected"), [("virgin", 0.0), ("above", -1.0), ("below", 1.0)])
+def test_a_plan_begins_with_the_memory_it_is_given_and_settled_creep(lossy, memory, expected):
+    plan = pam.plan(lossy, WAY, memory=memory, method=Collocation(20, 3), tolerance=None)
+    motion = plan.trajectory
+    assert motion.array(MEMORIES)[0] == pytest.approx(np.full(4, expected), abs=1e-6)
+    assert motion["muscle.creep1"][0] == pytest.approx(0.010 / 0.2, rel=1e-6)  # its contraction
+    assert np.all(np.abs(motion.array(MEMORIES)) <= 1.05)
+
+
+def test_a_plan_with_slipping_memory_is_verified(lossy):
+    plan = pam.plan(lossy, WAY)
+    assert plan.verified
+    replay = pam.simulate(lossy, plan.trajectory)
+    assert replay["x"][-1] == pytest.approx(0.030, abs=1e-5)
+    assert np.all(np.abs(replay.array(MEMORIES)) <= 1.0 + 1e-6)
+
+
+def test_single_memories_are_given_by_name_and_a_cycle_closes_them(lossy):
+    plan = pam.plan(
+        lossy, WAY, memory={"muscle.slip4": -0.5}, method=Collocation(20, 3), tolerance=None
+    )
+    assert plan.trajectory.array(MEMORIES)[0] == pytest.approx([0.0, 0.0, 0.0, -0.5], abs=1e-6)
+    with pytest.raises(InputError, match="closes its memories"):
+        pam.plan(lossy, WAY, memory="below", cyclic=True)
+    with pytest.raises(InputError, match="slip9"):
+        pam.plan(lossy, WAY, memory={"muscle.slip9": 0.0})
+
+
+def test_a_sensor_has_settled_and_a_total_begins_at_its_start():
+    plant = pam.Plant("measured")
+    x, v = plant.state("x"), plant.state("v")
+    y, spent = plant.state("y"), plant.state("spent", unit="J", start=2.0)
+    u = plant.input("u", min=-1.0, max=1.0)
+    plant.der(x, v)
+    plant.der(v, u)
+    plant.der(y, (x - y) / 0.3)
+    plant.der(spent, u**2)
+    stops = [{"x": 0.5}, {"x": 1.0}]
+    plan = pam.plan(plant, stops, method=METHOD)
+    assert plan.trajectory["y"][0] == pytest.approx(0.5, abs=1e-8)
+    assert plan.trajectory["spent"][0] == pytest.approx(2.0, abs=1e-8)
+    cycle = pam.plan(plant, stops, method=METHOD, cyclic=True)
+    assert cycle.trajectory["y"][[0, -1]] == pytest.approx(cycle.trajectory["y"][[0, 0]], abs=1e-8)
+    assert cycle.trajectory["spent"][-1] > 2.1
+
+
+# ---- economical motions -------------------------------------------------------------------------
+def test_least_work_of_a_slide_is_found_and_is_what_its_replay_gives():
+    slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"))
+    plan = pam.plan(
+        slide,
+        [{"x": -0.010}, {"x": 0.010}],
+        duration=0.3,
+        minimise="work",
+        method=Collocation(20, 3),
+    )
+    assert plan.verified
+    motion = plan.replay.trajectory
+    sides = {1: 1.0, 2: -1.0}  # x shortens the first muscle and stretches the second
+    given = sum(
+        np.maximum(motion[f"muscle{i}.force"] * sign * motion["v"], 0.0)
+        for i, sign in sides.items()
+    )
+    work = np.sum((given[1:] + given[:-1]) / 2 * np.diff(motion.t))
+    assert plan.objective == pytest.approx(work, rel=5e-3)
+
+
+def test_air_is_not_saved_by_venting_what_was_given():
+    load = pam.HangingLoad(pam.muscle("DMSP-20-200N"), mass=10.0, feed=pam.SpoolValve())
+    with pytest.warns(pam.PlanWarning, match="at rest with muscle.pressure"):
+        plan = pam.plan(
+            load,
+            WAY,
+            duration=0.5,
+            minimise="air",
+            method=Collocation(15, 3),
+            tolerance=None,
+            starts=1,
+        )
+    at_rest = load.equilibrium(x=0.010)
+    assert plan.trajectory["muscle.pressure"][0] == pytest.approx(
+        at_rest["muscle.pressure"], rel=1e-5
+    )
+    assert plan.objective > 0.1  # grams

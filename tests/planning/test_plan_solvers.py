@@ -1,0 +1,363 @@
+"""Solvers of a plan: derivatives by stages, the stage-ordered form, fatrop, compiled functions."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp import Collocation, InputError, Shooting
+from pam_ocp.planning.transcription.derivatives import derivatives
+from pam_ocp.planning.transcription.stage_order import stage_ordered
+
+STOPS = [{"x": -0.015}, {"x": 0.015}]
+
+
+def cart(limit: float = 10.0) -> pam.Plant:
+    """A mass on a spring, pushed by a force."""
+    plant = pam.Plant("cart")
+    x = plant.state("x", unit="m")
+    v = plant.state("v", unit="m/s")
+    u = plant.input("u", unit="N", min=-limit, max=limit)
+    m = plant.parameter("mass", 1.5, unit="kg", min=0.1)
+    k = plant.parameter("stiffness", 0.7, unit="N/m", min=0.0)
+    plant.der(x, v)
+    plant.der(v, (u - k * x * (1 + x**2)) / m)
+    plant.output("power", u * v, unit="W")
+    return plant
+
+
+MOVE = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
+ONE = {"rest": False, "duration": 1.0, "minimise": "effort"}
+PROBLEMS = {
+    "radau": (MOVE, ONE | {"method": Collocation(5, 3)}),
+    "gauss": (MOVE, ONE | {"method": Collocation(5, 3, points="gauss")}),
+    "shooting": (MOVE, ONE | {"method": Shooting(5, 2), "bounds": {"power": (-20.0, 20.0)}}),
+    "linear inputs": (MOVE, ONE | {"method": Collocation(5, 3, "linear")}),
+    "shooting with linear inputs": (MOVE, ONE | {"method": Shooting(5, 2, "linear")}),
+    "polynomial inputs": (MOVE, ONE | {"method": Collocation(3, 5, "polynomial")}),
+    "rate": (MOVE, ONE | {"minimise": {"rate": 1e-2, "effort": 1.0}, "method": Collocation(6, 2)}),
+    "rate of polynomial inputs": (
+        MOVE,
+        ONE | {"minimise": {"rate": 1e-2}, "method": Collocation(3, 4, "polynomial")},
+    ),
+    "budget": (
+        MOVE,
+        ONE
+        | {"budgets": {"square(u)": 300.0}, "minimise": "square(v)", "method": Collocation(5, 3)},
+    ),
+    "budget by shooting": (
+        MOVE,
+        ONE | {"budgets": {"square(u)": 300.0}, "minimise": "square(v)", "method": Shooting(5, 2)},
+    ),
+    "peak": (
+        MOVE,
+        ONE | {"minimise": {"peak(v)": 1.0, "effort": 1e-3}, "method": Collocation(5, 3)},
+    ),
+    "design": (
+        MOVE,
+        ONE | {"design": {"stiffness": (0.1, 5.0)}, "method": Collocation(5, 3)},
+    ),
+    "profiles": (
+        MOVE,
+        ONE
+        | {
+            "bounds": {"v": (None, pam.Profile([0.0, 1.0], [2.0, 1.8]))},
+            "track": {"x": pam.Profile([0.0, 0.3, 0.6, 1.0], [0.0, 0.2, 0.9, 1.0], smooth=True)},
+            "method": Collocation(5, 3),
+        },
+    ),
+    "three legs": (
+        [*MOVE, {"x": 0.5, "v": 0.0}],
+        {
+            "rest": False,
+            "minimise": {"time": 1.0, "effort": 1e-2},
+            "cyclic": True,
+            "phases": [None, pam.Phase(bounds={"v": (-0.8, 0.8)}), None],
+            "method": Collocation(4, 3),
+        },
+    ),
+    "terms of the end and of time": (
+        [MOVE[0], {"x": (0.5, 1.0), "u": 0.0}],
+        {
+            "rest": False,
+            "duration": (0.5, 2.0),
+            "integrand": pam.TIME * 0.1,
+            "minimise": {"final(x)": -1.0, "effort": 0.1},
+            "method": Collocation(4, 3),
+        },
+    ),
+}
+
+
+def planner(name: str, **more) -> pam.Planner:
+    stops, arguments = PROBLEMS[name]
+    return pam.Planner(cart(), stops, **{**arguments, **more})
+
+
+def flat(value) -> np.ndarray:
+    return np.asarray(ca.DM(value), float).ravel()
+
+
+@pytest.fixture(params=PROBLEMS)
+def program(request):
+    return planner(request.param)._program
+
+
+def test_derivatives_by_stages_are_casadis(program):
+    """Against CasADi's own differentiation of the whole program, at a random point."""
+    found = derivatives(program)
+    if program.problem.profiles:
+        assert found == {}  # tables: left to CasADi
+        return
+    x, p, f, g = (program.nlp[k] for k in ("x", "p", "f", "g"))
+    own = ca.Function("own", [x, p], [f, g])
+    w, q = ca.MX.sym("w", x.numel()), ca.MX.sym("q", p.numel())
+    f, g = own(w, q)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+    curvature = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_g, g), w)[0])
+    reference = ca.Function(
+        "reference", [w, q, lam_f, lam_g], [f, ca.gradient(f, w), g, ca.jacobian(g, w), curvature]
+    )
+    rng = np.random.default_rng(1)
+    point = rng.uniform(0.5, 1.5, w.numel())
+    values = program.parameters()
+    multipliers = 0.7, rng.standard_normal(g.numel())
+    expected = reference(point, values, *multipliers)
+    results = (
+        *found["grad_f"](point, values),
+        *found["jac_g"](point, values),
+        found["hess_lag"](point, values, *multipliers),
+    )
+    for a, b in zip(results, expected, strict=True):
+        assert a.shape == b.shape
+        assert flat(a) == pytest.approx(flat(b), rel=1e-10, abs=1e-10)
+
+
+def test_the_stage_ordered_form_says_the_same(program):
+    """At any unknowns: the same objective, the same constraints,
+    and what is carried has no gaps.
+    """
+    stages = stage_ordered(program)
+    rng = np.random.default_rng(2)
+    w, p = rng.uniform(0.5, 1.5, program.nlp["x"].numel()), program.parameters()
+    z = stages.lifted(w, p)
+    assert stages.lowered(z) == pytest.approx(w)
+    whole, ordered = (
+        ca.Function("f", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
+        for nlp in (program.nlp, stages.nlp)
+    )
+    (f, g), (f_ordered, g_ordered) = whole(w, p), ordered(z, p)
+    assert float(f_ordered) == pytest.approx(float(f), rel=1e-12)
+    expected = np.where(stages.row < 0, 0.0, stages.sign * flat(g)[stages.row])
+    assert flat(g_ordered) == pytest.approx(expected, abs=1e-10)
+    # each constraint and unknown of the program stands there once
+    assert sorted(stages.row[stages.row >= 0]) == list(range(g.numel()))
+    assert set(stages.unknown[stages.unknown >= 0]) == set(range(len(w)))
+
+
+def test_each_stage_depends_on_itself_and_the_next_state_alone(program):
+    """The structure that CasADi's interface to fatrop asks for; gaps are x_next - F."""
+    stages = stage_ordered(program)
+    nx, nu, ng = (stages.sizes[k] for k in ("nx", "nu", "ng"))
+    jacobian = ca.jacobian_sparsity(stages.nlp["g"], stages.nlp["x"])
+    rows, columns = map(np.array, jacobian.get_triplet())
+    row = 0
+    begins = np.concatenate([[0], np.cumsum(np.add(nx, nu))])
+    for k in range(stages.sizes["N"] + 1):
+        gaps = nx[k + 1] if k < stages.sizes["N"] else 0
+        for i in range(gaps + ng[k]):
+            found = columns[rows == row + i]
+            assert found.min(initial=begins[k]) >= begins[k]
+            beyond = found[found >= begins[k + 1]]
+            assert list(beyond) == ([begins[k + 1] + i] if i < gaps else [])
+        row += gaps + ng[k]
+
+
+# ---- fatrop -------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "name", ["radau", "shooting", "design", "three legs", "budget", "rate", "profiles"]
+)
+def test_fatrop_finds_what_ipopt_finds(name):
+    expected = planner(name)(tolerance=None)
+    found = planner(name, solver="fatrop")(tolerance=None)
+    assert found.statistics["solver"] == "fatrop"
+    assert "warning" not in found.statistics
+    assert found.objective == pytest.approx(expected.objective, rel=1e-7)
+    assert found.replay_error == pytest.approx(expected.replay_error, rel=1e-2, abs=1e-7)
+    for parameter, value in expected.sensitivities.items():
+        assert found.sensitivities[parameter] == pytest.approx(value, rel=1e-4, abs=1e-6)
+    costates, same = expected.costates, found.costates
+    assert same["x"] == pytest.approx(costates["x"], rel=1e-4, abs=1e-4)
+
+
+def test_the_double_integrator_by_fatrop():
+    """Bang-bang over one metre with one newton and one kilogram: 2 s (Bryson-Ho 1975)."""
+    plant = cart(limit=1.0).with_values(mass=1.0, stiffness=0.0)
+    plan = pam.plan(plant, MOVE, rest=False, solver="fatrop")
+    assert plan.statistics["solver"] == "fatrop"
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("cyclic", ["mirrored", True])
+def test_the_benchmark_by_fatrop(slide, cyclic):
+    expected = pam.plan(slide, STOPS, cyclic=cyclic)
+    found = pam.plan(slide, STOPS, cyclic=cyclic, solver="fatrop")
+    assert found.statistics["solver"] == "fatrop"
+    assert found.objective == pytest.approx(expected.objective, rel=1e-7)
+    assert found.replay_error < 1e-6
+    # a longer way takes longer; nothing depends on the mass (pressure rates are the limit)
+    for label, value in expected.stop_sensitivities.items():
+        assert found.stop_sensitivities[label] == pytest.approx(value, rel=1e-4, abs=1e-6)
+    assert abs(expected.stop_sensitivities["stop 1: x"]) > 0.1
+
+
+def test_fatrop_again_for_other_numbers():
+    """The process stays; a plan of another load is that of IPOPT."""
+    ours, theirs = planner("radau", solver="fatrop"), planner("radau")
+    first = ours()
+    process = ours._solver._fatrop._process
+    heavier = ours(values={"mass": 1.6}, guess=first)
+    assert ours._solver._fatrop._process is process
+    assert heavier.statistics["solver"] == "fatrop"
+    assert heavier.objective == pytest.approx(theirs(values={"mass": 1.6}).objective, rel=1e-7)
+
+
+def test_a_process_that_takes_too_long_is_ended_and_ipopt_solves():
+    ours = planner("radau", solver="fatrop", options={"time_limit": 1e-3})
+    plan = ours()
+    assert plan.success
+    assert plan.statistics["solver"] == "IPOPT"
+    assert "no result within 0.001 s" in plan.statistics["warning"]
+    assert plan.objective == pytest.approx(planner("radau")().objective, rel=1e-9)
+    assert ours._solver._fatrop._process is None
+
+
+def test_an_interrupted_solve_leaves_no_answer_behind(monkeypatch):
+    """Else the next solve would take the answer to this one for its own."""
+    import pickle
+
+    ours = planner("radau", solver="fatrop")
+    first = ours()
+
+    def interrupted(stream):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pickle, "load", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            ours(values={"mass": 1.6})
+    again = ours()
+    assert again.statistics["solver"] == "fatrop"
+    assert again.objective == pytest.approx(first.objective, rel=1e-9)
+
+
+def test_a_process_that_dies_is_started_again():
+    ours = planner("radau", solver="fatrop")
+    ours()
+    ours._solver._fatrop._process.kill()
+    ours._solver._fatrop._process.wait()
+    assert "died" in ours().statistics["warning"]
+    assert ours().statistics["solver"] == "fatrop"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"solver": "snopt"}, "choose one of ipopt, fatrop"),
+        ({"solver": "fatrop", "options": {"time_limit": 0}}, "give seconds > 0"),
+        ({"solver": "fatrop", "compiled": True}, "compiled = True goes with solver = 'ipopt'"),
+        ({"solver": "fatrop", "options": {"no_such_option": 1}}, "no_such_option"),
+    ],
+)
+def test_a_choice_that_cannot_be_meant_is_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        planner("radau", **arguments)()
+
+
+# ---- compiled -----------------------------------------------------------------------------------
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache of compiled libraries; zig keeps its own, which takes seconds to fill."""
+    from pam_ocp.export.compile import cache_folder
+
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache_folder() / "zig"))
+    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["shooting", "radau", "design"])
+def test_compiled_functions_give_the_same_plan(name, cache):
+    expected, found = planner(name)(), planner(name, compiled=True)()
+    assert found.objective == pytest.approx(expected.objective, rel=1e-9)
+    assert found.statistics["iterations"] == pytest.approx(expected.statistics["iterations"], abs=3)
+    assert found.costates["v"] == pytest.approx(expected.costates["v"], rel=1e-5, abs=1e-6)
+
+
+def test_what_was_compiled_once_is_not_compiled_again(cache, monkeypatch):
+    import pam_ocp.export.compile as fmu_compile
+
+    planner("shooting", compiled=True)
+    kept = sorted((cache / "plan").iterdir())
+    assert len(kept) == 1
+
+    def never(*_):
+        raise AssertionError("compiled again")
+
+    monkeypatch.setattr(fmu_compile, "_compile", never)
+    assert planner("shooting", compiled=True)().success
+    assert sorted((cache / "plan").iterdir()) == kept
+
+
+def test_without_a_compiler_the_message_says_what_to_do(cache, monkeypatch):
+    import pam_ocp.export.compile as fmu_compile
+
+    monkeypatch.setattr(fmu_compile.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(fmu_compile.shutil, "which", lambda name: None)
+    fmu_compile._compiler.cache_clear()
+    try:
+        with pytest.raises(
+            InputError, match=r"compiled = True: no C compiler .* pip install ziglang"
+        ):
+            planner("radau", compiled=True)
+    finally:
+        fmu_compile._compiler.cache_clear()
+
+
+# ---- warm starts --------------------------------------------------------------------------------
+@pytest.mark.parametrize("factor", [1.01, 1.1, 1.5])
+def test_a_warm_start_ends_at_the_same_optimum_sooner(slide, factor):
+    ours = pam.Planner(slide, STOPS, cyclic="mirrored", method=Collocation(20, 3))
+    first = ours()
+    cold = ours(values={"mass": 2.0 * factor})
+    warm = ours(values={"mass": 2.0 * factor}, guess=first)
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-7)
+    assert warm.statistics["iterations"] < cold.statistics["iterations"]
+
+
+def test_more_starts_keep_the_best(slide):
+    """Valves: many local optima. The first of the objectives is that of the planner's own start."""
+    plant = pam.AntagonisticSlide(
+        pam.muscle("DMSP-20-400N"),
+        8.5,
+        0.10,
+        feed=pam.SpoolValve(),
+    )
+    task = {"stops": [{"x": -0.01}, {"x": 0.012}], "method": pam.Collocation(20, 3)}
+    own = pam.plan(plant, **task, starts=1)
+    best = pam.plan(plant, **task, starts=6)
+    found = [end["objective"] for end in best.statistics["starts"] if end["solved"]]
+    assert len(found) > 3
+    assert found[0] == pytest.approx(own.objective, rel=1e-9)
+    assert best.objective == min(found) <= own.objective
+    assert max(found) > min(found) * (1 + 1e-4)  # they differ here, or there were nothing to choose
+    assert best.replay_error < 0.01
+    everywhere = pam.plan(slide, STOPS, cyclic="mirrored", method=pam.Collocation(20, 3), starts=12)
+    assert everywhere.statistics["starts_apart"] < 1e-5  # with regulators there is one optimum
+
+
+@pytest.mark.parametrize("starts", [0, 13, 2.0, "all", True])
+def test_starts_are_a_whole_number(slide, starts):
+    with pytest.raises(InputError, match=r"starts = .*from 1 to 12"):
+        pam.plan(slide, STOPS, starts=starts)

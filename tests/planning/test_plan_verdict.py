@@ -1,0 +1,478 @@
+"""The verdict of a plan: what its replay sees, by hand-made motions; interruption;
+files that lie.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import threading
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp import Collocation, InputError, PlanWarning
+from pam_ocp.core.signals import PiecewisePolynomial
+from pam_ocp.planning.problem.pose import Wish, pose
+from pam_ocp.planning.replay import replayed
+from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh
+from pam_ocp.planning.transcription.solution import Solution
+from pam_ocp.simulation.simulate import evaluated
+
+MOVE = [{"x": 0.0}, {"x": 1.0}]
+
+
+def cart(speed=np.inf):
+    """x'' = u, nothing else; a path constraint on u + v, an output with the power u v."""
+    plant = pam.Plant("cart")
+    x, v = plant.state("x", unit="m", max=2.0), plant.state("v", unit="m/s", max=speed)
+    u = plant.input("u", unit="m/s2", min=-10.0, max=10.0)
+    plant.der(x, v)
+    plant.der(v, u)
+    plant.constraint("sum", u + v, max=20.0)
+    plant.output("power", u * v)
+    return plant
+
+
+def by_hand(plant, wish, pieces=((0.5, 4.0), (0.5, -4.0))):
+    """The replay of a motion from rest whose inputs are held: (duration, value) of each interval.
+
+    Exact states at the ends of the intervals, so only what happens between them can be wrong.
+    """
+    problem = pose(plant, wish)
+    total = sum(h for h, _ in pieces)
+    intervals = [Interval(0, h / total, 1) for h, _ in pieces]
+    mesh = Mesh(tuple(intervals), Form("radau", "constant"))
+    t, states = [0.0], [[0.0, 0.0]]
+    for h, u in pieces:
+        x, v = states[-1]
+        states.append([x + v * h + u * h**2 / 2, v + u * h])
+        t.append(t[-1] + h)
+    inputs = PiecewisePolynomial(np.array(t), np.array([[[u]] for _, u in pieces]))
+    solution = Solution(
+        np.array(t),
+        np.array(states),
+        inputs,
+        np.array([total]),
+        np.zeros(0),
+        np.ones(problem.m.numel()),
+    )
+    samples = evaluated(plant, solution.t, solution.states, inputs)
+    return replayed(problem, plant, mesh, samples, solution)
+
+
+FOURTH = tuple((0.25, u) for u in (4.0, 4.0, -4.0, -4.0))
+"""x(1) = 1 with v = 2 in the middle, at rest at both ends."""
+
+
+def test_a_motion_that_keeps_everything_has_no_violation():
+    limits = {"v": (None, 2.0), "sum": (None, 6.0), "power": (None, 8.0)}  # touched, all of them
+    replay = by_hand(
+        cart(), Wish(MOVE, rest=False, bounds=limits, budgets={"effort": 16.0}), FOURTH
+    )
+    assert replay.error < 1e-9
+    assert replay.violation < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("wish", "label", "violation"),
+    [
+        # u + v = 6 just before the switch in the middle, seen from the left only
+        ({"bounds": {"sum": (None, 5.0)}}, "sum", 1.0),
+        ({"bounds": {"v": (None, 1.5)}}, "v", 0.5),
+        ({"bounds": {"u": (None, 3.5)}}, "u", 0.5),
+        ({"bounds": {"power": (None, 6.0)}}, "power", 2.0),  # u v = 8 before the switch
+        (
+            {"bounds": {"x": (None, pam.Profile([0.0, 1.0], [0.4, 0.4]))}},
+            "x below its profile",
+            0.6,
+        ),
+        ({"constraints": [pam.Avoid({"x": (0.5, 0.1)})]}, "forbidden region", 1.0),
+        ({"budgets": {"effort": 15.0}}, "budget of effort", 1.0),  # integral of u^2 = 16
+        ({"budgets": {"integral(power)": (1.0, None)}}, "budget of integral(power)", 1.0),
+    ],
+)
+def test_a_path_that_is_violated_between_the_points_is_seen(wish, label, violation):
+    replay = by_hand(cart(), Wish(MOVE, **wish), FOURTH)
+    assert replay.error < 1e-9
+    assert replay.constraint == label
+    assert replay.violation == pytest.approx(violation, abs=2e-3)
+
+
+def test_a_violation_inside_an_interval_is_seen_though_its_ends_keep_the_limit():
+    """x = 2 t (1 - t) on one interval: 0 at both ends, 0.5 in the middle."""
+    plant = pam.Plant("thrown")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s", start=2.0)
+    u = plant.input("u", min=-10.0, max=10.0)
+    plant.der(x, v)
+    plant.der(v, u)
+    plant.constraint("height", 2 * x, max=0.6)
+    stops = [{"x": 0.0, "v": 2.0}, {"x": 0.0, "v": -2.0}]
+    problem = pose(plant, Wish(stops, rest=False))
+    t, states = np.array([0.0, 1.0]), np.array([[0.0, 2.0], [0.0, -2.0]])
+    inputs = PiecewisePolynomial(t, np.full((1, 1, 1), -4.0))
+    solution = Solution(t, states, inputs, np.array([1.0]), np.zeros(0), np.zeros(0))
+    samples = evaluated(plant, t, states, inputs)
+    for form, degree in ((Form("radau", "constant"), 1), (Form("shooting", "constant"), 4)):
+        mesh = Mesh((Interval(0, 1.0, degree),), form)
+        replay = replayed(problem, plant, mesh, samples, solution)
+        assert replay.error < 1e-9
+        assert replay.constraint == "height"
+        assert replay.violation == pytest.approx(0.4, abs=1e-3)
+        assert replay.beyond[0] == {"height": replay.violation}
+
+
+@pytest.mark.parametrize(
+    ("stops", "wish", "label", "violation"),
+    [
+        ([{"x": 0.0}, {"x": 1.3}], {}, "stop 2: x", 0.3),
+        ([{"x": 0.0}, {"x": 1.0, "v": 0.25}], {}, "stop 2: v", 0.25),
+        ([{"x": 0.0}, {"x": 1.0, "u": -3.5}], {}, "stop 2: u", 0.5),
+        ([{"x": 0.0, "der(v)": 0.0}, {"x": 1.0}], {}, "stop 1: der(v)", 0.4),  # 4 of 10 nominals
+    ],
+)
+def test_a_stop_that_is_missed_by_the_motion_is_seen(stops, wish, label, violation):
+    replay = by_hand(cart(), Wish(stops, **{"rest": False, **wish}))
+    assert replay.violation == pytest.approx(violation, abs=1e-6)
+    assert replay.constraint == label
+    assert replay.missed == replay.violation
+
+
+def test_a_cycle_that_is_open_is_seen():
+    replay = by_hand(cart(), Wish(MOVE, rest=False, cyclic=True), ((0.5, 4.0), (0.5, -4.0)))
+    assert replay.constraint == "closing of the cycle: x"
+    assert replay.violation == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_objective_of_a_replay_is_that_of_the_motion():
+    """u = +-4 for half a second each: effort 16, power integral 0, jump 8 over 0.5 s."""
+    wish = Wish(MOVE, minimise={"time": 2.0, "effort": 0.5, "rate": 0.25, "final(x)": 3.0})
+    assert by_hand(cart(), wish).objective == pytest.approx(2 + 8 + 0.25 * 64 / 0.5 + 3, rel=1e-9)
+
+
+# ---- the verdict of a plan
+# ------------------------------------------------------------------------
+def falling(rate):
+    """x'' = rate^2 x + u: errors grow by exp(rate t)."""
+    plant = pam.Plant("falling")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    u = plant.input("u", min=-1e3, max=1e3, nominal=10.0)
+    plant.der(x, v)
+    plant.der(v, rate**2 * x + u)
+    return plant
+
+
+ROUGH = {
+    "duration": 1.0,
+    "rest": False,
+    "minimise": "effort",
+    "method": Collocation(3, 1, "linear"),
+}
+
+
+def test_what_is_not_verified_says_so_first_of_all():
+    with pytest.warns(
+        PlanWarning, match=r"the plan of falling is not verified: its replay deviates"
+    ):
+        plan = pam.plan(falling(5.0), [{"x": 0.0}, {"x": 0.05}], **ROUGH, tolerance=None)
+    assert plan.solved
+    assert not plan.verified
+    assert not plan.success
+    assert not plan.verdict
+    assert str(plan).startswith("NOT VERIFIED: its replay deviates by")
+    assert f"{plan.replay_error:.2g} of nominal in" in str(plan.verdict)
+    assert plan.trajectory["x"][-1] == pytest.approx(0.05)
+    assert plan.verdict.tolerance == 1e-3
+
+
+def test_by_default_the_mesh_is_refined_until_the_plan_is_verified(recwarn):
+    plan = pam.plan(falling(5.0), [{"x": 0.0}, {"x": 0.05}], **ROUGH)
+    assert plan.verified
+    assert plan.replay_error <= 1e-3
+    assert len(plan.meshes) > 1
+    assert not [w for w in recwarn if w.category is PlanWarning]
+    assert str(plan).startswith("verified")
+
+
+def test_a_verdict_names_each_figure_that_failed():
+    good = pam.Verdict("Solve_Succeeded", True, 1e-4, "x", 2e-4, "force", 1e-3)
+    assert good.verified
+    assert "violates force by 0.02" in str(replace(good, violation=0.02))
+    assert "did not converge (Restoration_Failed)" in str(
+        replace(good, solved=False, status="Restoration_Failed")
+    )
+    for wrong in ({"error": np.nan}, {"violation": np.nan}, {"error": np.inf}, {"solved": False}):
+        assert not replace(good, **wrong).verified
+
+
+@pytest.mark.parametrize("points", ["radau", "gauss"])
+def test_a_bound_on_a_state_holds_between_the_points_too(points):
+    """Bryson and Denham's limit, which a coarse mesh keeps at its points only."""
+    wish = {"duration": 1.0, "minimise": "effort", "rest": False, "bounds": {"x": (None, 1 / 9)}}
+    stops = [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}]
+    method = Collocation(4, 3, "linear", points)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PlanWarning)
+        rough = pam.plan(cart(), stops, **wish, method=method, tolerance=None)
+    assert rough.replay_error < 1e-6
+    assert rough.replay.violation > 5e-4
+    assert rough.replay.constraint == "x"
+    plan = pam.plan(cart(), stops, **wish, method=method, tolerance=1e-5)
+    assert plan.verified
+    assert plan.replay.trajectory["x"].max() <= 1 / 9 + 1e-5
+
+
+def test_polynomial_inputs_end_verified_too(recwarn):
+    stops = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
+    plan = pam.plan(cart(), stops, rest=False, method=Collocation(5, 8, "polynomial"))
+    assert plan.verified
+    t = np.linspace(0, plan.duration, 20001)
+    u = plan.trajectory.signals(t)[:, 0]
+    assert np.max(np.abs(u)) <= 10.0 + 1e-3
+    assert plan.duration == pytest.approx(2 * np.sqrt(1 / 10), rel=1e-2)
+
+
+# ---- Ctrl-C --------------------------------------------------------------------------------------
+def test_ctrl_c_ends_a_solve_and_nothing_is_tried_after_it(slide, monkeypatch):
+    from pam_ocp.planning import run
+
+    def never(*_):
+        raise AssertionError("a diagnosis after Ctrl-C")
+
+    monkeypatch.setattr(run, "elastic", never)
+    seen = []
+
+    def press(iteration, objective, violation):
+        seen.append(iteration)
+        if iteration == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], progress=press)
+    assert seen == [0, 1, 2, 3, 4]
+    assert signal.getsignal(signal.SIGINT) is before
+    assert pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=Collocation(10)).solved
+
+
+def test_what_a_progress_function_raises_ends_the_solve_and_comes_out(slide):
+    def fails(iteration, objective, violation):
+        raise OSError("no terminal")
+
+    with pytest.raises(OSError, match="no terminal"):
+        pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], progress=fails)
+
+
+def test_a_solve_in_another_thread_leaves_the_signal_alone(slide):
+    found = []
+    before = signal.getsignal(signal.SIGINT)
+    work = threading.Thread(
+        target=lambda: found.append(
+            pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=Collocation(10))
+        )
+    )
+    work.start()
+    work.join()
+    assert found[0].verified
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+# ---- files ---------------------------------------------------------------------------------------
+EVERYTHING = {
+    "minimise": {"time": 1.0, "effort": 1e-3, "peak(power)": 1e-3},
+    "duration": (0.2, 3.0),
+    "constraints": [pam.Avoid({"x": (1.5, 0.3)}, name="wall")],
+    "bounds": {"v": (None, pam.Profile([0.0, 0.5, 3.0], [3.0, 2.0, 2.0]))},
+    "budgets": {"effort": 200.0},
+    "method": Collocation(12, 4, "linear"),
+}
+
+
+@pytest.fixture(scope="module")
+def moved():
+    return pam.plan(cart(), MOVE, **EVERYTHING)
+
+
+def test_a_loaded_plan_is_judged_as_the_one_that_was_saved(moved, tmp_path):
+    again = pam.load_plan(moved.save(tmp_path / "plan.npz"), cart())
+    assert again.verified
+    assert again.objective == pytest.approx(moved.objective, rel=1e-9)
+    assert again.replay_error == pytest.approx(moved.replay_error, rel=1e-3, abs=1e-12)
+    assert again.replay.violation == pytest.approx(moved.replay.violation, rel=1e-3, abs=1e-9)
+    assert again.durations == moved.durations
+    copy = pickle.loads(pickle.dumps(moved))
+    assert str(copy.verdict) == str(moved.verdict)
+    assert pam.load_plan(copy.save(tmp_path / "copy.npz"), cart()).objective == again.objective
+
+
+def changed(path, meta=None, **arrays):
+    """The file with some of its arrays and meta data replaced by functions of what they were."""
+    with np.load(path) as file:
+        held = {name: file[name] for name in file.files}
+    said = json.loads(str(held["meta"]))
+    if meta is not None:
+        meta(said)
+    held["meta"] = np.array(json.dumps(said))
+    for name, change in arrays.items():
+        held[name] = change(held[name])
+    np.savez_compressed(path, **held)
+    return path
+
+
+def shorter(said):
+    said["durations"] = [0.9 * d for d in said["durations"]]
+
+
+def cheaper(said):
+    said["objective"] *= 0.99
+
+
+def elsewhere(said):
+    said["problem"]["nodes"][-1][0]["low"] = said["problem"]["nodes"][-1][0]["high"] = 1.001
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ({"states": lambda x: x + np.array([1.0, 0.0])}, "does not keep"),
+        ({"states": lambda x: x * 1.01}, "do not follow from its inputs"),
+        ({"coefficients": lambda c: 1.02 * c}, "do not follow from its inputs"),
+        ({"states": lambda x: x[:-1]}, "its states have the shape"),
+        ({"states": lambda x: np.where(x > 0.9, np.nan, x)}, "not a finite number"),
+        ({"t": lambda t: 1.1 * t}, "its times are not those of its durations"),
+        ({"meta": shorter}, "its times are not those of its durations"),
+        ({"meta": cheaper}, "its objective is"),
+        ({"meta": elsewhere}, "stop 2: x"),
+        ({"meta": lambda said: said.update(format="pam_ocp plan 1")}, "by a former version"),
+        ({"meta": lambda said: said.pop("problem")}, "is no plan file"),
+    ],
+)
+def test_a_file_that_contradicts_itself_is_refused(moved, tmp_path, what, message):
+    path = changed(moved.save(tmp_path / "plan.npz"), **what)
+    with pytest.raises(InputError, match=message):
+        pam.load_plan(path, cart())
+
+
+def test_a_plan_of_a_plant_that_moves_otherwise_is_refused(moved, tmp_path):
+    other = pam.Plant("cart")
+    x, v = other.state("x", unit="m", max=2.0), other.state("v", unit="m/s")
+    u = other.input("u", unit="m/s2", min=-10.0, max=10.0)
+    other.der(x, v)
+    other.der(v, 0.9 * u)
+    other.constraint("sum", u + v, max=20.0)
+    other.output("power", u * v)
+    with pytest.raises(InputError, match="do not follow from its inputs"):
+        pam.load_plan(moved.save(tmp_path / "plan.npz"), other)
+
+
+def test_an_unverified_plan_is_unverified_from_a_file_too(tmp_path):
+    with pytest.warns(PlanWarning):
+        plan = pam.plan(falling(5.0), [{"x": 0.0}, {"x": 0.05}], **ROUGH, tolerance=None)
+    path = plan.save(tmp_path / "plan.npz")
+    with pytest.warns(PlanWarning, match="not verified"):
+        again = pam.load_plan(path, falling(5.0))
+    assert not again.verified
+    assert again.replay_error == pytest.approx(plan.replay_error, rel=1e-6)
+
+
+# ---- several starts
+# -----------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def by_valve():
+    return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.0, feed=pam.SpoolValve())
+
+
+UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
+
+
+def test_starts_in_processes_end_where_they_end_in_this_one(by_valve, monkeypatch):
+    from pam_ocp.planning.solvers import side_by_side
+
+    alone = pam.plan(by_valve, **UP)
+    workers = []
+    began = side_by_side._Worker.__init__
+
+    def begin(worker, *arguments):
+        began(worker, *arguments)
+        workers.append(worker)
+
+    monkeypatch.setattr(side_by_side._Worker, "__init__", begin)
+    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
+    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    monkeypatch.setattr(side_by_side.Ipopt, "__call__", _slowly(side_by_side.Ipopt.__call__))
+    beside = pam.plan(by_valve, **UP)
+    assert len(alone.statistics["starts"]) == len(beside.statistics["starts"]) == 4
+    for one, two in zip(alone.statistics["starts"], beside.statistics["starts"], strict=True):
+        assert one["status"] == two["status"]
+        assert one["objective"] == pytest.approx(two["objective"], rel=1e-6)
+    assert sum(len(worker.found) for worker in workers) >= 1
+    assert all(worker._process.poll() is not None for worker in workers)
+    assert "starts     4, of which" in str(beside)
+
+
+def _slowly(solve):
+    """A solver in this process that waits first, so that the other processes get their turn."""
+
+    def slow(*arguments):
+        time.sleep(0.7)
+        return solve(*arguments)
+
+    return slow
+
+
+def test_where_no_process_can_be_started_all_starts_are_solved_here(by_valve, monkeypatch):
+    from pam_ocp.planning.solvers import side_by_side
+
+    def refused(*_, **__):
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
+    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    monkeypatch.setattr(side_by_side.subprocess, "Popen", refused)
+    assert len(pam.plan(by_valve, **UP).statistics["starts"]) == 4
+
+
+def test_several_starts_are_for_valves_and_tendons_only():
+    from pam_ocp.planning.starts import number_of_starts
+
+    muscle = pam.muscle("DMSP-20-400N")
+    several = [
+        pam.HangingLoad(muscle, 10.0, feed=pam.OnOffValves()),
+        pam.AntagonisticSlide(muscle, 5.0, feed=pam.SpoolValve(tube=pam.Tube())),
+        pam.SeriesLoad(muscle, 10.0),
+    ]
+    one = [
+        pam.HangingLoad(muscle, 10.0, losses=[pam.BoucWen()]),
+        pam.AntagonisticSlide(muscle, 5.0, feed=pam.Regulator(0.05, max_rate=4e6)),
+        pam.SpringOverMuscle(muscle, 1.0, 1e3, 50.0),
+        cart(),
+    ]
+    assert [number_of_starts(plant) for plant in several] == [4, 4, 4]
+    assert [number_of_starts(plant) for plant in one] == [1, 1, 1, 1]
+
+
+def test_ctrl_c_among_several_starts_leaves_no_process_behind(by_valve, monkeypatch):
+    from pam_ocp.planning.solvers import side_by_side
+
+    monkeypatch.setattr(side_by_side, "PAYS", 0.0)
+    monkeypatch.setattr(side_by_side, "_processors", lambda: 3)
+    begun = []
+    popen = side_by_side.subprocess.Popen
+
+    def press(*arguments, **options):
+        begun.append(popen(*arguments, **options))
+        if len(begun) == 2:
+            threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        return begun[-1]
+
+    monkeypatch.setattr(side_by_side.subprocess, "Popen", press)
+    with pytest.raises(KeyboardInterrupt):
+        pam.plan(by_valve, UP["stops"], method=Collocation(40, 4), starts=8)
+    assert len(begun) == 2
+    assert all(process.poll() is not None for process in begun)

@@ -1,0 +1,460 @@
+"""plan: via points, dwells, phases, profiles, forbidden regions, budgets, objectives, design."""
+
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import minimize_scalar
+
+import pam_ocp as pam
+from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
+
+POLYNOMIAL = Collocation(6, 6, "polynomial")
+
+
+def double_integrator(limit=1.0, mass=1.0):
+    plant = pam.Plant("double_integrator")
+    x = plant.state("x", unit="m", max=10.0)
+    v = plant.state("v", unit="m/s")
+    m = plant.parameter("mass", mass, unit="kg", min=0.1, max=10.0)
+    u = plant.input("u", unit="N", min=-limit, max=limit)
+    plant.der(x, v)
+    plant.der(v, u / m)
+    plant.output("power", u * v, unit="W")
+    return plant
+
+
+AT_REST = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        Collocation(10, 3, "linear"),
+        Collocation(10, 3, "linear", points="gauss"),
+        Collocation(3, 4, "polynomial", points="gauss"),
+        Shooting(10, 2, "linear"),
+    ],
+)
+def test_every_scheme_is_exact_for_the_least_effort(method):
+    """u = 6 - 12 t, integral of u^2 = 12; costates by hand: lambda_x = -24,
+    lambda_v = -12 + 24 t.
+    """
+    plan = pam.plan(
+        double_integrator(10.0),
+        AT_REST,
+        rest=False,
+        duration=1.0,
+        minimise="effort",
+        method=method,
+    )
+    assert plan.objective == pytest.approx(12.0, rel=1e-8)
+    assert plan.replay_error < 1e-8
+    t = plan.costates.t
+    assert plan.costates["x"] == pytest.approx(np.full(len(t), -24.0), abs=1e-5)
+    assert plan.costates["v"] == pytest.approx(-12 + 24 * t, abs=1e-5)
+
+
+@pytest.mark.parametrize("points", ["radau", "gauss"])
+def test_order_of_the_collocation(points):
+    """x' = -x over one second: the error falls as h^(2d-1) by Radau and h^(2d) by Gauss points."""
+    plant = pam.Plant("decay")
+    y = plant.state("y", start=1.0)
+    plant.der(y, -y)
+    errors = []
+    for intervals in (4, 8):
+        plan = pam.plan(
+            plant,
+            [{"y": 1.0}, {"y": (0.0, 1.0)}],
+            rest=False,
+            duration=1.0,
+            method=Collocation(intervals, 2, points=points),
+        )
+        errors.append(abs(plan.trajectory["y"][-1] - np.exp(-1.0)))
+    order = np.log2(errors[0] / errors[1])
+    assert order == pytest.approx({"radau": 3, "gauss": 4}[points], abs=0.15)
+
+
+def test_a_via_point_is_passed_and_a_dwell_is_kept():
+    plan = pam.plan(
+        double_integrator(10.0),
+        [Stop({"x": 0.0}), Stop({"x": 0.4}, rest=False), Stop({"x": 1.0}, dwell=0.2), {"x": 0.0}],
+        method=Collocation(12, 6, "polynomial"),
+    )
+    motion = plan.replay.trajectory
+    begin, end = np.cumsum(plan.durations)[[1, 2]]
+    assert plan.durations[2] == pytest.approx(0.2)
+    inside = (motion.t >= begin) & (motion.t <= end)
+    assert np.abs(motion["x"][inside] - 1.0).max() < 1.01e-3
+    at_via = np.interp(plan.durations[0], motion.t, motion["v"])
+    assert at_via > 0.5
+    # bang-bang from rest to rest over one metre with 10 N on 1 kg takes 2 sqrt(1/10)
+    assert sum(plan.durations[:2]) == pytest.approx(2 * np.sqrt(0.1), rel=5e-3)
+
+
+def test_phases_have_limits_of_their_own():
+    plan = pam.plan(
+        double_integrator(10.0),
+        [*AT_REST, AT_REST[0]],
+        rest=False,
+        method=Collocation(33),
+        phases=[None, Phase(duration=(0.1, 5.0), bounds={"v": (-1.0, 1.0)})],
+    )
+    motion = plan.trajectory
+    back = motion.t > plan.durations[0]
+    assert motion["v"].max() > 2.0
+    assert motion["v"][back].min() == pytest.approx(-1.0, abs=1e-6)
+    # a trapezium of speed, 1/v + v/a, its corners on the mesh
+    assert plan.durations[1] == pytest.approx(1.0 + 1.0 / 10.0, rel=1e-6)
+
+
+def test_bounds_of_a_polynomial_input_are_those_of_its_phase():
+    plan = pam.plan(
+        double_integrator(10.0),
+        [*AT_REST, AT_REST[0]],
+        rest=False,
+        phases=[None, Phase(bounds={"u": (-2.0, 2.0)})],
+        method=Collocation(8, 5, "polynomial"),
+    )
+    motion = plan.replay.trajectory
+    there = motion.t < plan.durations[0]
+    assert np.abs(motion["u"][there]).max() > 9.0
+    assert np.abs(motion["u"][~there]).max() < 2.05
+    # bang-bang there and back: 2 sqrt(d/a)
+    assert plan.durations == pytest.approx([2 / np.sqrt(10), 2 / np.sqrt(2)], rel=1e-3)
+    planner = pam.Planner(
+        double_integrator(10.0),
+        AT_REST,
+        rest=False,
+        bounds={"u": (-4.0, 4.0)},
+        method=Collocation(8, 5, "polynomial"),
+    )
+    wider = planner(bounds={"u": (-9.0, 9.0)}, guess=planner())
+    assert wider.duration == pytest.approx(2 / 3, rel=1e-3)
+
+
+def test_a_bound_that_changes_with_time_is_kept():
+    corridor = Profile([0.0, 0.5, 1.0], [0.2, 0.2, 1.2])
+    plan = pam.plan(
+        double_integrator(50.0),
+        [{"x": 0.0}, {"x": 1.0}],
+        duration=1.0,
+        minimise="effort",
+        bounds={"x": (None, corridor)},
+        method=Collocation(40, 3, "linear"),
+    )
+    excess = plan.trajectory["x"] - corridor(plan.trajectory.t)
+    assert excess.max() < 1e-8
+    free = pam.plan(
+        double_integrator(50.0),
+        [{"x": 0.0}, {"x": 1.0}],
+        duration=1.0,
+        minimise="effort",
+        method=Collocation(40, 3, "linear"),
+    )
+    assert np.max(free.trajectory["x"] - corridor(free.trajectory.t)) > 0.1
+    assert plan.objective > 1.05 * free.objective
+
+
+def planar_point(limit=20.0):
+    plant = pam.Plant("point")
+    for axis in "xy":
+        position, velocity = plant.state(axis, unit="m", nominal=1.0), plant.state(f"v{axis}")
+        force = plant.input(f"f{axis}", min=-limit, max=limit)
+        plant.der(position, velocity)
+        plant.der(velocity, force)
+    return plant
+
+
+def test_a_forbidden_region_is_gone_around():
+    stops = [{"x": 0.0, "y": 0.0}, {"x": 1.0, "y": 0.0}]
+    region = Avoid({"x": (0.5, 0.2), "y": (-0.02, 0.1)})
+    plan = pam.plan(
+        planar_point(),
+        stops,
+        duration=1.0,
+        minimise="effort",
+        constraints=[region],
+        method=Collocation(30, 3, "linear"),
+    )
+    x, y = plan.trajectory["x"], plan.trajectory["y"]
+    assert ((x - 0.5) ** 2 / 0.2**2 + (y + 0.02) ** 2 / 0.1**2).min() > 1 - 1e-6
+    assert y.max() == pytest.approx(0.08, abs=2e-3)
+
+
+def test_a_place_that_is_taken_for_a_while_is_passed_later():
+    """Time is one of the region's names: before 0.9 s nothing passes x = 0.5."""
+    plan = pam.plan(
+        double_integrator(20.0),
+        [{"x": 0.0}, {"x": 1.0}],
+        duration=1.5,
+        minimise="effort",
+        constraints=[Avoid({"x": (0.6, 0.2), "time": (0.0, 0.9)})],
+        method=Collocation(30, 3, "linear"),
+    )
+    x, t = plan.trajectory["x"], plan.trajectory.t
+    assert (((x - 0.6) / 0.2) ** 2 + (t / 0.9) ** 2).min() > 1 - 1e-6
+
+
+def test_a_constraint_of_ones_own_is_kept():
+    plant = double_integrator(10.0)
+    power = plant.expression("u") * plant.expression("v")
+    plan = pam.plan(
+        plant,
+        [{"x": 0.0}, {"x": 1.0}],
+        constraints=[Constraint(power, high=4.0, name="power")],
+        method=Collocation(40),
+    )
+    assert plan.trajectory["power"].max() < 4.0 + 0.3  # constant inputs: kept at the points
+    assert plan.replay.violation < 0.1
+    assert plan.duration > 2 * np.sqrt(0.1) * 1.05
+
+
+def test_a_budget_of_effort_costs_time():
+    """Least time with integral u^2 <= E from rest to rest over one metre: T^3 = 12/E (u = 6/T^2
+    ...).
+    """
+    plan = pam.plan(
+        double_integrator(100.0), AT_REST, rest=False, budgets={"effort": 20.0}, method=POLYNOMIAL
+    )
+    assert plan.duration == pytest.approx((12 / 20) ** (1 / 3), rel=1e-6)
+
+
+def test_tracking_follows_a_profile_and_a_number():
+    t = np.linspace(0.0, 2.0, 41)
+    wanted = Profile(t, 0.3 * np.sin(np.pi * t), smooth=True)
+    plan = pam.plan(
+        double_integrator(50.0),
+        [{"x": 0.0}, {"x": (-1.0, 1.0)}],
+        rest=False,
+        duration=2.0,
+        minimise={"effort": 1e-8},
+        track={"x": (wanted, 10.0)},
+        method=Collocation(20, 5, "polynomial"),
+    )
+    assert np.abs(plan.trajectory["x"] - 0.3 * np.sin(np.pi * plan.trajectory.t)).max() < 5e-3
+    still = pam.plan(
+        double_integrator(50.0),
+        [{"x": 0.2, "v": 0.0}, {"x": (-1.0, 1.0)}],
+        rest=False,
+        duration=1.0,
+        minimise={"effort": 1e-9},
+        track={"x": 0.2},
+        method=POLYNOMIAL,
+    )
+    assert still.objective < 1e-9  # the tolerance of the solver
+
+
+def test_the_least_peak_of_the_input_is_the_bang_bang_one():
+    """Smallest push that moves one metre in one second when braking with 4 N at most: 4 N."""
+    plan = pam.plan(
+        double_integrator(100.0),
+        AT_REST,
+        rest=False,
+        duration=1.0,
+        minimise="peak(u)",
+        bounds={"u": (-4.0, None)},
+        method=Collocation(40),
+    )
+    assert plan.objective == pytest.approx(4.0, rel=1e-6)
+    assert plan.trajectory["u"].max() == pytest.approx(4.0, rel=1e-6)
+
+
+def test_final_with_a_negative_weight_asks_for_the_most():
+    """The farthest in one second with 1 N on 1 kg: half a metre."""
+    plan = pam.plan(
+        double_integrator(1.0),
+        [{"x": 0.0, "v": 0.0}, {"x": (0.0, None)}],
+        rest=False,
+        duration=1.0,
+        minimise={"final(x)": -1.0},
+        method=POLYNOMIAL,
+    )
+    assert plan.trajectory["x"][-1] == pytest.approx(0.5, rel=1e-6)
+
+
+def test_rate_of_the_input_is_penalised():
+    """min integral u'^2 from rest to rest with u = 0 at both ends: the minimum jerk, 720."""
+    for method, error in (
+        (Collocation(8, 5, "polynomial"), 1e-6),
+        (Collocation(60, 3, "linear"), 5e-3),
+    ):
+        plan = pam.plan(
+            double_integrator(100.0),
+            [{"x": 0.0}, {"x": 1.0}],
+            duration=1.0,
+            minimise="rate",
+            method=method,
+        )
+        assert plan.objective == pytest.approx(720.0, rel=error)
+
+
+def test_the_lever_is_designed_with_the_motion():
+    """x'' = r u - r^2 x, the effort of reaching 1 in one second over r: SciPy finds the same r."""
+    plant = pam.Plant("lever")
+    x, v = plant.state("x"), plant.state("v")
+    r = plant.parameter("radius", 1.0, min=0.1, max=10.0)
+    u = plant.input("u", min=-100.0, max=100.0)
+    plant.der(x, v)
+    plant.der(v, r * u - r**3)
+    stops = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
+    plan = pam.plan(
+        plant,
+        stops,
+        rest=False,
+        duration=1.0,
+        minimise="effort",
+        design={"radius": (0.2, 5.0)},
+        method=POLYNOMIAL,
+    )
+
+    def effort(radius):  # u = (6 - 12 t + r^3)/r
+        return quad(lambda t: ((6 - 12 * t + radius**3) / radius) ** 2, 0, 1)[0]
+
+    best = minimize_scalar(effort, bounds=(0.2, 5.0), method="bounded", options={"xatol": 1e-10})
+    assert plan.design["radius"] == pytest.approx(best.x, rel=1e-5)
+    assert plan.objective == pytest.approx(best.fun, rel=1e-8)
+    assert plan.plant.vector("parameter")[0] == plan.design["radius"]
+    assert plan.replay_error < 1e-7
+
+
+def test_a_planner_solves_again_for_other_numbers(slide):
+    stops = [{"x": -0.015}, {"x": 0.015}]
+    method = Collocation(20)
+    planner = pam.Planner(slide, stops, duration=(0.02, 1.0), method=method)
+    first = planner()
+    for values, there in (
+        ({"mass": 2.4}, stops),
+        ({"muscle1.lag": 0.06}, [{"x": -0.012}, {"x": 0.01}]),
+    ):
+        again = planner(values=values, stops=there, guess=first)
+        alone = pam.plan(slide.with_values(values), there, duration=(0.02, 1.0), method=method)
+        assert again.duration == pytest.approx(alone.duration, rel=1e-7)
+        assert again.plant.vector("parameter") == pytest.approx(alone.plant.vector("parameter"))
+    with pytest.raises(InputError, match="only numbers may change"):
+        planner(stops=[{"x": 0.0}, {"muscle1.force": 300.0}])
+    with pytest.raises(InputError, match="cyclic cannot change"):
+        planner(cyclic=True)
+
+
+@pytest.mark.parametrize("name", ["mass", "muscle1.lag", "muscle1.a1"])
+def test_sensitivities_agree_with_solving_again(slide, name):
+    planner = pam.Planner(
+        slide,
+        [{"x": -0.01}, {"x": 0.012}],
+        duration=0.2,
+        minimise={"effort": 1.0, "rate": 1e-3},
+        method=Collocation(10, 5, "linear"),
+    )
+    plan = planner()
+    value = slide.vector("parameter")[[v.name for v in slide.parameters].index(name)]
+    step = 1e-4 * abs(value)
+    low, high = (planner(values={name: value + s * step}, guess=plan).objective for s in (-1, 1))
+    assert plan.sensitivity(name) == pytest.approx((high - low) / (2 * step), rel=1e-4, abs=1e-9)
+
+
+def test_costates_are_the_slopes_of_the_optimal_value(slide):
+    """Finite differences of the optimal value over each state at the start."""
+    start = {"x": -0.01, "v": 0.0, "muscle1.pressure": 2.5e5, "muscle2.pressure": 3.5e5}
+    planner = pam.Planner(
+        slide,
+        [start, {"x": 0.012}],
+        rest=False,
+        duration=0.2,
+        minimise={"effort": 1.0},
+        method=Collocation(10, 5, "linear"),
+    )
+    plan = planner()
+    for name, value in start.items():
+        step = 1e-4 * slide.variable(name).nominal
+        low, high = (
+            planner(stops=[{**start, name: value + s * step}, {"x": 0.012}], guess=plan).objective
+            for s in (-1, 1)
+        )
+        slope = (high - low) / (2 * step)
+        nominal = slide.variable(name).nominal
+        assert plan.costates[name][0] * nominal == pytest.approx(
+            slope * nominal, rel=1e-4, abs=1e-7
+        )
+        assert plan.stop_sensitivities[f"stop 1: {name}"] == pytest.approx(
+            slope, rel=1e-4, abs=1e-12
+        )
+
+
+def test_a_plan_survives_a_file_and_another_process(slide, tmp_path):
+    plan = pam.plan(
+        slide,
+        [{"x": -0.015}, {"x": 0.015}],
+        cyclic=True,
+        method=Collocation(15, 4, "polynomial"),
+        design={"mass": (1.5, 3.0)},
+    )
+    stored = pam.load_plan(plan.save(tmp_path / "plan.npz"), slide)
+    assert stored.design == plan.design
+    assert stored.replay_error == pytest.approx(plan.replay_error, rel=1e-6)
+    assert stored.trajectory.compare(plan.trajectory).largest < 1e-12
+    assert stored.meshes == plan.meshes
+    with pytest.raises(pam.PlanError, match="no multipliers"):
+        _ = stored.costates
+    copy = pickle.loads(pickle.dumps(plan))
+    assert copy.duration == plan.duration
+    with pytest.raises(InputError, match="a plan of 'antagonistic_slide' with states"):
+        pam.load_plan(tmp_path / "plan.npz", double_integrator())
+    (tmp_path / "no.npz").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="no plan file"):
+        pam.load_plan(tmp_path / "no.npz", slide)
+
+
+def test_a_tie_of_two_constraints_is_named_from_both_sides(slide):
+    with pytest.raises(pam.PlanError) as caught:
+        pam.plan(slide, [{"x": -0.015}, {"x": 0.015}], duration=0.03)
+    assert caught.value.plan.conflicts[0].label.startswith("stop")
+    assert caught.value.plan.log[-1]["inf_pr"] > 0
+
+
+def test_progress_is_reported(slide, capsys):
+    seen = []
+    plan = pam.plan(
+        slide,
+        [{"x": -0.01}, {"x": 0.01}],
+        method=Collocation(10),
+        progress=lambda *entry: seen.append(entry),
+    )
+    assert [entry[0] for entry in seen] == list(range(len(seen)))
+    assert len(seen) >= plan.statistics["iterations"]
+    assert seen[-1][1] == pytest.approx(plan.objective, rel=1e-6)
+    pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=Collocation(10), progress=True)
+    assert "largest violation" in capsys.readouterr().out
+
+
+STOPS = [{"x": -0.01}, {"x": 0.01}]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"stops": [Stop({"x": 0.0}, dwell=0.1, rest=False), {"x": 0.01}]}, "dwell is at rest"),
+        ({"phases": [None, None]}, "2 entries for 1 phases"),
+        ({"bounds": {"x": (0.0, Profile([0, 1], [0, 1])), "v": (2.0, 1.0)}}, "crossed"),
+        ({"constraints": [3]}, "neither a Constraint nor an Avoid"),
+        ({"constraints": [Avoid({})]}, "region is empty"),
+        ({"constraints": [Constraint(ca.SX.sym("z"), high=1.0)]}, "not the plant's: z"),
+        ({"track": {"x": "far"}}, "not a number"),
+        ({"budgets": {"air": 1e-3}}, "feed its muscles by valves"),
+        ({"budgets": {"effort": (2.0, 1.0)}}, "crossed"),
+        ({"budgets": {"effort": None}}, "give the most"),
+        ({"design": {"x": (0.0, 1.0)}}, "x is a state"),
+        ({"design": {"mass": (1.0, None)}}, "must be finite"),
+        ({"minimise": {"peek(x)": 1.0}}, "peak"),
+        ({"minimise": {"time": -1.0}}, "must be >= 0"),
+        ({"method": "radau"}, "Collocation"),
+        ({"final": 3.0}, "scalar CasADi SX expression"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(slide, arguments, message):
+    with pytest.raises(InputError, match=message):
+        pam.plan(slide, **{"stops": STOPS, **arguments})
+    with pytest.raises(InputError):
+        Profile([0.0, 0.0], [1.0, 2.0])

@@ -1,0 +1,254 @@
+"""The arrangements of muscles and loads: equations, energy, agreement with SciPy, bad input."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import BAR, flat, scipy_states
+
+import pam_ocp as pam
+from pam_ocp import InputError
+
+MUSCLE = pam.muscle("DMSP-20-400N")
+
+
+def plants(**options):
+    """One of each plant."""
+    return {
+        "hanging": pam.HangingLoad(MUSCLE, 20.0, **options),
+        "spring": pam.SpringOverMuscle(MUSCLE, 2.0, 5e3, 100.0, **options),
+        "slide": pam.AntagonisticSlide(MUSCLE, 2.0, 0.125, **options),
+        "joint": pam.AntagonisticJoint(MUSCLE, link_mass=1.0, link_length=0.2, **options),
+        "bent_joint": pam.AntagonisticJoint(
+            MUSCLE, moment_arm=lambda a: 0.03 + 0.01 * ca.cos(a), **options
+        ),
+        "series": pam.SeriesLoad(MUSCLE, 20.0, 1e5, **options),
+    }
+
+
+@pytest.mark.parametrize("name", plants())
+@pytest.mark.parametrize("method", ["DOP853", "Radau"])
+def test_every_plant_agrees_with_scipy(name, method):
+    plant = plants()[name]
+    t = np.linspace(0.0, 0.3, 4)
+    rng = np.random.default_rng(7)
+    u = rng.uniform(2.5 * BAR, 4.5 * BAR, size=(len(plant.inputs), len(t)))
+    inputs = {v.name: row for v, row in zip(plant.inputs, u, strict=True)}
+    motion = pam.simulate(plant, inputs, t=t, rtol=1e-11)
+    held = lambda s: u[:, min(int(np.searchsorted(t, s, side="right")) - 1, len(t) - 2)]  # noqa: E731
+    rtol = 1e-11 if method == "DOP853" else 1e-10
+    expected = scipy_states(plant, held, t, method=method, rtol=rtol)
+    nominal = plant.vector("state", attribute="nominal")
+    assert np.max(np.abs(motion.array(motion.named("state")) - expected) / nominal) < 1e-7
+
+
+def work_of_the_law(p, kappa, length):
+    """Integral of the six-parameter tension over the shortening, in closed form [J]."""
+    a1, a2, a3, a4, a5, a6 = MUSCLE.law.values.values()
+    return length * (
+        (a1 * p + a2) / a3 * np.exp(a3 * kappa) + a4 * p * kappa**2 / 2 + (a5 * p + a6) * kappa
+    )
+
+
+UNDAMPED = {"damping": pam.ConstantDamping(0.0), "feed": pam.IdealPressure()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("plant", "start", "pressures", "energy"),
+    [
+        (
+            pam.HangingLoad(MUSCLE, 20.0, **UNDAMPED),
+            {"x": 0.0708},
+            (4,),
+            lambda m, p: (
+                10.0 * m["v"] ** 2
+                + 20.0 * 9.80665 * m["x"]
+                - work_of_the_law(p[0], m["x"] / 0.4, 0.4)
+            ),
+        ),
+        (
+            pam.SpringOverMuscle(MUSCLE, 2.0, 5e3, 100.0, inclination=0.5, **UNDAMPED),
+            {"x": 0.05},
+            (4,),
+            lambda m, p: (
+                m["v"] ** 2
+                + 2.0 * 9.80665 * np.sin(0.5) * m["x"]
+                + 100.0 * m["x"]
+                + 2.5e3 * m["x"] ** 2
+                - work_of_the_law(p[0], m["x"] / 0.4, 0.4)
+            ),
+        ),
+        (
+            pam.AntagonisticSlide(MUSCLE, 2.0, 0.125, **UNDAMPED),
+            {"x": 0.005},
+            (4, 4),
+            lambda m, p: (
+                m["v"] ** 2
+                - work_of_the_law(p[0], 0.125 + m["x"] / 0.4, 0.4)
+                - work_of_the_law(p[1], 0.125 - m["x"] / 0.4, 0.4)
+            ),
+        ),
+        (
+            pam.AntagonisticJoint(
+                MUSCLE,
+                moment_arm=lambda a: 0.03 + 0.01 * ca.cos(a),
+                link_mass=1.0,
+                link_length=0.2,
+                **UNDAMPED,
+            ),
+            {"theta": 0.2},
+            (4, 4),
+            lambda m, p: (
+                0.025 * m["omega"] ** 2
+                + 0.2 * 9.80665 * (1 - np.cos(m["theta"]))
+                - work_of_the_law(
+                    p[0], 0.125 + (0.03 * m["theta"] + 0.01 * np.sin(m["theta"])) / 0.4, 0.4
+                )
+                - work_of_the_law(
+                    p[1], 0.125 - (0.03 * m["theta"] + 0.01 * np.sin(m["theta"])) / 0.4, 0.4
+                )
+            ),
+        ),
+    ],
+    ids=["hanging", "spring", "slide", "joint"],
+)
+def test_energy_is_conserved_over_a_hundred_periods(plant, start, pressures, energy):
+    """Ideal pressure, no damping, always taut: the energy in closed form stays to 1e-6."""
+    p = [bar * BAR for bar in pressures]
+    inputs = dict(zip([v.name for v in plant.inputs], p, strict=True))
+    first = pam.simulate(plant, inputs, t=np.linspace(0, 2, 2001), start=start)
+    position = first[next(iter(plant.positions))]
+    middle = (position.max() + position.min()) / 2
+    crossings = np.sum(np.diff(np.sign(position - middle)) != 0)
+    period = 2 * 2.0 / crossings
+    motion = pam.simulate(
+        plant, inputs, t=np.linspace(0, 100 * period, 3001), start=start, rtol=1e-12
+    )
+    for name in plant.constraints:
+        kappa = motion[name.name.replace("tension", "contraction")]
+        tension = MUSCLE.law.tension(inputs[name.name.replace("tension", "pressure")], kappa)
+        assert np.min(tension) > 1.0, "the closed form holds for a taut muscle only"
+    velocity = motion[plant.positions[next(iter(plant.positions))]]
+    inertia = {"hanging_load": 20.0, "antagonistic_joint": 0.05}.get(plant.name, 2.0)
+    exchanged = inertia * np.max(velocity**2) / 2
+    assert exchanged > 0.01  # joules: it moves
+    assert np.ptp(energy(motion, p)) < 1e-6 * exchanged
+
+
+def test_a_moment_arm_of_any_shape_shortens_the_muscle_by_its_integral():
+    plant = plants()["bent_joint"]
+    x = [0.6, 0.0, 3 * BAR, 3 * BAR]
+    y = plant.function(x, [3 * BAR, 3 * BAR], plant.vector("parameter"))[1]
+    outputs = dict(zip([v.name for v in plant.outputs], flat(y), strict=True))
+    shortening = 0.03 * 0.6 + 0.01 * np.sin(0.6)
+    assert outputs["muscle1.contraction"] == pytest.approx(0.125 + shortening / 0.4, rel=1e-13)
+    assert outputs["muscle1.radius"] == pytest.approx(0.03 + 0.01 * np.cos(0.6), rel=1e-13)
+    f1, f2 = outputs["muscle1.force"], outputs["muscle2.force"]
+    assert outputs["torque"] == pytest.approx(outputs["muscle1.radius"] * (f1 - f2), rel=1e-12)
+
+
+def test_the_joint_is_as_stiff_as_its_torque_falls():
+    plant = plants()["bent_joint"]
+    names = [v.name for v in plant.outputs]
+
+    def outputs(theta):
+        y = plant.function([theta, 0, 4e5, 3e5], [4e5, 3e5], plant.vector("parameter"))[1]
+        return dict(zip(names, flat(y), strict=True))
+
+    h = 1e-4
+    slope = (outputs(0.3 + h)["torque"] - outputs(0.3 - h)["torque"]) / (2 * h)
+    assert outputs(0.3)["stiffness"] == pytest.approx(-slope, rel=1e-6)
+
+
+def test_a_stiff_tendon_hangs_the_load_where_the_muscle_alone_would():
+    alone = pam.HangingLoad(MUSCLE, 20.0).equilibrium({"muscle.command": 4 * BAR})
+    series = plants()["series"].equilibrium({"muscle.command": 4 * BAR})
+    assert series["muscle.shortening"] == pytest.approx(alone["x"], rel=1e-9)
+    assert series["x"] == pytest.approx(alone["x"] - 20.0 * 9.80665 / 1e5, rel=1e-9)
+
+
+def test_loads_add_their_forces():
+    loads = (
+        pam.Spring(200.0, 0.01),
+        pam.Damper(3.0),
+        pam.Inertia(1.5),
+        pam.ExternalForce(start=7.0),
+    )
+    bare, loaded = pam.SpringOverMuscle(MUSCLE, 2.0), pam.SpringOverMuscle(MUSCLE, 2.0, loads=loads)
+    x = [0.05, 0.4, 3 * BAR]
+    one = flat(bare.function(x, [3 * BAR], bare.vector("parameter"))[0])[1] * 2.0
+    two = flat(loaded.function(x, [3 * BAR, 7.0], loaded.vector("parameter"))[0])[1] * 3.5
+    assert two - one == pytest.approx(-200.0 * 0.04 - 3.0 * 0.4 + 7.0, rel=1e-9)
+
+
+def test_a_wall_stops_the_load_and_takes_energy_never_pulling():
+    wall = pam.Wall(0.07, stiffness=1e5, damping=100.0)
+    plant = pam.SpringOverMuscle(MUSCLE, 2.0, loads=(wall,), feed=pam.IdealPressure())
+    motion = pam.simulate(
+        plant, {"muscle.pressure": 6 * BAR}, t=np.linspace(0, 0.5, 501), events=["wall.gap"]
+    )
+    hit, left = motion.events[:2]
+    assert (hit.name, hit.rising, left.rising) == ("wall.gap", False, True)
+    into, out = np.interp([hit.time, left.time], motion.t, motion["v"])
+    # a mass on a spring: the force of the muscle while in contact adds F/k at most
+    assert motion["x"].max() - 0.07 < into * np.sqrt(2.0 / 1e5) + motion["muscle.force"].max() / 1e5
+    assert 0 < -out < into
+    free = motion["wall.gap"] > 1e-4
+    other = pam.SpringOverMuscle(MUSCLE, 2.0, feed=pam.IdealPressure())
+    for i in np.flatnonzero(free)[::25]:
+        state = [motion["x"][i], motion["v"][i]]
+        a, b = (
+            flat(p.function(state, [6 * BAR], p.vector("parameter"))[0])[1] for p in (plant, other)
+        )
+        assert a == pytest.approx(b, rel=1e-12)  # away from the wall there is no wall
+
+
+def test_the_weight_on_an_incline_is_its_component():
+    level, steep = (pam.SpringOverMuscle(MUSCLE, 2.0, inclination=a) for a in (0.0, 0.5))
+    one, two = (
+        flat(p.function([0.05, 0, 3e5], [3e5], p.vector("parameter"))[0])[1] for p in (level, steep)
+    )
+    assert one - two == pytest.approx(9.80665 * np.sin(0.5), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: pam.AntagonisticJoint(MUSCLE, inertia=0.0), "inertia = 0 kg.m2 must be > 0"),
+        (
+            lambda: pam.AntagonisticJoint(MUSCLE, moment_arm=-0.04),
+            "moment_arm = -0.04 m must be > 0",
+        ),
+        (
+            lambda: pam.AntagonisticJoint(MUSCLE, moment_arm=lambda a: a * 0 - 1),
+            "moment_arm: the function",
+        ),
+        (lambda: pam.AntagonisticJoint(MUSCLE, pre_contraction=0.4), "slack or overstretched"),
+        (
+            lambda: pam.AntagonisticJoint(MUSCLE, limits=(0.5, -0.5)),
+            "the lower must be the smaller",
+        ),
+        (lambda: pam.AntagonisticJoint(MUSCLE, limits=(-2.0, 2.0)), "allow at most"),
+        (lambda: pam.SpringOverMuscle(MUSCLE, spring_stiffness=0.0), "spring_stiffness = 0 N/m"),
+        (lambda: pam.SeriesLoad(MUSCLE, fitting_mass=-1.0), "fitting_mass = -1 kg"),
+        (lambda: pam.SpringOverMuscle(MUSCLE, loads=(3.0,)), "give components, such as Spring"),
+        (lambda: pam.Wall(0.1, side=2), r"Wall\.side = 2"),
+        (lambda: pam.Spring(-1.0), r"Spring\.stiffness = -1 must be >= 0"),
+    ],
+)
+def test_what_cannot_be_built_is_refused(build, message):
+    with pytest.raises(InputError, match=message):
+        build()
+
+
+def test_a_muscle_measured_away_from_rest_length_starts_where_it_was_measured():
+    from dataclasses import replace
+
+    measured = replace(MUSCLE, contraction_range=(0.02, 0.2))
+    for plant in (
+        pam.HangingLoad(measured),
+        pam.SpringOverMuscle(measured),
+        pam.SeriesLoad(measured),
+    ):
+        name = "muscle.shortening" if plant.name == "series_load" else "x"
+        assert plant.variable(name).start == pytest.approx(0.008)
