@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, require_count, require_positive
 from ..core.signals import signals
 from ..core.trajectory import Trajectory
@@ -125,15 +126,13 @@ class LimitCycle:
 
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portrait: rate over state."""
-        from ..figures.vibration import plot_phase
-
-        return plot_phase([self.trajectory], state, self.plant, labels=[f"{self.frequency:.3f} Hz"])
+        return courtesy.plot_phase(
+            [self.trajectory], state, self.plant, labels=[f"{self.frequency:.3f} Hz"]
+        )
 
     def plot_multipliers(self) -> Figure:
         """Floquet multipliers and the unit circle."""
-        from ..figures.vibration import plot_multipliers
-
-        return plot_multipliers(self)
+        return courtesy.plot_multipliers(self)
 
 
 def limit_cycle(

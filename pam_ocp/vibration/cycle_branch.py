@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, require_positive
 from ..core.variables import Variable
 from ..numerics.newton import Array, VibrationError
@@ -90,16 +91,12 @@ class CycleBranch:
 
     def plot(self, state: str = "x") -> Figure:
         """Amplitude and frequency over the parameter; unstable cycles dashed."""
-        from ..figures.vibration import plot_branch
-
-        return plot_branch(self, state)
+        return courtesy.plot_branch(self, state)
 
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portraits of the cycles in one picture."""
-        from ..figures.vibration import plot_phase
-
         v = self.cycles[0].plant.variable(self.parameter)
-        return plot_phase(
+        return courtesy.plot_phase(
             [c.trajectory for c in self.cycles],
             state,
             self.cycles[0].plant,

@@ -1,0 +1,64 @@
+"""The door: how a noun's courtesy methods (``.plot()``, ``Plant.equilibrium()``) reach rooms above.
+
+Rooms import downwards only (docs/architecture.md). A method that is there for the user's
+convenience, and whose work is done higher up, forwards to a name of this module::
+
+    def plot(self) -> Figure:
+        return courtesy.plot_plan(self)
+
+The module that does the work is loaded at the first call. No other module may import upwards, and
+nothing but a method may use a name from here; tests/package/test_architecture.py keeps both.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .figures.loop import plot_closed_loop as plot_closed_loop
+    from .figures.plan import plot_pareto as plot_pareto
+    from .figures.plan import plot_plan as plot_plan
+    from .figures.plan import plot_robust as plot_robust
+    from .figures.trajectory import plot_record as plot_record
+    from .figures.trajectory import plot_trajectory as plot_trajectory
+    from .figures.vibration import plot_backbone as plot_backbone
+    from .figures.vibration import plot_border as plot_border
+    from .figures.vibration import plot_branch as plot_branch
+    from .figures.vibration import plot_energy as plot_energy
+    from .figures.vibration import plot_envelope as plot_envelope
+    from .figures.vibration import plot_multipliers as plot_multipliers
+    from .figures.vibration import plot_phase as plot_phase
+    from .figures.vibration import plot_stability as plot_stability
+    from .operating.equilibrium import OperatingPoint as OperatingPoint
+    from .operating.equilibrium import equilibrium as equilibrium
+    from .operating.linear import linearize as linearize
+    from .planning.saved_plan import save_plan as save_plan
+
+_HOMES: dict[str, str] = {
+    "equilibrium": "operating.equilibrium",
+    "linearize": "operating.linear",
+    "plot_backbone": "figures.vibration",
+    "plot_border": "figures.vibration",
+    "plot_branch": "figures.vibration",
+    "plot_closed_loop": "figures.loop",
+    "plot_energy": "figures.vibration",
+    "plot_envelope": "figures.vibration",
+    "plot_multipliers": "figures.vibration",
+    "plot_pareto": "figures.plan",
+    "plot_phase": "figures.vibration",
+    "plot_plan": "figures.plan",
+    "plot_record": "figures.trajectory",
+    "plot_robust": "figures.plan",
+    "plot_stability": "figures.vibration",
+    "plot_trajectory": "figures.trajectory",
+    "save_plan": "planning.saved_plan",
+}
+"""Module in which each name stands; types for annotations are not among them."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = importlib.import_module(f"{__package__}.{_HOMES[name]}")
+    return getattr(home, name)
