@@ -15,6 +15,12 @@ from .control.analysis import (
 from .control.analysis import (
     mode_map as mode_map,
 )
+from .control.controller_plants import (
+    pid_controller as pid_controller,
+)
+from .control.controller_plants import (
+    state_feedback_controller as state_feedback_controller,
+)
 from .control.describing import (
     DescribingFunction as DescribingFunction,
 )
@@ -105,26 +111,20 @@ from .core.trajectory import (
 from .core.variables import (
     Variable as Variable,
 )
-from .export import (
+from .export.check import (
     check_fmu as check_fmu,
 )
-from .export import (
-    export_fmu as export_fmu,
-)
-from .export import (
+from .export.motion import (
     export_motion as export_motion,
 )
-from .export import (
-    export_ssp as export_ssp,
-)
-from .export import (
-    pid_controller as pid_controller,
-)
-from .export import (
+from .export.motion import (
     save_input_table as save_input_table,
 )
-from .export import (
-    state_feedback_controller as state_feedback_controller,
+from .export.package import (
+    export_fmu as export_fmu,
+)
+from .export.ssp import (
+    export_ssp as export_ssp,
 )
 from .figures.film import (
     animate_plan as animate_plan,

@@ -12,10 +12,13 @@ nothing but a method may use a name from here; tests/package/test_architecture.p
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .core.lazy import lazily
 
 if TYPE_CHECKING:
+    from .control.mpc_loop import ClosedLoop as ClosedLoop
+    from .control.mpc_loop import closed_loop as closed_loop
     from .figures.loop import plot_closed_loop as plot_closed_loop
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     from .planning.saved_plan import save_plan as save_plan
 
 _HOMES: dict[str, str] = {
+    "closed_loop": "control.mpc_loop",
     "equilibrium": "operating.equilibrium",
     "linearize": "operating.linear",
     "plot_backbone": "figures.vibration",
@@ -56,9 +60,4 @@ _HOMES: dict[str, str] = {
 }
 """Module in which each name stands; types for annotations are not among them."""
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = importlib.import_module(f"{__package__}.{_HOMES[name]}")
-    return getattr(home, name)
+__getattr__, __dir__ = lazily(__name__, __package__, _HOMES)
