@@ -54,7 +54,7 @@ _HOMES: dict[str, str] = {
     "Inertia": "plants.loads",
     "InputError": "core.errors",
     "InverseDynamics": "control.inverse",
-    "Inversion": "plants.opening",
+    "Inversion": "plants.inversion",
     "JointForceFit": "fitting.static.shared",
     "KalmanFilter": "control.estimators.extended_kalman",
     "LackOfFit": "fitting.static.branches",

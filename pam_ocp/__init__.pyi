@@ -417,6 +417,9 @@ from .plants.feeds import (
 from .plants.hanging import (
     HangingLoad as HangingLoad,
 )
+from .plants.inversion import (
+    Inversion as Inversion,
+)
 from .plants.joint import (
     AntagonisticJoint as AntagonisticJoint,
 )
@@ -458,9 +461,6 @@ from .plants.memory import (
 )
 from .plants.memory import (
     MaxwellSlip as MaxwellSlip,
-)
-from .plants.opening import (
-    Inversion as Inversion,
 )
 from .plants.plant import (
     Plant as Plant,

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..core.errors import InputError, require_positive
 from ..core.variables import Variable
-from ..plants.opening import Inversion, Opening
+from ..plants.inversion import Inversion
+from ..plants.opening import Opening
 from ..plants.plant import Plant
 from .lqr import StateFeedback
 

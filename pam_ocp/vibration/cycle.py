@@ -264,7 +264,7 @@ def pin(orbit: Orbit, lam: float) -> Row:
     return Row(np.zeros_like(orbit.z), 0.0, 1.0, lam)
 
 
-def converged(periodic: Periodic, orbit: Orbit, row: Row, settings: Settings) -> Orbit:
+def converged(periodic: Periodic[Plant], orbit: Orbit, row: Row, settings: Settings) -> Orbit:
     """The closed motion that meets ``row``, on a mesh fine enough for states and multipliers."""
     tolerance = settings.tolerance
     for _ in range(16):
@@ -289,7 +289,7 @@ def converged(periodic: Periodic, orbit: Orbit, row: Row, settings: Settings) ->
     )
 
 
-def finished(periodic: Periodic, orbit: Orbit, settings: Settings) -> LimitCycle:
+def finished(periodic: Periodic[Plant], orbit: Orbit, settings: Settings) -> LimitCycle:
     """What a user wants to know of a closed motion."""
     plant = periodic.plant
     if periodic.variable is not None:

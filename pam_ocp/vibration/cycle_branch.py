@@ -16,6 +16,7 @@ from ..core.errors import InputError, require_positive
 from ..core.variables import Variable
 from ..numerics.newton import Array, VibrationError
 from ..numerics.periodic_collocation import Orbit, Periodic, Row
+from ..plants.plant import Plant
 from .cycle import LimitCycle, Settings, converged, finished, pin
 
 if TYPE_CHECKING:
@@ -191,7 +192,7 @@ class _Walk:
     """Steps along a branch: an orbit and the tangent there."""
 
     def __init__(
-        self, periodic: Periodic, settings: Settings, orbit: Orbit, direction: Direction
+        self, periodic: Periodic[Plant], settings: Settings, orbit: Orbit, direction: Direction
     ) -> None:
         self.periodic, self.settings, self.orbit = periodic, settings, orbit
         swing = Row(orbit.z - orbit.z.mean(axis=(0, 1)), 0.0, 0.0, 0.0)
@@ -238,7 +239,7 @@ class _Walk:
 
 
 def _pinned(
-    periodic: Periodic, one: Orbit, two: Orbit, value: float, settings: Settings
+    periodic: Periodic[Plant], one: Orbit, two: Orbit, value: float, settings: Settings
 ) -> LimitCycle:
     """The cycle between two neighbours at exactly this value of the parameter."""
     assert periodic.variable is not None

@@ -26,7 +26,7 @@ from ...core.signals import PiecewisePolynomial
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...planning.solvers.narrowing import rounded
-from ...plants.opening import Inversion
+from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulate import evaluated
 from .mpc_statistics import MpcStatistics, MpcStep
