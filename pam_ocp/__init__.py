@@ -140,7 +140,7 @@ _HOMES: dict[str, str] = {
     "export_fmu": "export.package",
     "export_motion": "export.motion",
     "export_ssp": "export.ssp",
-    "fit_branches": "fitting.static.branches",
+    "fit_branches": "fitting.static.static",
     "fit_force": "fitting.static.static",
     "fit_forces": "fitting.static.shared",
     "fit_free_run": "fitting.dynamic.free_run",

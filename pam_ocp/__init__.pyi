@@ -175,9 +175,6 @@ from .fitting.static.branches import (
     LackOfFit as LackOfFit,
 )
 from .fitting.static.branches import (
-    fit_branches as fit_branches,
-)
-from .fitting.static.branches import (
     hysteresis as hysteresis,
 )
 from .fitting.static.branches import (
@@ -197,6 +194,9 @@ from .fitting.static.shared import (
 )
 from .fitting.static.static import (
     ForceFit as ForceFit,
+)
+from .fitting.static.static import (
+    fit_branches as fit_branches,
 )
 from .fitting.static.static import (
     fit_force as fit_force,

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
     from .figures.vibration import plot_multipliers as plot_multipliers
     from .figures.vibration import plot_phase as plot_phase
     from .figures.vibration import plot_stability as plot_stability
+    from .fitting.dynamic.outcome import validate as validate
+    from .fitting.dynamic.plant_report import plant_report as plant_report
+    from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
+    from .fitting.static.report import force_report as force_report
+    from .fitting.static.saved_force import read_fit as read_fit
+    from .fitting.static.saved_force import write_fit as write_fit
     from .operating.equilibrium import OperatingPoint as OperatingPoint
     from .operating.equilibrium import equilibrium as equilibrium
     from .operating.linear import linearize as linearize
@@ -41,7 +47,9 @@ if TYPE_CHECKING:
 _HOMES: dict[str, str] = {
     "closed_loop": "control.mpc_loop",
     "equilibrium": "operating.equilibrium",
+    "force_report": "fitting.static.report",
     "linearize": "operating.linear",
+    "plant_report": "fitting.dynamic.plant_report",
     "plot_backbone": "figures.vibration",
     "plot_border": "figures.vibration",
     "plot_branch": "figures.vibration",
@@ -56,7 +64,11 @@ _HOMES: dict[str, str] = {
     "plot_robust": "figures.plan",
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
+    "read_fit": "fitting.static.saved_force",
     "save_plan": "planning.saved_plan",
+    "validate": "fitting.dynamic.outcome",
+    "write_fit": "fitting.static.saved_force",
+    "write_plant_fit": "fitting.dynamic.saved_plant",
 }
 """Module in which each name stands; types for annotations are not among them."""
 
