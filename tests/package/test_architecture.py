@@ -181,3 +181,19 @@ def test_a_name_that_a_module_does_not_have_is_an_attribute_error():
     with pytest.raises(AttributeError, match=r"'pam_ocp\.fitting' has no attribute 'fit_frce'"):
         _ = pam_ocp.fitting.fit_frce
     assert {"fit_force", "ForceTable"} <= set(dir(pam_ocp.fitting))
+
+
+def test_the_stub_names_what_the_package_loads_lazily_from_where_it_stands():
+    import pam_ocp
+
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text("utf-8"))
+    said = {
+        alias.asname: node.module
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom) and node.level
+        for alias in node.names
+    }
+    assert said == pam_ocp._HOMES
+    assert set(pam_ocp.__all__) == set(said)
+    for name in said:
+        assert getattr(pam_ocp, name) is not None
