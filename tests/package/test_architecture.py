@@ -95,13 +95,14 @@ def test_the_picture_of_the_rooms_is_drawn_from_the_imports():
     assert drawing.page(text, drawn) == text, "run `python docs/rooms.py`"
 
 
-def test_modules_are_named_in_strings_only_where_names_load_lazily_and_fmus_are_served():
+def test_modules_are_named_in_strings_only_where_names_load_lazily_and_by_what_serves_others():
+    """Such arrows are not seen: a name that is loaded lazily, a registry's room, a child's work."""
     named = {
         path.relative_to(PACKAGE).as_posix()
         for path in PACKAGE.rglob("*.py")
         if re.search(r"\b(import_module|__import__)\(", path.read_text("utf-8"))
     }
-    assert named == {"core/lazy.py", "export/isolation.py"}
+    assert named <= {"core/lazy.py", "core/registry.py", "export/isolation.py"}
 
 
 # ---- the door ------------------------------------------------------------------------------------
