@@ -1,10 +1,8 @@
 """Which faults would the tests see? Each mutant changes one place of the source in a scratch copy.
 
 A mutant is a file, the text to be replaced (it must stand there once), the new text, and the tests
-of
-its room, which are run until the first failure. Killed: a test failed. Survived: none did, so one
-is
-missing. Stale: the source has changed, so the mutant must. The tree itself is never touched.
+of its room, which are run until the first failure. Killed: a test failed. Survived: none did, so
+one is missing. Stale: the source has changed, so the mutant must. The tree itself is never touched.
 
 Run:  nice -n 5 python benchmarks/mutants.py [parts of names or files to run ...]
 """

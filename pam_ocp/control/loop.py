@@ -70,8 +70,8 @@ def closed_loop(
     Parameters
     ----------
     controller : a Controller, or a function (t, measured) -> inputs; called every ``dt`` seconds;
-    its inputs are held until the
-        next call and kept within the plant's range (the result shows them as the plant gets them).
+        its inputs are held until the next call and kept within the plant's range (the result shows
+        them as the plant gets them).
     start : initial states by name; by default the states' start values.
     parameters : of the true plant, which the controller does not know.
     disturbances : {input: number | function of time}, held over each sample as all inputs are.

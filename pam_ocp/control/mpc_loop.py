@@ -99,8 +99,7 @@ def closed_loop(
     reference : {tracked name: number or function of time [s]}.
     duration : [s]; a whole number of steps is run.
     estimator : a KalmanFilter or MovingHorizonEstimator with the controller's step; its states and
-    unknowns are what the
-        controller is given. Without one the controller sees the true states.
+        unknowns are what the controller is given. Without one the controller sees the true states.
     disturbances : {disturbance input of the real side: number or function of time}; the controller
         is not told.
     noise : {measured variable: standard deviation}; by default what the estimator expects. Normal,

@@ -72,8 +72,8 @@ _WINDOWS_FLAGS = (
     *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in ("math", "heap", "stdio", "string")),
 )
 """For zig: Windows' own runtime (UCRT) alone, and c/windows.c in place of its static part, which
-zig
-would have to build first: most of a minute on a new machine."""
+zig would have to build first: most of a minute on a new machine.
+"""
 
 _FLAGS = ("-std=c11", "-O2", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 

@@ -44,11 +44,10 @@ def animate_plan(
     """Write a plan as an animated GIF: the plant moving, and the curves as they run.
 
     Slide, joint and plants with one muscle are drawn to scale (muscles as long as they are,
-    coloured
-    by pressure); any other plant by its curves alone.
+    coloured by pressure); any other plant by its curves alone.
 
     seconds : length of the film; by default the motion slowed down (or quickened) to 4 s. It
-    repeats.
+        repeats.
     fps : frames per second.
 
     Raises InputError when the ending is not .gif, PlanError for a plan that failed.

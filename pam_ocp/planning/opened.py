@@ -1,8 +1,7 @@
 """A plan's first guess for muscles fed by valves: the same plan with openings as inputs.
 
 In commands a solver has to cross dead zones without slope, and each is a place to get stuck; in
-openings
-there is none. What it finds there is taken back to commands by the exact inverse.
+openings there is none. What it finds there is taken back to commands by the exact inverse.
 """
 
 from __future__ import annotations
@@ -34,10 +33,8 @@ def guess_in_openings(problem: Problem, mesh: Mesh, wish: Wish, backend: Backend
     """Scaled unknowns of ``problem`` (posed of ``wish``) along the optimum in openings.
 
     None where the plant has no openings, the wish speaks of commands in a way that openings cannot,
-    or
-    no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
-    this is
-    where to start ("near"), not the plan.
+    or no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
+    this is where to start ("near"), not the plan.
     """
     plant = problem.plant
     inversion = Inversion(plant)

@@ -79,25 +79,21 @@ def plan(
     stops : at least two mappings {variable: value or (low, high)} of states, inputs or outputs, or
         :class:`Stop` with more to say: a via point (``rest=False``), a dwell.
     cyclic : True returns to the first stop and closes the cycle in all states; "mirrored" plans
-    half
-        a cycle between two stops whose second half is its mirror image (equal muscles).
+        half a cycle between two stops whose second half is its mirror image (equal muscles).
     duration : of each leg between two stops: None (free), seconds, (shortest, longest), or a list
         with one of these per leg.
     minimise : one term, or {term: weight}. Terms: "time", "effort" (integral of the squared inputs
-    in
-        units of nominal), "rate" (the same of their rates), "work" (mechanical, out of the muscles
-        [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles), and of any variable:
+        in units of nominal), "rate" (the same of their rates), "work" (mechanical, out of the
+        muscles [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles), and of any variable:
         "integral(NAME)", "square(NAME)" (integral of the square), "final(NAME)" (at the end; a
         negative weight asks for the most), "peak(NAME)" (largest value), in units of its nominal.
     bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end, a :class:`Profile`
         for a bound that changes with time; narrows the plant's own bounds. Path constraints of the
         plant (never slack, pressure rates) always hold.
     rest : positions have zero velocity and acceleration at each stop, in whatever coordinates; what
-    an
-        input sets at once may jump there, if admissible inputs would hold the plant.
+        an input sets at once may jump there, if admissible inputs would hold the plant.
     memory : what states with a held memory (hysteresis) hold at the first stop: "virgin" (their
-    start
-        values), "above" or "below" (the side from which the plant came to rest there), or
+        start values), "above" or "below" (the side from which the plant came to rest there), or
         {state: value}; a cyclic motion closes them. What settles (creep) has settled there.
     phases : one :class:`Phase` or None per leg, for what holds there only.
     constraints : :class:`Constraint` (any expression) and :class:`Avoid` (forbidden regions).
@@ -111,34 +107,26 @@ def plan(
     method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
         ``Shooting(intervals=50, steps=4)``.
     tolerance : of the plan's verdict, in units of nominal: how far a tight integration of the
-    planned
-        inputs may leave the planned motion, and exceed limits, stops and budgets, between the
-        points
-        of the mesh too. The mesh is refined until it is met; polynomial inputs that cannot meet it
-        are held constant instead. None for one mesh only, judged by 1e-3.
+        planned inputs may leave the planned motion, and exceed limits, stops and budgets, between
+        the points of the mesh too. The mesh is refined until it is met; polynomial inputs that
+        cannot meet it are held constant instead. None for one mesh only, judged by 1e-3.
     guess : another plan to start from.
     starts : 1 to 12: how many starts are tried (other durations, states and barrier strategies of
-    the
-        first guess), side by side in processes where that pays; the best plan is kept, and
+        the first guess), side by side in processes where that pays; the best plan is kept, and
         ``statistics["starts"]`` says where each ended. None: 4 where local optima are many (valves,
-        a
-        load on a tendon) and no guess is given, else 1.
+        a load on a tendon) and no guess is given, else 1.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on
-    many
-        intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
-        process
-        of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it leaves
-        unsolved
-        IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
+        many intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
+        process of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it
+        leaves unsolved IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
     compiled : IPOPT's functions compiled (zig or cc) and kept for the next time; pays for
         :class:`Shooting` solved many times (a third of the time), little for collocation.
     options : of the solver, over its defaults here.
 
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
-    (PlanWarning) when
-    the plan is not verified: ``plan.verdict`` says why.
+    (PlanWarning) when the plan is not verified: ``plan.verdict`` says why.
     """
     planner = Planner(
         plant,
@@ -218,8 +206,7 @@ class Planner:
         guess : a plan to start from; one of this planner starts warm, with its multipliers.
         tolerance, starts : refine the mesh, try other starts; see :func:`plan`.
         changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track``, ``memory`` of
-        the same
-            form.
+            the same form.
 
         Raises InputError when a change would ask for another program, PlanError as plan does; warns
         as plan does.

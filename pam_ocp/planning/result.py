@@ -68,8 +68,8 @@ class Plan:
     """The mesh of each round of refinement; the last is the plan's."""
     log: tuple[dict[str, float], ...] = field(repr=False)
     """The solver's last run: objective (obj), violation (inf_pr), dual infeasibility (inf_du), ...
-    per
-    iteration."""
+    per iteration.
+    """
     conflicts: tuple[Conflict, ...] = ()
     """Of a failed plan: the constraints that cannot hold together, the worst first."""
     tolerance: float = TOLERANCE
@@ -94,8 +94,8 @@ class Plan:
     @property
     def verified(self) -> bool:
         """Whether the solver converged, an independent replay agrees, and all limits hold between
-        the
-        points too, to the plan's :attr:`tolerance`."""
+        the points too, to the plan's :attr:`tolerance`.
+        """
         return self.verdict.verified
 
     @property

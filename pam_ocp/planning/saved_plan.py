@@ -88,15 +88,12 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
     """Read a plan of ``plant`` and judge it anew.
 
     Objective, durations, violations and the replay are computed here, from the motion in the file,
-    the
-    problem in the file and today's plant, which takes over the parameter values that the plan was
-    made
-    with. Multipliers are not kept: ``costates`` and ``sensitivities`` of a loaded plan raise
-    PlanError.
+    the problem in the file and today's plant, which takes over the parameter values that the plan
+    was made with. Multipliers are not kept: ``costates`` and ``sensitivities`` of a loaded plan
+    raise PlanError.
 
     Raises InputError for a file that is no plan, a plan of another plant, or one that contradicts
-    itself:
-    the message names what. Warns (PlanWarning) when the plan is not verified.
+    itself: the message names what. Warns (PlanWarning) when the plan is not verified.
     """
     require_plant(plant)
     meta, arrays = _read(Path(path))

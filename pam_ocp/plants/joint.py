@@ -32,10 +32,8 @@ class AntagonisticJoint(Plant):
     """A joint between two muscles: I theta'' + c theta' = r1 F1 - r2 F2 - m g d sin(theta) + loads.
 
     Flexor (muscle 1) pulls towards +theta, extensor (muscle 2) towards -theta. A moment arm
-    r(theta)
-    is the derivative of the shortening s: kappa1 = k0 + s1(theta)/l0, kappa2 = k0 - s2(theta)/l0,
-    so
-    the muscles' work is the joint's work.
+    r(theta) is the derivative of the shortening s: kappa1 = k0 + s1(theta)/l0, kappa2 = k0 -
+    s2(theta)/l0, so the muscles' work is the joint's work.
 
     Parameters
     ----------
@@ -51,9 +49,8 @@ class AntagonisticJoint(Plant):
     damping, feed, losses, loads : components; by default 0.3 N m s/rad and a ``Regulator()`` each.
 
     States theta [rad], omega [rad/s] and those of feeds and losses. Outputs ``torque`` of the
-    muscles
-    [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the muscles'
-    own.
+    muscles [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the
+    muscles' own.
     """
 
     def __init__(

@@ -55,8 +55,7 @@ def _passage(towards: ca.SX, edge: float | ca.SX, most: float = 1.0) -> ca.SX:
     """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
 
     With ``most`` > 1 it goes on below 0 from there, which leads back: exact motion never comes
-    there,
-    and on a coarse mesh what oversteps the edge does not stay beyond.
+    there, and on a coarse mesh what oversteps the edge does not stay beyond.
     """
     s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), most)
     return ca.SX(1 - s**3)

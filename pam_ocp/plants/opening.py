@@ -2,9 +2,8 @@
 commands.
 
 A command in its dead zone has no slope, so neither a linear model nor a solver sees what it could
-do.
-The opening does: it is zero where the valve closes and moves the flow at once. A controller chooses
-openings, and the commands that give exactly these are sent (dead-zone inversion: G. Tao and
+do. The opening does: it is zero where the valve closes and moves the flow at once. A controller
+chooses openings, and the commands that give exactly these are sent (dead-zone inversion: G. Tao and
 P. V. Kokotovic, IEEE Trans. Automat. Control 39 (1994) 59-68).
 """
 

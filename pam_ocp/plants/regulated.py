@@ -149,7 +149,7 @@ class RegulatedLoad(HangingLoad):
     mass : load [kg].
     gain, derivative_gain, lag, max_pressure, totals : see :class:`PositionFeedback`.
     damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its
-    value.
+        value.
     losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
 
     States x [m] (upwards), v [m/s], muscle.pressure [Pa]; inputs muscle.set_pressure [Pa] and

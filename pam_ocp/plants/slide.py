@@ -29,7 +29,7 @@ class AntagonisticSlide(Plant):
     pre_contraction : contraction k0 of both muscles at x = 0.
     stroke : largest |x| [m]; by default as far as both muscles stay in their measured range.
     damping : ``ConstantDamping(value)`` (default 20 N s/m) or its value, or
-    ``StiffnessDamping(ratio)``.
+        ``StiffnessDamping(ratio)``.
     feed : how each pressure comes about; default ``Regulator()``.
     losses : friction, hysteresis, creep of each muscle, as ``(CoulombFriction(), Creep())``.
     loads : what else acts on the slide, as ``(ExternalForce(), DryFriction(5.0))``.

@@ -279,8 +279,8 @@ class SpoolValve(GasFeed):
         critically lapped valve (0) is rounded over 1e-4.
 
     Controllers choose ``<name>.opening`` instead, how far the way from the supply (> 0) or to
-    ambient
-    (< 0) is open, and send the command that gives exactly that; see :meth:`Plant.in_openings`.
+    ambient (< 0) is open, and send the command that gives exactly that; see
+    :meth:`Plant.in_openings`.
     """
 
     overlap: float = 0.02
@@ -339,8 +339,7 @@ class OnOffValves(GasFeed):
     time (some 0.1 s) and long against the valves' switching time.
 
     Controllers choose ``<name>.opening`` instead, the duty of filling (> 0) or of venting (< 0):
-    never
-    are both open. See :meth:`Plant.in_openings`.
+    never are both open. See :meth:`Plant.in_openings`.
     """
 
     def openings(self, plant: Plant, name: str) -> tuple[ca.SX, ca.SX]:

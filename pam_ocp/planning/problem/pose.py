@@ -406,8 +406,7 @@ def _filled(problem: Problem, wish: Wish, first: Stop, positions: tuple[Position
     """Pressures at the first stop are no gift where the supply's air counts.
 
     A motion that may choose them is made by venting what it was given. Where neither the cycle nor
-    the
-    first stop says what they are, they are those at rest there, nearest to their start values.
+    the first stop says what they are, they are those at rest there, nearest to their start values.
     """
     plant = problem.plant
     weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else wish.minimise

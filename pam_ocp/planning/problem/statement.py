@@ -1,8 +1,7 @@
 """What was asked of a plan, as data: limits and objectives with their formulas, but without code.
 
 A formula stands as the name of a variable of the plant where it is one ("muscle.tension",
-"der(v)"), so
-that today's plant says what it is; else as the operations of CasADi, one by one.
+"der(v)"), so that today's plant says what it is; else as the operations of CasADi, one by one.
 """
 
 from __future__ import annotations

@@ -56,8 +56,8 @@ class Pareto:
     @property
     def knee(self) -> int:
         """The plan farthest below the straight line between the ends, each objective scaled to 0 ..
-        1:
-        past it, little more of one costs much of the other."""
+        1: past it, little more of one costs much of the other.
+        """
         span = np.ptp(self.values, axis=0)
         scaled = (self.values - self.values.min(axis=0)) / np.where(span > 0, span, 1.0)
         return int(np.argmin(scaled.sum(axis=1)))
@@ -116,7 +116,7 @@ def pareto(
     Parameters
     ----------
     stops, arguments : as for :func:`pam_ocp.plan`, but ``minimise``, ``tolerance``, ``guess``,
-    ``starts``.
+        ``starts``.
     first : "time", "effort", "work", "air", "exergy", "integral(NAME)", "square(NAME)" or
         "peak(NAME)"; second : these, or "rate" or "final(NAME)".
     points : on the front, both ends included.
@@ -124,8 +124,7 @@ def pareto(
         3 times the least time where a slower motion always takes less.
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
-    points
-    between that are not found stand in ``failures``.
+    points between that are not found stand in ``failures``.
     """
     require_plant(plant)
     require_count("points", points, 2)

@@ -67,11 +67,9 @@ def robust_plan(
     verified by simulating each draw on the plant itself.
 
     With a function that draws, the plan is one for a ``share`` of all plants: planned for a few,
-    tried
-    on ``fresh`` others, planned again with the worst of these added, and so on until a sample that
-    was never used before confirms the share (G. C. Calafiore, M. C. Campi, IEEE Trans. Autom.
-    Control
-    51 (2006) 742-753, for plans by scenarios; that the worst are added is our choice).
+    tried on ``fresh`` others, planned again with the worst of these added, and so on until a sample
+    that was never used before confirms the share (G. C. Calafiore, M. C. Campi, IEEE Trans. Autom.
+    Control 51 (2006) 742-753, for plans by scenarios; that the worst are added is our choice).
 
     Parameters
     ----------
@@ -81,33 +79,29 @@ def robust_plan(
         :func:`pam_ocp.draws`, all of the same parameters; or a list of them, which are then all
         planned
         for. spread : {variable: largest deviation from the nominal plant} at every stop, in SI; or
-        a
-        list with one of these, or None, per stop.
+        a list with one of these, or None, per stop.
     unseen : further draws, simulated only: a list, on which the share is judged, or a function as
         ``draws`` where ``draws`` is a list to begin with.
     share : part of all plants that shall keep the spread and (``all_within``) all limits. It is met
-    when
-        as large a part of a fresh sample does; ``robust.share`` tells its two-sided Clopper-Pearson
-        interval of the level ``confidence``. Ask for more if its lower end is to lie above your
-        need. None: only the plants planned for count.
+        when as large a part of a fresh sample does; ``robust.share`` tells its two-sided
+        Clopper-Pearson interval of the level ``confidence``. Ask for more if its lower end is to
+        lie above your need. None: only the plants planned for count.
     fresh : plants of each sample, at least 100. begin : plants of the first plan, drawn by the
-    function.
+        function.
     rounds, time_limit : at most so many plans; none is begun after so many seconds.
     seed : of the first plants; the fresh samples have the seeds after it. With it all is
-    repeatable.
+        repeatable.
     all_within : bounds and path constraints (never slack, strokes, rates) hold for every draw, not
-    for
-        the nominal plant only.
+        for the nominal plant only.
     start : where the copies begin: "rest" in the nominal's first state, but each with its positions
         where it rests under the pressures there (if the first stop is at rest); "same" in the very
         same state, as held by a latch. A cyclic motion has no start: every plant closes its own
         cycle.
 
     ``robust.verdict`` says whether it is verified, or which figure failed: then a PlanWarning is
-    given,
-    and the plan is the one with the largest share that was found. Raises InputError for what cannot
-    be meant; PlanError where the spread cannot be kept for the first plants: the message names
-    ``NAME.deviation<k>`` at its stop, and what the nominal plan's inputs would keep.
+    given, and the plan is the one with the largest share that was found. Raises InputError for what
+    cannot be meant; PlanError where the spread cannot be kept for the first plants: the message
+    names ``NAME.deviation<k>`` at its stop, and what the nominal plan's inputs would keep.
     """
     require_plant(plant)
     _check_share(share, confidence)
