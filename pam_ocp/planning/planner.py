@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -24,8 +25,9 @@ from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from ..simulation.simulate import evaluated
 from .opened import guess_in_openings
-from .problem.pose import Cyclic, Wish, pose
+from .problem.formulation import formulate
 from .problem.problem import Budget, Condition, Problem
+from .problem.statement import Cyclic, Statement, StatementKeywords
 from .problem.wording import Avoid, Constraint, Phase, Stop
 from .refine import Checked, Refinement, checked
 from .result import Plan, Solved
@@ -38,12 +40,36 @@ from .transcription.mesh import Collocation, Mesh, Method, Shooting
 from .transcription.transcription import Program, Row, transcribe
 from .verdict import TOLERANCE
 
-__all__ = ["Planner", "plan"]
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+__all__ = ["PlanKeywords", "Planner", "SolveKeywords", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
 
+SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progress": "progress"}
+"""Keywords that say how a solution is searched, and the fields of Backend that hold them."""
+
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
+
+
+class PlanKeywords(StatementKeywords, total=False):
+    """What is asked, and how it is searched: the keywords of all verbs that plan."""
+
+    method: Method | None
+    progress: Progress
+    solver: SolverName
+    compiled: bool
+    options: Mapping[str, Any] | None
+
+
+class SolveKeywords(PlanKeywords, total=False):
+    """All keywords of :func:`plan`."""
+
+    tolerance: float | None
+    guess: Plan | None
+    starts: int | None
 
 
 def plan(
@@ -156,7 +182,8 @@ def plan(
 class Planner:
     """A planning problem that is built once and solved many times.
 
-    Takes the arguments of :func:`plan` (but tolerance and guess). ``planner()`` solves it;
+    Takes the arguments of :func:`plan` but ``tolerance``, ``guess`` and ``starts``, which are
+    said at each call. ``planner()`` solves it;
     ``planner(stops=..., values=..., guess=plan)`` solves it for other numbers, in milliseconds from
     the solution of a neighbour: stops, durations, bounds, budgets and constant aims may have other
     values (not other names), and so may all parameters of the plant.
@@ -170,22 +197,20 @@ class Planner:
         self,
         plant: Plant,
         stops: Sequence[Mapping[str, Any] | Stop],
-        *,
-        method: Method | None = None,
-        progress: Progress = False,
-        solver: SolverName = "ipopt",
-        compiled: bool = False,
-        options: Mapping[str, Any] | None = None,
-        **wish: Any,
+        **keywords: Unpack[PlanKeywords],
     ) -> None:
         begin = time.perf_counter()
+        _require_known(keywords)
+        said: dict[str, Any] = dict(keywords)
+        method: Method | None = said.pop("method", None)
+        search = {SEARCH[name]: said.pop(name) for name in SEARCH if name in said}
         if method is not None and not isinstance(method, Collocation | Shooting):
             raise InputError(f"method = {method!r}: give Collocation(...) or Shooting(...)")
         self.plant = plant
         jumps = not (isinstance(method, Collocation) and method.control == "linear")
-        self._wish = Wish(stops, jumps=jumps, **wish)
-        self._backend = Backend(solver, compiled, options, progress)
-        problem = pose(plant, self._wish)
+        self._statement = Statement(stops, jumps=jumps, **said)
+        self._backend = Backend(**search)
+        problem = formulate(plant, self._statement)
         mesh = (method or Collocation()).mesh(len(problem.legs))
         self._program = transcribe(problem, mesh)
         self._solver = self._backend.build(self._program)
@@ -277,7 +302,7 @@ class Planner:
         or it helps nothing.
         """
         program = run.program
-        guess = guess_in_openings(program.problem, program.mesh, self._wish, self._backend)
+        guess = guess_in_openings(program.problem, program.mesh, self._statement, self._backend)
         return None if guess is None else run.from_guess(guess, "near")
 
     def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
@@ -306,10 +331,20 @@ class Planner:
                     "make a new Planner"
                 )
         plant = self.plant.with_values(values) if values else self.plant
-        problem = pose(plant, replace(self._wish, **changed))
+        problem = formulate(plant, replace(self._statement, **changed))
         _require_same_form(self._program.problem, problem)
         rows = _renewed(self._program, problem)
         return replace(self._program, problem=problem, rows=rows)
+
+
+def _require_known(keywords: Mapping[str, Any]) -> None:
+    """Raise a TypeError that names the nearest keyword."""
+    known = (*StatementKeywords.__annotations__, *SEARCH, "method")
+    for name in keywords:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it knows {', '.join(known)}"
+            raise TypeError(f"a planner takes no argument {name!r}; {hint}")
 
 
 def _shape(problem: Problem) -> tuple[object, ...]:

@@ -15,7 +15,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from .problem.problem import Problem
-from .problem.statement import problem_of, statement_of
+from .problem.problem_data import data_of, problem_of
 from .replay import Replay
 from .solvers import duals
 from .solvers.diagnosis import Conflict
@@ -193,7 +193,7 @@ class Plan:
         lost = ("_problem", "_solved", "_coarse", "costates", "sensitivities", "stop_sensitivities")
         kept = {k: v for k, v in self.__dict__.items() if k not in lost}
         try:
-            said = statement_of(self._problem) if self._problem else None
+            said = data_of(self._problem) if self._problem else None
         except InputError:
             said = None
         return {**kept, "_solved": None, "_coarse": None, "conflicts": (), "statement": said}

@@ -19,7 +19,7 @@ from ..core.signals import PiecewisePolynomial
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulate import evaluated
 from .problem.problem import Problem
-from .problem.statement import problem_of, statement_of
+from .problem.problem_data import data_of, problem_of
 from .replay import replayed
 from .result import Plan
 from .transcription.mesh import Form, Interval, Mesh
@@ -53,7 +53,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "states": motion.named("state"),
         "inputs": motion.named("input"),
         "parameters": {v.name: v.start for v in plan.plant.parameters},
-        "problem": statement_of(plan._problem),
+        "problem": data_of(plan._problem),
         "status": plan.status,
         "objective": plan.objective,
         "durations": plan.durations,

@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -23,12 +23,15 @@ from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
 from ...simulation.simulate import evaluated
-from ..planner import plan
+from ..planner import SolveKeywords, plan
 from ..problem.wording import Stop
 from ..result import Plan, Solved
 from .robust_result import RobustPlan, RobustVerdict, Round
 from .share import Demand, Judged, Share, judged, missed, share_of
 from .spread import Draw, Spread, drawn, spread_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["RobustPlan", "robust_plan"]
 
@@ -58,7 +61,7 @@ def robust_plan(
     seed: int = 0,
     all_within: bool = True,
     start: Start = "rest",
-    **arguments: Any,
+    **arguments: Unpack[SolveKeywords],
 ) -> RobustPlan:
     """One input for a set of plants, so that named variables spread little at the stops.
 
@@ -113,7 +116,7 @@ def robust_plan(
     samples = None if sampler is None else _Samples(plant, sampler, seed)
     members = samples(begin) if callable(draws) and samples else drawn(plant, _listed(draws))
     given = None if callable(unseen) or not unseen else drawn(plant, unseen)
-    task = _Task(plant, stops, spread, all_within, start, arguments)
+    task = _Task(plant, stops, spread, all_within, start, dict(arguments))
     if samples is None or share is None:
         tried = given if samples is None else samples(fresh)
         try:
@@ -237,7 +240,7 @@ def _searched(
 
 
 class _Task:
-    """What is the same for all plans of a search: the wish, and the nominal plan."""
+    """What is the same for all plans of a search: the statement, and the nominal plan."""
 
     def __init__(
         self,
