@@ -20,7 +20,7 @@ from ..core.errors import InputError, SimulationError, require_count, require_po
 from ..core.signals import PiecewisePolynomial
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Given, Plant, Values, require_plant
 from ..simulation.simulate import evaluated
 

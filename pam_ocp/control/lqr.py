@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..operating.equilibrium import OperatingPoint
 from ..operating.linear import inside, linearize, no_influence
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .loop import Measured
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, UnknownNameError, require_instance, require_positive
 from ..core.signals import PiecewisePolynomial
 from ..core.trajectory import Trajectory
@@ -63,9 +64,7 @@ class ClosedLoop:
 
     def plot(self, title: str = "") -> Figure:
         """Tracked variables and their error, inputs, unknowns found, and step times."""
-        from ..figures.loop import plot_closed_loop
-
-        return plot_closed_loop(self, title)
+        return courtesy.plot_closed_loop(self, title)
 
     def __str__(self) -> str:
         return (

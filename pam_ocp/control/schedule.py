@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import require_positive
 from ..operating.linear import LinearGrid, linearize_grid
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .loop import Measured
 from .lqr import Integrals, lqr, saturated, sent

@@ -13,7 +13,7 @@ from ..core.errors import InputError, require_positive
 from ..core.trajectory import Trajectory
 from ..operating.linear import LinearAlong, linearize_along, no_influence
 from ..operating.stuck import Stuck
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
 from .loop import Measured
 from .lqr import Integrals, Weighting, saturated, sent, stationary

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import courtesy
 from .errors import InputError, UnknownNameError
 from .files import atomic_path
 from .signals import Interpolation, PiecewisePolynomial
@@ -349,9 +350,7 @@ class Trajectory:
     # ---- looking ----------------------------------------------------------------------------
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """A figure with one panel per unit, over time. Returns the matplotlib Figure."""
-        from ..figures.trajectory import plot_trajectory
-
-        return plot_trajectory(self, names)
+        return courtesy.plot_trajectory(self, names)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, PamError, require_finite, require_instance
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .held import Memory, held
 from .operating_point import OperatingPoint

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_instance, require_positive
 from ..core.trajectory import Trajectory
-from ..plants.opening import Inversion, in_dead_zone
+from ..plants.inversion import Inversion, in_dead_zone
 from ..plants.plant import Plant, Values, require_plant
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from .held import Memory

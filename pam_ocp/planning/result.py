@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, PlanError
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -206,15 +207,11 @@ class Plan:
     # ---- files and figures ----------------------------------------------------------------------
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
-        from .saved_plan import save_plan
-
-        return save_plan(self, path)
+        return courtesy.save_plan(self, path)
 
     def plot(self) -> Figure:
         """Motion, velocities, pressures with commands, forces, stiffness; active bounds shaded."""
-        from ..figures.plan import plot_plan
-
-        return plot_plan(self)
+        return courtesy.plot_plan(self)
 
     def __str__(self) -> str:
         s = self.statistics

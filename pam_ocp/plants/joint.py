@@ -12,10 +12,10 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.expressions import expression_of
 from ..core.plausible import meant_within
 from ..muscles.muscle import Muscle
-from .components import as_damping, as_loads, as_muscle
+from .components import as_damping, as_muscle
 from .feeds import Feed
 from .hanging import GRAVITY
-from .loads import Coordinate, Load, Wall, applied
+from .loads import Coordinate, Load, Wall, applied, as_loads
 from .losses import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant

@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
 from .losses import Motion
-
-if TYPE_CHECKING:
-    from .plant import Plant
 
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 
@@ -37,7 +34,7 @@ WIDEST_RATE = 0.3
 """The same where planning a motion begins [1/s]."""
 
 
-def _speed(plant: Plant, name: str, key: str, rate: ca.SX) -> ca.SX:
+def _speed(plant: Declares, name: str, key: str, rate: ca.SX) -> ca.SX:
     width = plant.parameter(
         f"{name}.{key}_rest_rate",
         REST_RATE,
@@ -93,7 +90,7 @@ class BoucWen:
         if require_finite("BoucWen.order", self.order) < 1:
             raise InputError(f"BoucWen.order = {self.order:g} must be >= 1")
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         friction, width, beta, order = (
             plant.parameter(
@@ -166,7 +163,7 @@ class MaxwellSlip:
         if not 0 < require_finite("MaxwellSlip.edge", self.edge) <= 1:
             raise InputError(f"MaxwellSlip.edge = {self.edge:g} must lie in 0 .. 1")
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         rate, speed = motion.rate, _speed(plant, name, "slip", motion.rate)
         edge = plant.parameter(
@@ -244,7 +241,7 @@ class Creep:
             )
             object.__setattr__(self, argument, values)
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         total = ca.SX(0)
         for i, (value, time) in enumerate(zip(self.stiffness, self.time, strict=True), start=1):

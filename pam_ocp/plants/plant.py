@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, UnknownNameError
 from ..core.expressions import scalar_expression
 from ..core.variables import Causality, Variable
@@ -29,7 +30,7 @@ from .stillness import Position, resting
 if TYPE_CHECKING:
     import control
 
-    from ..operating.equilibrium import OperatingPoint
+    from ..courtesy import OperatingPoint
 
 __all__ = ["Given", "Plant", "Values", "by_name", "require_plant"]
 
@@ -391,17 +392,13 @@ class Plant:
         """The point of rest under conditions; see
         :func:`pam_ocp.operating.equilibrium.equilibrium`.
         """
-        from ..operating.equilibrium import equilibrium
-
-        return equilibrium(self, conditions, **more)
+        return courtesy.equilibrium(self, conditions, **more)
 
     def linearize(self, at: Any = None, **options: Any) -> control.StateSpace:
         """python-control's StateSpace near a point;
         see :func:`pam_ocp.operating.linear.linearize`.
         """
-        from ..operating.linear import linearize
-
-        return linearize(self, at, **options)
+        return courtesy.linearize(self, at, **options)
 
     # ---- expressions and functions -----------------------------------------------------------
     def _finished(self) -> _System:

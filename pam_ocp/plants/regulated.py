@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import require_finite, require_positive
+from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
 from .hanging import HangingLoad
 from .losses import Damping, Loss
-from .plant import Plant
 
 __all__ = ["PositionFeedback", "RegulatedLoad"]
 
@@ -53,7 +53,7 @@ class PositionFeedback:
             require_positive("PositionFeedback.max_pressure", self.max_pressure, "Pa")
 
     def connect(
-        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         """Declare the loop; return the gauge pressure [Pa]."""
         top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure

@@ -13,7 +13,7 @@ from ...core.errors import InputError, require_positive
 from ...operating.equilibrium import OperatingPoint
 from ...operating.linear import inside, linearize
 from ...operating.stuck import Stuck
-from ...plants.opening import Inversion
+from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
 from ..loop import Controller, Measured
 

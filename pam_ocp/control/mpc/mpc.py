@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import courtesy
 from ...core.errors import (
     InputError,
     UnknownNameError,
@@ -25,7 +26,7 @@ from ...core.signals import PiecewisePolynomial
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...planning.solvers.narrowing import rounded
-from ...plants.opening import Inversion
+from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulate import evaluated
 from .mpc_statistics import MpcStatistics, MpcStep
@@ -34,7 +35,7 @@ from .sqp import Ipopt, Outcome, Sqp
 from .step import Givens, Step, StepMethod
 
 if TYPE_CHECKING:
-    from ..mpc_loop import ClosedLoop
+    from ...courtesy import ClosedLoop
 
 __all__ = ["Mpc", "MpcStatistics", "MpcStep"]
 
@@ -190,9 +191,7 @@ class Mpc:
 
         Arguments as for :func:`pam_ocp.control.mpc_loop.closed_loop`.
         """
-        from ..mpc_loop import closed_loop
-
-        return closed_loop(self, real, reference, duration, **options)
+        return courtesy.closed_loop(self, real, reference, duration, **options)
 
     # ---- one step -------------------------------------------------------------------------------
     def control(

@@ -13,15 +13,15 @@ knowing rho counts, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statistics import Array, student_t
+from ..statistics import Array, SerialErrors
 from ..tables.force_table import ForceTable
 
-__all__ = ["SerialErrors", "neighbours", "sequences", "serial_errors", "widening"]
+__all__ = ["neighbours", "sequences", "serial_errors", "widening"]
 
 NEGLECTED = 0.15
 """Probability of a correlation below which errors count as independent.
@@ -58,43 +58,6 @@ class Order:
     words: str
     order: NDArray[np.intp]
     follows: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class SerialErrors:
-    """Errors that follow each other.
-
-    order : along what, in words. probability : that errors follow each other at all.
-    correlation : of neighbouring errors, the mean over all that the data leave possible.
-    meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones
-        would
-    have. spread : standard deviation of an error, in that of independent ones.
-    weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
-        coefficients, in
-    those of ``correlation``. dof : degrees of freedom.
-    """
-
-    order: str
-    correlation: float
-    probability: float
-    meat: Array = field(repr=False)
-    spread: float
-    weights: Array = field(repr=False)
-    sizes: Array = field(repr=False)
-    dof: int
-
-    def reach(self, level: float) -> float:
-        """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
-        from scipy.optimize import brentq
-        from scipy.special import stdtr
-
-        plain = student_t(level, self.dof)
-        roots = np.sqrt(self.sizes)
-
-        def missing(half: float) -> float:
-            return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
-
-        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
 
 
 def sequences(*tables: ForceTable) -> list[Order]:

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import courtesy
 from ...core.errors import InputError, PlanError, require_count, require_positive
 from ...core.variables import Variable
 from ...plants.plant import Plant, require_plant
@@ -73,9 +74,7 @@ class Pareto:
 
     def plot(self) -> Figure:
         """The front, its ends and its knee; plans that are not verified crossed out."""
-        from ...figures.plan import plot_pareto
-
-        return plot_pareto(self)
+        return courtesy.plot_pareto(self)
 
     def __str__(self) -> str:
         wrong = self.unverified

@@ -26,6 +26,7 @@ from ...simulation.simulate import evaluated
 from ..planner import SolveKeywords, plan
 from ..problem.wording import Stop
 from ..result import Plan, Solved
+from .ensemble_problem import ensemble_arguments, ensemble_stop
 from .robust_result import RobustPlan, RobustVerdict, Round
 from .share import Demand, Judged, Share, judged, missed, share_of
 from .spread import Draw, Spread, drawn, spread_of
@@ -269,7 +270,9 @@ class _Task:
         """The plan for the members, from that for fewer of them or from the nominal plan."""
         watched = [v.name for v in self.plant.states] + [n for a in self.allowed for n in a]
         ensemble = Ensemble(self.plant, members, list(dict.fromkeys(watched)), self.all_within)
-        wanted = [ensemble.stop(s, w) for s, w in zip(self.stops, self.allowed, strict=True)]
+        wanted = [
+            ensemble_stop(ensemble, s, w) for s, w in zip(self.stops, self.allowed, strict=True)
+        ]
         if not self.cyclic:
             wanted[0] = _begun(ensemble, wanted[0], self.rest)
         base, motion = (self.nominal, self.nominal.trajectory)
@@ -277,7 +280,8 @@ class _Task:
             base, motion = near.plan, near.motion
         guess = _stacked(ensemble, base, motion, self.cyclic, self.rest)
         further = {k: v for k, v in self.arguments.items() if k != "guess"}
-        return plan(ensemble, wanted, guess=guess, **ensemble.arguments(further, self.all_within))
+        said = ensemble_arguments(ensemble, further, self.all_within)
+        return plan(ensemble, wanted, guess=guess, **said)
 
     def explained(self, error: PlanError, draws: Sequence[Draw], share: float | None) -> PlanError:
         """The error, and what the nominal plan's inputs would keep."""

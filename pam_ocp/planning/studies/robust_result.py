@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from ... import courtesy
 from ...core.trajectory import Trajectory
 from ..result import Plan
 from .share import Demand, Judged, Share, judged
@@ -178,9 +179,7 @@ class RobustPlan:
 
     def plot(self) -> Figure:
         """Deviations of all plants over time under the nominal and the robust plan's inputs."""
-        from ...figures.plan import plot_robust
-
-        return plot_robust(self)
+        return courtesy.plot_robust(self)
 
     def __str__(self) -> str:
         lines = [str(self.verdict), str(self.plan)]

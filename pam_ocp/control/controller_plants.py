@@ -9,11 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..control.lqr import StateFeedback
 from ..core.errors import InputError, require_positive
 from ..core.variables import Variable
-from ..plants.opening import Inversion, Opening
+from ..plants.inversion import Inversion
+from ..plants.opening import Opening
 from ..plants.plant import Plant
+from .lqr import StateFeedback
 
 __all__ = ["pid_controller", "state_feedback_controller"]
 
