@@ -10,6 +10,7 @@ from ..muscles.muscle import Muscle
 from .components import as_damping, as_muscle
 from .feeds import Feed
 from .hanging import moved_mass, weight
+from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
 from .losses import ConstantDamping, Damping, Loss, StiffnessDamping
 from .plant import Plant
@@ -17,6 +18,9 @@ from .plant import Plant
 __all__ = ["SeriesLoad", "SpringOverMuscle"]
 
 
+@PLANTS.register(
+    units={"mass": "kg", "spring_stiffness": "N/m", "preload": "N", "inclination": "rad"}
+)
 class SpringOverMuscle(Plant):
     """A muscle inside a bias spring: m x'' + c x' = F - (preload + k_som x) - m g sin(inclination).
 
@@ -88,6 +92,9 @@ class SpringOverMuscle(Plant):
         )
 
 
+@PLANTS.register(
+    units={"mass": "kg", "tendon_stiffness": "N/m", "tendon_damping": "N.s/m", "fitting_mass": "kg"}
+)
 class SeriesLoad(Plant):
     """A muscle pulls a hanging mass by an elastic tendon: two masses, the tendon only pulls.
 

@@ -13,6 +13,7 @@ from ..core.errors import require_positive
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
 from .components import as_feed, as_losses, as_muscle
+from .kinds import FEEDS
 from .losses import Loss, Motion
 from .meters import meter_pneumatics, meter_work
 from .valves import GasFeed
@@ -51,6 +52,7 @@ class Feed(Protocol):
         """
 
 
+@FEEDS.register(units={"max_pressure": "Pa"})
 @dataclass(frozen=True)
 class IdealPressure:
     """The input ``<name>.pressure`` is the pressure itself.
@@ -75,6 +77,7 @@ class IdealPressure:
         )
 
 
+@FEEDS.register(units={"lag": "s", "max_pressure": "Pa", "max_rate": "Pa/s"})
 @dataclass(frozen=True)
 class Regulator:
     """First-order pressure regulator: p' = (u - p)/lag, u the commanded pressure.

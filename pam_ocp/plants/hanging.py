@@ -10,6 +10,7 @@ from ..core.errors import require_finite, require_positive
 from ..muscles.muscle import Muscle
 from .components import as_damping, as_muscle
 from .feeds import Feed
+from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
 from .losses import Damping, Loss, StiffnessDamping
 from .plant import Plant
@@ -65,6 +66,7 @@ def weight(plant: Plant, mass: ca.SX, inclination: float | None = None) -> ca.SX
     return ca.SX(mass * g * ca.sin(angle))
 
 
+@PLANTS.register(units={"mass": "kg", "inclination": "rad"})
 class HangingLoad(Plant):
     """A load hanging on one muscle: m x'' + c x' = F(p, kappa) - m g + loads, x the contraction
     [m].

@@ -15,6 +15,7 @@ from ..muscles.muscle import Muscle
 from .components import as_damping, as_loads, as_muscle
 from .feeds import Feed
 from .hanging import GRAVITY
+from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied
 from .losses import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
@@ -28,6 +29,16 @@ QUADRATURE = 16
 """Gauss points over which a user's moment arm is integrated to the muscle's shortening."""
 
 
+@PLANTS.register(
+    units={
+        "inertia": "kg.m2",
+        "moment_arm": "m",
+        "moment_arm2": "m",
+        "link_mass": "kg",
+        "link_length": "m",
+        "limits": "rad",
+    }
+)
 class AntagonisticJoint(Plant):
     """A joint between two muscles: I theta'' + c theta' = r1 F1 - r2 F2 - m g d sin(theta) + loads.
 

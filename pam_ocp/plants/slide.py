@@ -9,6 +9,7 @@ from ..core.plausible import meant_within
 from ..muscles.muscle import Muscle
 from .components import as_damping, as_loads, as_muscle
 from .feeds import Feed
+from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
 from .losses import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
@@ -17,6 +18,7 @@ from .plant import Plant
 __all__ = ["AntagonisticSlide"]
 
 
+@PLANTS.register(units={"mass": "kg", "pre_contraction": "1", "stroke": "m"})
 class AntagonisticSlide(Plant):
     """Two muscles pulling a slide in opposite directions: m x'' + c x' = F1 - F2 + loads.
 
