@@ -69,29 +69,32 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
     def __init__(self, noun: str, room: str, *, argument: str = "") -> None:
         self.noun, self.argument, self.room = noun, argument, room
         self._kinds: dict[str, Kind] = {}
+        self._homes: dict[str, str] = {}
         self._units: dict[str, dict[str, tuple[str, ...]]] = {}
         self._lock, self._complete = threading.RLock(), False
         _REGISTRIES[noun] = self
 
     # ---- registering --------------------------------------------------------------------------
     def register(
-        self, name: str | None = None, *, units: Units | None = None
+        self, name: str | None = None, *, units: Units | None = None, home: Any = None
     ) -> Callable[[Made], Made]:
         """Decorator that enters a class or function, by its own name if none is given.
 
         units : of its arguments that are quantities; others are plain numbers, texts or components.
+        home : what tells where it is defined, for what is no class or function itself.
 
         Raises InputError for a name that is taken by another one.
         """
 
         def entered(made: Made) -> Made:
             key = str(name or getattr(made, "__name__", ""))
-            there: Any = self._kinds.get(key)
-            if there is not None and _home(there) != _home(made):
+            there, own = self._homes.get(key), _home(made if home is None else home)
+            if there not in (None, own):
                 raise InputError(
-                    f"{self.noun} {key!r} is registered already, by {_home(there)}; give "
-                    f"{_home(made)} another name"
+                    f"{self.noun} {key!r} is registered already, by {there}; give {own} another "
+                    "name"
                 )
+            self._homes[key] = own
             value: Any = made
             self._kinds[key] = value
             self._units[key] = {
@@ -104,7 +107,8 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
     def remove(self, name: str) -> None:
         """Take one out again (of a test, a notebook). Raises UnknownNameError."""
         _ = self[name]
-        del self._kinds[name], self._units[name]
+        for part in (self._kinds, self._homes, self._units):
+            del part[name]
 
     # ---- reading ------------------------------------------------------------------------------
     def _all(self) -> dict[str, Kind]:

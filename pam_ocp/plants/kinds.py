@@ -6,23 +6,16 @@ Each stands here without its kinds: these register in the files of this room tha
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 from ..core.registry import Registry
 
-if TYPE_CHECKING:
-    from .feeds import Feed
-    from .loads import Load
-    from .losses import Damping, Loss
-    from .plant import Plant
-    from .valves import Tube
-
 __all__ = ["DAMPINGS", "FEEDS", "LOADS", "LOSSES", "PLANTS", "TUBES"]
 
-PLANTS: Registry[Callable[..., Plant]] = Registry("plant", __package__)
+PLANTS: Registry[Callable[..., Any]] = Registry("plant", __package__)
 """Plants of the library: called with a muscle, and their own arguments by name."""
-FEEDS: Registry[Callable[..., Feed]] = Registry("feed", __package__, argument="feed")
-DAMPINGS: Registry[Callable[..., Damping]] = Registry("damping", __package__, argument="damping")
-LOSSES: Registry[Callable[..., Loss]] = Registry("loss", __package__, argument="losses")
-LOADS: Registry[Callable[..., Load]] = Registry("load", __package__, argument="loads")
-TUBES: Registry[Callable[..., Tube]] = Registry("tube", __package__, argument="tube")
+FEEDS: Registry[Callable[..., Any]] = Registry("feed", __package__, argument="feed")
+DAMPINGS: Registry[Callable[..., Any]] = Registry("damping", __package__, argument="damping")
+LOSSES: Registry[Callable[..., Any]] = Registry("loss", __package__, argument="losses")
+LOADS: Registry[Callable[..., Any]] = Registry("load", __package__, argument="loads")
+TUBES: Registry[Callable[..., Any]] = Registry("tube", __package__, argument="tube")

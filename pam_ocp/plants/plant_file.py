@@ -46,7 +46,8 @@ def named_plant(name: str, muscle: Muscle, folder: Path | None = None) -> Plant:
     user's: FILE.py:NAME, NAME being a Plant or a function that takes a muscle and returns one."""
     file, colon, member = name.rpartition(":")
     if not colon:
-        return PLANTS.find("plant", name, OWN)(muscle)
+        made: Plant = PLANTS.find("plant", name, OWN)(muscle)
+        return made
     found = _member((folder or Path()) / file, member)
     plant = found if isinstance(found, Plant) else found(muscle)
     if not isinstance(plant, Plant):

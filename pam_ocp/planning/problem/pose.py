@@ -15,6 +15,7 @@ from ...operating.held import Memory, held
 from ...plants.plant import Plant, require_plant
 from ...plants.stillness import Position, rate_of, rest_rows, settled_names, totals
 from ..transcription.guess import rest_point
+from .costs import COSTS
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
 from .problem import Condition, Leg, Problem, Range
@@ -411,7 +412,7 @@ def _filled(problem: Problem, wish: Wish, first: Stop, positions: tuple[Position
     """
     plant = problem.plant
     weights = {wish.minimise: 1.0} if isinstance(wish.minimise, str) else wish.minimise
-    asked = [term for term in ("air", "exergy") if weights.get(term)]
+    asked = [n for n in COSTS if COSTS[n].from_supply and weights.get(n)]
     if not asked or wish.cyclic:
         return problem
     places = {n for p in positions for n in (p.name, *p.velocities)}
@@ -503,8 +504,10 @@ def _require_an_end(wish: Wish, legs: Sequence[Leg]) -> None:
     ended = wish.track or "time" in (wish.budgets or {})
     more = wish.integrand is not None or wish.final is not None or ended
     free = any(leg.duration[1] > leg.duration[0] for leg in legs)
-    if free and asked and not more and asked <= {"effort", "rate"}:
+    endless = {"rate", *(name for name in COSTS if COSTS[name].slower_is_less)}
+    if free and asked and not more and asked <= endless:
+        term = min(asked)
         raise InputError(
-            "minimise = 'effort' needs a fixed duration (a slower motion always takes less); "
-            "give duration=0.5, say, or minimise={'time': 1.0, 'effort': 1e-3}"
+            f"minimise = {term!r} needs a fixed duration (a slower motion always takes less); "
+            f"give duration=0.5, say, or minimise={{'time': 1.0, {term!r}: 1e-3}}"
         )
