@@ -9,11 +9,12 @@ from ..muscles.law import SLACK_WIDTH, clamp
 from ..muscles.muscle import Muscle
 from .components import as_damping, as_muscle
 from .feeds import Feed
-from .hanging import moved_mass, weight
+from .hanging import hanging_sketch, moved_mass, weight
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
 from .losses import ConstantDamping, Damping, Loss, StiffnessDamping
 from .plant import Plant
+from .sketch import Sketch
 
 __all__ = ["SeriesLoad", "SpringOverMuscle"]
 
@@ -181,3 +182,7 @@ class SeriesLoad(Plant):
         self.der(v, (pull - weight(self, m) + outside) / (m + added))
         self.der(y, w)
         self.der(w, (attached.force - pull - c * w) / end)
+
+    def sketch(self) -> Sketch | None:
+        """The mass hangs on a tendon that can be seen."""
+        return hanging_sketch(self, gap=0.25)

@@ -48,6 +48,8 @@ class Feed(Protocol):
     ) -> ca.SX:
         """Declare the feed's variables under ``name``; return the gauge pressure [Pa].
 
+        Where none of them is called ``<name>.pressure``, an output of this name shows it.
+
         contraction [1] and its rate [1/s] are there for feeds whose gas is compressed by motion.
         """
 
@@ -187,6 +189,14 @@ def attach(
         pressure = air.pressure
     else:
         pressure = feed.connect(plant, name, symbolic, bounded, relative_rate)
+    if f"{name}.pressure" not in {v.name for v in plant.variables}:
+        plant.output(
+            f"{name}.pressure",
+            pressure,
+            unit="Pa",
+            nominal=1e5,
+            description=f"gauge pressure in {name}",
+        )
     tension = symbolic.tension(pressure, bounded)
     gain = ca.jacobian(tension, pressure)
     force = symbolic.force(pressure, bounded)
