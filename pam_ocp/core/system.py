@@ -23,6 +23,9 @@ class Declares(Protocol):
     Each method is that of the same name of :class:`pam_ocp.Plant`.
     """
 
+    @property
+    def variables(self) -> tuple[Variable, ...]: ...
+
     def state(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX: ...
 
     def input(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX: ...

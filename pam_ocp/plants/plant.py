@@ -25,6 +25,7 @@ from ..muscles.muscle import Muscle
 from .feeds import AttachedMuscle, Feed, attach
 from .losses import Loss
 from .opening import Opening, Way, checked_commands
+from .sketch import Sketch
 from .stillness import Position, resting
 
 if TYPE_CHECKING:
@@ -401,6 +402,13 @@ class Plant:
         return courtesy.linearize(self, at, **options)
 
     # ---- expressions and functions -----------------------------------------------------------
+    def sketch(self) -> Sketch | None:
+        """How the plant looks in a film; None: as a load on a muscle if it is one, else not at all.
+
+        A subclass overrides it: shapes whose points are expressions of its own variables.
+        """
+        return None
+
     def _finished(self) -> _System:
         if self._system is None:
             self._system = self._close()

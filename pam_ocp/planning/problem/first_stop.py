@@ -13,6 +13,7 @@ from ...operating.held import held
 from ...plants.plant import Plant
 from ...plants.stillness import Position, settled_names, totals
 from ..transcription.guess import rest_point
+from .costs import COSTS
 from .problem import Condition, Problem, Range
 from .statement import Statement
 from .wording import Stop, subject
@@ -60,7 +61,7 @@ def with_given_pressures(
     """
     plant = problem.plant
     weights = statement.weights
-    asked = [term for term in ("air", "exergy") if weights.get(term)]
+    asked = [n for n in COSTS if COSTS[n].from_supply and weights.get(n)]
     if not asked or statement.cyclic:
         return problem
     places = {n for p in positions for n in (p.name, *p.velocities)}

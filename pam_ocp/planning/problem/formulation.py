@@ -10,6 +10,7 @@ import casadi as ca
 
 from ...core.errors import InputError, require_positive
 from ...plants.plant import Plant, require_plant
+from .costs import COSTS
 from .cycles import closing_states, not_implied
 from .first_stop import left_by_the_past, with_given_pressures
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
@@ -222,8 +223,10 @@ def _require_an_end(statement: Statement, legs: Sequence[Leg]) -> None:
     ended = statement.track or "time" in (statement.budgets or {})
     more = statement.integrand is not None or statement.final is not None or ended
     free = any(leg.duration[1] > leg.duration[0] for leg in legs)
-    if free and asked and not more and asked <= {"effort", "rate"}:
+    endless = {"rate", *(name for name in COSTS if COSTS[name].slower_is_less)}
+    if free and asked and not more and asked <= endless:
+        term = min(asked)
         raise InputError(
-            "minimise = 'effort' needs a fixed duration (a slower motion always takes less); "
-            "give duration=0.5, say, or minimise={'time': 1.0, 'effort': 1e-3}"
+            f"minimise = {term!r} needs a fixed duration (a slower motion always takes less); "
+            f"give duration=0.5, say, or minimise={{'time': 1.0, {term!r}: 1e-3}}"
         )
