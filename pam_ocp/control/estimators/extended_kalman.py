@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...plants.plant import Plant, Values, require_plant
-from ..mpc.step import Givens, Step, StepMethod
+from ..step import Givens, Step, StepMethod
 
 __all__ = ["Estimate", "Estimator", "KalmanFilter"]
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
 from ...plants.plant import Plant, Values
-from ..mpc.step import StepMethod
+from ...simulation.sampled import StepMethod
 from .extended_kalman import Estimate, Estimator
 
 __all__ = ["MovingHorizonEstimator"]

@@ -31,7 +31,7 @@ from ...simulation.simulate import evaluated
 from .mpc_statistics import MpcStatistics, MpcStep
 from .shooting import Limit, Penalty, Shooting
 from .sqp import Ipopt, Outcome, Sqp
-from .step import Givens, Step, StepMethod
+from ..step import Givens, Step, StepMethod
 
 if TYPE_CHECKING:
     from ..mpc_loop import ClosedLoop
