@@ -106,4 +106,9 @@ class Step:
         slope = (plant.function(state * scale, inputs, p)[0] + offset) / scale
         slopes = ca.Function("slopes", [state, control, known], [slope, ca.jacobian(slope, state)])
         span = self.length if length is None else length
-        return stepped(lambda z: slopes(z, u, q), x, span, self.method, self.substeps)
+
+        def slopes_at(z: ca.SX) -> tuple[ca.SX, ca.SX]:
+            value, jacobian = slopes.call([z, u, q])
+            return value, jacobian
+
+        return stepped(slopes_at, x, span, self.method, self.substeps)

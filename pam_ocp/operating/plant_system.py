@@ -132,11 +132,11 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
             if self._sampled is None:
                 return update, output
             given = [ca.MX.sym(n, e.numel()) for n, e in zip("xup", arguments, strict=True)]
-            p, u = ca.vertsplit(given[2], [0, len(plant.parameters), given[2].numel()])
-            parts = ca.vertsplit(u) if u.numel() else []
+            p, known = ca.vertsplit(given[2], [0, len(plant.parameters), given[2].numel()])
+            whole = ca.MX(known)
             for i, column in enumerate(self._columns):
-                parts[column] = given[1][i]
-            end = self._sampled.function(given[0], ca.vertcat(*parts), p)
+                whole[column] = given[1][i]
+            end = self._sampled.function(given[0], whole, p)
             return ca.Function("update", given, [end]), output
 
         nominal = plant.vector("state", attribute="nominal").tobytes()

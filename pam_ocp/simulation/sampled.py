@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numerics.rosenbrock import Slopes, rodas3
+from ..numerics.runge_kutta import rk4
 from ..plants.plant import Plant
 
 __all__ = ["SampledPlant", "StepMethod", "stepped"]
@@ -72,7 +73,8 @@ class SampledPlant:
         Raises RuntimeError when the integrator gives up.
         """
         known = self.plant.vector("parameter") if p is None else p
-        return np.asarray(self.function(x, u, known), dtype=float).T
+        states: Array = np.asarray(self.function(x, u, known), dtype=float).T
+        return states
 
     def slopes(
         self, x: Array, u: Array, p: Array | None = None, inputs: Sequence[int] | None = None
@@ -119,19 +121,12 @@ def stepped(
 ) -> ca.SX:
     """The state after ``length`` [s] by equal steps, as an expression: for programs and filters.
 
-    method : "rk4" (explicit, order 4) or "rosenbrock" (RODAS3: linearly implicit, order 3, L-stable,
-    for stiff plants).
+    method : "rk4" (explicit, order 4) or "rosenbrock" (RODAS3: linearly implicit, order 3,
+    L-stable, for stiff plants).
     """
     h = length / substeps
+    if method == "rk4":
+        return rk4(lambda z, _: slopes(z)[0], x, h, substeps)
     for _ in range(substeps):
-        x = _rk4(slopes, x, h) if method == "rk4" else rodas3(slopes, x, h)
+        x = rodas3(slopes, x, h)
     return x
-
-
-def _rk4(slopes: Slopes, x: ca.SX, h: float | ca.SX) -> ca.SX:
-    """The classical method of Runge and Kutta."""
-    k1 = slopes(x)[0]
-    k2 = slopes(x + h / 2 * k1)[0]
-    k3 = slopes(x + h / 2 * k2)[0]
-    k4 = slopes(x + h * k3)[0]
-    return ca.SX(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
