@@ -351,7 +351,7 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     start[case.named] = away
     if case.kind == "series":
         start["muscle.shortening"] += away - goal
-    run = pam.closed_loop(plant, feedback, duration=3.0, dt=2e-3, start=start)
+    run = pam.closed_loop(feedback, plant, duration=3.0, dt=2e-3, start=start)
     left = abs(run[case.named][-1] - goal) / stroke
     mpc = pam.Mpc(
         plant,

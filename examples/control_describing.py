@@ -52,7 +52,7 @@ def simulated(plant, point):
     """The same of the loop with the relay, and its motion."""
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
     run = pam.closed_loop(
-        plant, Relay(point), duration=4.0, dt=2e-4, start={**start, "x": point["x"] - 1e-3}
+        Relay(point), plant, duration=4.0, dt=2e-4, start={**start, "x": point["x"] - 1e-3}
     )
     late = run.t > 2.0
     t, x = run.t[late], run["x"][late] - point["x"]

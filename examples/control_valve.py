@@ -34,9 +34,9 @@ def main(folder: Path) -> None:
         return {"muscle.command": opening}
 
     runs = {
-        "LQR": closed_loop(plant, feedback, duration=1.0, dt=DT, start=start),
+        "LQR": closed_loop(feedback, plant, duration=1.0, dt=DT, start=start),
         "LQR without inversion": closed_loop(
-            plant, without_inversion, duration=1.0, dt=DT, start=start
+            without_inversion, plant, duration=1.0, dt=DT, start=start
         ),
     }
     mpc = pam.Mpc(plant, horizon=25, step=0.01, track={"x": 1.0}, rate={"muscle.command": 0.05})

@@ -13,7 +13,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 import pam_ocp as pam
-from pam_ocp.control.mpc_loop import ClosedLoop
+from pam_ocp.control.loop import ClosedLoop
 
 STEP = 0.005
 PUSH, MASS = 40.0, 2.6

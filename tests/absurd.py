@@ -63,7 +63,7 @@ def run(**options: Any) -> pam.Trajectory:
 
 def looped(answer: Any, **options: Any) -> pam.Trajectory:
     controller = answer if callable(answer) else lambda t, y: answer
-    return pam.closed_loop(plant(), controller, **{"duration": 0.01, "dt": 5e-3, **options})
+    return pam.closed_loop(controller, plant(), **{"duration": 0.01, "dt": 5e-3, **options})
 
 
 def posed(**options: Any) -> pam.Planner:
@@ -288,7 +288,7 @@ CALLS: dict[str, tuple[Call, str]] = {
     "simulate(muscle)": (lambda: pam.simulate(muscle(), duration=1), "put the muscle into one"),
     # ---- closed loop -----------------------------------------------------------------------------
     "closed_loop(controller=None)": (
-        lambda: pam.closed_loop(plant(), None, duration=1),
+        lambda: pam.closed_loop(None, plant(), duration=1),
         "is not called with",
     ),
     "controller answers None": (lambda: looped(None), "give inputs by name"),

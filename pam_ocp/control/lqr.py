@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -14,7 +14,8 @@ from ..operating.equilibrium import OperatingPoint
 from ..operating.linear import inside, linearize, no_influence
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .loop import Measured
+from .controller import Measured
+from .references import Source
 
 if TYPE_CHECKING:
     import control
@@ -182,6 +183,18 @@ class StateFeedback:
         given = self.setpoint(t) if callable(self.setpoint) else (self.setpoint or {})
         named = {self.point.plant.variable(n).name: v for n, v in given.items()}
         return {n: named.get(n, self.point[n]) for n in self.integrated}
+
+    def tracking(
+        self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
+    ) -> StateFeedback:
+        """The Controller that takes what it integrates to ``reference``; see :class:`Tracking`."""
+        for name in reference:
+            if name not in self.integrated:
+                raise InputError(
+                    f"reference: {name} is not integrated, so the feedback holds it at its point; "
+                    f"design lqr(..., integral={{{name!r}: weight}})"
+                )
+        return replace(self, setpoint=lambda t: {n: at(t) for n, at in reference.items()})
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""

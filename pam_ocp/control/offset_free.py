@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_instance
 from ..operating.linear import chosen_signals, linearize
+from .controller import Measured
 from .estimators.stationary import KalmanFilter
-from .loop import Measured
 from .lqr import StateFeedback, sent
 
 __all__ = ["OffsetFree"]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
+from .controller import Measured
 from .inverse import InverseDynamics
-from .loop import Measured
 from .references import Reference
 
 __all__ = ["PID", "PositionController", "PressureLoop"]
@@ -169,6 +169,10 @@ class PositionController:
         """See :class:`Controller`."""
         self.pid.reset()
         self._saturated = False
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """The position to be reached at a time [s]."""
+        return {self.inverse.position: self.reference(t)[0]}
 
     def pressures(self, t: float, acceleration: float = 0.0) -> Array:
         """Pressures that move the believed plant along the reference, plus an acceleration."""

@@ -13,7 +13,7 @@ from ..core.errors import require_positive
 from ..operating.linear import LinearGrid, linearize_grid
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .loop import Measured
+from .controller import Measured
 from .lqr import Integrals, lqr, saturated, sent
 
 __all__ = ["ScheduledFeedback", "scheduled_lqr"]

@@ -15,7 +15,7 @@ from ..operating.linear import LinearAlong, linearize_along, no_influence
 from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
-from .loop import Measured
+from .controller import Measured
 from .lqr import Integrals, Weighting, saturated, sent, stationary
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]

@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -29,10 +29,11 @@ from ...planning.solvers.narrowing import rounded
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulate import evaluated
-from .mpc_statistics import MpcStatistics, MpcStep
+from ..mpc_statistics import MpcStatistics, MpcStep
+from ..references import Source
+from ..step import Givens, Step, StepMethod
 from .shooting import Limit, Penalty, Shooting
 from .sqp import Ipopt, Outcome, Sqp
-from .step import Givens, Step, StepMethod
 
 if TYPE_CHECKING:
     from ...courtesy import ClosedLoop
@@ -187,11 +188,24 @@ class Mpc:
         duration: float,
         **options: Any,
     ) -> ClosedLoop:
-        """Run against a plant or an FMU, with noise, disturbances and an estimator.
+        """Run against a plant or an FMU: :func:`pam_ocp.control.loop.closed_loop` with it."""
+        return courtesy.closed_loop(self, real, reference, duration=duration, **options)
 
-        Arguments as for :func:`pam_ocp.control.mpc_loop.closed_loop`.
-        """
-        return courtesy.closed_loop(self, real, reference, duration, **options)
+    @property
+    def sample_time(self) -> float:
+        """See :class:`Controller`."""
+        return self.step
+
+    def tracking(
+        self,
+        reference: Mapping[str, Source],
+        inputs: Mapping[str, float] | None = None,
+        preview: bool = True,
+    ) -> TrackingMpc:
+        """The Controller that tracks ``reference``; see :class:`Tracking`."""
+        own = set(self.commands)
+        applied = None if inputs is None else {n: u for n, u in inputs.items() if n in own}
+        return TrackingMpc(self, reference, applied, preview)
 
     # ---- one step -------------------------------------------------------------------------------
     def control(
@@ -378,6 +392,49 @@ class Mpc:
         at = p.at[p.nx + len(p.rated) : p.nx + len(p.rated) + p.nu, 0]
         inputs: Array = np.clip(self._sqp.point.w[at], p.w_low[at], p.w_high[at])
         return inputs
+
+
+@dataclass
+class TrackingMpc:
+    """An Mpc as a Controller, with what it is to track.
+
+    Estimated unknowns among what it is given are planned with; the states are taken as they are
+    given.
+    """
+
+    mpc: Mpc
+    reference: Mapping[str, Source]
+    inputs: Values | None = None
+    """Those applied as a run begins; None: start values."""
+    preview: bool = True
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self.mpc.reset(self.inputs)
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """What is to be reached at a time [s]."""
+        return {n: at(t) for n, at in self.reference.items()}
+
+    @property
+    def statistics(self) -> MpcStatistics:
+        return self.mpc.statistics
+
+    def prediction_error(self) -> float:
+        """See :meth:`Mpc.prediction_error`."""
+        return self.mpc.prediction_error()
+
+    def __call__(self, t: float, measured: Mapping[str, float]) -> dict[str, float]:
+        """See :class:`Controller`."""
+        mpc = self.mpc
+        states = [v.name for v in mpc.plant.states]
+        ahead = t + mpc.step * (mpc.delay + np.arange(mpc.horizon + 1))
+        if not self.preview:
+            ahead = np.full_like(ahead, t)
+        reference = {n: np.array([at(float(s)) for s in ahead]) for n, at in self.reference.items()}
+        names = set(mpc.given.names)
+        unknowns = {n: v for n, v in measured.items() if n in names}
+        return mpc.control({n: measured[n] for n in states}, reference, unknowns)
 
 
 # ---- checking the arguments ---------------------------------------------------------------------

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.variables import Variable
-from .step import Givens, Step
+from ..step import Givens, Step
 
 __all__ = ["Limit", "Linearisation", "Penalty", "Shooting"]
 
