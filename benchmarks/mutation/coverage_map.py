@@ -13,14 +13,17 @@ from pathlib import Path
 __all__ = ["CoverageMap", "collect"]
 
 PLUGIN = """
-import json, os
-found = {}
+import json, os, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+found, failed = {}, set()
 def pytest_runtest_logreport(report):
+    if report.failed:
+        failed.add(report.nodeid)
     if report.passed:
         found[report.nodeid] = found.get(report.nodeid, 0.0) + report.duration
 def pytest_sessionfinish(session):
     with open(os.environ["DURATIONS"], "w") as file:
-        json.dump(found, file)
+        json.dump({n: t for n, t in found.items() if n not in failed}, file)
 """
 
 

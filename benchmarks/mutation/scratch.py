@@ -155,6 +155,7 @@ class Scratch:
         code: int = 99
         try:
             os.setsid()
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
             limit = int(2 * expected + PATIENCE)
             resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
             out = os.open(self.folder / "said.txt", os.O_CREAT | os.O_TRUNC | os.O_WRONLY)

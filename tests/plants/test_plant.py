@@ -272,7 +272,7 @@ def test_a_plant_travels_with_values_names_and_mirror(slide):
 
     moved = slide.with_values(mass=3.5, x=0.004)
     there = pickle.loads(pickle.dumps(moved))
-    assert [v for v in there.variables] == [v for v in moved.variables]
+    assert there.variables == moved.variables
     assert (there.name, there.description) == (slide.name, slide.description)
     assert there.mirror_map == slide.mirror_map
     x, u = np.array([0.004, 0.3, 3e5, 2e5]), [5e5, 1e5]
