@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from .core.lazy import lazily
 
 if TYPE_CHECKING:
-    from .control.mpc_loop import ClosedLoop as ClosedLoop
-    from .control.mpc_loop import closed_loop as closed_loop
+    from .control.loop import ClosedLoop as ClosedLoop
+    from .control.loop import closed_loop as closed_loop
     from .figures.loop import plot_closed_loop as plot_closed_loop
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from .planning.saved_plan import save_plan as save_plan
 
 _HOMES: dict[str, str] = {
-    "closed_loop": "control.mpc_loop",
+    "closed_loop": "control.loop",
     "equilibrium": "operating.equilibrium",
     "force_report": "fitting.static.report",
     "linearize": "operating.linear",

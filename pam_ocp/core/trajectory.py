@@ -70,10 +70,8 @@ class Trajectory:
     columns : {name: (n,) values in SI}.
     variables : what the columns are (unit, causality, nominal, description), in order of display.
     interpolation : how inputs ran between samples: "previous" (held) or "linear". None: not known;
-    they
-        count as linear, and ``interpolation_known`` is False, so that a fit tries both. Files keep
-        it:
-        .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
+        they count as linear, and ``interpolation_known`` is False, so that a fit tries both. Files
+        keep it: .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
     events : zero crossings that a simulation located (they are not saved to files).
     signals : the inputs (in the order of their columns) exactly as they ran, also between samples;
         None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.

@@ -16,7 +16,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from .problem.problem import Problem
-from .problem.statement import problem_of, statement_of
+from .problem.problem_data import data_of, problem_of
 from .replay import Replay
 from .solvers import duals
 from .solvers.diagnosis import Conflict
@@ -69,8 +69,8 @@ class Plan:
     """The mesh of each round of refinement; the last is the plan's."""
     log: tuple[dict[str, float], ...] = field(repr=False)
     """The solver's last run: objective (obj), violation (inf_pr), dual infeasibility (inf_du), ...
-    per
-    iteration."""
+    per iteration.
+    """
     conflicts: tuple[Conflict, ...] = ()
     """Of a failed plan: the constraints that cannot hold together, the worst first."""
     tolerance: float = TOLERANCE
@@ -95,8 +95,8 @@ class Plan:
     @property
     def verified(self) -> bool:
         """Whether the solver converged, an independent replay agrees, and all limits hold between
-        the
-        points too, to the plan's :attr:`tolerance`."""
+        the points too, to the plan's :attr:`tolerance`.
+        """
         return self.verdict.verified
 
     @property
@@ -194,7 +194,7 @@ class Plan:
         lost = ("_problem", "_solved", "_coarse", "costates", "sensitivities", "stop_sensitivities")
         kept = {k: v for k, v in self.__dict__.items() if k not in lost}
         try:
-            said = statement_of(self._problem) if self._problem else None
+            said = data_of(self._problem) if self._problem else None
         except InputError:
             said = None
         return {**kept, "_solved": None, "_coarse": None, "conflicts": (), "statement": said}

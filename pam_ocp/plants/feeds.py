@@ -14,6 +14,7 @@ from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
 from .components import as_losses, as_muscle, component
+from .kinds import FEEDS
 from .losses import Loss, Motion
 from .meters import meter_pneumatics, meter_work
 from .valves import GasFeed
@@ -45,10 +46,13 @@ class Feed(Protocol):
     ) -> ca.SX:
         """Declare the feed's variables under ``name``; return the gauge pressure [Pa].
 
+        Where none of them is called ``<name>.pressure``, an output of this name shows it.
+
         contraction [1] and its rate [1/s] are there for feeds whose gas is compressed by motion.
         """
 
 
+@FEEDS.register(units={"max_pressure": "Pa"})
 @dataclass(frozen=True)
 class IdealPressure:
     """The input ``<name>.pressure`` is the pressure itself.
@@ -73,6 +77,7 @@ class IdealPressure:
         )
 
 
+@FEEDS.register(units={"lag": "s", "max_pressure": "Pa", "max_rate": "Pa/s"})
 @dataclass(frozen=True)
 class Regulator:
     """First-order pressure regulator: p' = (u - p)/lag, u the commanded pressure.
@@ -190,6 +195,14 @@ def attach(
         pressure = air.pressure
     else:
         pressure = feed.connect(plant, name, symbolic, bounded, relative_rate)
+    if f"{name}.pressure" not in {v.name for v in plant.variables}:
+        plant.output(
+            f"{name}.pressure",
+            pressure,
+            unit="Pa",
+            nominal=1e5,
+            description=f"gauge pressure in {name}",
+        )
     tension = symbolic.tension(pressure, bounded)
     gain = ca.jacobian(tension, pressure)
     force = symbolic.force(pressure, bounded)

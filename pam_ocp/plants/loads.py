@@ -16,6 +16,7 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.law import clamp
 from .components import components
+from .kinds import LOADS
 
 __all__ = [
     "Coordinate",
@@ -67,6 +68,7 @@ class Load(Protocol):
         """Declare parameters; the force [N] or torque [N.m] in positive direction."""
 
 
+@LOADS.register(units={"start": ("N", "N.m")})
 @dataclass(frozen=True)
 class ExternalForce:
     """The input ``<name>``: a force (or torque) from outside, a disturbance to plans."""
@@ -86,6 +88,7 @@ class ExternalForce:
         )
 
 
+@LOADS.register(units={"stiffness": ("N/m", "N.m/rad"), "rest": ("m", "rad")})
 @dataclass(frozen=True)
 class Spring:
     """F = -k (position - rest)."""
@@ -120,6 +123,7 @@ class Spring:
         return ca.SX(-k * (at.position - rest))
 
 
+@LOADS.register(units={"coefficient": ("N.s/m", "N.m.s/rad")})
 @dataclass(frozen=True)
 class Damper:
     """F = -c velocity."""
@@ -144,6 +148,7 @@ class Damper:
         return ca.SX(-c * at.velocity)
 
 
+@LOADS.register(units={"coulomb": ("N", "N.m"), "speed": ("m/s", "rad/s")})
 @dataclass(frozen=True)
 class DryFriction:
     """F = -F_c tanh(velocity/v0): Coulomb friction of a guide, rounded off below the speed v0."""
@@ -179,6 +184,7 @@ class DryFriction:
         return ca.SX(-coulomb * ca.tanh(at.velocity / speed))
 
 
+@LOADS.register(units={"value": ("kg", "kg.m2")})
 @dataclass(frozen=True)
 class Inertia:
     """More mass [kg] (or moment of inertia [kg.m2]) that moves along; no force."""
@@ -205,6 +211,14 @@ class Inertia:
         )
 
 
+@LOADS.register(
+    units={
+        "position": ("m", "rad"),
+        "stiffness": ("N/m", "N.m/rad"),
+        "damping": ("N.s/m", "N.m.s/rad"),
+        "width": ("N", "N.m"),
+    }
+)
 @dataclass(frozen=True)
 class Wall:
     """A stop at ``position``, met from below (side +1) or above (-1): smooth unilateral contact.

@@ -17,6 +17,7 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
+from .kinds import DAMPINGS, LOSSES
 
 __all__ = [
     "ConstantDamping",
@@ -43,6 +44,7 @@ class Damping(Protocol):
         """c [N.s/m] for a moving ``mass`` [kg] on ``stiffness`` [N/m]; adds its parameters."""
 
 
+@DAMPINGS.register(units={"value": ("N.s/m", "N.m.s/rad")})
 @dataclass(frozen=True)
 class ConstantDamping:
     """c = constant [N.s/m]."""
@@ -66,6 +68,7 @@ class ConstantDamping:
         )
 
 
+@DAMPINGS.register()
 @dataclass(frozen=True)
 class StiffnessDamping:
     """c = 2 zeta sqrt(m k): a constant damping ratio, so c is a nonlinear function of displacement.
@@ -127,6 +130,7 @@ Line = tuple[float, float]
 """Constant [N.s/m] and slope over pressure [N.s/(m.Pa)]."""
 
 
+@LOSSES.register(units={"speed": "m/s", "rounding": "N.s/m"})
 @dataclass(frozen=True)
 class DirectionalDamping:
     """F = B(p) v, with one B while the muscle contracts and another while it relaxes.
@@ -202,6 +206,9 @@ class DirectionalDamping:
 _WAYS = ("contracting", "relaxing")
 
 
+@LOSSES.register(
+    units={"constant": "N", "per_pressure": "N/Pa", "speed": "m/s", "stribeck_speed": "m/s"}
+)
 @dataclass(frozen=True)
 class CoulombFriction:
     """F = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v/v0), Fc = constant + per_pressure p.

@@ -14,6 +14,7 @@ import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
+from .kinds import LOSSES
 from .losses import Motion
 
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
@@ -52,13 +53,13 @@ def _passage(towards: ca.SX, edge: float | ca.SX, most: float = 1.0) -> ca.SX:
     """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
 
     With ``most`` > 1 it goes on below 0 from there, which leads back: exact motion never comes
-    there,
-    and on a coarse mesh what oversteps the edge does not stay beyond.
+    there, and on a coarse mesh what oversteps the edge does not stay beyond.
     """
     s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), most)
     return ca.SX(1 - s**3)
 
 
+@LOSSES.register(units={"friction": "N", "yield_contraction": "1"})
 @dataclass(frozen=True)
 class BoucWen:
     """F = F0 z, dz/dkappa = [1 - (beta sign(kappa' z) + 1 - beta) |z|^n]/yield, |z| <= 1.
@@ -130,6 +131,7 @@ class BoucWen:
         return ca.SX(friction * z)
 
 
+@LOSSES.register(units={"friction": "N", "yield_contraction": "1"})
 @dataclass(frozen=True)
 class MaxwellSlip:
     """F = sum F_i z_i: springs in series with dry friction, each sliding at its own |z_i| = 1.
@@ -210,6 +212,7 @@ class MaxwellSlip:
         return total
 
 
+@LOSSES.register(units={"stiffness": "N", "time": "s"})
 @dataclass(frozen=True)
 class Creep:
     """F = sum K_i (kappa - e_i), de_i/dt = (kappa - e_i)/tau_i: the membrane gives way in time.

@@ -13,11 +13,21 @@ from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
 from .hanging import HangingLoad
+from .kinds import FEEDS, PLANTS
 from .losses import Damping, Loss
 
 __all__ = ["PositionFeedback", "RegulatedLoad"]
 
 
+@FEEDS.register(
+    units={
+        "gain": "Pa/m",
+        "derivative_gain": "Pa.s/m",
+        "lag": "s",
+        "max_pressure": "Pa",
+        "rounding": "Pa",
+    }
+)
 @dataclass(frozen=True)
 class PositionFeedback:
     """A regulator that follows the muscle's own shortening s = kappa l0 with a first-order lag.
@@ -132,6 +142,15 @@ class PositionFeedback:
         return pressure
 
 
+@PLANTS.register(
+    units={
+        "mass": "kg",
+        "gain": "Pa/m",
+        "derivative_gain": "Pa.s/m",
+        "lag": "s",
+        "max_pressure": "Pa",
+    }
+)
 class RegulatedLoad(HangingLoad):
     """A hanging load whose pressure is fed back from its position through a regulator with a lag.
 
@@ -149,7 +168,7 @@ class RegulatedLoad(HangingLoad):
     mass : load [kg].
     gain, derivative_gain, lag, max_pressure, totals : see :class:`PositionFeedback`.
     damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its
-    value.
+        value.
     losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
 
     States x [m] (upwards), v [m/s], muscle.pressure [Pa]; inputs muscle.set_pressure [Pa] and

@@ -111,8 +111,7 @@ def resting(plant: System, named: Collection[str] = ()) -> tuple[Position, ...]:
     Pressures, lags and states with memory are none. Where the equations leave open which of two
     states is the position (x' = v, v' = -x), or where one integrates the other, ``named`` ones come
     first: those that a motion's stops speak of. Units decide next: lengths and angles are
-    positions;
-    states in other units are only where there is nothing else.
+    positions; states in other units are only where there is nothing else.
     """
     key = ("resting", tuple(sorted(named)), tuple(plant.vector("parameter")))
     found: tuple[Position, ...] = plant.cached(key, lambda: _resting(plant, named))

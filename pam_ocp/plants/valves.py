@@ -13,6 +13,7 @@ from ..core.system import Declares
 from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse, two_ways
 from ..muscles.gas import Chamber, Gas, conductance_from_flow, iso6358, specific_exergy
 from ..muscles.muscle import Muscle
+from .kinds import FEEDS, TUBES
 
 __all__ = ["Air", "GasFeed", "OnOffValves", "SpoolValve", "Tube"]
 
@@ -20,8 +21,17 @@ LOWEST_PRESSURE = -2e4
 """Lower bound of a gas pressure [Pa gauge]: below ambient the membrane collapses."""
 EXERGY_FLOOR = 0.1
 """Below about this exergy [J] the efficiency is rounded off: nothing drawn, nothing gained is 0."""
+GAS_UNITS = {
+    "conductance": "m3/(s.Pa)",
+    "exhaust_conductance": "m3/(s.Pa)",
+    "supply": "Pa",
+    "leak": "m3/(s.Pa)",
+    "max_pressure": "Pa",
+}
+"""Units of what every feed that knows the gas takes; see :class:`GasFeed`."""
 
 
+@TUBES.register(units={"volume": "m3", "lag": "s"})
 @dataclass(frozen=True)
 class Tube:
     """A tube between valve and muscle: a volume, and a first-order lag to the muscle's pressure.
@@ -267,6 +277,7 @@ class GasFeed(ABC):
         return ca.SX(leaving)
 
 
+@FEEDS.register(units=GAS_UNITS)
 @dataclass(frozen=True, kw_only=True)
 class SpoolValve(GasFeed):
     """Proportional 5/3 or 3/3 spool valve: ``<name>.command`` from -1 (exhaust) to +1 (supply).
@@ -279,8 +290,8 @@ class SpoolValve(GasFeed):
         critically lapped valve (0) is rounded over 1e-4.
 
     Controllers choose ``<name>.opening`` instead, how far the way from the supply (> 0) or to
-    ambient
-    (< 0) is open, and send the command that gives exactly that; see :meth:`Plant.in_openings`.
+    ambient (< 0) is open, and send the command that gives exactly that; see
+    :meth:`Plant.in_openings`.
     """
 
     overlap: float = 0.02
@@ -330,6 +341,7 @@ def _opening(name: str) -> dict[str, Any]:
     }
 
 
+@FEEDS.register(units=GAS_UNITS)
 @dataclass(frozen=True, kw_only=True)
 class OnOffValves(GasFeed):
     """Two on/off valves with PWM: the inputs ``<name>.fill`` and ``<name>.vent`` are duties 0 .. 1.
@@ -339,8 +351,7 @@ class OnOffValves(GasFeed):
     time (some 0.1 s) and long against the valves' switching time.
 
     Controllers choose ``<name>.opening`` instead, the duty of filling (> 0) or of venting (< 0):
-    never
-    are both open. See :meth:`Plant.in_openings`.
+    never are both open. See :meth:`Plant.in_openings`.
     """
 
     def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:

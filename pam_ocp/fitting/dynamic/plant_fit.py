@@ -64,8 +64,8 @@ class PlantFit:
     seconds: float
     process_noise: Mapping[str, float] = field(default_factory=dict)
     """Intensity of the noise that was allowed to disturb a state [unit/sqrt(s)]; ``simulated`` is
-    then
-    the smoothed motion."""
+    then the smoothed motion.
+    """
 
     input_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of measured inputs whose errors were estimated; ``simulated`` ran without

@@ -55,8 +55,7 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
 
     Cells of the same pressure (to 0.5 % of the largest), contraction (to 0.001) and branch are
     repeats. (N. Draper, H. Smith, Applied Regression Analysis, 1998, 2.1; approximate for a law
-    that
-    is not linear in its coefficients.)
+    that is not linear in its coefficients.)
 
     Raises InputError where no cell was repeated, no freedom is left, or the loss is a robust one.
     """

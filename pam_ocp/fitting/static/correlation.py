@@ -2,13 +2,12 @@
 
 A regulator that settles, friction and creep make neighbouring measurements err alike, so n of them
 tell less than n. The errors along a sequence are taken as e_i = rho e_(i-1) + new (an AR(1)
-process,
-stationary). rho has a restricted likelihood, that of the part of the data which no coefficient can
-take up (H. Patterson, R. Thompson, Biometrika 58 (1971) 545-554): residuals themselves follow each
-other less than errors do, for the fit has taken up what lasts long. Coefficients stay those of
-least
-squares; their covariance is (J^T J)^-1 J^T R J (J^T J)^-1, averaged over rho with that likelihood
-(all values from 0 to 1 equally likely before), so that not knowing rho counts, too.
+process, stationary). rho has a restricted likelihood, that of the part of the data which no
+coefficient can take up (H. Patterson, R. Thompson, Biometrika 58 (1971) 545-554): residuals
+themselves follow each other less than errors do, for the fit has taken up what lasts long.
+Coefficients stay those of least squares; their covariance is (J^T J)^-1 J^T R J (J^T J)^-1,
+averaged over rho with that likelihood (all values from 0 to 1 equally likely before), so that not
+knowing rho counts, too.
 """
 
 from __future__ import annotations
@@ -65,8 +64,7 @@ def sequences(*tables: ForceTable) -> list[Order]:
     """Orders in which errors of the cells of tables (one behind the other) may follow each other.
 
     Row after row; row after row within a ramp (contraction level, branch and run); along pressure
-    in
-    each of these. Nothing follows from table to table.
+    in each of these. Nothing follows from table to table.
     """
     found = [_joined(orders) for orders in zip(*(_orders(t) for t in tables), strict=True)]
     distinct: list[Order] = []

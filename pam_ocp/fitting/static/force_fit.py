@@ -31,8 +31,8 @@ __all__ = ["ForceFit"]
 
 STRAIGHT = 0.2
 """By this part of its half width the profile interval of a coefficient may differ from value ± t
-errors
-for the law to count as nearly linear in it."""
+errors for the law to count as nearly linear in it.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,9 +64,8 @@ class ForceFit(Optimum):
 
         By profile likelihood, as :meth:`profile_interval`, wherever it is defined: after least
         squares without inequalities. Else, and with ``linearised``, value ± t standard errors,
-        which
-        is short on one side for a coefficient in which the law bends. An end may be infinite: see
-        :meth:`open_ends`.
+        which is short on one side for a coefficient in which the law bends. An end may be infinite:
+        see :meth:`open_ends`.
         """
         return self._intervals(self.free, level, linearised)
 
@@ -138,10 +137,8 @@ class ForceFit(Optimum):
         """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
 
         ``prediction`` is for a measurement of weight 1. Where the one nonlinear coefficient of a
-        law is
-        hardly known, the bands are those of the profile likelihood: all that laws reach which fit
-        as
-        well as its interval allows, no narrower than ``stderr`` says.
+        law is hardly known, the bands are those of the profile likelihood: all that laws reach
+        which fit as well as its interval allows, no narrower than ``stderr`` says.
         """
         pressure, contraction = np.broadcast_arrays(np.asarray(p, float), np.asarray(kappa, float))
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())

@@ -2,11 +2,10 @@
 
 Three ways, each for what the one before leaves over. Along each profile tau(value) = sign
 sqrt(cost - least)/s is nearly straight (D. Bates, D. Watts, Nonlinear Regression Analysis, 1988,
-6.1),
-so secant steps find tau = reach, the others following by Gauss-Newton (:func:`_together`). With one
-nonlinear coefficient q the cost is for each q a parabola in every other one, so the ends of all
-intervals are the extremes over q of ends in closed form: global, and a sweep over q sees where
-nothing ends (:func:`swept`). Else the coefficient walks outwards, the others fitted anew from
+6.1), so secant steps find tau = reach, the others following by Gauss-Newton (:func:`_together`).
+With one nonlinear coefficient q the cost is for each q a parabola in every other one, so the ends
+of all intervals are the extremes over q of ends in closed form: global, and a sweep over q sees
+where nothing ends (:func:`swept`). Else the coefficient walks outwards, the others fitted anew from
 step to step (:func:`profile_end`).
 """
 

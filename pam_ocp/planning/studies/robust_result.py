@@ -97,8 +97,7 @@ class RobustPlan:
     """One input for a set of plants, and what each of them does with it by simulation.
 
     ``print(robust.verdict)`` says for whom it is robust; ``share`` is that of plants that no round
-    of
-    the search had seen before, with its interval.
+    of the search had seen before, with its interval.
     """
 
     plan: Plan
