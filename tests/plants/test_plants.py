@@ -252,3 +252,15 @@ def test_a_muscle_measured_away_from_rest_length_starts_where_it_was_measured():
     ):
         name = "muscle.shortening" if plant.name == "series_load" else "x"
         assert plant.variable(name).start == pytest.approx(0.008)
+
+
+def test_a_joint_has_no_link_unless_one_is_given():
+    """Equal pressures balance at the middle; aside, both muscles pull back and nothing else."""
+    muscle = pam.muscle("DMSP-20-400N")
+    joint = pam.AntagonisticJoint(muscle, 0.05, 0.04, 0.125, damping=0.0, feed=pam.IdealPressure())
+    values, angle = {v.name: 0.0 for v in joint.states}, 0.2
+    values["theta"] = angle
+    x, u = list(values.values()), [4e5, 4e5]
+    acceleration = np.asarray(joint.function(x, u, joint.vector("parameter"))[0]).ravel()[1]
+    one, two = (muscle.law.tension(4e5, 0.125 + s * 0.04 * angle / 0.4) for s in (1, -1))
+    assert acceleration == pytest.approx(0.04 * (one - two) / 0.05, rel=1e-9)
