@@ -34,7 +34,7 @@ NAMES = {
 }  # fmt: skip
 NAMES |= {b: a for a, b in NAMES.items() if a not in ("zeros", "cumsum", "column_stack")}
 QUIET = {
-    "description", "display", "unit", "nominal", "min", "max", "minimum", "maximum", "name",
+    "description", "display", "repr", "unit", "nominal", "min", "max", "minimum", "maximum", "name",
     "stacklevel", "indent",
 }  # fmt: skip
 UNSWAPPED = {
