@@ -5,30 +5,26 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.variables import Variable
 from ...plants.plant import Plant
-from .problem import Budget, Condition, Objective
+from .problem import Auxiliary, Budget, Condition, Objective
 from .profile import Profile
 from .wording import require_expression, subject, times_seconds
 
 __all__ = ["OBJECTIVES", "Symbols", "budget", "objective"]
 
 OBJECTIVES = ("time", "effort", "rate", "work", "air", "exergy")
+ECONOMICAL = ("work", "air", "exergy")
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
 
-WIDEST_POWER, POWER_WIDTH = 10.0, 1e-5
-"""Half width [W] of the smooth max(power, 0) where planning begins, and where it ends.
-
-Work put back into a muscle is not counted. The rounding adds at most half its width per muscle:
-less
-than 5 uJ per second.
-"""
+POWER = 10.0
+"""A typical power of a muscle [W]."""
 
 
 @dataclass
@@ -41,7 +37,7 @@ class Symbols:
     r: list[ca.SX] = field(default_factory=list)
     q: list[ca.SX] = field(default_factory=list)
     m: list[ca.SX] = field(default_factory=list)
-    widths: dict[int, float] = field(default_factory=dict)
+    auxiliaries: dict[str, Auxiliary] = field(default_factory=dict)
 
     def aim(self, name: str, value: Any) -> ca.SX:
         """The symbol of a constant aim, or of a Profile's value."""
@@ -53,12 +49,25 @@ class Symbols:
         self.q.append(ca.SX.sym(f"aim_{len(self.q)}"))
         return self.q[-1]
 
-    def width(self, widest: float, own: float) -> ca.SX:
-        """The symbol of a rounding that goes from the widest to its own width while it is solved
-        for.
-        """
-        self.widths[len(self.aims)] = widest
-        return self.aim("width", own)
+    def at_least_positive(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        """What is max(expression, 0) where its integral is wanted small."""
+        name = f"positive {variable.name}"
+        if name not in self.auxiliaries:
+            symbol = ca.SX.sym(name)
+            missed = expression - variable.nominal * symbol
+            inf, nominal = float("inf"), variable.nominal
+            held = Condition(name, missed, -inf, 0.0, nominal, variable, defining=True)
+            value = ca.fmax(expression / nominal, 0)
+            self.auxiliaries[name] = Auxiliary(symbol, value, 0.0, inf, (held,))
+        return variable.nominal * self.auxiliaries[name].symbol
+
+    def at_most_positive(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        """What is max(expression, 0) where its integral is wanted large."""
+        name = f"counted {variable.name}"
+        if name not in self.auxiliaries:
+            counted = Auxiliary(ca.SX.sym(name), expression > 0, 0.0, 1.0)
+            self.auxiliaries[name] = counted
+        return expression * self.auxiliaries[name].symbol
 
     def unknown(self) -> ca.SX:
         """The symbol of a further unknown of the motion, of order one."""
@@ -86,8 +95,9 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
     return ca.sum1(ca.vertcat(*(plant.expression(name) for name in found)))
 
 
-def _work(plant: Plant, width: ca.SX) -> ca.SX:
+def _work(plant: Plant, symbols: Symbols, wanted: Literal["small", "large"]) -> ca.SX:
     """Mechanical power out of the muscles, each counted where it is positive [W]."""
+    positive = symbols.at_least_positive if wanted == "small" else symbols.at_most_positive
     names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
     muscles = [n for n in names if any(v.name == f"{n}.contraction" for v in plant.outputs)]
     if not muscles:
@@ -98,19 +108,19 @@ def _work(plant: Plant, width: ca.SX) -> ca.SX:
         rate = ca.jtimes(plant.expression(f"{name}.contraction"), plant.x, xdot)
         length = plant.expression(f"{name}.rest_length")
         power = plant.expression(f"{name}.force") * rate * length
-        total += (power + ca.sqrt(power**2 + width**2)) / 2  # a slope and a curvature everywhere
+        total += positive(Variable(f"{name}.power", "output", unit="W", nominal=POWER), power)
     return total
 
 
-def _running(plant: Plant, symbols: Symbols, term: str) -> tuple[ca.SX, Variable]:
+def _running(
+    plant: Plant, symbols: Symbols, term: str, wanted: Literal["small", "large"] = "small"
+) -> tuple[ca.SX, Variable]:
     """(integrand in SI, variable that names the unit of its integral) of a running term."""
     if term == "effort":
         scaled = plant.u / plant.vector("input", attribute="nominal")
         return ca.sumsqr(scaled), Variable("effort", "output", unit="s")
     if term == "work":
-        return _work(plant, symbols.width(WIDEST_POWER, POWER_WIDTH)), Variable(
-            "work", "output", unit="J"
-        )
+        return _work(plant, symbols, wanted), Variable("work", "output", unit="J")
     if term == "air":
         total = _total(plant, "supply_flow", term)
         return total, Variable("air", "output", unit="kg", nominal=1e-3)
@@ -166,6 +176,7 @@ def objective(
         running + (0 if integrand is None else integrand),
         last + (0 if final is None else final),
         tuple(weight for weight, _ in symbols.peaks),
+        any(weights.get(term, 0.0) for term in ECONOMICAL),
     )
 
 
@@ -181,14 +192,17 @@ def _tracking(plant: Plant, symbols: Symbols, track: Mapping[str, Any]) -> ca.SX
     return total
 
 
-def budget(plant: Plant, term: str, value: Any, symbols: Symbols | None = None) -> Budget:
+def budget(
+    plant: Plant, term: str, value: Any, symbols: Symbols | None = None
+) -> tuple[Budget, ...]:
     """Bounds of the integral of a running term, in its own unit; "time" is that of the whole
-    motion.
+    motion. Two where the least and the most are not stated alike.
     """
+    symbols = symbols or Symbols()
     if term == "time":
         integrand, variable = ca.SX(1), Variable("time", "output", unit="s")
     else:
-        integrand, variable = _running(plant, symbols or Symbols(), term)
+        integrand, variable = _running(plant, symbols, term)
     pair = value if isinstance(value, tuple | list) else (None, value)
     if len(pair) != 2 or (pair[0] is None and pair[1] is None):
         raise InputError(f"budgets[{term!r}] = {value!r}: give the most, or (least, most)")
@@ -198,4 +212,9 @@ def budget(plant: Plant, term: str, value: Any, symbols: Symbols | None = None) 
     )
     if low > high:
         raise InputError(f"budgets[{term!r}] = ({low:g}, {high:g}): the bounds are crossed")
-    return Budget(f"budget of {term}", integrand, low, high, variable.nominal, variable)
+    label, nominal, inf = f"budget of {term}", variable.nominal, float("inf")
+    if term != "work" or low == -inf:
+        return (Budget(label, integrand, low, high, nominal, variable),)
+    counted, _ = _running(plant, symbols, term, "large")
+    least = Budget(label, counted, low, inf, nominal, variable)
+    return (least, *([Budget(label, integrand, -inf, high, nominal, variable)] * (high < inf)))

@@ -90,7 +90,13 @@ def pose(plant: Plant, wish: Wish) -> Problem:
         nodes[-1] = _not_implied(plant, stops, nodes[-1], closing or {})
     _require_an_end(wish, legs)
     goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
-    budgets = [budget(plant, term, value, symbols) for term, value in (wish.budgets or {}).items()]
+    budgets = [
+        each
+        for term, value in (wish.budgets or {}).items()
+        for each in budget(plant, term, value, symbols)
+    ]
+    spent = ca.vertcat(goal.integrand, *(b.integrand for b in budgets))
+    used = [a for a in symbols.auxiliaries.values() if ca.depends_on(spent, a.symbol)]
     r, q, m = (ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m))
     problem = Problem(
         plant,
@@ -106,7 +112,7 @@ def pose(plant: Plant, wish: Wish) -> Problem:
         r,
         q,
         m,
-        dict(symbols.widths),
+        tuple(used),
     )
     return _filled(problem, wish, stops[0], holding.positions)
 

@@ -53,9 +53,7 @@ def elastic(
     Returns the constraints that are violated, the worst of each name, largest first, and the
     (scaled) unknowns found: a feasible point when there are none.
     """
-    soft = np.concatenate(
-        [np.full(r.size, r.kind not in ("defect", "closing")) for r in program.rows]
-    )
+    soft = np.concatenate([r.soft() for r in program.rows])
     chosen = np.flatnonzero(soft)
     g = program.nlp["g"]
     above, below = ca.MX.sym("above", len(chosen)), ca.MX.sym("below", len(chosen))
@@ -73,7 +71,7 @@ def elastic(
     zero = np.zeros(2 * len(chosen))
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
     arguments = {
-        "x0": np.concatenate([np.clip(guess, lbx, ubx), zero + 0.1]),
+        "x0": np.concatenate([np.clip(program.completed(guess), lbx, ubx), zero + 0.1]),
         "p": program.parameters(),
         "lbx": np.concatenate([lbx, zero]),
         "ubx": np.concatenate([ubx, zero + np.inf]),
