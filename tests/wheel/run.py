@@ -18,6 +18,8 @@ import zipfile
 from pathlib import Path, PurePosixPath
 
 ROOT = Path(__file__).resolve().parent.parent.parent
+REQUIRED = ("setuptools>=77",)
+"""What pyproject.toml asks for to build, and nothing else: the builder's environment is empty."""
 C_FOLDER = "pam_ocp/export/c"
 C_PARTS = ("src/*", "include/*", "LICENSE.*")
 ARCHIVED = (
@@ -140,17 +142,18 @@ def main() -> None:
         print(f"{version} imports in the clone, where nothing is installed", flush=True)
 
         builder, _ = environment(work / "builder")
-        pip(builder, "install", "build")
+        pip(builder, "install", "build", *REQUIRED)
         # a copy, so that the clone stays as it is; the wheel is built out of the source archive
         clone = shutil.copytree(
             ROOT, work / "clone", ignore=shutil.ignore_patterns(".*", "build", "*.egg-info", "tour")
         )
-        tell(builder, "-m", "build", "--outdir", work / "dist", clone, folder=work)
+        build = (builder, "-m", "build", "--no-isolation")
+        tell(*build, "--outdir", work / "dist", clone, folder=work)
         (wheel,), (archive,) = (work / "dist").glob("*.whl"), (work / "dist").glob("*.tar.gz")
         require(f"-{version}-" in wheel.name, f"{wheel.name} is not version {version}")
         look_into_archive(archive)
         files = look_into_wheel(wheel)
-        tell(builder, "-m", "build", "--wheel", "--outdir", work / "direct", clone, folder=work)
+        tell(*build, "--wheel", "--outdir", work / "direct", clone, folder=work)
         (direct,) = (work / "direct").glob("*.whl")
         require(look_into_wheel(direct) == files, "the wheels of clone and archive differ")
         print(f"{wheel.name} ({len(files)} files) and {archive.name} hold what belongs", flush=True)
@@ -159,8 +162,7 @@ def main() -> None:
         run_installed(python, commands, work / "of_wheel", tour=True)
         print("the wheel runs in an empty folder: import, FMU, tour", flush=True)
         pip(python, "uninstall", "--yes", "pam_ocp")
-        tell(python, "-c", f"import os, sys\nsys.path.insert(0, {str(ROOT)!r})\n{EXPORT}",
-             folder=work)  # fmt: skip
+        tell(python, "-c", f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{EXPORT}", folder=work)
         print("the clone exports an FMU where only the dependencies are installed", flush=True)
         pip(python, "install", "--no-deps", archive)
         run_installed(python, commands, work / "of_archive", tour=False)
