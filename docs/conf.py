@@ -54,7 +54,7 @@ def plain(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[
     text = ROLE.sub(lambda found: found[1] or found[2], "\n".join(lines)).strip()
     first, _, rest = text.partition("\n\n")
     lines[:] = [re.sub(r"([\\*|`_])", r"\\\1", " ".join(first.split()))]
-    if rest.strip():
+    if rest.strip() and what != "data":  # those of a value are its class's
         lines += ["", "::", "", *(f"   {line}" for line in rest.splitlines())]
     lines.append("")
 

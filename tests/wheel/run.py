@@ -145,7 +145,11 @@ def main() -> None:
         pip(builder, "install", "build", *REQUIRED)
         # a copy, so that the clone stays as it is; the wheel is built out of the source archive
         clone = shutil.copytree(
-            ROOT, work / "clone", ignore=shutil.ignore_patterns(".*", "build", "*.egg-info", "tour")
+            ROOT,
+            work / "clone",
+            ignore=shutil.ignore_patterns(
+                ".*", "build", "_build", "generated", "*.egg-info", "tour"
+            ),
         )
         build = (builder, "-m", "build", "--no-isolation")
         tell(*build, "--outdir", work / "dist", clone, folder=work)
