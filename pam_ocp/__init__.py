@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from .core.lazy import lazily
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES: dict[str, str] = {
     "LAWS": "muscles.law",
