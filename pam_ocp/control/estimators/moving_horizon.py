@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
 from ...plants.plant import Plant, Values
+from ..kinds import ESTIMATORS
 from ..mpc.step import StepMethod
 from .extended_kalman import Estimate, Estimator
 
@@ -33,6 +34,7 @@ TOLERANCE = 1e-9
 """Change of the window's trajectory, in units of nominal, that ends the Gauss-Newton steps."""
 
 
+@ESTIMATORS.register("moving-horizon")
 class MovingHorizonEstimator(Estimator):
     """Moving-horizon estimation of a plant's states and unknowns.
 
