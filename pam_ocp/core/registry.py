@@ -163,9 +163,9 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         return str(getattr(made, "title", "")) or _first_sentence(inspect.getdoc(made) or "")
 
     def arguments(self, name: str) -> dict[str, Argument]:
-        """The arguments by name, with units and defaults."""
+        """The arguments by name, with units and defaults; none of what is not called."""
         made: Any = self[name]
-        return arguments(made, self._units[name])
+        return arguments(made, self._units[name]) if callable(made) else {}
 
 
 def arguments(

@@ -53,9 +53,7 @@ def test_a_name_may_be_written_in_either_way(gears):
 
 
 def test_unknown_names_are_met_with_the_nearest_ones(gears):
-    with pytest.raises(
-        UnknownNameError, match=r"unknown plant.gear 'WurmGear': did you mean 'Worm"
-    ):
+    with pytest.raises(UnknownNameError, match=r"plant.gear 'WurmGear': did you mean 'WormGear'"):
         gears.find("plant.gear", "WurmGear")
     with pytest.raises(UnknownNameError, match=r"known: SpurGear, WormGear, FILE.py:NAME"):
         gears.find("gear", "x", "FILE.py:NAME")

@@ -17,6 +17,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 import pam_ocp as pam
+from pam_ocp.control.kinds import CONTROLLERS
+from pam_ocp.control.mpc.sqp import QP_SOLVERS, conic
 from pam_ocp.core.registry import Registry
 from pam_ocp.figures.film import _film
 from pam_ocp.muscles.law import LAWS, coefficient, register
@@ -416,3 +418,57 @@ def test_a_solver_is_one_class(tmp_path):
             pam.plan(plant, tolerance=None, compiled=True, **arguments)
     with pytest.raises(pam.InputError, match="solver = 'slsqp': choose one of fatrop, ipopt"):
         pam.plan(plant, **arguments)
+
+
+# ---- a controller, an estimator, a QP solver -------------------------------------------------
+def test_a_controller_is_one_class():
+    @CONTROLLERS.register("relay")
+    class Relay:
+        """More pressure below the place, less above it."""
+
+        def __init__(self, plant, place: float, low: float = 1e5, high: float = 3e5) -> None:
+            self.name, self.place, self.ends = plant.inputs[0].name, place, (high, low)
+
+        def reset(self):
+            """Nothing to forget."""
+
+        def __call__(self, t, measured):
+            return {self.name: self.ends[measured["x"] > self.place]}
+
+    with known(CONTROLLERS, "relay"):
+        plant = pam.HangingLoad(MUSCLE, 10.0)
+        settings = {"place": 0.03, "high": 4e5}
+        assert set(settings) <= set(CONTROLLERS.arguments("relay"))
+        relay = CONTROLLERS.find("controller.kind", "relay")(plant, **settings)
+        motion = pam.closed_loop(plant, relay, duration=1.0, dt=5e-3)
+        late = motion["x"][motion.t > 0.5]
+        assert late.min() < 0.03 < late.max()
+        assert set(np.unique(motion["muscle.command"])) == {1e5, 4e5}
+    with pytest.raises(pam.UnknownNameError, match=r"controller.kind 'relay': known: mpc"):
+        CONTROLLERS.find("controller.kind", "relay")
+
+
+def test_a_qp_solver_is_one_function():
+    @QP_SOLVERS.register("qrqp")
+    def qrqp(program):
+        """CasADi's own active-set method."""
+        return conic(program, "qrqp", {"print_iter": False, "print_header": False})
+
+    with known(QP_SOLVERS, "qrqp"):
+        plant = pam.AntagonisticSlide(MUSCLE)
+        rest = plant.equilibrium(x=0.0, stiffness=2e4)
+        state = {v.name: rest[v.name] for v in plant.states}
+        asked = {
+            "horizon": 8,
+            "step": 5e-3,
+            "track": {"x": 1.0, "stiffness": 0.05},
+            "rate": {v.name: 0.05 for v in plant.inputs},
+        }
+        given = [
+            pam.Mpc(plant, solver=solver, **asked).control(state, {"x": 0.004, "stiffness": 2e4})
+            for solver in ("qrqp", "piqp")
+        ]
+        for name, value in given[0].items():
+            assert value == pytest.approx(given[1][name], abs=50.0)  # 5e-4 of nominal
+    with pytest.raises(pam.InputError, match="'qrqp': choose 'hpipm', 'piqp' or 'ipopt'"):
+        pam.Mpc(plant, solver="qrqp", **asked)
