@@ -3,33 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import inspect
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 from ..core.registry import Argument, Registry
 
 __all__ = ["add_components", "page"]
-
-GROUPS: tuple[tuple[str, str, str], ...] = (
-    ("plants.kinds", "PLANTS", "`arrangement` of a `[plant]`, or named on the command line"),
-    ("plants.kinds", "LOADS", "of plants: `loads = [{ kind = ... }]`"),
-    ("plants.kinds", "FEEDS", "of plants: `feed = { kind = ... }`"),
-    ("plants.kinds", "LOSSES", "of plants: `losses = [{ kind = ... }]`"),
-    ("plants.kinds", "DAMPINGS", "of plants: `damping = { kind = ... }`"),
-    ("plants.kinds", "TUBES", "of valves: `tube = { ... }`"),
-    ("muscles.gas", "GASES", "of valves: `gas = { ... }`"),
-    ("muscles.gas", "VOLUMES", "of a gas: `volume = { kind = ... }`"),
-    ("muscles.law", "LAWS", "`law` of a muscle file, of `fit_force` and `pam-ocp fit`"),
-    ("planning.problem.costs", "COSTS", "terms of `minimise` and `budgets`"),
-    ("planning.solvers.solver", "SOLVERS", "`solver` of a plan"),
-    ("control.kinds", "CONTROLLERS", "`kind` of a `[controller]` of `pam-ocp mpc`"),
-    ("control.kinds", "ESTIMATORS", "`kind` of an `[estimator]` of `pam-ocp mpc`"),
-    ("control.mpc.sqp", "QP_SOLVERS", "`solver` of a `[controller]`, besides ipopt"),
-)
-"""Where each registry stands, in the order of the page, and where its names are given."""
 
 
 def add_components(commands: Any) -> None:
@@ -70,10 +50,32 @@ def _plain(noun: str) -> str:
     return noun.replace(" ", "-").lower()
 
 
-def groups() -> Iterator[tuple[Registry[Any], str]]:
-    """(registry, where its names are given), in order."""
-    for module, name, where in GROUPS:
-        yield getattr(importlib.import_module(f"pam_ocp.{module}"), name), where
+def groups() -> tuple[tuple[Registry[Any], str], ...]:
+    """(registry, where its names are given), in the order of the page."""
+    from ..control.kinds import CONTROLLERS, ESTIMATORS
+    from ..control.mpc.sqp import QP_SOLVERS
+    from ..muscles.gas import GASES, VOLUMES
+    from ..muscles.law import LAWS
+    from ..planning.problem.costs import COSTS
+    from ..planning.solvers.solver import SOLVERS
+    from ..plants.kinds import DAMPINGS, FEEDS, LOADS, LOSSES, PLANTS, TUBES
+
+    return (
+        (PLANTS, "`arrangement` of a `[plant]`, or named on the command line"),
+        (LOADS, "of plants: `loads = [{ kind = ... }]`"),
+        (FEEDS, "of plants: `feed = { kind = ... }`"),
+        (LOSSES, "of plants: `losses = [{ kind = ... }]`"),
+        (DAMPINGS, "of plants: `damping = { kind = ... }`"),
+        (TUBES, "of valves: `tube = { ... }`"),
+        (GASES, "of valves: `gas = { ... }`"),
+        (VOLUMES, "of a gas: `volume = { kind = ... }`"),
+        (LAWS, "`law` of a muscle file, of `fit_force` and `pam-ocp fit`"),
+        (COSTS, "terms of `minimise` and `budgets`"),
+        (SOLVERS, "`solver` of a plan"),
+        (CONTROLLERS, "`kind` of a `[controller]` of `pam-ocp mpc`"),
+        (ESTIMATORS, "`kind` of an `[estimator]` of `pam-ocp mpc`"),
+        (QP_SOLVERS, "`solver` of a `[controller]`, besides ipopt"),
+    )
 
 
 def page() -> str:

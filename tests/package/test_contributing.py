@@ -4,10 +4,13 @@ What a contributor would write as a new file stands between two registrations; n
 package is touched, and the registries are as before afterwards.
 """
 
+import importlib
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import casadi as ca
@@ -29,6 +32,8 @@ from pam_ocp.plants.kinds import FEEDS, LOADS, LOSSES, PLANTS
 from pam_ocp.plants.plant_file import plant_of
 from pam_ocp.plants.sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
 MUSCLE = "DMSP-20-200N"
 QUICK = "[method]\nintervals = 8\ndegree = 5\n"
 
@@ -472,3 +477,29 @@ def test_a_qp_solver_is_one_function():
             assert value == pytest.approx(given[1][name], abs=50.0)  # 5e-4 of nominal
     with pytest.raises(pam.InputError, match="'qrqp': choose 'hpipm', 'piqp' or 'ipopt'"):
         pam.Mpc(plant, solver="qrqp", **asked)
+
+
+# ---- what CONTRIBUTING.md shows ---------------------------------------------------------------
+def test_the_load_and_the_problem_of_the_page_work(tmp_path, monkeypatch):
+    code, words = (re.search(rf"```{kind}\n(.*?)```", PAGE, re.S)[1] for kind in ("python", "toml"))
+    for name in ("..core.errors", ".kinds", ".loads"):
+        full = f"pam_ocp.plants{name}" if name.count(".") == 1 else f"pam_ocp{name[1:]}"
+        code = code.replace(f"from {name} import", f"from {full} import")
+    (tmp_path / "magnet.py").write_text(code, "utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    importlib.import_module("magnet")
+    with known(LOADS, "Magnet"):
+        plant, _ = problem(tmp_path, "stops = [{ x = 0.0 }, { x = '1 mm' }]", words)
+        assert plant.variable("magnet.pull").start == 30.0
+
+
+def test_the_page_names_every_registry_and_every_file_that_holds_one():
+    holders = {"plants/kinds.py", "muscles/law.py", "muscles/gas.py", "control/kinds.py"}
+    holders |= {"planning/problem/costs.py", "planning/solvers/solver.py", "control/mpc/sqp.py"}
+    found = {
+        path.relative_to(ROOT / "pam_ocp").as_posix()
+        for path in (ROOT / "pam_ocp").rglob("*.py")
+        if re.search(r"^[A-Z_]+: Registry\[", path.read_text("utf-8"), re.M)
+    }
+    assert found == holders
+    assert all(f"`{name}`" in PAGE for name in holders)
