@@ -20,15 +20,17 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 import pam_ocp as pam
-from pam_ocp.control.kinds import CONTROLLERS
+from pam_ocp.cli.main import main
+from pam_ocp.control.kinds import CONTROLLERS, ESTIMATORS
 from pam_ocp.control.mpc.sqp import QP_SOLVERS, conic
 from pam_ocp.core.registry import Registry
 from pam_ocp.figures.film import _film
+from pam_ocp.muscles.gas import VOLUMES
 from pam_ocp.muscles.law import LAWS, coefficient, register
 from pam_ocp.planning.problem.costs import COSTS, running_cost
 from pam_ocp.planning.problem.problem_file import load_problem
 from pam_ocp.planning.solvers.solver import SOLVERS, Outcome
-from pam_ocp.plants.kinds import FEEDS, LOADS, LOSSES, PLANTS
+from pam_ocp.plants.kinds import DAMPINGS, FEEDS, LOADS, LOSSES, PLANTS
 from pam_ocp.plants.plant_file import plant_of
 from pam_ocp.plants.sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
@@ -248,6 +250,60 @@ def test_a_loss_is_one_class(tmp_path):
         is_taken_by_every_verb(plant, tmp_path, x=0.01)
 
 
+# ---- a damping, a volume ---------------------------------------------------------------------
+def test_a_damping_is_one_class():
+    @DAMPINGS.register(units={"time": "s"})
+    @dataclass(frozen=True)
+    class Rayleigh:
+        """c = time k: damping in proportion to stiffness."""
+
+        time: float = 1e-3
+
+        def coefficient(self, plant, mass, stiffness, unit="N.s/m"):
+            time = plant.parameter("damping_time", self.time, unit="s", min=0.0, nominal=1e-3)
+            return time * stiffness
+
+    with known(DAMPINGS, "Rayleigh"):
+        plant = plant_of(
+            {
+                "arrangement": "HangingLoad",
+                "muscle": MUSCLE,
+                "mass": 10.0,
+                "damping": {"kind": "Rayleigh", "time": "2 ms"},
+            }
+        )
+        at = {"x": 0.02, "muscle.pressure": 3e5}
+        slope = rates(plant, at | {"v": 0.1}, {})["v"] - rates(plant, at, {})["v"]
+        k = pam.muscle(MUSCLE).stiffness(3e5, 0.02 / pam.muscle(MUSCLE).rest_length)
+        assert slope == pytest.approx(-2e-3 * k * 0.1 / 10.0)
+
+
+def test_a_volume_is_one_class():
+    @VOLUMES.register(units={"rest": "m3", "growth": "m3"})
+    @dataclass(frozen=True)
+    class StraightVolume:
+        """V = rest + growth kappa."""
+
+        rest: float
+        growth: float
+
+        def filled(self, muscle, kappa, declare):
+            return declare("v_rest", self.rest, unit="m3") + self.growth * kappa
+
+    with known(VOLUMES, "StraightVolume"):
+        volume = {"kind": "StraightVolume", "rest": "0.1 l", "growth": "0.2 l"}
+        plant = plant_of(
+            {
+                "arrangement": "HangingLoad",
+                "muscle": MUSCLE,
+                "feed": {"kind": "OnOffValves", "gas": {"volume": volume, "dead_volume": "0 l"}},
+            }
+        )
+        motion = pam.simulate(plant, duration=0.01)
+        expected = 1e-4 + 2e-4 * motion["muscle.contraction"]
+        assert motion["muscle.volume"] == pytest.approx(expected, rel=1e-9)
+
+
 # ---- a running cost --------------------------------------------------------------------------
 def test_a_running_cost_is_one_function(tmp_path):
     @running_cost("tension", unit="N2.s", nominal=1e4, slower_is_less=True)
@@ -451,6 +507,31 @@ def test_a_controller_is_one_class():
         assert set(np.unique(motion["muscle.command"])) == {1e5, 4e5}
     with pytest.raises(pam.UnknownNameError, match=r"controller.kind 'relay': known: mpc"):
         CONTROLLERS.find("controller.kind", "relay")
+
+
+def test_an_estimator_is_one_class(capsys):
+    @ESTIMATORS.register("gated")
+    class Gated(pam.KalmanFilter):
+        """A Kalman filter that does not believe what is far from what it expects."""
+
+        seen: ClassVar[list[int]] = []
+
+        def correct(self, measurement, inputs=None):
+            expected = self.estimate.state
+            near = {
+                n: v
+                for n, v in measurement.items()
+                if abs(v - expected.get(n, v)) < self.plant.variable(n).nominal
+            }
+            self.seen.append(len(near))
+            return super().correct(near, inputs)
+
+    with known(ESTIMATORS, "gated"):
+        assert main(["mpc", "--estimator", "gated", "--duration", "0.05"]) == 0
+        assert len(Gated.seen) >= 10
+        assert "steady error of x" in capsys.readouterr().out
+    assert main(["mpc", "--estimator", "gated", "--duration", "0.05"]) == 2
+    assert "unknown estimator.kind 'gated': known: kalman" in capsys.readouterr().err
 
 
 def test_a_qp_solver_is_one_function():
