@@ -48,7 +48,7 @@ def animate_plan(
     scale, muscles as long as they are and coloured by pressure; any other by its curves alone.
 
     seconds : length of the film; by default the motion slowed down (or quickened) to 4 s. It
-    repeats.
+        repeats.
     fps : frames per second.
 
     Raises InputError when the ending is not .gif, PlanError for a plan that failed.

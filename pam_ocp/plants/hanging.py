@@ -109,9 +109,9 @@ class HangingLoad(Plant):
     muscle : the muscle, or its name in the catalogue; its rest length sets the stroke.
     mass : load [kg].
     inclination : of +x above the horizontal [rad]: a load pulled up a slope; None for a vertical
-    one.
+        one.
     damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its
-    value.
+        value.
     feed : how the pressure comes about; default ``Regulator()``.
     losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
     loads : what else acts on the mass, as ``(Spring(1e3), ExternalForce())``.

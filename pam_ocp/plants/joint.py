@@ -12,11 +12,11 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.expressions import expression_of
 from ..core.plausible import meant_within
 from ..muscles.muscle import Muscle
-from .components import as_damping, as_loads, as_muscle
+from .components import as_damping, as_muscle
 from .feeds import Feed
 from .hanging import GRAVITY
 from .kinds import PLANTS
-from .loads import Coordinate, Load, Wall, applied
+from .loads import Coordinate, Load, Wall, applied, as_loads
 from .losses import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant
@@ -44,10 +44,8 @@ class AntagonisticJoint(Plant):
     """A joint between two muscles: I theta'' + c theta' = r1 F1 - r2 F2 - m g d sin(theta) + loads.
 
     Flexor (muscle 1) pulls towards +theta, extensor (muscle 2) towards -theta. A moment arm
-    r(theta)
-    is the derivative of the shortening s: kappa1 = k0 + s1(theta)/l0, kappa2 = k0 - s2(theta)/l0,
-    so
-    the muscles' work is the joint's work.
+    r(theta) is the derivative of the shortening s: kappa1 = k0 + s1(theta)/l0, kappa2 = k0 -
+    s2(theta)/l0, so the muscles' work is the joint's work.
 
     Parameters
     ----------
@@ -63,9 +61,8 @@ class AntagonisticJoint(Plant):
     damping, feed, losses, loads : components; by default 0.3 N m s/rad and a ``Regulator()`` each.
 
     States theta [rad], omega [rad/s] and those of feeds and losses. Outputs ``torque`` of the
-    muscles
-    [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the muscles'
-    own.
+    muscles [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the
+    muscles' own.
     """
 
     def __init__(

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Any, Protocol, cast
 
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
 from ..muscles.law import clamp
-from .components import as_loads
+from .components import components
 from .kinds import LOADS
-
-if TYPE_CHECKING:
-    from .plant import Plant
 
 __all__ = [
     "Coordinate",
@@ -30,6 +28,7 @@ __all__ = [
     "Spring",
     "Wall",
     "applied",
+    "as_loads",
 ]
 
 
@@ -65,7 +64,7 @@ class Load(Protocol):
     joint.
     """
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """Declare parameters; the force [N] or torque [N.m] in positive direction."""
 
 
@@ -77,7 +76,7 @@ class ExternalForce:
     name: str = "external_force"
     start: float = 0.0
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         return plant.input(
             self.name,
@@ -102,7 +101,7 @@ class Spring:
         require_positive("Spring.stiffness", self.stiffness, zero=True)
         require_finite("Spring.rest", self.rest)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         k = plant.parameter(
             f"{self.name}.stiffness",
@@ -135,7 +134,7 @@ class Damper:
     def __post_init__(self) -> None:
         require_positive("Damper.coefficient", self.coefficient, zero=True)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         c = plant.parameter(
             f"{self.name}.coefficient",
@@ -162,7 +161,7 @@ class DryFriction:
         require_positive("DryFriction.coulomb", self.coulomb, zero=True)
         require_positive("DryFriction.speed", self.speed)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         coulomb = plant.parameter(
             f"{self.name}.coulomb",
@@ -196,11 +195,11 @@ class Inertia:
     def __post_init__(self) -> None:
         require_positive("Inertia.value", self.value, zero=True)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`; always zero."""
         return ca.SX(0)
 
-    def inertia(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def inertia(self, plant: Declares, at: Coordinate) -> ca.SX:
         """What is added to the moving mass."""
         return plant.parameter(
             self.name,
@@ -247,7 +246,7 @@ class Wall:
                 f"Wall.side = {self.side!r}: +1 stops motion upwards, -1 motion downwards"
             )
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         where = plant.parameter(
             f"{self.name}.position",
@@ -296,7 +295,12 @@ class Wall:
         return ca.SX(-self.side * elastic * factor)
 
 
-def applied(plant: Plant, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
+def as_loads(value: Any) -> tuple[Load, ...]:
+    """Loads: one of them, several, or none."""
+    return cast("tuple[Load, ...]", components("loads", value, "Spring(1e3)"))
+
+
+def applied(plant: Declares, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
     """(sum of the forces, sum of the added inertias) of all loads at a coordinate."""
     force, inertia = ca.SX(0), ca.SX(0)
     for load in as_loads(loads):
@@ -305,7 +309,7 @@ def applied(plant: Plant, loads: Load | Sequence[Load], at: Coordinate) -> tuple
     return force, inertia
 
 
-def _inertia(plant: Plant, load: Load, at: Coordinate) -> ca.SX:
+def _inertia(plant: Declares, load: Load, at: Coordinate) -> ca.SX:
     """What a load adds to the moving mass: its ``inertia(plant, at)``, or a number of that name."""
     own = getattr(load, "inertia", 0.0)
     added = own(plant, at) if callable(own) else own

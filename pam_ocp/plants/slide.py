@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.plausible import meant_within
 from ..muscles.muscle import Muscle
-from .components import as_damping, as_loads, as_muscle
+from .components import as_damping, as_muscle
 from .feeds import Feed
 from .kinds import PLANTS
-from .loads import Coordinate, Load, applied
+from .loads import Coordinate, Load, applied, as_loads
 from .losses import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant
@@ -32,7 +32,7 @@ class AntagonisticSlide(Plant):
     pre_contraction : contraction k0 of both muscles at x = 0.
     stroke : largest |x| [m]; by default as far as both muscles stay in their measured range.
     damping : ``ConstantDamping(value)`` (default 20 N s/m) or its value, or
-    ``StiffnessDamping(ratio)``.
+        ``StiffnessDamping(ratio)``.
     feed : how each pressure comes about; default ``Regulator()``.
     losses : friction, hysteresis, creep of each muscle, as ``(CoulombFriction(), Creep())``.
     loads : what else acts on the slide, as ``(ExternalForce(), DryFriction(5.0))``.

@@ -482,7 +482,7 @@ def test_a_solver_is_one_class(tmp_path):
 
 
 # ---- a controller, an estimator, a QP solver -------------------------------------------------
-def test_a_controller_is_one_class():
+def test_a_controller_is_one_class(tmp_path, capsys):
     @CONTROLLERS.register("relay")
     class Relay:
         """More pressure below the place, less above it."""
@@ -496,17 +496,21 @@ def test_a_controller_is_one_class():
         def __call__(self, t, measured):
             return {self.name: self.ends[measured["x"] > self.place]}
 
+    file, motion = tmp_path / "loop.toml", tmp_path / "motion.csv"
+    file.write_text(
+        f"plant = 'hanging_load'\nmuscle = '{MUSCLE}'\nset = {{ mass = '10 kg' }}\n"
+        "duration = '1 s'\nstart = { x = '20 mm' }\n"
+        "[controller]\nkind = 'relay'\nplace = 0.03\nhigh = 4e5\n[estimator]\nkind = 'none'\n"
+    )
     with known(CONTROLLERS, "relay"):
-        plant = pam.HangingLoad(MUSCLE, 10.0)
-        settings = {"place": 0.03, "high": 4e5}
-        assert set(settings) <= set(CONTROLLERS.arguments("relay"))
-        relay = CONTROLLERS.find("controller.kind", "relay")(plant, **settings)
-        motion = pam.closed_loop(plant, relay, duration=1.0, dt=5e-3)
-        late = motion["x"][motion.t > 0.5]
+        assert main(["mpc", str(file), "--out", str(motion)]) == 0
+        run = pam.Trajectory.load(motion)
+        late = run["x"][run.t > 0.5]
         assert late.min() < 0.03 < late.max()
-        assert set(np.unique(motion["muscle.command"])) == {1e5, 4e5}
-    with pytest.raises(pam.UnknownNameError, match=r"controller.kind 'relay': known: mpc"):
-        CONTROLLERS.find("controller.kind", "relay")
+        assert set(np.unique(run["muscle.command"])) == {1e5, 4e5}
+    capsys.readouterr()
+    assert main(["mpc", str(file)]) == 2
+    assert "unknown controller.kind 'relay': known: mpc" in capsys.readouterr().err
 
 
 def test_an_estimator_is_one_class(capsys):

@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
+from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import Experiment, Group
@@ -48,8 +49,8 @@ class Program:
     head : (parameters, gains - 1, offsets, delay, initial states of every record).
     residuals : in units of the measured variables' nominals; one weight each is the parameter.
     jumps : how many unknowns at the end of w are jumps of disturbed states where intervals begin,
-    and
-        errors of measured inputs, in units of their standard deviations; residuals ends with them.
+        and errors of measured inputs, in units of their standard deviations; residuals ends with
+        them.
     """
 
     w: ca.MX
@@ -209,8 +210,8 @@ def _jumps(
 
 def _input_errors(experiments: Sequence[Experiment], mesh: _Mesh) -> ca.DM:
     """Matrix from errors of measured inputs (in standard deviations) to all coefficients, a column
-    of ``mesh.u``
-    after the other."""
+    of ``mesh.u`` after the other.
+    """
     rows, columns, values, first, count = [], [], [], 0, 0
     for e in experiments:
         if e.errors is not None:
@@ -329,17 +330,12 @@ def _shooting(
     begin, h, u, p = _symbols(plant, x_nominal, mesh)
     since, span = ca.SX.sym("since"), ca.SX.sym("span")
 
-    def slope(x: ca.SX, time: ca.SX) -> ca.SX:
-        return plant.function(x * x_nominal, _input(u, time), p)[0] / x_nominal
+    d = span / steps
 
-    x, d = begin, span / steps
-    for i in range(steps):
-        t = i * d
-        k1 = slope(x, t)
-        k2 = slope(x + d / 2 * k1, t + d / 2)
-        k3 = slope(x + d / 2 * k2, t + d / 2)
-        k4 = slope(x + d * k3, t + d)
-        x = x + d / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    def slope(x: ca.SX, at: float) -> ca.SX:
+        return plant.function(x * x_nominal, _input(u, at * d), p)[0] / x_nominal
+
+    x = rk4(slope, begin, d, steps)
     after = ca.Function("after", [begin, span, ca.vec(u), p], [x])
     inside = after(begin, since, ca.vec(u), p) * x_nominal
     read = _outputs(plant, names)(inside, _input(u, since), p)

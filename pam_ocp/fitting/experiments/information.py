@@ -15,6 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
 from ..dynamic.experiment import Group
 from ..statistics import Array
@@ -97,14 +98,9 @@ class Excitation:
     def _step(self, sensitive: bool) -> ca.Function:
         """From sample to sample, the inputs running straight from u0 to u1."""
         slope, h = self._slope(sensitive), self.sample / self.steps
-        z = begin = ca.SX.sym("z", slope.size1_in(0))
+        begin = ca.SX.sym("z", slope.size1_in(0))
         u0, u1 = (ca.SX.sym(n, slope.size1_in(1)) for n in ("u0", "u1"))
-        for i in range(self.steps):
-            early, middle, late = (u0 + (u1 - u0) * (i + part) / self.steps for part in (0, 0.5, 1))
-            k1 = slope(z, early)
-            k2 = slope(z + h / 2 * k1, middle)
-            k3 = slope(z + h / 2 * k2, middle)
-            z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(z + h * k3, late))
+        z = rk4(lambda z, at: slope(z, u0 + (u1 - u0) * at / self.steps), begin, h, self.steps)
         return ca.Function("step", [begin, u0, u1], [z])
 
     def _read(self) -> ca.Function:

@@ -25,8 +25,7 @@ WIDEST_POWER, POWER_WIDTH = 10.0, 1e-5
 """Half width [W] of the smooth max(power, 0) where planning begins, and where it ends.
 
 Work put back into a muscle is not counted. The rounding adds at most half its width per muscle:
-less
-than 5 uJ per second.
+less than 5 uJ per second.
 """
 
 

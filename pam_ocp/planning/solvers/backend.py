@@ -86,11 +86,11 @@ class _FatropFirst:
         residual = self._ipopt.residual(program, found)
         if residual <= RESIDUAL:
             return found
-        polished = self._ipopt(program, found.w, "warm", found)
+        found_by_ipopt = self._ipopt(program, found.w, "warm", found)
         warning = f"fatrop left a residual of {residual:.1e}; IPOPT went on from there"
         return replace(
-            polished,
+            found_by_ipopt,
             warning=warning,
-            seconds=polished.seconds + found.seconds,
-            iterations=polished.iterations + found.iterations,
+            seconds=found_by_ipopt.seconds + found.seconds,
+            iterations=found_by_ipopt.iterations + found.iterations,
         )

@@ -2,9 +2,8 @@
 ones.
 
 The parameters of a plant that have a ``widest`` value (of hysteresis), and the roundings of costs,
-go
-from there to their own along a path, evenly in their logarithms; each solution starts the next. The
-last one is the problem itself.
+go from there to their own along a path, evenly in their logarithms; each solution starts the next.
+The last one is the problem itself.
 """
 
 from __future__ import annotations

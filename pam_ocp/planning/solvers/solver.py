@@ -45,8 +45,8 @@ DEFAULTS: dict[str, Any] = {
 
 BARRIER_OF_TIME = 5e-4
 """mu_init where only the duration counts, in seconds: motions are quick, and a barrier as high as
-for
-other objectives would first make them slow (a sixth of the time of 78 random tasks)."""
+for other objectives would first make them slow (a sixth of the time of 78 random tasks).
+"""
 
 ADAPTIVE: dict[str, Any] = {
     "mu_strategy": "adaptive",
@@ -57,8 +57,8 @@ ADAPTIVE: dict[str, Any] = {
 
 SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
 """Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes.
-Where
-the linear algebra gets stuck in fill-in another start is the better use of time."""
+Where the linear algebra gets stuck in fill-in another start is the better use of time.
+"""
 PATIENCE = 6.0
 """Times as much for all but the first start."""
 
@@ -260,8 +260,7 @@ class Ipopt:
         """Solve for the program's values (same expressions as the one built).
 
         start : "cold", "adaptive" (another barrier strategy), "near" (the guess solves another
-        mesh)
-        or "warm" (from the multipliers of the outcome ``warm`` too).
+        mesh) or "warm" (from the multipliers of the outcome ``warm`` too).
         """
         begin = time.perf_counter()
         solver = self._solver(start)
