@@ -181,8 +181,8 @@ REPORTED = [  # those that survived once
     Mutant(
         "wind-up of PositionController",
         "pam_ocp/design/pid.py",
-        "self.pid(error, self.dt, self._saturated)",
-        "self.pid(error, self.dt)",
+        "self.pid(error, self.sample_time, self._saturated)",
+        "self.pid(error, self.sample_time)",
         "tests/control/test_design_loop.py -k wind",
     ),
     Mutant(
@@ -648,8 +648,8 @@ DESIGN = [
     Mutant(
         "filtered slope of a PID the other way",
         "pam_ocp/design/pid.py",
-        "share * self._slope + (1 - share) * (error - self._last) / dt",
-        "(1 - share) * self._slope + share * (error - self._last) / dt",
+        "share * self._slope + (1 - share) * (error - self._last) / sample_time",
+        "(1 - share) * self._slope + share * (error - self._last) / sample_time",
         "tests/control/test_design_loop.py",
     ),
     Mutant(
@@ -669,13 +669,13 @@ DESIGN = [
     Mutant(
         "sampled LQR weighs without dt",
         "pam_ocp/design/lqr.py",
-        "control.dlqr(held.A, held.B, q * dt, r * dt)",
-        "control.dlqr(held.A, held.B, q, r * dt)",
+        "control.dlqr(ad, bd, q * sample_time, r * sample_time)",
+        "control.dlqr(ad, bd, q, r * sample_time)",
         "tests/control/test_design_lqr.py",
         (
             "pam_ocp/design/lqr.py",
-            "control.dlqr(held.A, held.B, used * dt, r * dt)",
-            "control.dlqr(held.A, held.B, used, r * dt)",
+            "control.dlqr(ad, bd, used * sample_time, r * sample_time)",
+            "control.dlqr(ad, bd, used, r * sample_time)",
         ),
     ),
     Mutant(
@@ -702,7 +702,7 @@ DESIGN = [
     Mutant(
         "Kalman drift without dt",
         "pam_ocp/design/kalman.py",
-        "np.concatenate([drive, drift]) ** 2 * dt",
+        "np.concatenate([drive, drift]) ** 2 * sample_time",
         "np.concatenate([drive, drift]) ** 2",
         "tests/control/test_offset_free.py tests/control/test_design_lqr.py",
     ),

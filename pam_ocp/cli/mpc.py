@@ -58,7 +58,7 @@ keys come first:
   stiffness = 2e4
 
   [controller]                            # arguments of Mpc
-  step = 0.005
+  sample_time = 0.005
   horizon = 40
   delay = 1
   track = { x = 1.0, stiffness = 0.05 }
@@ -191,12 +191,14 @@ def _run(study: Mapping[str, Any]) -> ClosedLoop:
     rest = plant.equilibrium(start)
     begin = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs) if not v.disturbance}
     model = plant.with_values(begin)
-    settings = {"step": 0.005, "horizon": 40, "delay": 1, **study["controller"]}
+    settings = {"sample_time": 0.005, "horizon": 40, "delay": 1, **study["controller"]}
     settings.setdefault("track", {n: 1.0 if n == position else 0.05 for n in sources})
     controls = [v.name for v in model.inputs if not v.disturbance]
     settings.setdefault("rate", dict.fromkeys(controls, 0.05))
     controller: Mpc = _made("controller", Mpc, model, settings)
-    estimator = _estimator(model, position, {"step": settings["step"], **study["estimator"]})
+    estimator = _estimator(
+        model, position, {"sample_time": settings["sample_time"], **study["estimator"]}
+    )
     disturbances = {
         n: source(f"disturbances.{n}", v, model.variable(n).unit, before=0.0)
         for n, v in study["disturbances"].items()

@@ -70,10 +70,10 @@ class OffsetFree:
                 "OffsetFree: the filter estimates no disturbance; give kalman(..., "
                 "disturbances=...)"
             )
-        if not np.isclose(self.feedback.dt, self.filter.dt, rtol=1e-9):
+        if not np.isclose(self.feedback.sample_time, self.filter.sample_time, rtol=1e-9):
             raise InputError(
-                f"OffsetFree: the feedback has dt = {self.feedback.dt:g} s, the filter "
-                f"{self.filter.dt:g} s; design both for one"
+                f"OffsetFree: sample_time = {self.feedback.sample_time:g} s of the feedback, "
+                f"{self.filter.sample_time:g} s of the filter; design both for one"
             )
         plant = self.feedback.point.plant
         self._held = chosen_signals("hold", plant, self.hold, ("state", "output"))

@@ -64,7 +64,7 @@ class Mpc:
         fed by valves it chooses the openings (``plant.in_openings()``), which move the flow through
         zero, where commands have a dead zone, and gives the commands that make exactly these;
         weights and bounds may name either. ``plant.in_commands()`` leaves commands as they are.
-    horizon : number of steps looked ahead, of ``step`` seconds each.
+    horizon : number of steps looked ahead, of ``sample_time`` seconds each.
     track : {state, output or input: weight w >= 0}.
     rate : {input: weight r >= 0} on its change from step to step. Weights on changes leave no
     steady
@@ -110,7 +110,7 @@ class Mpc:
         plant: Plant,
         *,
         horizon: int,
-        step: float,
+        sample_time: float,
         track: Mapping[str, float],
         rate: Mapping[str, float] | None = None,
         terminal: Mapping[str, float] | None = None,
@@ -134,7 +134,8 @@ class Mpc:
             raise InputError(f"delay = {delay!r}: give 0 (at once) or 1 (one step later)")
         require_positive("penalty", penalty)
         require_positive("tolerance", tolerance)
-        self.plant, self.horizon, self.step, self.delay = plant, horizon, float(step), delay
+        self.plant, self.horizon, self.delay = plant, horizon, delay
+        self.sample_time = float(sample_time)
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
         self.model = rounded(inversion.inner, KINKS)
@@ -144,7 +145,7 @@ class Mpc:
         self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
-        how = Step(step, method, substeps)
+        how = Step(sample_time, method, substeps)
         track, terminal = inversion.names(track), terminal and inversion.names(terminal)
         penalties = _penalties(self.model, track, terminal)
         rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
@@ -198,11 +199,6 @@ class Mpc:
         from ..loop import closed_loop
 
         return closed_loop(self, real, reference, duration=duration, **options)
-
-    @property
-    def sample_time(self) -> float:
-        """See :class:`Controller`."""
-        return self.step
 
     def tracking(
         self,
@@ -290,7 +286,7 @@ class Mpc:
         inputs = np.column_stack([columns[v.name] for v in self.model.inputs])
         if self.inversion:
             inputs = self.inversion.sent(inputs, point.given[:n])
-        t: Array = self.step * np.arange(self.horizon + 1.0)
+        t: Array = self.sample_time * np.arange(self.horizon + 1.0)
         held = PiecewisePolynomial(t, inputs[:-1, None, :])
         model = self.plant.with_values(
             {v.name: point.given[i] for i, v in enumerate(self.plant.parameters)}
@@ -439,7 +435,7 @@ class TrackingMpc:
         """See :class:`Controller`."""
         mpc = self.mpc
         states = [v.name for v in mpc.plant.states]
-        ahead = t + mpc.step * (mpc.delay + np.arange(mpc.horizon + 1))
+        ahead = t + mpc.sample_time * (mpc.delay + np.arange(mpc.horizon + 1))
         if not self.preview:
             ahead = np.full_like(ahead, t)
         reference = {n: np.array([at(float(s)) for s in ahead]) for n, at in self.reference.items()}
