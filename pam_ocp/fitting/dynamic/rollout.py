@@ -110,8 +110,12 @@ def _functions(
     for j, group in enumerate(unknowns):
         for member in group.members:
             p[member] = z[j] * group.scale
+    first = plant.function(x, u, p)[0]
     after = ros2(
-        lambda z: plant.function(z, u, p)[0], lambda z: plant.function(z, late, p)[0], x, runs.step
+        lambda _: (first, ca.jacobian(first, x)),
+        lambda z: plant.function(z, late, p)[0],
+        x,
+        runs.step,
     )
     slopes = ca.jacobian(after, x) @ s + ca.jacobian(after, z)
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
