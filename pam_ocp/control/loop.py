@@ -19,6 +19,7 @@ from ..plants.plant import Given, Plant, Values
 from .controller import Controller, Estimate, Measured, Observer, Tracking
 from .mpc_statistics import MpcStatistics
 from .references import Source, source
+from .saved_loop import read_loop, write_loop
 from .sides import PlantSide, Side, side_of
 
 if TYPE_CHECKING:
@@ -80,8 +81,19 @@ class ClosedLoop:
         return plot_closed_loop(self, title)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the trajectory: see :meth:`Trajectory.save`."""
-        return self.trajectory.save(path)
+        """Write all of it to ``.npz``, or the trajectory alone to ``.csv`` or ``.parquet``.
+
+        See :meth:`Trajectory.save`; :meth:`Trajectory.load` reads the motion from each of them.
+        """
+        if Path(path).suffix.lower() != ".npz":
+            return self.trajectory.save(path)
+        parts = {"seen": self.seen, "reference": self.reference, "estimate": self.estimate}
+        return write_loop(path, self.trajectory, parts, self.statistics, self.prediction_error)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> ClosedLoop:
+        """Read what :meth:`save` wrote to ``.npz``. Raises InputError for any other file."""
+        return cls(**read_loop(path))
 
     def __str__(self) -> str:
         said = [f"closed loop over {self.trajectory.duration:g} s"]

@@ -6,7 +6,7 @@ from design_tools import Fixed
 
 import pam_ocp as pam
 from pam_ocp import InputError, UnknownNameError
-from pam_ocp.control.loop import closed_loop
+from pam_ocp.control.loop import ClosedLoop, closed_loop
 from pam_ocp.control.references import source, visits
 
 H, N = 0.05, 40
@@ -223,6 +223,30 @@ def test_a_loop_without_reference_and_times_is_drawn_too():
         run.steady_error("x", 0.1)
     tracked = closed_loop(regulator(integral={"x": 1.0}), cart(), {"x": 0.1}, duration=0.5)
     assert len(tracked.plot().axes) == 3  # what is tracked, its error and the inputs
+
+
+def test_a_saved_loop_is_read_whole_and_as_its_motion(tmp_path):
+    watch = pam.KalmanFilter(cart(1.0), sample_time=H, measured={"x": 1e-4}, unknown={"d": (1, 1)})
+    mpc = pam.Mpc(cart(1.0), horizon=10, sample_time=H, track={"x": 1.0}, rate={"u": 0.01})
+    run = mpc.closed_loop(cart(1.0), {"x": 0.05}, 1.0, estimator=watch, parts=2)
+    path = run.save(tmp_path / "run.npz")
+    again = ClosedLoop.load(path)
+    for name in ("trajectory", "seen", "reference", "estimate"):
+        one, other = getattr(run, name), getattr(again, name)
+        assert np.array_equal(one.t, other.t)
+        assert np.array_equal(one.array(one.names), other.array(one.names))
+    assert again.statistics == run.statistics
+    assert again.prediction_error == run.prediction_error
+    assert np.array_equal(pam.Trajectory.load(path)["x"], run["x"])
+    plain = closed_loop(Fixed({}), cart(), duration=0.1).save(tmp_path / "plain.npz")
+    assert ClosedLoop.load(plain).statistics is None
+    motion = run.trajectory.save(tmp_path / "motion.npz")
+    with pytest.raises(InputError, match="is no closed loop"):
+        ClosedLoop.load(motion)
+    (tmp_path / "junk.npz").write_bytes(b"junk")
+    for kind in (ClosedLoop, pam.Trajectory):
+        with pytest.raises(InputError, match="cannot be read"):
+            kind.load(tmp_path / "junk.npz")
 
 
 def test_what_a_loop_cannot_mean_is_refused():
