@@ -31,8 +31,8 @@ from ...simulation.simulate import evaluated
 from ..mpc_statistics import MpcStatistics, MpcStep
 from ..references import Source
 from ..step import Givens, Step, StepMethod
-from .shooting import Limit, Penalty, Shooting
-from .sqp import Ipopt, Outcome, Sqp
+from .shooting import NodeLimit, Penalty, TrackingProgram
+from .sqp import Sqp, SqpOutcome, TrackingIpopt
 
 if TYPE_CHECKING:
     from ..loop import ClosedLoop
@@ -150,7 +150,7 @@ class Mpc:
         penalties = _penalties(self.model, track, terminal)
         rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
         limits = _limits(self.model, self.given, inversion.bounds(_pairs(plant, bounds)), soft)
-        self.program = Shooting(
+        self.program = TrackingProgram(
             self.given,
             how,
             horizon,
@@ -161,7 +161,7 @@ class Mpc:
         )
         self._only_ipopt = solver == "ipopt"
         self._sqp = Sqp(self.program, "hpipm" if solver == "ipopt" else solver, tolerance)
-        self._ipopt: Ipopt | None = None
+        self._ipopt: TrackingIpopt | None = None
         self._how, self._advance = how, self._predictor(how)
         self._fine: ca.Function | None = None
         self.reset()
@@ -335,9 +335,9 @@ class Mpc:
                     stacklevel=3,
                 )
 
-    def _by_ipopt(self) -> Outcome:
+    def _by_ipopt(self) -> SqpOutcome:
         if self._ipopt is None:
-            self._ipopt = Ipopt(self.program)
+            self._ipopt = TrackingIpopt(self.program)
         return self._ipopt.solve(self._sqp.point)
 
     def _state(self, state: Values | Sequence[float] | Array) -> Array:
@@ -481,7 +481,7 @@ def _penalties(
 
 def _limits(
     plant: Plant, given: Givens, bounds: Mapping[str, tuple[float, float]], soft: bool
-) -> list[Limit]:
+) -> list[NodeLimit]:
     """The plant's bounds and path constraints, narrowed by ``bounds``."""
     narrowed = dict(bounds)
     limits = []
@@ -495,7 +495,7 @@ def _limits(
             )
         if math.isfinite(low) or math.isfinite(high):
             gives = soft and variable.causality != "input"
-            limits.append(Limit(variable, plant.expression(variable.name), low, high, gives))
+            limits.append(NodeLimit(variable, plant.expression(variable.name), low, high, gives))
     if narrowed:
         name = next(iter(narrowed))
         raise InputError(f"bounds: {name} is a parameter or a disturbance and cannot be bounded")
