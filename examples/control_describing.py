@@ -1,12 +1,10 @@
 """Describing functions of a load on a muscle, and the limit cycle that a relay makes of it.
 
 A relay switches the command by +-D when the load passes its place: u = u0 - D sign(x - x0). Seen by
-its
-first harmonic it sends a sine of amplitude 4 D / pi, so the loop swings at the frequency where the
-plant's describing function at this amplitude has a phase of -180 degrees, with the amplitude that
-the
-describing function then gives. The simulated loop swings so, to within what the higher harmonics
-do.
+its first harmonic it sends a sine of amplitude 4 D / pi, so the loop swings at the frequency where
+the plant's describing function at this amplitude has a phase of -180 degrees, with the amplitude
+that the describing function then gives. The simulated loop swings so, to within what the higher
+harmonics do.
 
 Run:  python examples/control_describing.py [folder for the results]
 """

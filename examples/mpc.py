@@ -1,10 +1,8 @@
 """Model predictive control against an FMU that carries 30 % more mass and is pushed by a force.
 
 The controller and its Kalman filter know the slide with 2 kg and no force. The FMU moves 2.6 kg,
-and
-from 1 s on 40 N push it. Position and pressures are measured with noise; mass, force and velocity
-are
-estimated, and the estimates are what the controller plans with.
+and from 1 s on 40 N push it. Position and pressures are measured with noise; mass, force and
+velocity are estimated, and the estimates are what the controller plans with.
 
 Run:  python examples/mpc.py [folder for the results]
 """

@@ -2,8 +2,7 @@
 them.
 
 A call works (WORKS), warns with the unit that was probably meant (its fragment stands behind
-WARNS), or
-is refused in one sentence that holds a fragment.
+WARNS), or is refused in one sentence that holds a fragment.
 """
 
 from __future__ import annotations

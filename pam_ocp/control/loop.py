@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, UnknownNameError, require_count, require_positive
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Given, Plant, Values
 from .controller import Controller, Estimate, Measured, Observer, Tracking
 from .mpc_statistics import MpcStatistics
@@ -76,9 +77,7 @@ class ClosedLoop:
 
     def plot(self, title: str = "") -> Figure:
         """Tracked variables and their error, inputs, unknowns found, and step times."""
-        from ..figures.loop import plot_closed_loop
-
-        return plot_closed_loop(self, title)
+        return courtesy.plot_closed_loop(self, title)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write all of it to ``.npz``, or the trajectory alone to ``.csv`` or ``.parquet``.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..operating.equilibrium import OperatingPoint
 from ..operating.linear import held, inside, linearize, no_influence
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
 from .references import Source
@@ -151,8 +151,7 @@ class StateFeedback:
     K : (inputs, states), Ki : (inputs, integrated outputs), SI units. ``closed`` : python-control's
     system of the closed loop (linear), ``loop`` : the loop broken at the inputs, for margins.
     inversion : for a plant fed by valves, whose openings are u (then ``point`` and ``inputs`` speak
-    of
-    them): the commands that give these openings are sent.
+    of them): the commands that give these openings are sent.
     """
 
     point: OperatingPoint
@@ -305,10 +304,8 @@ def lqr(
     """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
 
     A plant fed by valves is controlled by its openings (``plant.in_openings()``), from closed rest
-    too;
-    the commands that give them are sent. ``effort`` may name either. Held memories (hysteresis)
-    stick
-    to the motion about the point: K has zeros for them.
+    too; the commands that give them are sent. ``effort`` may name either. Held memories
+    (hysteresis) stick to the motion about the point: K has zeros for them.
 
     at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
@@ -317,8 +314,7 @@ def lqr(
 
     Raises InputError when no input has an influence at the point, or when no stabilising feedback
     exists (a state that is a pure integral, such as the totals of a gas feed, or an integrated
-    output
-    that the inputs cannot move).
+    output that the inputs cannot move).
     """
     require_plant(plant)
     require_positive("sample_time", sample_time, "s")

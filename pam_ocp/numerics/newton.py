@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import PamError
+from ..core.system import System
 from ..core.trajectory import Trajectory
-from ..plants.plant import Plant
 
 __all__ = ["Equations", "Smooth", "VibrationError", "casadi_equations", "newton", "smooth"]
 
@@ -127,7 +127,7 @@ class Smooth:
         return np.asarray(value)
 
 
-def smooth(plant: Plant, trajectory: Trajectory, name: str) -> Smooth:
+def smooth(plant: System, trajectory: Trajectory, name: str) -> Smooth:
     """The state ``name`` of a simulated trajectory with its exact derivatives.
 
     Inputs must be constant. Slope and curvature come from the plant's equation, so crossings
@@ -141,7 +141,7 @@ def smooth(plant: Plant, trajectory: Trajectory, name: str) -> Smooth:
     return Smooth(trajectory.t, np.array([states[row], first[row], second[row]]))
 
 
-def _rates(plant: Plant) -> ca.Function:
+def _rates(plant: System) -> ca.Function:
     """(x, u, p) -> (x', x'') at constant u."""
     xdot = ca.vertcat(*(plant.expression(f"der({v.name})") for v in plant.states))
     return ca.Function("rates", [plant.x, plant.u, plant.p], [xdot, ca.jtimes(xdot, plant.x, xdot)])

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import courtesy
 from ..core.errors import InputError
 from ..numerics.newton import Array, VibrationError, casadi_equations, newton
 from ..plants.plant import Plant, Values
@@ -197,9 +198,7 @@ class StabilityPath:
 
     def plot(self) -> Figure:
         """Eigenvalues in the complex plane, and growth rates over the parameter."""
-        from ..figures.vibration import plot_stability
-
-        return plot_stability(self)
+        return courtesy.plot_stability(self)
 
 
 def stability_path(

@@ -30,8 +30,7 @@ class Search:
     """The residual of rest and conditions, scaled by nominals, and its solution by IPOPT.
 
     Unknown are z = (states, inputs, free parameters). Held memories that are ``pinned`` have a
-    value
-    in place of their equation; those that are not have neither, and need a condition more.
+    value in place of their equation; those that are not have neither, and need a condition more.
     """
 
     def __init__(

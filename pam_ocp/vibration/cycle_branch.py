@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, require_positive
 from ..core.variables import Variable
 from ..numerics.newton import Array, VibrationError
 from ..numerics.periodic_collocation import Orbit, Periodic, Row
+from ..plants.plant import Plant
 from .cycle import LimitCycle, Settings, converged, finished, pin
 
 if TYPE_CHECKING:
@@ -90,16 +92,12 @@ class CycleBranch:
 
     def plot(self, state: str = "x") -> Figure:
         """Amplitude and frequency over the parameter; unstable cycles dashed."""
-        from ..figures.vibration import plot_branch
-
-        return plot_branch(self, state)
+        return courtesy.plot_branch(self, state)
 
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portraits of the cycles in one picture."""
-        from ..figures.vibration import plot_phase
-
         v = self.cycles[0].plant.variable(self.parameter)
-        return plot_phase(
+        return courtesy.plot_phase(
             [c.trajectory for c in self.cycles],
             state,
             self.cycles[0].plant,
@@ -194,7 +192,7 @@ class _Walk:
     """Steps along a branch: an orbit and the tangent there."""
 
     def __init__(
-        self, periodic: Periodic, settings: Settings, orbit: Orbit, direction: Direction
+        self, periodic: Periodic[Plant], settings: Settings, orbit: Orbit, direction: Direction
     ) -> None:
         self.periodic, self.settings, self.orbit = periodic, settings, orbit
         swing = Row(orbit.z - orbit.z.mean(axis=(0, 1)), 0.0, 0.0, 0.0)
@@ -241,7 +239,7 @@ class _Walk:
 
 
 def _pinned(
-    periodic: Periodic, one: Orbit, two: Orbit, value: float, settings: Settings
+    periodic: Periodic[Plant], one: Orbit, two: Orbit, value: float, settings: Settings
 ) -> LimitCycle:
     """The cycle between two neighbours at exactly this value of the parameter."""
     assert periodic.variable is not None

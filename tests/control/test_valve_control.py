@@ -16,10 +16,11 @@ from conftest import BAR
 
 import pam_ocp as pam
 from pam_ocp import InputError
+from pam_ocp.control.controller_plants import pid_controller, state_feedback_controller
 from pam_ocp.control.inverse import InverseDynamics
 from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.pid import PID, PositionController, PressureLoop
-from pam_ocp.export import export_fmu, pid_controller, state_feedback_controller
+from pam_ocp.export import export_fmu
 from pam_ocp.muscles.law import clamp
 from pam_ocp.planning.opened import guess_in_openings
 from pam_ocp.planning.run import Run

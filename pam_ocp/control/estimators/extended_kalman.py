@@ -1,8 +1,8 @@
 """KalmanFilter: states, and unknown parameters, disturbances or offsets, from noisy measurements.
 
 Extended Kalman filter, continuous in the model and discrete in the measurements (Jazwinski,
-Stochastic
-Processes and Filtering Theory, 1970, ch. 8), with exact Jacobians of the integrated step.
+Stochastic Processes and Filtering Theory, 1970, ch. 8), with exact Jacobians of the integrated
+step.
 """
 
 from __future__ import annotations

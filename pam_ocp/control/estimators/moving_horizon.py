@@ -2,12 +2,9 @@
 measurements.
 
 At each measurement the trajectory of the window is the most probable one under the model, the noise
-and
-the bounds (Rao, Rawlings, Mayne, IEEE Trans. Automat. Control 48, 2003); what came before the
-window
-enters as an arrival cost carried on by the extended Kalman filter. Solved by Gauss-Newton steps on
-the
-condensed problem: its unknowns are the window's start and the noise of each step.
+and the bounds (Rao, Rawlings, Mayne, IEEE Trans. Automat. Control 48, 2003); what came before the
+window enters as an arrival cost carried on by the extended Kalman filter. Solved by Gauss-Newton
+steps on the condensed problem: its unknowns are the window's start and the noise of each step.
 """
 
 from __future__ import annotations
@@ -42,14 +39,12 @@ class MovingHorizonEstimator(Estimator):
     ----------
     horizon : number of steps looked back.
     bounds : {state or unknown: (low, high)} [SI], None for an open end; narrows the bounds of
-    states and
-        parameters that the plant declares, which always hold, all over the window.
+        states and parameters that the plant declares, which always hold, all over the window.
     robust : residuals beyond so many standard deviations count linearly, not squared (Huber, Ann.
-    Math.
-        Statist. 35, 1964; 1.345 is usual): outliers lose their pull. None: all squared.
+        Math. Statist. 35, 1964; 1.345 is usual): outliers lose their pull. None: all squared.
     iterations : at most so many Gauss-Newton steps per measurement.
     plant, sample_time, measured, process, unknown, start, uncertainty, method, substeps : see
-    KalmanFilter.
+        KalmanFilter.
 
     On a linear plant, without active bounds and with ``robust=None``, it is the Kalman filter.
     Measuring the same variable twice before the next :meth:`predict` replaces its value.

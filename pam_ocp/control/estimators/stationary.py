@@ -13,7 +13,7 @@ from ...core.errors import InputError, require_positive
 from ...operating.equilibrium import OperatingPoint
 from ...operating.linear import inside, linearize
 from ...operating.stuck import Stuck
-from ...plants.opening import Inversion
+from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
 from ..controller import Controller, Estimate, Measured
 from .correction import corrected
@@ -124,10 +124,8 @@ def kalman(
     process : what drives the states besides the inputs, in units of nominal per sqrt(s): a number
         for all, or {state: value} (others 0). The mass not known well is noise on the velocity.
     disturbances : {input: drift [SI per sqrt(s)]} of inputs that are not known but estimated with
-    the
-        states, as constants that drift: an external force, or a command's unknown offset. At most
-        as
-        many as measured values. See :class:`OffsetFree`.
+        the states, as constants that drift: an external force, or a command's unknown offset. At
+        most as many as measured values. See :class:`OffsetFree`.
 
     By ``control.dlqe``'s Riccati equation on the exactly sampled system in units of nominal.
     Raises InputError when the states cannot be told from what is measured.

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import courtesy
 from ...core.errors import (
     InputError,
     UnknownNameError,
@@ -25,7 +26,7 @@ from ...core.signals import PiecewisePolynomial
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...planning.solvers.narrowing import rounded
-from ...plants.opening import Inversion
+from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulate import evaluated
 from ..mpc_statistics import MpcStatistics, MpcStep
@@ -35,7 +36,7 @@ from .shooting import NodeLimit, Penalty, TrackingProgram
 from .sqp import Sqp, SqpOutcome, TrackingIpopt
 
 if TYPE_CHECKING:
-    from ..loop import ClosedLoop
+    from ...courtesy import ClosedLoop
 
 __all__ = ["Mpc", "MpcStatistics", "MpcStep"]
 
@@ -46,8 +47,8 @@ FIRST_ITERATIONS = 30
 
 KINKS = 0.5
 """Place between the widest roundings (0) and the plant's own (1) at which a controller sees kinks:
-one
-step of Newton's method a sample does not settle on sharper ones."""
+one step of Newton's method a sample does not settle on sharper ones.
+"""
 FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
@@ -60,15 +61,14 @@ class Mpc:
     Parameters
     ----------
     plant : the model. Inputs marked as disturbances are not for the controller to choose. Of
-    muscles
-        fed by valves it chooses the openings (``plant.in_openings()``), which move the flow through
-        zero, where commands have a dead zone, and gives the commands that make exactly these;
-        weights and bounds may name either. ``plant.in_commands()`` leaves commands as they are.
+        muscles fed by valves it chooses the openings (``plant.in_openings()``), which move the flow
+        through zero, where commands have a dead zone, and gives the commands that make exactly
+        these; weights and bounds may name either. ``plant.in_commands()`` leaves commands as they
+        are.
     horizon : number of steps looked ahead, of ``sample_time`` seconds each.
     track : {state, output or input: weight w >= 0}.
     rate : {input: weight r >= 0} on its change from step to step. Weights on changes leave no
-    steady
-        error; weights on inputs (in ``track``) pull away from the reference of the others.
+        steady error; weights on inputs (in ``track``) pull away from the reference of the others.
     terminal : {state or output: weight at the last node}; by default that of ``track``.
     bounds : {state, input, output or constraint: (low, high)}, None for an open end; narrows the
         plant's own bounds and path constraints, which always hold.
@@ -78,31 +78,25 @@ class Mpc:
     iterations : at most so many SQP steps per call; 1 is the real-time iteration (Diehl et al.,
         SIAM J. Control Optim. 43, 2005). The first call takes as many as it needs.
     work : no further SQP step is begun in a call once its quadratic programs took so many
-    iterations of
-        the interior-point method (known with "hpipm"). Usual calls take 5 to 7; after a jump of the
-        reference the solution is completed over the calls that follow, so that no call takes much
-        longer than the others; a larger number tracks jumps a little better. None: no limit. The
-        first call has none either.
+        iterations of the interior-point method (known with "hpipm"). Usual calls take 5 to 7; after
+        a jump of the reference the solution is completed over the calls that follow, so that no
+        call takes much longer than the others; a larger number tracks jumps a little better. None:
+        no limit. The first call has none either.
     delay : 0 when the inputs are applied at once, 1 when they take effect a step later: the state
-    is
-        then predicted to that time with the inputs applied meanwhile.
+        is then predicted to that time with the inputs applied meanwhile.
     method, substeps : of the integration from node to node, see Step ("rosenbrock" for stiff
-    plants).
+        plants).
     solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program.
     tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
 
     Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
     When the SQP fails, IPOPT is asked; :attr:`statistics` says how often, how often that failed
-    too, and
-    how often the solution applied had not converged. No step is replayed: :meth:`prediction_error`
-    does
-    that of the last one.
+    too, and how often the solution applied had not converged. No step is replayed:
+    :meth:`prediction_error` does that of the last one.
 
     Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for
-    names. The
-    first call warns of an input that has no influence where the plant stands (a dead zone that is
-    not
-    declared): no solver of this kind finds out of it.
+    names. The first call warns of an input that has no influence where the plant stands (a dead
+    zone that is not declared): no solver of this kind finds out of it.
     """
 
     def __init__(
@@ -140,8 +134,8 @@ class Mpc:
         self.inversion = inversion = Inversion(plant)
         self.model = rounded(inversion.inner, KINKS)
         """The plant as the program sees it: with openings in place of the commands of valves, and
-        the
-        kinks of friction and hysteresis rounded off over wider widths."""
+        the kinks of friction and hysteresis rounded off over wider widths.
+        """
         self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
@@ -196,9 +190,7 @@ class Mpc:
         **options: Any,
     ) -> ClosedLoop:
         """Run against a plant or an FMU: :func:`pam_ocp.control.loop.closed_loop` with it."""
-        from ..loop import closed_loop
-
-        return closed_loop(self, real, reference, duration=duration, **options)
+        return courtesy.closed_loop(self, real, reference, duration=duration, **options)
 
     def tracking(
         self,
@@ -297,12 +289,9 @@ class Mpc:
         """How far the last call's prediction is from its own model's motion, in units of nominal.
 
         The largest difference, over the steps of the horizon, between the next node and the step
-        from
-        the node before with substeps ``FINER`` times finer: the error of the integration, and what
-        an
-        SQP that was not run to its end leaves of defects. Takes some milliseconds; a controller
-        does
-        not do it by itself.
+        from the node before with substeps ``FINER`` times finer: the error of the integration, and
+        what an SQP that was not run to its end leaves of defects. Takes some milliseconds; a
+        controller does not do it by itself.
         """
         p, point = self.program, self._sqp.point
         if self._fine is None:

@@ -21,8 +21,7 @@ WILD = 1e3
 """A run whose sensitivity (spreads per unit of a scaled unknown) exceeds this steers no step.
 
 It lies beside a parting of the ways (stick or slide) or is unstable: its slope holds for changes
-far
-smaller than any step and would outweigh all other runs. Its error still counts.
+far smaller than any step and would outweigh all other runs. Its error still counts.
 """
 ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""

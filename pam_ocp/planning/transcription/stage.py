@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.variables import Variable
+from ...numerics.runge_kutta import rk4
 from ..problem.problem import Condition, Leg, Problem
 from .mesh import Form
 
@@ -190,21 +191,16 @@ class Stage:
     ) -> tuple[ca.SX, ca.SX]:
         """(defect, integrals) of the classical Runge-Kutta method in ``degree`` steps."""
         integrands, (x_nominal, _) = self._integrands(), nominals(self.problem)
-        steps = self.degree
+        steps, nx = self.degree, len(x_nominal)
 
-        def rates(tau: float, x: ca.SX, profile: int) -> tuple[ca.SX, ca.SX]:
-            at = point(tau, x, profile)  # type: ignore[operator]
-            return self.problem.plant.function(*at[:3])[0] / x_nominal, integrands(*at)
+        def slope(both: ca.SX, at: float) -> ca.SX:
+            here = point(at / steps, both[:nx], round(2 * at))  # type: ignore[operator]
+            rates = self.problem.plant.function(*here[:3])[0] / x_nominal
+            return ca.vertcat(rates, integrands(*here))
 
-        x, integrals, step = start, ca.SX.zeros(1 + len(self.problem.budgets)), h / steps
-        for k in range(steps):
-            a, middle, b = k / steps, (k + 0.5) / steps, (k + 1) / steps
-            k1, c1 = rates(a, x, 2 * k)
-            k2, c2 = rates(middle, x + step / 2 * k1, 2 * k + 1)
-            k3, c3 = rates(middle, x + step / 2 * k2, 2 * k + 1)
-            k4, c4 = rates(b, x + step * k3, 2 * k + 2)
-            x += step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            integrals += step / 6 * (c1 + 2 * c2 + 2 * c3 + c4)
+        begin = ca.vertcat(start, ca.SX.zeros(1 + len(self.problem.budgets)))
+        end = rk4(slope, begin, h / steps, steps)
+        x, integrals = ca.vertsplit(end, [0, nx, end.numel()])
         return x - states, integrals
 
     def _rates(self, inputs: ca.SX, h: ca.SX) -> ca.SX | float:
