@@ -262,7 +262,8 @@ class Planner:
         if not outcome.success:
             figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
             failed = _plan(found[0], figures, conflicts=run.conflicts)
-            raise PlanError(explanation(failed.plant.name, outcome, run.conflicts), failed)
+            words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
+            raise PlanError(words, failed)
         refinement = self._refined(found, tolerance)
         figures["iterations"] += refinement.iterations
         if refinement.warning:

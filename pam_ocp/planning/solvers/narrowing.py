@@ -84,9 +84,7 @@ def narrowing(
         if direct.ended:
             return total(direct)
         here = LATE
-    last = solved(here, guess, "near" if start == "near" else start)
-    if not last.ended and start != "near":
-        last = solved(here, guess, "cold" if start == "adaptive" else "adaptive")
+    last = solved(here, guess, "near" if start == "step" else start)
     step = FIRST
     failed = last
     while last.success and here < 1.0:
@@ -95,7 +93,7 @@ def narrowing(
         if outcome.success:
             last, here, step = outcome, there, 1.5 * step
             continue
-        failed, step = outcome, step / 2.5
+        failed, step = outcome, (there - here) / 2.5
         if outcome.stopped or step < LEAST:
             return total(failed)
     return total(last)

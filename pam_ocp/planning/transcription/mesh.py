@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import groupby
 from typing import Literal, TypeAlias
 
 import casadi as ca
@@ -24,6 +25,7 @@ __all__ = [
     "Shooting",
     "halved",
     "held",
+    "merged",
     "refined",
     "watched",
 ]
@@ -291,6 +293,20 @@ def halved(mesh: Mesh) -> Mesh:
         if simple and not shooting:
             degree = max(degree, HELD_SPLIT_DEGREE)
         intervals += replace(interval, watched=()).split(2, degree)
+    return Mesh(tuple(intervals), mesh.form)
+
+
+def merged(mesh: Mesh, count: int) -> Mesh:
+    """A coarser mesh: ``count`` neighbours in one, as many as there are at the end of a leg."""
+    intervals: list[Interval] = []
+    for _, group in groupby(mesh.intervals, key=lambda interval: interval.leg):
+        own = list(group)
+        for i in range(0, len(own), count):
+            part = own[i : i + count]
+            degrees = [interval.degree for interval in part]
+            degree = sum(degrees) if mesh.form.scheme == "shooting" else max(degrees)
+            fraction = sum(interval.fraction for interval in part)
+            intervals.append(Interval(part[0].leg, fraction, degree))
     return Mesh(tuple(intervals), mesh.form)
 
 
