@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_instance
 from ..operating.linear import chosen_signals, linearize
 from .controller import Measured
-from .estimators.stationary import KalmanFilter
+from .estimators.stationary import StationaryFilter
 from .lqr import StateFeedback, sent
 
 __all__ = ["OffsetFree"]
@@ -37,7 +37,7 @@ class OffsetFree:
     """
 
     feedback: StateFeedback
-    filter: KalmanFilter
+    filter: StationaryFilter
     hold: Sequence[str]
     goal: Mapping[str, float] = field(default_factory=dict)
 
@@ -58,7 +58,9 @@ class OffsetFree:
 
     def _check(self) -> None:
         require_instance("OffsetFree: feedback", self.feedback, StateFeedback, "give that of lqr()")
-        require_instance("OffsetFree: filter", self.filter, KalmanFilter, "give that of kalman()")
+        require_instance(
+            "OffsetFree: filter", self.filter, StationaryFilter, "give that of kalman()"
+        )
         if self.feedback.integrated:
             raise InputError(
                 f"OffsetFree: the feedback integrates {self.feedback.integrated[0]}; design it "

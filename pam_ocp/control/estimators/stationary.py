@@ -18,13 +18,13 @@ from ...plants.plant import Plant, Values, require_plant
 from ..controller import Controller, Estimate, Measured
 from .correction import corrected
 
-__all__ = ["KalmanFilter", "WithEstimate", "kalman"]
+__all__ = ["StationaryFilter", "WithEstimate", "kalman"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass
-class KalmanFilter:
+class StationaryFilter:
     """Estimate of all states from a few measured outputs, by the plant's linear model at a point.
 
     gain : (states and disturbances, measured), stationary. In each sample: ``correct(measured)``,
@@ -117,7 +117,7 @@ def kalman(
     process: float | Mapping[str, float] = 1.0,
     disturbances: Mapping[str, float] | None = None,
     sample_time: float = 1e-3,
-) -> KalmanFilter:
+) -> StationaryFilter:
     """The stationary Kalman filter about a point of rest, for a sampling time ``sample_time`` [s].
 
     measured : {state or output: standard deviation of its noise [SI]}, of each sample.
@@ -157,7 +157,7 @@ def kalman(
     )
     lift = follow.lift(more=len(unknown))
     system = _of_all_states(plant, system, follow)
-    return KalmanFilter(
+    return StationaryFilter(
         at,
         names,
         lift @ gain,
@@ -278,7 +278,7 @@ class WithEstimate:
     """
 
     controller: Controller
-    filter: KalmanFilter
+    filter: StationaryFilter
     also: Sequence[str] = ()
 
     def reset(self) -> None:
