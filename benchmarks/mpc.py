@@ -48,7 +48,7 @@ def run(
     mpc = Mpc(
         plant,
         horizon=horizon,
-        step=STEP,
+        sample_time=STEP,
         track={"x": 1.0},
         rate=dict.fromkeys(COMMANDS, 0.1),
         **options,
@@ -77,7 +77,7 @@ def run(
 def main() -> None:
     plant = benchmark_plant()
     begin = perf_counter()
-    Mpc(plant, horizon=50, step=STEP, track={"x": 1.0})
+    Mpc(plant, horizon=50, sample_time=STEP, track={"x": 1.0})
     print(f"build, horizon 50: {perf_counter() - begin:.3f} s")
     print("milliseconds a step; evaluation and Python are what the QP solver does not take")
     heads = ("median", "99 %", "worst", "worst/med", "wall", "of it QP", "ratio", "iterations")

@@ -160,8 +160,8 @@ REPORTED = [  # those that survived once
     Mutant(
         "wind-up of PositionController",
         "pam_ocp/control/pid.py",
-        "self.pid(error, self.dt, self._saturated)",
-        "self.pid(error, self.dt)",
+        "self.pid(error, self.sample_time, self._saturated)",
+        "self.pid(error, self.sample_time)",
         "tests/control/test_design_loop.py -k wind",
     ),
     Mutant(
@@ -591,8 +591,8 @@ DESIGN = [
     Mutant(
         "filtered slope of a PID the other way",
         "pam_ocp/control/pid.py",
-        "share * self._slope + (1 - share) * (error - self._last) / dt",
-        "(1 - share) * self._slope + share * (error - self._last) / dt",
+        "share * self._slope + (1 - share) * (error - self._last) / sample_time",
+        "(1 - share) * self._slope + share * (error - self._last) / sample_time",
         "tests/control/test_design_loop.py",
     ),
     Mutant(
@@ -612,8 +612,8 @@ DESIGN = [
     Mutant(
         "sampled LQR weighs without dt",
         "pam_ocp/control/lqr.py",
-        "control.dlqr(held.A, held.B, used * dt, r * dt)",
-        "control.dlqr(held.A, held.B, used, r * dt)",
+        "control.dlqr(ad, bd, used * sample_time, r * sample_time)",
+        "control.dlqr(ad, bd, used, r * sample_time)",
         "tests/control/test_design_lqr.py",
     ),
     Mutant(
@@ -640,7 +640,7 @@ DESIGN = [
     Mutant(
         "Kalman drift without dt",
         "pam_ocp/control/estimators/stationary.py",
-        "np.concatenate([drive, drift]) ** 2 * dt",
+        "np.concatenate([drive, drift]) ** 2 * sample_time",
         "np.concatenate([drive, drift]) ** 2",
         "tests/control/test_offset_free.py tests/control/test_design_lqr.py",
     ),

@@ -351,12 +351,12 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     start[case.named] = away
     if case.kind == "series":
         start["muscle.shortening"] += away - goal
-    run = pam.closed_loop(feedback, plant, duration=3.0, dt=2e-3, start=start)
+    run = pam.closed_loop(feedback, plant, duration=3.0, sample_time=2e-3, start=start)
     left = abs(run[case.named][-1] - goal) / stroke
     mpc = pam.Mpc(
         plant,
         horizon=25,
-        step=0.02,
+        sample_time=0.02,
         track={case.named: 10.0},
         rate={v.name: 0.02 for v in plant.inputs},
         method="rosenbrock",

@@ -52,8 +52,8 @@ def simulated(plant, point):
     """The same of the loop with the relay, and its motion."""
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
     run = pam.closed_loop(
-        Relay(point), plant, duration=4.0, dt=2e-4, start={**start, "x": point["x"] - 1e-3}
-    )
+        Relay(point), plant, duration=4.0, sample_time=2e-4, start={**start, "x": point["x"] - 1e-3}
+    ).trajectory
     late = run.t > 2.0
     t, x = run.t[late], run["x"][late] - point["x"]
     up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))

@@ -32,14 +32,16 @@ def main(folder: Path) -> None:
     plant = pam.AntagonisticSlide(muscle, mass=2.0, feed=pam.Regulator(0.05))
     point = plant.equilibrium(x=STOP, stiffness=2.3e4)
     weights = {"x": 10.0, "v": 0.5}
-    regulator = lqr(plant, point, weights=weights, dt=DT)
-    integral = lqr(plant, point, weights=weights, integral={"x": 100.0, "stiffness": 5.0}, dt=DT)
+    regulator = lqr(plant, point, weights=weights, sample_time=DT)
+    integral = lqr(
+        plant, point, weights=weights, integral={"x": 100.0, "stiffness": 5.0}, sample_time=DT
+    )
     watch = kalman(
         plant,
         point,
         measured={"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0},
         process={"v": 5.0, "muscle1.pressure": 1.0, "muscle2.pressure": 1.0},
-        dt=DT,
+        sample_time=DT,
     )
     estimated = WithEstimate(integral, watch, also=["stiffness"])
 
@@ -47,12 +49,12 @@ def main(folder: Path) -> None:
     start = {"x": STOP - 0.003, **{n: point[n] for n in ("muscle1.pressure", "muscle2.pressure")}}
     noise = {"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
     fmu = pam.export_fmu(plant, folder / "slide.fmu", platforms="native")
-    shared = {"duration": 0.8, "dt": DT, "start": start, "parameters": true}
+    shared = {"duration": 0.8, "sample_time": DT, "start": start, "parameters": true}
     runs = {
-        "LQR": closed_loop(regulator, plant, **shared),
-        "LQI": closed_loop(integral, plant, **shared),
-        "LQG with integral": closed_loop(estimated, plant, noise=noise, **shared),
-        "LQI, FMU as plant": closed_loop(integral, fmu, **shared),
+        "LQR": closed_loop(regulator, plant, **shared).trajectory,
+        "LQI": closed_loop(integral, plant, **shared).trajectory,
+        "LQG with integral": closed_loop(estimated, plant, noise=noise, **shared).trajectory,
+        "LQI, FMU as plant": closed_loop(integral, fmu, **shared).trajectory,
     }
     for label, run in runs.items():
         print(f"{label:<20} error at the end {1e6 * (run['x'][-1] - STOP):8.2f} um")

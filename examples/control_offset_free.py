@@ -33,9 +33,9 @@ def main(folder: Path) -> None:
         loads=[pam.ExternalForce()],
     )
     point = plant.equilibrium(theta=0.2, stiffness=25.0)
-    plain = lqr(plant, point, dt=DT)
-    integral = lqr(plant, point, integral={"theta": 60.0}, dt=DT)
-    about = {"measured": NOISE, "process": 0.1, "dt": DT}
+    plain = lqr(plant, point, sample_time=DT)
+    integral = lqr(plant, point, integral={"theta": 60.0}, sample_time=DT)
+    about = {"measured": NOISE, "process": 0.1, "sample_time": DT}
     controllers = {
         "LQR": WithEstimate(plain, kalman(plant, point, **about)),
         "LQI": WithEstimate(integral, kalman(plant, point, **about)),
@@ -51,12 +51,12 @@ def main(folder: Path) -> None:
             controller,
             plant,
             duration=2.5,
-            dt=DT,
+            sample_time=DT,
             start=start,
             noise=NOISE,
             parameters={"link_mass": 1.2},
             disturbances={"external_force": torque},
-        )
+        ).trajectory
         late = np.degrees(np.mean(run["theta"][run.t > 2.0]) - 0.2)
         print(f"{label:<18} left at the end {late:+.3f} deg")
         angle.plot(run.t, np.degrees(run["theta"]), label=label, color=f"C{i}")

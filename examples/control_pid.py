@@ -43,7 +43,7 @@ def main(folder: Path) -> None:
             plant,
             reference,
             PID.placed(3.0),
-            dt=DT,
+            sample_time=DT,
             stiffness=25.0,
             feedforward=feedforward,
             inner=PressureLoop(plant, time_constant),
@@ -56,11 +56,11 @@ def main(folder: Path) -> None:
             controller,
             plant,
             duration=2.5,
-            dt=DT,
+            sample_time=DT,
             start=first,
             parameters=true,
             noise={"theta": 2e-5},
-        )
+        ).trajectory
         error = run["theta"] - np.array([reference(t)[0] for t in run.t])
         print(f"{label:<22} largest error {np.degrees(np.abs(error).max()):6.3f} deg")
         runs[label] = run

@@ -40,19 +40,24 @@ def main(folder: Path) -> None:
     start = joint.equilibrium(place(0.0))
     begin = {v.name: start[v.name] for v in joint.states}
     controllers = {
-        "one LQI": lqr(joint, middle, setpoint=place, dt=DT, **cost),
+        "one LQI": lqr(joint, middle, setpoint=place, sample_time=DT, **cost),
         "scheduled LQI": scheduled_lqr(
             joint,
             {"theta": np.linspace(-0.6, 0.6, 9), "stiffness": np.linspace(12.0, 36.0, 7)},
             place,
-            dt=DT,
+            sample_time=DT,
             **cost,
         ),
     }
     runs = {
         label: closed_loop(
-            controller, joint, duration=4.2, dt=DT, start=begin, parameters={"link_mass": 1.2}
-        )
+            controller,
+            joint,
+            duration=4.2,
+            sample_time=DT,
+            start=begin,
+            parameters={"link_mass": 1.2},
+        ).trajectory
         for label, controller in controllers.items()
     }
     for label, run in runs.items():

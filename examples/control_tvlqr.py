@@ -44,7 +44,9 @@ def compared(
     """Runs {(mass factor, force factor of muscle 1): {"open loop": ..., "time-varying LQR":
     ...}}.
     """
-    feedback = tvlqr(plant, motion, weights={"x": 300.0, "v": 3.0}, integral={"x": 3e4}, dt=DT)
+    feedback = tvlqr(
+        plant, motion, weights={"x": 300.0, "v": 3.0}, integral={"x": 3e4}, sample_time=DT
+    )
     start = {v.name: motion[v.name][0] for v in plant.states}
     runs = {}
     for mass, force in itertools.product((0.7, 1.0, 1.3), (0.95, 1.0, 1.05)):
@@ -55,10 +57,10 @@ def compared(
                 controller,
                 plant,
                 duration=motion.duration,
-                dt=DT,
+                sample_time=DT,
                 start=start,
                 parameters={"mass": 2.0 * mass, **true},
-            )
+            ).trajectory
             for label, controller in (
                 ("open loop", OpenLoop(plant, motion, DT)),
                 ("time-varying LQR", feedback),

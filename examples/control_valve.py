@@ -24,7 +24,7 @@ def main(folder: Path) -> None:
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=SpoolValve(overlap=0.3))
     low, high = plant.equilibrium(x=0.05), plant.equilibrium(x=0.08)
     start = {v.name: low[v.name] for v in plant.states}
-    feedback = pam.lqr(plant, high, dt=DT)
+    feedback = pam.lqr(plant, high, sample_time=DT)
     print(f"poles with feedback [1/s]: {feedback.poles.round(1)}")
 
     inversion = pam.Inversion(plant)
@@ -34,12 +34,14 @@ def main(folder: Path) -> None:
         return {"muscle.command": opening}
 
     runs = {
-        "LQR": closed_loop(feedback, plant, duration=1.0, dt=DT, start=start),
+        "LQR": closed_loop(feedback, plant, duration=1.0, sample_time=DT, start=start).trajectory,
         "LQR without inversion": closed_loop(
-            without_inversion, plant, duration=1.0, dt=DT, start=start
-        ),
+            without_inversion, plant, duration=1.0, sample_time=DT, start=start
+        ).trajectory,
     }
-    mpc = pam.Mpc(plant, horizon=25, step=0.01, track={"x": 1.0}, rate={"muscle.command": 0.05})
+    mpc = pam.Mpc(
+        plant, horizon=25, sample_time=0.01, track={"x": 1.0}, rate={"muscle.command": 0.05}
+    )
     runs["Mpc"] = mpc.closed_loop(plant, {"x": 0.08}, 1.0, start=start).trajectory
     for label, run in runs.items():
         print(f"{label:<22} after 1 s {1e3 * abs(run['x'][-1] - 0.08):7.4f} mm from the set point")

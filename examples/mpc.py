@@ -47,7 +47,7 @@ def run(plant: pam.Plant, fmu: Path, estimating: bool) -> ClosedLoop:
     controller = pam.Mpc(
         model,
         horizon=40,
-        step=STEP,
+        sample_time=STEP,
         delay=1,
         track={"x": 1.0, "stiffness": 0.05},
         rate={"muscle1.command": 0.05, "muscle2.command": 0.05},
@@ -55,7 +55,7 @@ def run(plant: pam.Plant, fmu: Path, estimating: bool) -> ClosedLoop:
     unknown = {"mass": (0.5, 0.05), "push": (20.0, 100.0)} if estimating else {}
     observer = pam.KalmanFilter(
         model,
-        step=STEP,
+        sample_time=STEP,
         unknown=unknown,
         process={"v": 0.01},
         measured={"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0},

@@ -63,7 +63,9 @@ def run(**options: Any) -> pam.Trajectory:
 
 def looped(answer: Any, **options: Any) -> pam.Trajectory:
     controller = answer if callable(answer) else lambda t, y: answer
-    return pam.closed_loop(controller, plant(), **{"duration": 0.01, "dt": 5e-3, **options})
+    return pam.closed_loop(
+        controller, plant(), **{"duration": 0.01, "sample_time": 5e-3, **options}
+    )
 
 
 def posed(**options: Any) -> pam.Planner:
@@ -297,7 +299,7 @@ CALLS: dict[str, tuple[Call, str]] = {
     "controller answers nan": (lambda: looped({"muscle.command": math.nan}), "is not finite"),
     "controller names a state": (lambda: looped({"x": 1.0}), "not an input"),
     "closed_loop(start=operating point)": (lambda: looped({}, start=rest()), WORKS),
-    "closed_loop(dt=0)": (lambda: looped({}, dt=0), "must be > 0"),
+    "closed_loop(sample_time=0)": (lambda: looped({}, sample_time=0), "must be > 0"),
     "closed_loop(delay=0.5)": (lambda: looped({}, delay=0.5), "whole number"),
     "closed_loop(noise={..: -1})": (lambda: looped({}, noise={"x": -1.0}), "must be >= 0"),
     "closed_loop(disturbances={..: 3})": (

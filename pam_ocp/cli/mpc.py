@@ -59,7 +59,7 @@ keys come first:
 
   [controller]                            # and arguments of its class
   kind = "mpc"
-  step = 0.005
+  sample_time = 0.005
   horizon = 40
   delay = 1
   track = { x = 1.0, stiffness = 0.05 }
@@ -193,7 +193,7 @@ def _run(study: Mapping[str, Any]) -> ClosedLoop:
     model = plant.with_values(begin)
     controls = [v.name for v in model.inputs if not v.disturbance]
     usual = {
-        "step": 0.005,
+        "sample_time": 0.005,
         "horizon": 40,
         "delay": 1,
         "track": {n: 1.0 if n == position else 0.05 for n in sources},
@@ -203,8 +203,8 @@ def _run(study: Mapping[str, Any]) -> ClosedLoop:
     kind = CONTROLLERS.name("controller.kind", given.pop("kind"))
     settings = {n: v for n, v in usual.items() if n in CONTROLLERS.arguments(kind)} | given
     controller = _made("controller", CONTROLLERS[kind], model, settings)
-    step = settings.get("step", usual["step"])
-    estimator = _estimator(model, position, {"step": step, **study["estimator"]})
+    sample_time = settings.get("sample_time", usual["sample_time"])
+    estimator = _estimator(model, position, {"sample_time": sample_time, **study["estimator"]})
     disturbances = {
         n: source(f"disturbances.{n}", v, model.variable(n).unit, before=0.0)
         for n, v in study["disturbances"].items()

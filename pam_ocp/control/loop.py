@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, UnknownNameError, require_count, require_positive
+from ..core.errors import InputError, require_count, require_positive
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
-from ..plants.inversion import Inversion
 from ..plants.plant import Given, Plant, Values
+from .channels import Actuators, Sensors
 from .controller import Controller, Estimate, Measured, Observer, Tracking
 from .mpc_statistics import MpcStatistics
 from .references import Source, source
+from .saved_loop import read_loop, write_loop
 from .sides import PlantSide, Side, side_of
 
 if TYPE_CHECKING:
@@ -79,8 +80,19 @@ class ClosedLoop:
         return courtesy.plot_closed_loop(self, title)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the trajectory: see :meth:`Trajectory.save`."""
-        return self.trajectory.save(path)
+        """Write all of it to ``.npz``, or the trajectory alone to ``.csv`` or ``.parquet``.
+
+        See :meth:`Trajectory.save`; :meth:`Trajectory.load` reads the motion from each of them.
+        """
+        if Path(path).suffix.lower() != ".npz":
+            return self.trajectory.save(path)
+        parts = {"seen": self.seen, "reference": self.reference, "estimate": self.estimate}
+        return write_loop(path, self.trajectory, parts, self.statistics, self.prediction_error)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> ClosedLoop:
+        """Read what :meth:`save` wrote to ``.npz``. Raises InputError for any other file."""
+        return cls(**read_loop(path))
 
     def __str__(self) -> str:
         said = [f"closed loop over {self.trajectory.duration:g} s"]
@@ -159,7 +171,7 @@ def closed_loop(
     model = plant or getattr(controller, "plant", None)
     chosen = side_of(side, model, sample_time, parts, parameters=parameters, start=start, rtol=rtol)
     with chosen as real:
-        inputs = _Inputs(real, chosen.plant if isinstance(chosen, PlantSide) else model)
+        inputs = Actuators(real, chosen.plant if isinstance(chosen, PlantSide) else model)
         told = {
             inputs.known(n).name: source(f"reference[{n!r}]", v, inputs.known(n).unit)
             for n, v in (reference or {}).items()
@@ -169,7 +181,7 @@ def closed_loop(
             estimator,
             real,
             inputs,
-            _Sensors(real, estimator, noise, seed),
+            Sensors(real, estimator, noise, seed),
             inputs.disturbances(disturbances or {}),
             [dict(real.inputs)] * waits,
         )
@@ -221,110 +233,6 @@ def _told(controller: Any, told: Mapping[str, Source], side: Side, preview: bool
     return controller
 
 
-class _Inputs:
-    """A controller's answer as the side's inputs, within their range."""
-
-    def __init__(self, side: Side, model: Plant | None) -> None:
-        self._known = {v.name: v for v in side.variables}
-        self._alias = {n.replace(".", "_"): n for n in self._known}
-        self._range = {n: self._known[n] for n in side.inputs}
-        self._start = dict(side.inputs)
-        inversion = None if model is None else Inversion(model)
-        self._inversion = inversion if inversion and self._of(model) else None
-
-    def _of(self, model: Plant | None) -> bool:
-        """Whether the side has the model's inputs."""
-        return model is not None and all(v.name in self._range for v in model.inputs)
-
-    def known(self, name: str) -> Variable:
-        """A variable of the side. Raises UnknownNameError."""
-        if self._inversion and (opening := self._inversion.opening_of(name)):
-            return self._inversion.inner.variable(opening)
-        full = name if name in self._known else self._alias.get(name, name)
-        if full not in self._known:
-            raise UnknownNameError("variable of the real side", name, self._known)
-        return self._known[full]
-
-    def _input(self, name: str) -> Variable:
-        variable = self.known(name)
-        if variable.name not in self._range:
-            raise InputError(
-                f"{variable.name} is a {variable.causality} of the plant, not an input; its inputs "
-                f"are {', '.join(self._range)}"
-            )
-        return variable
-
-    def disturbances(self, given: Mapping[str, Any]) -> dict[str, Source]:
-        """{input: function of time}."""
-        found: dict[str, Source] = {}
-        for name, value in given.items():
-            variable = self._input(name)
-            pair = isinstance(value, list | tuple)
-            if not callable(value) and not isinstance(value, Mapping):
-                size = value[0] if pair and len(value) else value
-                variable.check(size, "disturbance")
-            before = self._start[variable.name]
-            found[variable.name] = source(f"disturbances[{name!r}]", value, variable.unit, before)
-        return found
-
-    def __call__(self, t: float, answer: Mapping[str, float]) -> dict[str, float]:
-        if not isinstance(answer, Mapping):
-            raise InputError(
-                f"the controller's answer at t = {t:g} s is a {type(answer).__name__}: give "
-                f"inputs by name, such as {{{next(iter(self._range), 'name')!r}: 3e5}}"
-            )
-        if self._inversion:
-            answer = self._inversion.commands(answer)
-        found = dict(self._start)
-        for name, value in answer.items():
-            variable = self._range.get(name) or self._input(name)
-            try:
-                number = float(value)
-            except (TypeError, ValueError):
-                raise InputError(
-                    f"the controller's answer at t = {t:g} s: {name} = {value!r} is not a number"
-                ) from None
-            if not np.isfinite(number):
-                raise InputError(
-                    f"the controller's answer at t = {t:g} s is not finite: {dict(answer)}"
-                )
-            found[variable.name] = min(max(number, variable.min), variable.max)
-        return found
-
-
-class _Sensors:
-    """What is measured of the side: all states and outputs by name, with noise."""
-
-    def __init__(
-        self,
-        side: Side,
-        estimator: Observer | None,
-        noise: Mapping[str, float] | None,
-        seed: int,
-    ) -> None:
-        self.names = [v.name for v in side.variables if v.causality in ("state", "output")]
-        alias = {n.replace(".", "_"): n for n in self.names}
-        expected = estimator.deviations if estimator is not None else {}
-        for name in expected:
-            if name not in self.names:
-                raise UnknownNameError("measured variable of the real side", name, self.names)
-        given = expected if noise is None else noise
-        self.noise = {
-            alias.get(n, n): require_positive(f"noise[{n!r}]", s, zero=True)
-            for n, s in given.items()
-        }
-        unknown = [n for n in self.noise if n not in self.names]
-        if unknown:
-            raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")
-        self._random = np.random.default_rng(seed)
-
-    def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
-        seen = {n: values[n] for n in self.names}
-        for name, deviation in self.noise.items():
-            seen[name] += deviation * float(self._random.standard_normal())
-        return seen
-
-
 @dataclass
 class _Run:
     """One closed loop under way."""
@@ -332,8 +240,8 @@ class _Run:
     controller: Any
     estimator: Observer | None
     side: Side
-    inputs: _Inputs
-    sensors: _Sensors
+    inputs: Actuators
+    sensors: Sensors
     disturbances: Mapping[str, Source]
     waiting: list[dict[str, float]]
 

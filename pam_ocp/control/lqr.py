@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_positive
 from ..operating.equilibrium import OperatingPoint
-from ..operating.linear import inside, linearize, no_influence
+from ..operating.linear import held, inside, linearize, no_influence
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
@@ -128,9 +128,9 @@ class Integrals:
     def reset(self) -> None:
         self.values = np.zeros(len(self.names))
 
-    def add(self, error: Array, dt: float, saturated: bool) -> None:
+    def add(self, error: Array, sample_time: float, saturated: bool) -> None:
         if not saturated:
-            self.values = self.values + dt * error
+            self.values = self.values + sample_time * error
 
 
 def saturated(u: Array, low: Array, high: Array) -> bool:
@@ -159,7 +159,7 @@ class StateFeedback:
     K: Array
     Ki: Array
     integrated: list[str]
-    dt: float
+    sample_time: float
     setpoint: Setpoint = None
     system: Any = field(default=None, repr=False)
     inversion: Inversion | None = field(default=None, repr=False)
@@ -204,7 +204,7 @@ class StateFeedback:
         if self.integrated:
             goal = self.wanted(t)
             error = np.array([measured[n] - goal[n] for n in self.integrated])
-            self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
+            self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
         return sent(self.inversion, self.inputs, u)
 
     def _augmented(self) -> tuple[Array, Array, Array]:
@@ -259,12 +259,12 @@ class StateFeedback:
 
 
 def stationary(
-    a: Array, b: Array, q: Array, r: Array, states: int, dt: float | None = None
+    a: Array, b: Array, q: Array, r: Array, states: int, sample_time: float | None = None
 ) -> tuple[Array, Array, Array]:
     """Gains, solution P of the Riccati equation and Q of a feedback that is seen to stabilise.
 
-    The first ``states`` get the least weight where without it none is found. dt : sampled, inputs
-    held. Raises ValueError when none is found.
+    The first ``states`` get the least weight where without it none is found. sample_time : of a
+    sampled design, inputs held; None: continuous. Raises ValueError when none is found.
     """
     import control
 
@@ -273,13 +273,13 @@ def stationary(
     reason: object = "a pole stays on the imaginary axis"
     for used in (q, q + least):
         try:
-            if dt is None:
+            if sample_time is None:
                 k, p, poles = control.lqr(a, b, used, r)
                 decay = -np.real(poles)
             else:
-                held = control.ss(a, b, np.zeros((1, len(a))), np.zeros((1, b.shape[1]))).sample(dt)
-                k, p, poles = control.dlqr(held.A, held.B, used * dt, r * dt)
-                decay = -np.log(np.maximum(np.abs(poles), 1e-300)) / dt
+                ad, bd = held(a, b, np.ones(len(a)), sample_time)
+                k, p, poles = control.dlqr(ad, bd, used * sample_time, r * sample_time)
+                decay = -np.log(np.maximum(np.abs(poles), 1e-300)) / sample_time
         except (ValueError, np.linalg.LinAlgError, control.ControlArgument) as error:
             reason = error
             continue
@@ -298,7 +298,7 @@ def lqr(
     effort: float | Mapping[str, float] = 1.0,
     integral: Mapping[str, float] | None = None,
     setpoint: Setpoint = None,
-    dt: float = 1e-3,
+    sample_time: float = 1e-3,
     sampled: bool = False,
 ) -> StateFeedback:
     """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
@@ -309,7 +309,7 @@ def lqr(
 
     at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
-    dt : sampling time [s] of the controller. sampled : design for inputs held over dt
+    sample_time : of the controller [s]. sampled : design for inputs held over it
         (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
 
     Raises InputError when no input has an influence at the point, or when no stabilising feedback
@@ -317,7 +317,7 @@ def lqr(
     output that the inputs cannot move).
     """
     require_plant(plant)
-    require_positive("dt", dt, "s")
+    require_positive("sample_time", sample_time, "s")
     inversion, at = inside(plant, at)
     plant = at.plant
     if isinstance(effort, Mapping):
@@ -337,7 +337,7 @@ def lqr(
     )
     a, b, q = pick @ a @ lift, pick @ b, lift.T @ q @ lift
     try:
-        k = stationary(a, b, q, r, len(at.stuck.kept), dt if sampled else None)[0]
+        k = stationary(a, b, q, r, len(at.stuck.kept), sample_time if sampled else None)[0]
     except ValueError as error:
         raise InputError(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
@@ -349,7 +349,7 @@ def lqr(
         weighting.inputs,
         *gains,
         weighting.integrated,
-        dt,
+        sample_time,
         setpoint,
         system,
         inversion if inversion else None,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_instance
 from ..operating.linear import chosen_signals, linearize
 from .controller import Measured
-from .estimators.stationary import KalmanFilter
+from .estimators.stationary import StationaryFilter
 from .lqr import StateFeedback, sent
 
 __all__ = ["OffsetFree"]
@@ -37,7 +37,7 @@ class OffsetFree:
     """
 
     feedback: StateFeedback
-    filter: KalmanFilter
+    filter: StationaryFilter
     hold: Sequence[str]
     goal: Mapping[str, float] = field(default_factory=dict)
 
@@ -58,7 +58,9 @@ class OffsetFree:
 
     def _check(self) -> None:
         require_instance("OffsetFree: feedback", self.feedback, StateFeedback, "give that of lqr()")
-        require_instance("OffsetFree: filter", self.filter, KalmanFilter, "give that of kalman()")
+        require_instance(
+            "OffsetFree: filter", self.filter, StationaryFilter, "give that of kalman()"
+        )
         if self.feedback.integrated:
             raise InputError(
                 f"OffsetFree: the feedback integrates {self.feedback.integrated[0]}; design it "
@@ -69,10 +71,10 @@ class OffsetFree:
                 "OffsetFree: the filter estimates no disturbance; give kalman(..., "
                 "disturbances=...)"
             )
-        if not np.isclose(self.feedback.dt, self.filter.dt, rtol=1e-9):
+        if not np.isclose(self.feedback.sample_time, self.filter.sample_time, rtol=1e-9):
             raise InputError(
-                f"OffsetFree: the feedback has dt = {self.feedback.dt:g} s, the filter "
-                f"{self.filter.dt:g} s; design both for one"
+                f"OffsetFree: sample_time = {self.feedback.sample_time:g} s of the feedback, "
+                f"{self.filter.sample_time:g} s of the filter; design both for one"
             )
         plant = self.feedback.point.plant
         self._held = chosen_signals("hold", plant, self.hold, ("state", "output"))

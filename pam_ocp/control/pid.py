@@ -53,14 +53,14 @@ class PID:
         """Forget the past."""
         self._integral, self._slope, self._last = 0.0, 0.0, None
 
-    def __call__(self, error: float, dt: float, saturated: bool = False) -> float:
-        """The output for an error, ``dt`` seconds after the call before."""
+    def __call__(self, error: float, sample_time: float, saturated: bool = False) -> float:
+        """The output for an error, ``sample_time`` seconds after the call before."""
         if self._last is not None:
-            share = self.filter_time / (self.filter_time + dt)
-            self._slope = share * self._slope + (1 - share) * (error - self._last) / dt
+            share = self.filter_time / (self.filter_time + sample_time)
+            self._slope = share * self._slope + (1 - share) * (error - self._last) / sample_time
         self._last = error
         if not (saturated and error * self._integral > 0):
-            self._integral += error * dt
+            self._integral += error * sample_time
         return self.kp * error + self.ki * self._integral + self.kd * self._slope
 
 
@@ -145,7 +145,7 @@ class PositionController:
     stiffness : wanted stiffness of a pair [N/m or N m/rad], a number or a function of time.
     inner : a :class:`PressureLoop`; by default one that passes commands on.
     feedforward : False leaves the reference's motion to the PID alone (for comparison).
-    dt : sampling time [s], that of :func:`closed_loop`.
+    sample_time : sampling time [s], that of :func:`closed_loop`.
     """
 
     def __init__(
@@ -154,13 +154,14 @@ class PositionController:
         reference: Reference,
         pid: PID,
         *,
-        dt: float,
+        sample_time: float,
         stiffness: float | Callable[[float], float] | None = None,
         inner: PressureLoop | None = None,
         feedforward: bool = True,
     ) -> None:
         self.inverse = InverseDynamics(plant)
-        self.reference, self.pid, self.dt = reference, pid, require_positive("dt", dt, "s")
+        self.sample_time = require_positive("sample_time", sample_time, "s")
+        self.reference, self.pid = reference, pid
         self.stiffness, self.feedforward = stiffness, feedforward
         self.inner = inner or PressureLoop(plant)
         self._saturated = False
@@ -183,6 +184,6 @@ class PositionController:
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         error = self.reference(t)[0] - measured[self.inverse.position]
-        p = self.pressures(t, self.pid(error, self.dt, self._saturated))
+        p = self.pressures(t, self.pid(error, self.sample_time, self._saturated))
         self._saturated = bool(np.any((p <= self.inverse.low) | (p >= self.inverse.high)))
         return self.inner(dict(zip(self.inverse.muscles, p.tolist(), strict=True)), measured)

@@ -36,7 +36,7 @@ class ScheduledFeedback:
     Ki: Array = field(repr=False)
     integrated: list[str]
     place: Callable[[float], Mapping[str, float]]
-    dt: float
+    sample_time: float
     inversion: Inversion | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -76,7 +76,7 @@ class ScheduledFeedback:
         u = u0[self._columns] - k @ (x - x0) - ki @ self._integrals.values
         if self.integrated:
             error = np.array([measured[n] for n in self.integrated]) - goals
-            self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
+            self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
         return sent(self.inversion, list(self.family.inputs), u)
 
 
@@ -89,13 +89,13 @@ def scheduled_lqr(
     weights: Mapping[str, float] | None = None,
     effort: float | Mapping[str, float] = 1.0,
     integral: Mapping[str, float] | None = None,
-    dt: float = 1e-3,
+    sample_time: float = 1e-3,
 ) -> ScheduledFeedback:
     """LQR (LQI with ``integral``) at each point of rest of a grid, interpolated by ``place``.
 
     axes, conditions : see :func:`linearize_grid`, such as positions and stiffnesses.
     place : t [s] -> {axis: value}. weights, effort, integral : see :class:`Weighting`.
-    dt : sampling time [s] of the controller.
+    sample_time : sampling time [s] of the controller.
     """
     inversion = Inversion(require_plant(plant))
     inner = inversion.inner
@@ -104,7 +104,7 @@ def scheduled_lqr(
     inputs = [v.name for v in inner.inputs if not v.disturbance]
     family = linearize_grid(inner, axes, inversion.conditions(conditions), inputs=inputs)
     designs = [
-        lqr(p.plant, p, weights=weights, effort=effort, integral=integral, dt=dt)
+        lqr(p.plant, p, weights=weights, effort=effort, integral=integral, sample_time=sample_time)
         for p in family.points.ravel()
     ]
     shape = family.points.shape
@@ -116,6 +116,6 @@ def scheduled_lqr(
         ki,
         designs[0].integrated,
         place,
-        require_positive("dt", dt, "s"),
+        require_positive("sample_time", sample_time, "s"),
         inversion if inversion else None,
     )

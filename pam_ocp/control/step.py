@@ -90,7 +90,7 @@ class Step:
     substeps: int = 2
 
     def __post_init__(self) -> None:
-        require_positive("step", self.length, "s")
+        require_positive("sample_time", self.length, "s")
         if self.method not in get_args(StepMethod):
             raise InputError(f"method = {self.method!r}: choose 'rk4' or 'rosenbrock'")
         require_count("substeps", self.substeps)

@@ -26,8 +26,8 @@ Array: TypeAlias = NDArray[np.float64]
 class OpenLoop:
     """A Controller that plays the inputs of a motion, whatever happens (for comparison)."""
 
-    def __init__(self, plant: Plant, motion: Trajectory, dt: float) -> None:
-        self.motion, self.dt = motion, require_positive("dt", dt, "s")
+    def __init__(self, plant: Plant, motion: Trajectory, sample_time: float) -> None:
+        self.motion, self.sample_time = motion, require_positive("sample_time", sample_time, "s")
         self.inputs = [v.name for v in plant.inputs if not v.disturbance]
         self._all = list(motion.named("input"))
 
@@ -36,7 +36,7 @@ class OpenLoop:
 
     def planned(self, t: float) -> Array:
         """The inputs to hold over the sample from t on: those of its middle."""
-        middle = float(np.clip(t + self.dt / 2, self.motion.t[0], self.motion.t[-1]))
+        middle = float(np.clip(t + self.sample_time / 2, self.motion.t[0], self.motion.t[-1]))
         if self.motion.signals is not None:
             row = self.motion.signals(middle)[0]
             return np.array([row[self._all.index(n)] for n in self.inputs])
@@ -63,10 +63,10 @@ class TrajectoryFeedback:
     Ki: Array = field(repr=False)
     P: Array = field(repr=False)
     integrated: list[str]
-    dt: float
+    sample_time: float
 
     def __post_init__(self) -> None:
-        self._open = OpenLoop(self.plant, self.motion, self.dt)
+        self._open = OpenLoop(self.plant, self.motion, self.sample_time)
         self._inversion = Inversion(self.plant)
         inner = self._inversion.inner
         self.inputs = [v.name for v in inner.inputs if not v.disturbance]
@@ -95,7 +95,7 @@ class TrajectoryFeedback:
         if self.integrated:
             y = np.array([measured[n] for n in self.integrated])
             error = y - self._row(t, self._y, self.motion.t)
-            self._integrals.add(error, self.dt, saturated(u, self._low, self._high))
+            self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
         return sent(self._inversion, self.inputs, u)
 
     def _planned(self, t: float) -> Array:
@@ -117,7 +117,7 @@ def tvlqr(
     integral: Mapping[str, float] | None = None,
     final: ArrayLike | None = None,
     t: ArrayLike | None = None,
-    dt: float = 1e-3,
+    sample_time: float = 1e-3,
     rtol: float = 1e-8,
 ) -> TrajectoryFeedback:
     """Time-varying LQR along a motion of the plant (a plan's trajectory or its replay).
@@ -132,7 +132,7 @@ def tvlqr(
     the motion holds its commands, as a plan does.
 
     t : times at which A, B and K are taken; by default the motion's samples.
-    dt : sampling time [s] of the controller.
+    sample_time : sampling time [s] of the controller.
 
     Raises InputError for a motion without the plant's states and inputs, or when no stationary LQR
     exists at the end (give ``final``).
@@ -198,7 +198,7 @@ def tvlqr(
         np.array([k for _, k in gains]),
         p,
         weighting.integrated,
-        require_positive("dt", dt, "s"),
+        require_positive("sample_time", sample_time, "s"),
     )
 
 

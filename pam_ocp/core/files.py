@@ -5,14 +5,27 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .errors import InputError
 
-__all__ = ["atomic_path", "read_json", "write_json"]
+__all__ = [
+    "atomic_path",
+    "read_json",
+    "read_npz",
+    "require_format",
+    "write_json",
+    "write_npz",
+]
+
+Array: TypeAlias = NDArray[Any]
 
 
 @contextmanager
@@ -42,7 +55,7 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
+def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
     """Write a mapping as JSON; numbers must be finite. Returns the path."""
     with atomic_path(path) as temporary:
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
@@ -50,16 +63,58 @@ def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
     return Path(path)
 
 
+def write_npz(
+    path: str | os.PathLike[str], content: Mapping[str, Any], arrays: Mapping[str, Array]
+) -> Path:
+    """Write arrays by name, and beside them a mapping as JSON under "meta". Returns the path."""
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        meta = np.array(json.dumps(content, default=float))
+        np.savez_compressed(file, allow_pickle=False, meta=meta, **arrays)
+    return Path(path)
+
+
 def read_json(path: str | os.PathLike[str], kind: str, form: str, remedy: str) -> dict[str, Any]:
-    """The mapping in a file whose "format" is ``form``.
+    """The mapping in a file of JSON whose "format" is ``form``.
 
     kind : what should be in it, for the message. Raises InputError for any other file.
     """
-    name = os.fspath(path)
     try:
         content = json.loads(Path(path).read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"{name} cannot be read as {kind}: {error}") from None
+        raise InputError(f"{os.fspath(path)} cannot be read as {kind}: {error}") from None
+    return require_format(path, content, kind, form, remedy)
+
+
+def read_npz(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
+    """(mapping, arrays by name) of what :func:`write_npz` wrote.
+
+    kind : what should be in it, for the message. Raises InputError for any other file.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"{os.fspath(path)}: no such file")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        content = json.loads(str(arrays.pop("meta")))
+    except (
+        ValueError,
+        OSError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        BadZipFile,
+    ) as error:
+        raise InputError(f"{os.fspath(path)} cannot be read as {kind}: {error}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{os.fspath(path)} is no {kind.removeprefix('a ')}")
+    return content, arrays
+
+
+def require_format(
+    path: str | os.PathLike[str], content: Any, kind: str, form: str, remedy: str
+) -> dict[str, Any]:
+    """The content of a file, or an InputError when its "format" is not ``form``."""
     if not isinstance(content, dict) or content.get("format") != form:
-        raise InputError(f"{name} is no {kind.removeprefix('a ')}; {remedy}")
+        raise InputError(f"{os.fspath(path)} is no {kind.removeprefix('a ')}; {remedy}")
     return content

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from .errors import InputError, UnknownNameError
-from .files import atomic_path
+from .files import atomic_path, read_npz, write_npz
 from .signals import Interpolation, PiecewisePolynomial
 from .variables import Causality, Variable
 
@@ -227,14 +227,15 @@ class Trajectory:
         Raises InputError for another ending. An existing file is replaced only when all is written.
         """
         target = Path(path)
+        if target.suffix.lower() == ".npz":
+            return write_npz(target, *self._packed())
         writers = {
             ".csv": self._write_csv,
-            ".npz": self._write_npz,
             ".parquet": self._write_parquet,
         }
         writer = writers.get(target.suffix.lower())
         if writer is None:
-            raise InputError(f"{target.name}: save as one of {', '.join(writers)}")
+            raise InputError(f"{target.name}: save as one of .csv, .npz, .parquet")
         with atomic_path(target) as temporary:
             writer(temporary)
         return target
@@ -251,28 +252,22 @@ class Trajectory:
                 for line in np.column_stack([self.t, self.array(self.names), held])
             )
 
-    def _write_npz(self, path: Path) -> None:
-        with path.open("wb") as file:
-            np.savez_compressed(
-                file,
-                allow_pickle=False,
-                t=self.t,
-                data=self.array(self.names),
-                meta=np.array(self._meta()),
-            )
+    def _packed(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """What :func:`write_npz` writes."""
+        return self._meta(), {"t": self.t, "data": self.array(self.names)}
 
-    def _meta(self) -> str:
+    def _meta(self) -> dict[str, Any]:
         content: dict[str, Any] = {
             "interpolation": self._between,
             "variables": [asdict(v) for v in self.variables],
         }
         if self.signals is not None:
             content["signals"] = [self.signals.breaks.tolist(), self.signals.coefficients.tolist()]
-        return json.dumps(content)
+        return content
 
     def _write_parquet(self, path: Path) -> None:
         frame = self.to_pandas()
-        frame.attrs = {"pam_ocp": self._meta()}
+        frame.attrs = {"pam_ocp": json.dumps(self._meta())}
         frame.to_parquet(path)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -322,8 +317,11 @@ class Trajectory:
 
     @classmethod
     def _read_npz(cls, path: Path) -> Trajectory:
-        with np.load(path, allow_pickle=False) as file:
-            return cls._from_meta(str(file["meta"]), file["t"], file["data"])
+        content, arrays = read_npz(path, "a trajectory")
+        try:
+            return cls._from_meta(content, arrays["t"], arrays["data"])
+        except KeyError as error:
+            raise InputError(f"{path} is no trajectory: it lacks {error}") from None
 
     @classmethod
     def _read_parquet(cls, path: Path) -> Trajectory:
@@ -334,11 +332,12 @@ class Trajectory:
                 "Parquet needs pandas and pyarrow: pip install pam_ocp[studies]"
             ) from None
         frame = pd.read_parquet(path)
-        return cls._from_meta(frame.attrs["pam_ocp"], frame.index.to_numpy(), frame.to_numpy())
+        return cls._from_meta(
+            json.loads(frame.attrs["pam_ocp"]), frame.index.to_numpy(), frame.to_numpy()
+        )
 
     @classmethod
-    def _from_meta(cls, meta: str, t: Array, data: Array) -> Trajectory:
-        content = json.loads(meta)
+    def _from_meta(cls, content: Mapping[str, Any], t: Array, data: Array) -> Trajectory:
         variables = [Variable(**v) for v in content["variables"]]
         columns = {v.name: data[:, i] for i, v in enumerate(variables)}
         signals = None

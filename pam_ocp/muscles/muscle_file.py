@@ -11,7 +11,7 @@ from typing import Any
 import tomli_w
 
 from ..core.errors import InputError, UnknownNameError, require_finite, require_instance
-from ..core.files import atomic_path, read_json, write_json
+from ..core.files import atomic_path, read_json, require_format, write_json
 from ..core.quantities import read_toml, table
 from .laws.user_defined import law_named
 from .muscle import Muscle
@@ -77,8 +77,8 @@ def load_muscle(path: str | os.PathLike[str]) -> Muscle:
     kind, remedy = "a muscle file", f"its 'format' must be {FORMAT!r}"
     if _ending(path) == ".json":
         content = read_json(path, kind, FORMAT, remedy)
-    elif (content := read_toml(path)).get("format") != FORMAT:
-        raise InputError(f"{os.fspath(path)} is no muscle file; {remedy}")
+    else:
+        content = require_format(path, read_toml(path), kind, FORMAT, remedy)
     try:
         return _muscle(content)
     except (KeyError, TypeError, ValueError) as error:

@@ -38,16 +38,14 @@ def rodas3(slopes: Slopes, x: ca.SX, h: float | ca.SX) -> ca.SX:
     return ca.SX(x + sum((m * k for m, k in zip(_RODAS3_M, stages, strict=True)), ca.SX(0)))
 
 
-def ros2(
-    early: Callable[[ca.SX], ca.SX], late: Callable[[ca.SX], ca.SX], x: ca.SX, h: float
-) -> ca.SX:
+def ros2(early: Slopes, late: Callable[[ca.SX], ca.SX], x: ca.SX, h: float) -> ca.SX:
     """One step h of ROS2, x' going from ``early`` (x) at its begin to ``late`` (x) at its end.
 
     (I - gamma h A) k1 = f(x, u), (I - gamma h A) k2 = f(x + h k1, late) - 2 k1, A = df/dx,
     x+ = x + 3/2 h k1 + 1/2 h k2. Of second order for any A, so df/dt may be left out.
     """
-    first = early(x)
-    matrix = ca.SX.eye(x.numel()) - GAMMA * h * ca.jacobian(first, x)
+    first, jacobian = early(x)
+    matrix = ca.SX.eye(x.numel()) - GAMMA * h * jacobian
     k1 = ca.solve(matrix, first)
     k2 = ca.solve(matrix, late(x + h * k1) - 2 * k1)
     return ca.SX(x + 1.5 * h * k1 + 0.5 * h * k2)

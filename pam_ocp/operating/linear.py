@@ -144,7 +144,7 @@ class _Selection:
         a, b, c, d = matrices
         variables = [self.plant.states[i] for i in (range(len(a)) if kept is None else kept)]
         if dt:
-            a, b = _held(a, b, np.array([v.nominal for v in variables]), dt)
+            a, b = held(a, b, np.array([v.nominal for v in variables]), dt)
         states = [v.name for v in variables]
         system = control.ss(
             a,
@@ -168,7 +168,7 @@ class _Selection:
         return system
 
 
-def _held(a: Array, b: Array, nominal: Array, dt: float) -> tuple[Array, Array]:
+def held(a: Array, b: Array, nominal: Array, dt: float) -> tuple[Array, Array]:
     """A and B of x[k+1] = A x[k] + B u[k] for inputs held over dt, exact (matrix exponential)."""
     from scipy.signal import cont2discrete
 

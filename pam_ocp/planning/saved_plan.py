@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import warnings
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -14,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, PlanError, PlanWarning
-from ..core.files import atomic_path
+from ..core.files import read_npz, require_format, write_npz
 from ..core.signals import PiecewisePolynomial
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulate import evaluated
@@ -72,16 +70,13 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
             for m in plan.meshes
         ],
     }
-    with atomic_path(target) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(
-            file,
-            meta=np.array(json.dumps(meta, default=float)),
-            t=motion.t,
-            states=motion.array(motion.named("state")),
-            breaks=motion.signals.breaks,
-            coefficients=motion.signals.coefficients,
-        )
-    return target
+    arrays = {
+        "t": motion.t,
+        "states": motion.array(motion.named("state")),
+        "breaks": motion.signals.breaks,
+        "coefficients": motion.signals.coefficients,
+    }
+    return write_npz(target, meta, arrays)
 
 
 def load_plan(path: str | Path, plant: Plant) -> Plan:
@@ -248,19 +243,11 @@ def _require_solution(path: str, program: Program, solution: Solution, objective
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """(meta data, arrays) of a file."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in file.files}
-        meta = json.loads(str(arrays.pop("meta")))
-    except (ValueError, OSError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path} is no plan file: {error}") from None
-    if isinstance(meta, dict) and meta.get("format") == FORMER:
+    meta, arrays = read_npz(path, "a plan file")
+    if meta.get("format") == FORMER:
         raise InputError(
             f"{path} was written by a former version, which did not keep what was asked for; plan "
             "anew"
         )
-    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
-        raise InputError(f"{path} is no plan file of this version ({FORMAT})")
-    return meta, arrays
+    remedy = f"save one of this version ({FORMAT}) by plan.save(...)"
+    return require_format(path, meta, "a plan file", FORMAT, remedy), arrays

@@ -60,10 +60,10 @@ def test_the_loop_of_an_lqr_keeps_its_distance_from_minus_one(slide):
 
 def test_near_the_stop_the_nonlinear_loop_moves_as_linear_theory_says(slide):
     point = slide.equilibrium(x=0.002, stiffness=2.2e4)
-    feedback = lqr(slide, point, dt=1e-4)
+    feedback = lqr(slide, point, sample_time=1e-4)
     start = {v.name: x for v, x in zip(slide.states, point.x, strict=True)}
     run = closed_loop(
-        feedback, slide, duration=0.06, dt=1e-4, start={**start, "x": point.x[0] + 1e-6}
+        feedback, slide, duration=0.06, sample_time=1e-4, start={**start, "x": point.x[0] + 1e-6}
     )
     a = np.asarray(feedback.system.A) - np.asarray(feedback.system.B) @ feedback.K
     d = [(linalg.expm(a * t) @ [1e-6, 0, 0, 0])[0] for t in run.t]
@@ -71,13 +71,15 @@ def test_near_the_stop_the_nonlinear_loop_moves_as_linear_theory_says(slide):
 
 
 def test_a_sampled_design_solves_the_discrete_riccati_equation(slide):
-    point, dt = slide.equilibrium(x=0.0, stiffness=2.2e4), 0.01
-    feedback = lqr(slide, point, weights={"x": 10.0, "v": 1.0}, dt=dt, sampled=True)
-    system = slide.linearize(point, dt=dt)
+    point, sample_time = slide.equilibrium(x=0.0, stiffness=2.2e4), 0.01
+    feedback = lqr(
+        slide, point, weights={"x": 10.0, "v": 1.0}, sample_time=sample_time, sampled=True
+    )
+    system = slide.linearize(point, dt=sample_time)
     a, b = np.asarray(system.A), np.asarray(system.B)
     n, e = slide.vector("state", attribute="nominal"), np.full(2, 1e5)
     a, b = a * n / n[:, None], b * e / n[:, None]
-    q, r = dt * np.diag([100.0, 1.0, 0, 0]), dt * np.eye(2)
+    q, r = sample_time * np.diag([100.0, 1.0, 0, 0]), sample_time * np.eye(2)
     p = linalg.solve_discrete_are(a, b, q, r)
     k = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a) * e[:, None] / n
     assert np.allclose(feedback.K, k, rtol=1e-6, atol=1e-6 * np.abs(k).max())
@@ -104,7 +106,7 @@ def test_the_integrals_of_an_lqi_stand_still_while_a_command_is_at_its_end(slide
     at_rest = {v.name: float(x) for v, x in zip(slide.states, point.x, strict=True)}
     after = []
     for samples in (10, 1000):
-        feedback = lqr(slide, point, weights={"x": 30.0}, integral={"x": 100.0}, dt=1e-3)
+        feedback = lqr(slide, point, weights={"x": 30.0}, integral={"x": 100.0}, sample_time=1e-3)
         for _ in range(samples):
             held = feedback(0.0, at_rest | {"x": 0.010})
         assert held["muscle1.command"] < 0.0 or held["muscle2.command"] > 6e5
@@ -134,11 +136,13 @@ def test_lqr_says_what_cannot_be_stabilised_or_weighed(long_muscle, slide):
 
 
 def test_the_kalman_gain_is_that_of_the_dual_riccati_equation(hanging):
-    point, dt = hanging.equilibrium(x=0.06), 2e-3
-    found = kalman(hanging, point, measured={"x": 1e-4}, process={"v": 2.0}, dt=dt)
-    system = hanging.linearize(point, outputs=["x"], dt=dt)
+    point, sample_time = hanging.equilibrium(x=0.06), 2e-3
+    found = kalman(
+        hanging, point, measured={"x": 1e-4}, process={"v": 2.0}, sample_time=sample_time
+    )
+    system = hanging.linearize(point, outputs=["x"], dt=sample_time)
     a, c = np.asarray(system.A), np.asarray(system.C)
-    q, r = np.diag([0.0, (2.0 * 0.1) ** 2 * dt, 0.0]), np.array([[1e-8]])
+    q, r = np.diag([0.0, (2.0 * 0.1) ** 2 * sample_time, 0.0]), np.array([[1e-8]])
     scale = np.diag([1.0, 1.0, 1e-5])  # Pa beside m would cost SciPy its small entries
     back = np.linalg.inv(scale)
     p = linalg.solve_discrete_are((scale @ a @ back).T, (c @ back).T, scale @ q @ scale, r)
@@ -149,7 +153,11 @@ def test_the_kalman_gain_is_that_of_the_dual_riccati_equation(hanging):
 def test_the_filter_finds_velocity_and_pressure_from_the_position(hanging):
     point = hanging.equilibrium(x=0.06)
     watch = kalman(
-        hanging, point, measured={"x": 2e-5}, process={"v": 0.1, "muscle.pressure": 0.1}, dt=1e-3
+        hanging,
+        point,
+        measured={"x": 2e-5},
+        process={"v": 0.1, "muscle.pressure": 0.1},
+        sample_time=1e-3,
     )
     command = point["muscle.command"] + 2e3
     estimates = []
@@ -166,7 +174,7 @@ def test_the_filter_finds_velocity_and_pressure_from_the_position(hanging):
 
     start = {"x": 0.06, "v": 0.02, "muscle.pressure": point["muscle.pressure"] - 3e3}
     run = closed_loop(Watching(), hanging, duration=1.0, start=start, noise={"x": 2e-5}, seed=5)
-    truth = run.array([v.name for v in hanging.states])[:-1]
+    truth = run.trajectory.array([v.name for v in hanging.states])[:-1]
     error = np.abs(np.array(estimates) - truth)
     late = error[500:]
     assert error[0, 1] == pytest.approx(0.02, rel=0.2)  # it did not know the velocity at first
@@ -178,7 +186,7 @@ def test_the_filter_finds_velocity_and_pressure_from_the_position(hanging):
 def test_a_controller_behind_a_filter_sees_the_estimate_only(hanging):
     point = hanging.equilibrium(x=0.06)
     inner = Fixed({"muscle.command": point["muscle.command"]})
-    watch = kalman(hanging, point, measured={"x": 1e-5}, dt=1e-3)
+    watch = kalman(hanging, point, measured={"x": 1e-5}, sample_time=1e-3)
     start = {"x": 0.058, "muscle.pressure": point["muscle.pressure"]}
     closed_loop(WithEstimate(inner, watch, ["muscle.force"]), hanging, duration=0.01, start=start)
     assert set(inner.seen[0]) == {"x", "v", "muscle.pressure", "muscle.force"}
@@ -228,7 +236,7 @@ def test_a_scheduled_joint_follows_position_and_stiffness_at_once(joint):
     def place(t):
         return {"theta": angle(t)[0], "stiffness": stiffening(t)[0]}
 
-    cost = {"integral": {"theta": 50.0, "stiffness": 10.0}, "dt": 2e-3}
+    cost = {"integral": {"theta": 50.0, "stiffness": 10.0}, "sample_time": 2e-3}
     start = joint.equilibrium(place(0.0))
     middle = joint.equilibrium(theta=0.25, stiffness=24.0)
     axes = {"theta": np.linspace(-0.1, 0.6, 8), "stiffness": np.linspace(14, 34, 5)}
@@ -241,7 +249,7 @@ def test_a_scheduled_joint_follows_position_and_stiffness_at_once(joint):
             controller,
             joint,
             duration=1.2,
-            dt=2e-3,
+            sample_time=2e-3,
             parameters={"link_mass": 1.2},
             start={v.name: start[v.name] for v in joint.states},
         )

@@ -37,7 +37,7 @@ def test_on_a_linear_plant_it_is_the_linear_kalman_filter():
     x, p = np.array([0.3, 0.0]), np.diag([0.1**2, 0.5**2])
     filter_ = KalmanFilter(
         damped_spring(),
-        step=H,
+        sample_time=H,
         measured={"double": 0.02},
         process={"v": 0.2},
         start={"x": 0.3},
@@ -59,7 +59,11 @@ def test_mass_force_and_offset_converge_to_the_truth():
     for truth in ({"push": 1.5}, {"m": 1.3}, {"der(v)": -0.7}):
         (name, value), rng = next(iter(truth.items())), np.random.default_rng(0)
         filter_ = KalmanFilter(
-            plant, step=H, measured={"x": 1e-4}, unknown={name: (1.0, 1e-3)}, process={"v": 1e-4}
+            plant,
+            sample_time=H,
+            measured={"x": 1e-4},
+            unknown={name: (1.0, 1e-3)},
+            process={"v": 1e-4},
         )
         m, more = truth.get("m", 1.0), truth.get("push", 0.0) + truth.get("der(v)", 0.0)
         x, v = 0.0, 0.0
@@ -76,7 +80,7 @@ def test_mass_force_and_offset_converge_to_the_truth():
 
 def test_an_estimate_stays_inside_the_bounds_of_its_parameter():
     filter_ = KalmanFilter(
-        double_integrator(), step=H, measured={"x": 1e-6}, unknown={"m": (10.0, 1.0)}
+        double_integrator(), sample_time=H, measured={"x": 1e-6}, unknown={"m": (10.0, 1.0)}
     )
     for x in (0.0, 5.0, -5.0, 5.0):
         filter_.correct({"x": x})
@@ -88,14 +92,14 @@ def test_a_stiff_plant_is_filtered_with_the_implicit_step():
     x, y = plant.state("x", start=1.0), plant.state("y")
     plant.der(x, -x)
     plant.der(y, 1e5 * (x - y))
-    filter_ = KalmanFilter(plant, step=0.1, measured={"y": 1e-3}, method="rosenbrock")
+    filter_ = KalmanFilter(plant, sample_time=0.1, measured={"y": 1e-3}, method="rosenbrock")
     state = filter_.predict().state
     assert state["x"] == pytest.approx(np.exp(-0.1), rel=1e-4)
     assert state["y"] == pytest.approx(np.exp(-0.1), rel=1e-3)
 
 
 def test_a_measurement_that_is_missing_is_left_out():
-    filter_ = KalmanFilter(damped_spring(), step=H, measured={"x": 0.01, "v": 0.01})
+    filter_ = KalmanFilter(damped_spring(), sample_time=H, measured={"x": 0.01, "v": 0.01})
     filter_.correct({"x": 0.2})
     assert filter_.estimate.deviation["x"] < 0.011
     assert filter_.estimate.deviation["v"] == pytest.approx(1.0)
@@ -104,7 +108,7 @@ def test_a_measurement_that_is_missing_is_left_out():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"step": 0.0}, "step = 0"),
+        ({"sample_time": 0.0}, "sample_time = 0"),
         ({"measured": {}}, "measured is empty"),
         ({"measured": {"x": -1.0}}, "measured"),
         ({"measured": {"f": 1.0}}, "f is a input"),
@@ -114,14 +118,16 @@ def test_a_measurement_that_is_missing_is_left_out():
     ],
 )
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
-    settings = {"step": H, "measured": {"x": 1e-3}, **change}
+    settings = {"sample_time": H, "measured": {"x": 1e-3}, **change}
     with pytest.raises(InputError, match=words):
         KalmanFilter(double_integrator(), **settings)
 
 
 def test_unknown_names_get_the_nearest_one():
     with pytest.raises(UnknownNameError, match="push"):
-        KalmanFilter(double_integrator(), step=H, measured={"x": 1e-3}, unknown={"pus": (1, 1)})
-    filter_ = KalmanFilter(double_integrator(), step=H, measured={"x": 1e-3})
+        KalmanFilter(
+            double_integrator(), sample_time=H, measured={"x": 1e-3}, unknown={"pus": (1, 1)}
+        )
+    filter_ = KalmanFilter(double_integrator(), sample_time=H, measured={"x": 1e-3})
     with pytest.raises(UnknownNameError, match="measured"):
         filter_.correct({"v": 1.0})

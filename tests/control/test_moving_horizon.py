@@ -20,7 +20,7 @@ from pam_ocp.core.errors import InputError, UnknownNameError
 def test_on_a_linear_plant_it_is_the_kalman_filter(horizon):
     """A window longer than the record, shorter, and of one step; with measurements missing."""
     settings = {
-        "step": H,
+        "sample_time": H,
         "measured": {"double": 0.02, "v": 0.3},
         "process": {"v": 0.2},
         "start": {"x": 0.3},
@@ -71,7 +71,7 @@ def recorded(mass: float, duration: float, step: float, seed: int):
 
 NOISE = {"x": 2e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
 SLIDE = {
-    "step": 0.005,
+    "sample_time": 0.005,
     "measured": NOISE,
     "process": {"v": 1e-3},
     "uncertainty": {"x": 1e-4, "v": 1e-3, "muscle1.pressure": 1e3, "muscle2.pressure": 1e3},
@@ -116,7 +116,12 @@ def reservoir() -> pam.Plant:
 
 
 def test_a_pressure_is_never_negative():
-    settings = {"step": H, "measured": {"p": 3e3}, "process": {"p": 2e3}, "uncertainty": {"p": 3e3}}
+    settings = {
+        "sample_time": H,
+        "measured": {"p": 3e3},
+        "process": {"p": 2e3},
+        "uncertainty": {"p": 3e3},
+    }
     window = MovingHorizonEstimator(reservoir(), horizon=8, **settings)
     kalman = KalmanFilter(reservoir(), **settings)
     rng, lowest = np.random.default_rng(2), 0.0
@@ -137,7 +142,7 @@ def test_bounds_give_the_constrained_optimum():
     """
     window = MovingHorizonEstimator(
         damped_spring(),
-        step=H,
+        sample_time=H,
         measured={"x": 0.1},
         uncertainty={"x": 0.1, "v": 0.5},
         bounds={"x": (None, 0.2)},
@@ -151,7 +156,7 @@ def test_a_disturbance_inside_given_bounds():
     plant = double_integrator()
     window = MovingHorizonEstimator(
         plant,
-        step=H,
+        sample_time=H,
         measured={"x": 1e-4},
         process={"v": 1e-4},
         unknown={"push": (1.0, 1e-3)},
@@ -169,9 +174,13 @@ def test_a_disturbance_inside_given_bounds():
 def test_it_takes_the_filters_place_in_a_closed_loop():
     plant = double_integrator(limit=5.0)
     window = MovingHorizonEstimator(
-        plant, step=0.1, measured={"x": 1e-4}, process={"v": 1e-3}, unknown={"push": (1.0, 0.01)}
+        plant,
+        sample_time=0.1,
+        measured={"x": 1e-4},
+        process={"v": 1e-3},
+        unknown={"push": (1.0, 0.01)},
     )
-    mpc = Mpc(plant, horizon=20, step=0.1, track={"x": 1.0}, rate={"f": 0.01})
+    mpc = Mpc(plant, horizon=20, sample_time=0.1, track={"x": 1.0}, rate={"f": 0.01})
     loop = closed_loop(
         mpc, plant, {"x": 0.5}, duration=6.0, estimator=window, disturbances={"push": 0.8}, seed=3
     )
@@ -192,7 +201,7 @@ def test_it_takes_the_filters_place_in_a_closed_loop():
     ],
 )
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
-    settings = {"step": H, "measured": {"x": 1e-3}, **change}
+    settings = {"sample_time": H, "measured": {"x": 1e-3}, **change}
     with pytest.raises(InputError, match=words):
         MovingHorizonEstimator(double_integrator(), **settings)
 
@@ -200,5 +209,5 @@ def test_arguments_that_cannot_be_meant_are_refused(change, words):
 def test_unknown_names_get_the_nearest_one():
     with pytest.raises(UnknownNameError, match="push"):
         MovingHorizonEstimator(
-            double_integrator(), step=H, measured={"x": 1e-3}, bounds={"pushh": (0, 1)}
+            double_integrator(), sample_time=H, measured={"x": 1e-3}, bounds={"pushh": (0, 1)}
         )

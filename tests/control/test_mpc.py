@@ -33,7 +33,7 @@ def slide_mpc(**options) -> Mpc:
     commands = ("muscle1.command", "muscle2.command")
     settings = {
         "horizon": 25,
-        "step": 0.005,
+        "sample_time": 0.005,
         "track": {"x": 1.0, "stiffness": 0.1},
         "rate": dict.fromkeys(commands, 0.1),
     }
@@ -53,7 +53,11 @@ def test_a_linear_plant_with_idle_bounds_gets_the_lqr_of_riccati(solver):
         gain = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
         p = q + a.T @ p @ (a - b @ gain)
     mpc = Mpc(
-        double_integrator(), horizon=n, step=h, track={"x": 3.0, "v": 0.5, "f": 0.2}, solver=solver
+        double_integrator(),
+        horizon=n,
+        sample_time=h,
+        track={"x": 3.0, "v": 0.5, "f": 0.2},
+        solver=solver,
     )
     x = np.array([0.7, -0.3])
     assert mpc.control(x)["f"] == pytest.approx((-gain @ x).item(), abs=1e-5)
@@ -65,7 +69,7 @@ def test_weights_on_changes_see_the_input_applied_before():
     mpc = Mpc(
         double_integrator(),
         horizon=1,
-        step=h,
+        sample_time=h,
         track={"v": 1.0},
         terminal={"v": 1.0},
         rate={"f": r},
@@ -75,7 +79,7 @@ def test_weights_on_changes_see_the_input_applied_before():
 
 
 def test_known_disturbances_parameters_and_offsets_are_planned_for():
-    mpc = Mpc(double_integrator(), horizon=40, step=0.1, track={"x": 1.0}, rate={"f": 0.1})
+    mpc = Mpc(double_integrator(), horizon=40, sample_time=0.1, track={"x": 1.0}, rate={"f": 0.1})
     mpc.reset({"f": -2.0})
     assert mpc.control([0, 0], values={"push": 2.0})["f"] == pytest.approx(-2.0, abs=1e-5)
     mpc.reset({"f": -2.0})
@@ -88,7 +92,7 @@ def test_bounds_of_inputs_hold_and_those_of_states_where_they_can(solver):
     mpc = Mpc(
         double_integrator(limit=1.0),
         horizon=20,
-        step=0.1,
+        sample_time=0.1,
         track={"x": 1.0},
         rate={"f": 1e-3},
         bounds={"v": (-0.4, 0.4)},
@@ -106,7 +110,7 @@ def test_a_state_outside_its_soft_bound_is_brought_back():
     mpc = Mpc(
         double_integrator(limit=1.0),
         horizon=20,
-        step=0.1,
+        sample_time=0.1,
         track={"x": 1.0},
         rate={"f": 1e-3},
         bounds={"v": (-0.4, 0.4)},
@@ -123,7 +127,7 @@ def test_hard_bounds_that_cannot_be_kept_are_reported():
     mpc = Mpc(
         double_integrator(limit=1.0),
         horizon=5,
-        step=0.1,
+        sample_time=0.1,
         track={"x": 1.0},
         soft=False,
         bounds={"v": (-0.4, 0.4)},
@@ -270,7 +274,7 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
     model = plant.with_values(start)
     observer = KalmanFilter(
         model,
-        step=0.005,
+        sample_time=0.005,
         measured={"x": 2e-5, "muscle1.pressure": 500, "muscle2.pressure": 500},
         process={"v": 0.01},
         unknown={"mass": (0.5, 0.05)},
@@ -278,7 +282,7 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
     mpc = Mpc(
         model,
         horizon=30,
-        step=0.005,
+        sample_time=0.005,
         delay=1,
         track={"x": 1.0, "stiffness": 0.05},
         rate={"muscle1.command": 0.05, "muscle2.command": 0.05},
@@ -302,7 +306,7 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
     ("change", "words"),
     [
         ({"horizon": 0}, "horizon = 0"),
-        ({"step": -1.0}, "step = -1"),
+        ({"sample_time": -1.0}, "sample_time = -1"),
         ({"delay": 2}, "delay = 2"),
         ({"work": 0}, "work = 0"),
         ({"track": {"x": -1.0}}, "track"),
@@ -316,13 +320,13 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
     ],
 )
 def test_arguments_that_cannot_be_meant_are_refused(change, words):
-    settings = {"horizon": 5, "step": 0.1, "track": {"x": 1.0}, **change}
+    settings = {"horizon": 5, "sample_time": 0.1, "track": {"x": 1.0}, **change}
     with pytest.raises(InputError, match=words):
         Mpc(double_integrator(), **settings)
 
 
 def test_unknown_names_get_the_nearest_one():
-    mpc = Mpc(double_integrator(), horizon=5, step=0.1, track={"x": 1.0})
+    mpc = Mpc(double_integrator(), horizon=5, sample_time=0.1, track={"x": 1.0})
     with pytest.raises(UnknownNameError, match="push"):
         mpc.control([0, 0], values={"pushh": 1.0})
     with pytest.raises(UnknownNameError, match="tracked"):
@@ -355,7 +359,7 @@ def test_plant_and_fmu_are_the_same_real_side(tmp_path):
 
 
 def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
-    mpc = Mpc(double_integrator(), horizon=5, step=0.1, track={"x": 1.0})
+    mpc = Mpc(double_integrator(), horizon=5, sample_time=0.1, track={"x": 1.0})
     real = double_integrator()
     with pytest.raises(InputError, match="shorter than a sample"):
         closed_loop(mpc, real, {"x": 1.0}, duration=0.01)
@@ -363,7 +367,7 @@ def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
         closed_loop(mpc, real, {"x": 1.0}, duration=1.0, disturbances={"pushh": 1.0})
     with pytest.raises(InputError, match="no such FMU"):
         closed_loop(mpc, tmp_path / "none.fmu", {"x": 1.0}, duration=1.0)
-    slow = KalmanFilter(real, step=0.2, measured={"x": 1e-3})
+    slow = KalmanFilter(real, sample_time=0.2, measured={"x": 1e-3})
     with pytest.raises(InputError, match="estimator's sample_time"):
         closed_loop(mpc, real, {"x": 1.0}, duration=1.0, estimator=slow)
     with pytest.raises(InputError, match="the controller comes first"):
@@ -387,7 +391,7 @@ def test_the_error_of_a_prediction_is_that_of_a_tight_integration():
     """One RK4 step of 50 ms on a regulator's lag of 50 ms: by SciPy, from node to node."""
     from conftest import scipy_states
 
-    mpc = slide_mpc(step=0.05, substeps=1, horizon=8)
+    mpc = slide_mpc(sample_time=0.05, substeps=1, horizon=8)
     mpc.control(mpc.plant.vector("state"), {"x": 0.01})
     motion, plant = mpc.prediction(), mpc.plant
     states = motion.array(motion.named("state"))

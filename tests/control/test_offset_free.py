@@ -26,13 +26,17 @@ DRIFT = {"external_force": 30.0}
 
 def run(plant, point, controller, duration=1.5, **options):
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
-    return pam.closed_loop(controller, plant, duration=duration, dt=2e-3, start=start, **options)
+    return pam.closed_loop(
+        controller, plant, duration=duration, sample_time=2e-3, start=start, **options
+    )
 
 
 def test_the_estimate_is_the_torque_that_acts(pushed):
     plant, point = pushed
-    filter_ = kalman(plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, dt=2e-3)
-    feedback = lqr(plant, point, dt=2e-3)
+    filter_ = kalman(
+        plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, sample_time=2e-3
+    )
+    feedback = lqr(plant, point, sample_time=2e-3)
     controller = OffsetFree(feedback, filter_, ["theta", "stiffness"])
     torque = 0.05
     run(plant, point, controller, disturbances={"external_force": torque})
@@ -47,7 +51,7 @@ def test_the_disturbance_is_told_from_an_input_that_feeds_through():
     plant.output("y", x + u / 2 + d / 5)
     point = plant.equilibrium(u=1.0, d=5.0)
     assert point["x"] == pytest.approx(4.0)
-    filter_ = kalman(plant, point, measured={"y": 1e-3}, disturbances={"d": 10.0}, dt=0.05)
+    filter_ = kalman(plant, point, measured={"y": 1e-3}, disturbances={"d": 10.0}, sample_time=0.05)
     rng, true, keep = np.random.default_rng(4), 3.0, np.exp(-0.1)
     command = 1.0
     for _ in range(300):
@@ -62,13 +66,15 @@ def test_the_disturbance_is_told_from_an_input_that_feeds_through():
 
 def test_nothing_is_left_of_an_unknown_torque_load_and_weak_muscle(pushed):
     plant, point = pushed
-    feedback = lqr(plant, point, dt=2e-3)
+    feedback = lqr(plant, point, sample_time=2e-3)
     filter_ = kalman(
-        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, dt=2e-3
+        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, sample_time=2e-3
     )
     true = {"link_mass": 1.2, "muscle1.a5": 0.95 * plant.variable("muscle1.a5").start}
     about = {"disturbances": {"external_force": 1.0}, "parameters": true, "duration": 3.0}
-    plain = run(plant, point, pam.WithEstimate(lqr(plant, point, dt=2e-3), filter_), **about)
+    plain = run(
+        plant, point, pam.WithEstimate(lqr(plant, point, sample_time=2e-3), filter_), **about
+    )
     free = run(plant, point, OffsetFree(feedback, filter_, ["theta"]), **about)
     assert abs(plain["theta"][-1] - 0.2) > 1e-3
     assert abs(free["theta"][-1] - 0.2) < 1e-7
@@ -77,9 +83,9 @@ def test_nothing_is_left_of_an_unknown_torque_load_and_weak_muscle(pushed):
 def test_it_goes_to_another_goal_without_an_integral(pushed):
     plant, point = pushed
     filter_ = kalman(
-        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, dt=2e-3
+        plant, point, measured={"theta": 1e-5}, process=0.1, disturbances=DRIFT, sample_time=2e-3
     )
-    controller = OffsetFree(lqr(plant, point, dt=2e-3), filter_, ["theta"], {"theta": 0.3})
+    controller = OffsetFree(lqr(plant, point, sample_time=2e-3), filter_, ["theta"], {"theta": 0.3})
     moved = run(plant, point, controller, duration=3.0)
     assert moved["theta"][-1] == pytest.approx(0.3, abs=1e-6)
     assert moved["theta"].max() < 0.3 + 0.1 * 0.1
@@ -88,7 +94,7 @@ def test_it_goes_to_another_goal_without_an_integral(pushed):
 def test_the_augmented_gain_is_that_of_the_riccati_equation_written_out(pushed):
     """In the limit of no process noise but the drift: an independent iteration of the filter."""
     plant, point = pushed
-    found = kalman(plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, dt=2e-3)
+    found = kalman(plant, point, measured=NOISE, process=0.1, disturbances=DRIFT, sample_time=2e-3)
     a, c = np.asarray(found.system.A), np.asarray(found.system.C)
     n = np.append(plant.vector("state", attribute="nominal"), 10.0)
     q = np.diag(np.append(np.full(len(n) - 1, 0.1), 3.0) ** 2 * 2e-3)
@@ -115,7 +121,7 @@ def test_what_cannot_be_estimated_or_held_is_refused(pushed, slide):
     with pytest.raises(InputError, match="hold names 0 value"):
         OffsetFree(feedback, filter_, [])
     with pytest.raises(InputError, match="design both for one"):
-        OffsetFree(lqr(plant, point, dt=2e-3), filter_, ["theta"])
+        OffsetFree(lqr(plant, point, sample_time=2e-3), filter_, ["theta"])
     with pytest.raises(InputError, match="the feedback integrates theta"):
         OffsetFree(lqr(plant, point, integral={"theta": 5.0}), filter_, ["theta"])
     with pytest.raises(InputError, match="estimates no disturbance"):

@@ -170,10 +170,11 @@ def missed(run: pam.Trajectory, name: str, start: Any, goal: Any) -> float:
 def test_lqr_and_tvlqr_reach_the_set_point_from_closed_rest(kind, overlap):
     plant, x, start, goal = case(kind, pam.SpoolValve(overlap=overlap))
     begin = at_rest(plant, start)
-    loop = {"duration": 1.5, "dt": 4e-3, "rtol": 1e-6}
-    motion = closed_loop(pam.lqr(plant, goal, dt=4e-3), plant, start=begin, **loop)
+    loop = {"duration": 1.5, "sample_time": 4e-3, "rtol": 1e-6}
+    still = pam.lqr(plant, goal, sample_time=4e-3)
+    motion = closed_loop(still, plant, start=begin, **loop).trajectory
     assert missed(motion, x, start, goal) < 0.01
-    along = pam.tvlqr(plant, motion, t=np.linspace(0, 1.5, 151), dt=4e-3, rtol=1e-5)
+    along = pam.tvlqr(plant, motion, t=np.linspace(0, 1.5, 151), sample_time=4e-3, rtol=1e-5)
     begin[x] += 0.1 * (goal[x] - start[x])
     assert missed(closed_loop(along, plant, start=begin, **loop), x, start, goal) < 0.01
 
@@ -186,7 +187,7 @@ def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
     plant, x, start, goal = case(kind, feed)
     track = {x: 1.0} | ({"stiffness": 0.05} if kind in ("slide", "joint") else {})
     mpc = pam.Mpc(
-        plant, horizon=20, step=0.01, track=track, rate={v.name: 0.05 for v in plant.inputs}
+        plant, horizon=20, sample_time=0.01, track=track, rate={v.name: 0.05 for v in plant.inputs}
     )
     loop = mpc.closed_loop(plant, {n: goal[n] for n in track}, 1.0, start=at_rest(plant, start))
     assert loop.statistics.failures == 0
@@ -197,7 +198,12 @@ def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
 def test_every_solver_moves_the_closed_hanging_load(solver):
     plant, x, start, goal = case("hanging load", pam.SpoolValve())
     mpc = pam.Mpc(
-        plant, horizon=15, step=0.02, track={x: 1.0}, rate={"muscle.command": 0.05}, solver=solver
+        plant,
+        horizon=15,
+        sample_time=0.02,
+        track={x: 1.0},
+        rate={"muscle.command": 0.05},
+        solver=solver,
     )
     loop = mpc.closed_loop(plant, {x: goal[x]}, 0.6, start=at_rest(plant, start))
     assert loop.trajectory["muscle.command"][0] > 0.3
@@ -209,7 +215,7 @@ def test_mpc_takes_weights_and_bounds_of_commands_and_predicts_in_commands():
     mpc = pam.Mpc(
         plant,
         horizon=10,
-        step=0.02,
+        sample_time=0.02,
         track={x: 1.0, "muscle.command": 1e-3},
         bounds={"muscle.command": (-0.3, 0.4)},
     )
@@ -224,9 +230,14 @@ def test_mpc_takes_weights_and_bounds_of_commands_and_predicts_in_commands():
 def test_mpc_against_the_plants_fmu_sends_commands(tmp_path):
     plant, x, start, goal = case("hanging load", pam.SpoolValve())
     path = export_fmu(plant, tmp_path / "plant.fmu", platforms="native")
-    mpc = pam.Mpc(plant, horizon=15, step=0.02, track={x: 1.0}, rate={"muscle.opening": 0.05})
+    mpc = pam.Mpc(
+        plant, horizon=15, sample_time=0.02, track={x: 1.0}, rate={"muscle.opening": 0.05}
+    )
     estimator = pam.KalmanFilter(
-        plant, step=0.02, measured={x: 1e-5, "muscle.pressure": 200.0}, start=at_rest(plant, start)
+        plant,
+        sample_time=0.02,
+        measured={x: 1e-5, "muscle.pressure": 200.0},
+        start=at_rest(plant, start),
     )
     loop = mpc.closed_loop(
         path, {x: goal[x]}, 1.0, start=at_rest(plant, start), estimator=estimator, seed=3
@@ -237,16 +248,20 @@ def test_mpc_against_the_plants_fmu_sends_commands(tmp_path):
 def test_a_kalman_filter_follows_the_pressure_from_the_commands():
     """LQG on a noisy position alone: the estimate of the pressure goes with the true one."""
     plant, x, start, goal = case("hanging load", pam.SpoolValve(overlap=0.1))
-    feedback = pam.lqr(plant, goal, integral={x: 5.0}, dt=2e-3)
+    feedback = pam.lqr(plant, goal, integral={x: 5.0}, sample_time=2e-3)
     watch = pam.kalman(
-        plant, goal, measured={x: 2e-5}, process={"v": 1.0, "muscle.pressure": 1.0}, dt=2e-3
+        plant,
+        goal,
+        measured={x: 2e-5},
+        process={"v": 1.0, "muscle.pressure": 1.0},
+        sample_time=2e-3,
     )
     begin = {**at_rest(plant, goal), x: goal[x]}
     run = closed_loop(
         pam.WithEstimate(feedback, watch),
         plant,
         duration=1.0,
-        dt=2e-3,
+        sample_time=2e-3,
         start=begin,
         noise={x: 2e-5},
         rtol=1e-6,
@@ -259,17 +274,19 @@ def test_a_kalman_filter_follows_the_pressure_from_the_commands():
 
 def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
     plant, x, start, goal = case("hanging load", pam.SpoolValve())
-    loop = {"duration": 1.2, "dt": 4e-3, "rtol": 1e-6, "start": at_rest(plant, start)}
-    grid = pam.scheduled_lqr(plant, {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}, dt=4e-3)
+    loop = {"duration": 1.2, "sample_time": 4e-3, "rtol": 1e-6, "start": at_rest(plant, start)}
+    grid = pam.scheduled_lqr(
+        plant, {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}, sample_time=4e-3
+    )
     assert missed(closed_loop(grid, plant, **loop), x, start, goal) < 0.01
     watch = pam.kalman(
         plant,
         goal,
         measured={x: 1e-5, "muscle.pressure": 500.0},
         disturbances={"muscle.command": 0.1},
-        dt=4e-3,
+        sample_time=4e-3,
     )
-    free = pam.OffsetFree(pam.lqr(plant, goal, dt=4e-3), watch, hold=[x])
+    free = pam.OffsetFree(pam.lqr(plant, goal, sample_time=4e-3), watch, hold=[x])
     loop["start"] = at_rest(plant, plant.equilibrium(x=goal[x] - 0.004))
     assert (
         missed(
@@ -299,7 +316,7 @@ def test_the_pressure_loop_leaves_no_error_in_the_dead_zone():
             lambda t, y, inner=inner: inner({"muscle": 3.0 * BAR}, y),
             plant,
             duration=0.8,
-            dt=2e-3,
+            sample_time=2e-3,
             rtol=1e-6,
             start={"x": 0.06, "muscle.pressure": 2.9 * BAR},
         )
@@ -392,7 +409,7 @@ def test_a_dead_zone_of_ones_own_is_inverted():
     u = 0.01 * feedback.K[0, 0]
     s = sent / 0.8
     assert 0.4 * s**4 * (2 * s**2 - 6 * s + 5) == pytest.approx(u, rel=1e-9)
-    run = closed_loop(feedback, plant, duration=8.0, dt=0.01, start={"x": 0.5})
+    run = closed_loop(feedback, plant, duration=8.0, sample_time=0.01, start={"x": 0.5})
     assert abs(run["x"][-1]) < 5e-3
     assert plant.in_openings().inputs[0].max == pytest.approx(4.6)
 
@@ -402,26 +419,27 @@ def test_an_input_without_influence_is_called_so():
     point = pam.OperatingPoint(plant, np.zeros(2), np.zeros(1))
     with pytest.raises(InputError, match="motor has no influence on 'cart' here: its slope is 0"):
         pam.lqr(plant, point)
-    mpc = pam.Mpc(plant, horizon=5, step=0.05, track={"x": 1.0})
+    mpc = pam.Mpc(plant, horizon=5, sample_time=0.05, track={"x": 1.0})
     with pytest.warns(UserWarning, match="motor has no influence where the plant stands"):
         mpc.control([0.0, 0.0], {"x": 0.1})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        mpc = pam.Mpc(cart(True), horizon=5, step=0.05, track={"x": 1.0})
+        mpc = pam.Mpc(cart(True), horizon=5, sample_time=0.05, track={"x": 1.0})
         assert mpc.control([0.0, 0.0], {"x": 0.1})["motor"] > 0.4
 
 
 # ---- guards --------------------------------------------------------------------------------------
 def test_the_position_controller_does_not_wind_up_while_pressures_are_at_their_end():
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=pam.IdealPressure())
-    dt, ki, far = 1e-2, 40.0, 0.05
-    make = lambda: PositionController(plant, lambda t: (0.06, 0.0, 0.0), PID(1e4, ki=ki), dt=dt)  # noqa: E731
-    controller = make()
+    sample_time, ki, far = 1e-2, 40.0, 0.05
+    controller = PositionController(
+        plant, lambda t: (0.06, 0.0, 0.0), PID(1e4, ki=ki), sample_time=sample_time
+    )
     for k in range(50):
-        held = controller(k * dt, {"x": 0.06 - far, "v": 0.0})
+        held = controller(k * sample_time, {"x": 0.06 - far, "v": 0.0})
         assert held["muscle.pressure"] == pytest.approx(plant.variable("muscle.pressure").max)
     # the first sample counts, the other 49 were saturated; at no error the integral alone is left
-    (expected,) = InverseDynamics(plant)(0.06, 0.0, ki * far * dt)
+    (expected,) = InverseDynamics(plant)(0.06, 0.0, ki * far * sample_time)
     assert controller(0.5, {"x": 0.06, "v": 0.0})["muscle.pressure"] == pytest.approx(
         expected, rel=1e-9
     )
@@ -436,7 +454,7 @@ def test_the_kalman_filter_finds_the_disturbance_itself_not_its_deviation():
     plant.der(v, u + d - 4 * x - v)
     point = pam.OperatingPoint(plant, np.array([1.25, 0.0]), np.array([2.0, 3.0]))
     watch = pam.kalman(
-        plant, point, measured={"x": 1e-3}, process=0.1, disturbances={"d": 1.0}, dt=0.02
+        plant, point, measured={"x": 1e-3}, process=0.1, disturbances={"d": 1.0}, sample_time=0.02
     )
     for _ in range(3000):
         watch.correct({"x": 5.7 / 4})

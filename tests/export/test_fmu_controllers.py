@@ -27,7 +27,7 @@ STEP = 1e-3
 def feedback() -> Any:
     plant = benchmark_slide()
     point = plant.equilibrium(x=0.002, stiffness=2.2e4)
-    return pam.lqr(plant, point, integral={"x": 200.0, "stiffness": 10.0}, dt=STEP)
+    return pam.lqr(plant, point, integral={"x": 200.0, "stiffness": 10.0}, sample_time=STEP)
 
 
 def test_it_is_the_law_with_the_integral_of_the_error(feedback: Any) -> None:

@@ -190,7 +190,7 @@ def test_a_sampled_system_is_linearised_by_the_derivatives_of_its_step(slide):
 def test_a_sampled_plant_and_a_sampled_controller_are_closed_loops_closed_loop(slide):
     """python-control's interconnection of both, against the loop of this package."""
     point, dt = slide.equilibrium(x=0.003, stiffness=2.2e4), 2e-3
-    feedback = pam.lqr(slide, point, dt=dt)
+    feedback = pam.lqr(slide, point, sample_time=dt)
     plant = as_nlsys(slide, point, outputs=[v.name for v in slide.states], dt=dt)
     law = control.nlsys(
         None,
@@ -208,12 +208,14 @@ def test_a_sampled_plant_and_a_sampled_controller_are_closed_loops_closed_loop(s
         feedback,
         slide,
         duration=0.2,
-        dt=dt,
+        sample_time=dt,
         start={v.name: x for v, x in zip(slide.states, start, strict=True)},
     )
     n = slide.vector("state", attribute="nominal")
     assert np.abs(run["x"] - point.x[0]).max() > 5e-4
-    difference = (np.asarray(found.states).T - run.array([v.name for v in slide.states])) / n
+    difference = (
+        np.asarray(found.states).T - run.trajectory.array([v.name for v in slide.states])
+    ) / n
     assert np.abs(difference).max() < 1e-6
 
 

@@ -274,11 +274,11 @@ def test_lqr_and_kalman_hold_a_joint_with_hysteresis(losses):
     columns = [v.memory == "held" for v in plant.states]
     assert np.all(feedback.K[:, columns] == 0)
     assert feedback.poles.real.max() < -0.1
-    filtered = pam.kalman(plant, point, measured={"theta": 1e-4}, dt=2e-3)
+    filtered = pam.kalman(plant, point, measured={"theta": 1e-4}, sample_time=2e-3)
     controller = pam.WithEstimate(feedback, filtered)
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)} | {"theta": 0.13}
     for used in (feedback, controller):
-        run = pam.closed_loop(used, plant, duration=2.0, dt=2e-3, start=start)
+        run = pam.closed_loop(used, plant, duration=2.0, sample_time=2e-3, start=start)
         assert run["theta"][-1] == pytest.approx(0.1, abs=0.003)
 
 
@@ -296,7 +296,9 @@ def test_mpc_moves_a_slide_whose_muscles_have_slid():
     plant = pam.AntagonisticSlide(MUSCLE, losses=(pam.MaxwellSlip((6.0, 6.0), (0.003, 0.02)),))
     point = plant.equilibrium({"x": 0.0, "muscle1.command": 3 * BAR}, memory="above")
     rate = {v.name: 0.02 for v in plant.inputs}
-    mpc = pam.Mpc(plant, horizon=15, step=0.02, track={"x": 10.0}, rate=rate, method="rosenbrock")
+    mpc = pam.Mpc(
+        plant, horizon=15, sample_time=0.02, track={"x": 10.0}, rate=rate, method="rosenbrock"
+    )
     start = {v.name: point[v.name] for v in (*plant.states, *plant.inputs)}
     loop = mpc.closed_loop(plant, {"x": 0.004}, 0.6, start=start)
     assert mpc.statistics.failures == 0

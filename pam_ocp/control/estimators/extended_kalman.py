@@ -41,7 +41,7 @@ class Estimator(ABC):
         self,
         plant: Plant,
         *,
-        step: float,
+        sample_time: float,
         measured: Mapping[str, float],
         process: Mapping[str, float] | None = None,
         unknown: Mapping[str, tuple[float, float]] | None = None,
@@ -51,8 +51,8 @@ class Estimator(ABC):
         substeps: int = 2,
     ) -> None:
         require_plant(plant)
-        self.plant, self.given, how = plant, Givens(plant), Step(step, method, substeps)
-        self.step = float(step)
+        self.plant, self.given, how = plant, Givens(plant), Step(sample_time, method, substeps)
+        self.sample_time = float(sample_time)
         if not measured:
             raise InputError("measured is empty: name at least one state or output and its noise")
         self.measured = [plant.variable(n) for n in measured]
@@ -106,7 +106,7 @@ class Estimator(ABC):
             scaled = u / np.array([v.nominal for v in given.controls])
             return ca.vertcat(how.expression(given, x, scaled, q, length), unknown)
 
-        whole, half = after(self.step), after(self.step / 2)
+        whole, half = after(self.sample_time), after(self.sample_time / 2)
         jacobians = [ca.densify(ca.jacobian(e, z)) for e in (whole, half)]
         self._predict = ca.Function("predict", [z, u, rest], [whole, *jacobians])
         inputs, p, _ = given.parts(q, u)
@@ -122,11 +122,6 @@ class Estimator(ABC):
         )
 
     # ---- using it -------------------------------------------------------------------------------
-    @property
-    def sample_time(self) -> float:
-        """See :class:`Observer`."""
-        return self.step
-
     @property
     def deviations(self) -> dict[str, float]:
         """{measured state or output: standard deviation of its noise [SI]}."""
@@ -175,7 +170,7 @@ class Estimator(ABC):
         # Simpson's rule for the integral of exp(A s) Q exp(A s)' over the step
         turned = np.swapaxes(a, -1, -2), np.swapaxes(half, -1, -2)
         noise: Array = a @ self._density @ turned[0] + 4 * half @ self._density @ turned[1]
-        return self.step / 6 * (noise + self._density)
+        return self.sample_time / 6 * (noise + self._density)
 
     def _inputs(self, inputs: Values | None) -> Array:
         """Controls [SI]; disturbances named among the inputs are taken as known."""
@@ -194,7 +189,7 @@ class KalmanFilter(Estimator):
     Parameters
     ----------
     plant : the model.
-    step : time between two calls of :meth:`predict` [s].
+    sample_time : time between two calls of :meth:`predict` [s].
     measured : {state or output: standard deviation of its noise > 0} [SI].
     process : {state: standard deviation that unmodelled effects add per square root of a second};
         by default 1 % of nominal for states that are not named, and 0 for positions (x' = v).

@@ -45,7 +45,7 @@ class MovingHorizonEstimator(Estimator):
     robust : residuals beyond so many standard deviations count linearly, not squared (Huber, Ann.
         Math. Statist. 35, 1964; 1.345 is usual): outliers lose their pull. None: all squared.
     iterations : at most so many Gauss-Newton steps per measurement.
-    plant, step, measured, process, unknown, start, uncertainty, method, substeps : see
+    plant, sample_time, measured, process, unknown, start, uncertainty, method, substeps : see
         KalmanFilter.
 
     On a linear plant, without active bounds and with ``robust=None``, it is the Kalman filter.
@@ -58,7 +58,7 @@ class MovingHorizonEstimator(Estimator):
         self,
         plant: Plant,
         *,
-        step: float,
+        sample_time: float,
         measured: Mapping[str, float],
         horizon: int = 10,
         bounds: Mapping[str, Any] | None = None,
@@ -75,7 +75,7 @@ class MovingHorizonEstimator(Estimator):
         require_count("iterations", iterations)
         super().__init__(
             plant,
-            step=step,
+            sample_time=sample_time,
             measured=measured,
             process=process,
             unknown=unknown,

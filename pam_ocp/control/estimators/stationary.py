@@ -18,13 +18,13 @@ from ...plants.plant import Plant, Values, require_plant
 from ..controller import Controller, Estimate, Measured
 from .correction import corrected
 
-__all__ = ["KalmanFilter", "WithEstimate", "kalman"]
+__all__ = ["StationaryFilter", "WithEstimate", "kalman"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass
-class KalmanFilter:
+class StationaryFilter:
     """Estimate of all states from a few measured outputs, by the plant's linear model at a point.
 
     gain : (states and disturbances, measured), stationary. In each sample: ``correct(measured)``,
@@ -37,7 +37,7 @@ class KalmanFilter:
     point: OperatingPoint
     measured: list[str]
     gain: Array
-    dt: float
+    sample_time: float
     system: Any = field(repr=False)
     """python-control's sampled system, x[k+1] = A x[k] + B u[k]; disturbances are its last states.
     """
@@ -64,11 +64,6 @@ class KalmanFilter:
     def plant(self) -> Plant:
         """Its model."""
         return self.point.plant
-
-    @property
-    def sample_time(self) -> float:
-        """See :class:`Observer`."""
-        return self.dt
 
     @property
     def deviations(self) -> dict[str, float]:
@@ -121,9 +116,9 @@ def kalman(
     measured: Mapping[str, float],
     process: float | Mapping[str, float] = 1.0,
     disturbances: Mapping[str, float] | None = None,
-    dt: float = 1e-3,
-) -> KalmanFilter:
-    """The stationary Kalman filter about a point of rest, for a sampling time ``dt`` [s].
+    sample_time: float = 1e-3,
+) -> StationaryFilter:
+    """The stationary Kalman filter about a point of rest, for a sampling time ``sample_time`` [s].
 
     measured : {state or output: standard deviation of its noise [SI]}, of each sample.
     process : what drives the states besides the inputs, in units of nominal per sqrt(s): a number
@@ -143,7 +138,7 @@ def kalman(
     unknown = inversion.names(disturbances or {})
     # held memories stick to the motion about the point: estimated from it, as no pole tells of them
     follow, known = at.stuck, plant.vector("state", attribute="nominal")
-    linear = linearize(plant, at, outputs=names, dt=dt, stuck=True)
+    linear = linearize(plant, at, outputs=names, dt=sample_time, stuck=True)
     states = known[follow.kept]
     system = _with_disturbances(plant, linear, list(unknown), states)
     sizes = [plant.variable(n).nominal for n in unknown]
@@ -158,15 +153,15 @@ def kalman(
     ]
     nominal = np.concatenate([states, sizes])
     gain, covariance = _stationary(
-        system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * dt
+        system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * sample_time
     )
     lift = follow.lift(more=len(unknown))
     system = _of_all_states(plant, system, follow)
-    return KalmanFilter(
+    return StationaryFilter(
         at,
         names,
         lift @ gain,
-        dt,
+        sample_time,
         system,
         list(unknown),
         inversion if inversion else None,
@@ -283,7 +278,7 @@ class WithEstimate:
     """
 
     controller: Controller
-    filter: KalmanFilter
+    filter: StationaryFilter
     also: Sequence[str] = ()
 
     def reset(self) -> None:

@@ -33,8 +33,8 @@ from ..kinds import CONTROLLERS
 from ..mpc_statistics import MpcStatistics, MpcStep
 from ..references import Source
 from ..step import Givens, Step, StepMethod
-from .shooting import Limit, Penalty, Shooting
-from .sqp import Ipopt, Outcome, QpSolver, Sqp
+from .shooting import NodeLimit, Penalty, TrackingProgram
+from .sqp import QpSolver, Sqp, SqpOutcome, TrackingIpopt
 
 if TYPE_CHECKING:
     from ...courtesy import ClosedLoop
@@ -67,7 +67,7 @@ class Mpc:
         through zero, where commands have a dead zone, and gives the commands that make exactly
         these; weights and bounds may name either. ``plant.in_commands()`` leaves commands as they
         are.
-    horizon : number of steps looked ahead, of ``step`` seconds each.
+    horizon : number of steps looked ahead, of ``sample_time`` seconds each.
     track : {state, output or input: weight w >= 0}.
     rate : {input: weight r >= 0} on its change from step to step. Weights on changes leave no
         steady error; weights on inputs (in ``track``) pull away from the reference of the others.
@@ -106,7 +106,7 @@ class Mpc:
         plant: Plant,
         *,
         horizon: int,
-        step: float,
+        sample_time: float,
         track: Mapping[str, float],
         rate: Mapping[str, float] | None = None,
         terminal: Mapping[str, float] | None = None,
@@ -130,7 +130,8 @@ class Mpc:
             raise InputError(f"delay = {delay!r}: give 0 (at once) or 1 (one step later)")
         require_positive("penalty", penalty)
         require_positive("tolerance", tolerance)
-        self.plant, self.horizon, self.step, self.delay = plant, horizon, float(step), delay
+        self.plant, self.horizon, self.delay = plant, horizon, delay
+        self.sample_time = float(sample_time)
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
         self.model = rounded(inversion.inner, KINKS)
@@ -140,12 +141,12 @@ class Mpc:
         self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
-        how = Step(step, method, substeps)
+        how = Step(sample_time, method, substeps)
         track, terminal = inversion.names(track), terminal and inversion.names(terminal)
         penalties = _penalties(self.model, track, terminal)
         rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
         limits = _limits(self.model, self.given, inversion.bounds(_pairs(plant, bounds)), soft)
-        self.program = Shooting(
+        self.program = TrackingProgram(
             self.given,
             how,
             horizon,
@@ -156,7 +157,7 @@ class Mpc:
         )
         self._only_ipopt = solver == "ipopt"
         self._sqp = Sqp(self.program, "hpipm" if solver == "ipopt" else solver, tolerance)
-        self._ipopt: Ipopt | None = None
+        self._ipopt: TrackingIpopt | None = None
         self._how, self._advance = how, self._predictor(how)
         self._fine: ca.Function | None = None
         self.reset()
@@ -192,11 +193,6 @@ class Mpc:
     ) -> ClosedLoop:
         """Run against a plant or an FMU: :func:`pam_ocp.control.loop.closed_loop` with it."""
         return courtesy.closed_loop(self, real, reference, duration=duration, **options)
-
-    @property
-    def sample_time(self) -> float:
-        """See :class:`Controller`."""
-        return self.step
 
     def tracking(
         self,
@@ -284,7 +280,7 @@ class Mpc:
         inputs = np.column_stack([columns[v.name] for v in self.model.inputs])
         if self.inversion:
             inputs = self.inversion.sent(inputs, point.given[:n])
-        t: Array = self.step * np.arange(self.horizon + 1.0)
+        t: Array = self.sample_time * np.arange(self.horizon + 1.0)
         held = PiecewisePolynomial(t, inputs[:-1, None, :])
         model = self.plant.with_values(
             {v.name: point.given[i] for i, v in enumerate(self.plant.parameters)}
@@ -330,9 +326,9 @@ class Mpc:
                     stacklevel=3,
                 )
 
-    def _by_ipopt(self) -> Outcome:
+    def _by_ipopt(self) -> SqpOutcome:
         if self._ipopt is None:
-            self._ipopt = Ipopt(self.program)
+            self._ipopt = TrackingIpopt(self.program)
         return self._ipopt.solve(self._sqp.point)
 
     def _state(self, state: Values | Sequence[float] | Array) -> Array:
@@ -430,7 +426,7 @@ class TrackingMpc:
         """See :class:`Controller`."""
         mpc = self.mpc
         states = [v.name for v in mpc.plant.states]
-        ahead = t + mpc.step * (mpc.delay + np.arange(mpc.horizon + 1))
+        ahead = t + mpc.sample_time * (mpc.delay + np.arange(mpc.horizon + 1))
         if not self.preview:
             ahead = np.full_like(ahead, t)
         reference = {n: np.array([at(float(s)) for s in ahead]) for n, at in self.reference.items()}
@@ -476,7 +472,7 @@ def _penalties(
 
 def _limits(
     plant: Plant, given: Givens, bounds: Mapping[str, tuple[float, float]], soft: bool
-) -> list[Limit]:
+) -> list[NodeLimit]:
     """The plant's bounds and path constraints, narrowed by ``bounds``."""
     narrowed = dict(bounds)
     limits = []
@@ -490,7 +486,7 @@ def _limits(
             )
         if math.isfinite(low) or math.isfinite(high):
             gives = soft and variable.causality != "input"
-            limits.append(Limit(variable, plant.expression(variable.name), low, high, gives))
+            limits.append(NodeLimit(variable, plant.expression(variable.name), low, high, gives))
     if narrowed:
         name = next(iter(narrowed))
         raise InputError(f"bounds: {name} is a parameter or a disturbance and cannot be bounded")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...core.variables import Variable
 from ..step import Givens, Step
 
-__all__ = ["Limit", "Linearisation", "Penalty", "Shooting"]
+__all__ = ["NodeLimit", "Penalty", "TrackingPoint", "TrackingProgram"]
 
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
@@ -30,7 +30,7 @@ CONVEXITY = 1e-9
 
 
 @dataclass(frozen=True)
-class Limit:
+class NodeLimit:
     """low <= variable <= high at the nodes [SI]; ``soft`` limits may give way at a price."""
 
     variable: Variable
@@ -65,7 +65,7 @@ class _Node:
     size: int
 
 
-class Shooting:
+class TrackingProgram:
     """The program: N intervals, and after each solution the next quadratic program.
 
     Unknowns at node k < N: scaled states x, inputs before v (those with a weight on their rate),
@@ -80,7 +80,7 @@ class Shooting:
         horizon: int,
         penalties: Sequence[Penalty],
         rate: Mapping[str, float],
-        limits: Sequence[Limit],
+        limits: Sequence[NodeLimit],
         price: tuple[float, float],
     ) -> None:
         self.given, self.step, self.horizon = given, step, horizon
@@ -108,7 +108,7 @@ class Shooting:
         own = {v.name: self.x[i] for i, v in enumerate(plant.states)}
         own |= {v.name: self.u[i] for i, v in enumerate(self.given.controls)}
 
-        def scaled(item: Limit | Penalty) -> ca.SX:
+        def scaled(item: NodeLimit | Penalty) -> ca.SX:
             variable = item.variable
             if variable.name in own:  # x / nominal * nominal would not become x again
                 return own[variable.name]
@@ -344,7 +344,7 @@ def _sorted(
     return ca.Sparsity(rows, columns, begins.tolist(), row.tolist()), source, row, column
 
 
-class Linearisation:
+class TrackingPoint:
     """The program evaluated at one point: all that the next quadratic program needs.
 
     Works on fixed memory: a call takes w, the given start, references and q, and leaves the entries
@@ -352,7 +352,7 @@ class Linearisation:
     rows and of the variables, ready to be handed to a QP solver.
     """
 
-    def __init__(self, program: Shooting) -> None:
+    def __init__(self, program: TrackingProgram) -> None:
         self.program = p = program
         n, inner, last = p.horizon, p.inner, p.last
         self.unknowns = np.zeros(p.size + p.nx + len(p.rated) + 1)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ...core.registry import Registry
 from ...planning.solvers.interrupt import Watch
-from .shooting import UNBOUNDED, Linearisation, Shooting
+from .shooting import UNBOUNDED, TrackingPoint, TrackingProgram
 from .stage_qp import StageQp, available
 
-__all__ = ["QP_SOLVERS", "Ipopt", "Outcome", "QpSolver", "Sqp"]
+__all__ = ["QP_SOLVERS", "QpSolver", "Sqp", "SqpOutcome", "TrackingIpopt"]
 
 Array: TypeAlias = NDArray[np.float64]
 QpSolver: TypeAlias = 'Literal["hpipm", "piqp"] | str'
@@ -39,7 +39,7 @@ before.
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SqpOutcome:
     """How a solve ended. ``step`` is the largest change in the last iteration,
     in units of nominal.
     """
@@ -53,23 +53,25 @@ class Outcome:
     """Iterations of the interior-point method in all quadratic programs, where known."""
 
 
-QP_SOLVERS: Registry[Callable[[Shooting], ca.Function]] = Registry("QP solver", __package__)
+QP_SOLVERS: Registry[Callable[[TrackingProgram], ca.Function]] = Registry("QP solver", __package__)
 """What solves the quadratic programs: a Function (h, gradient, a, lba, uba, lbx, ubx) -> x, ..."""
 
 
 @QP_SOLVERS.register("piqp")
-def piqp(program: Shooting) -> ca.Function:
+def piqp(program: TrackingProgram) -> ca.Function:
     """PIQP, a proximal interior-point method, through CasADi."""
     return conic(program, "piqp")
 
 
 @QP_SOLVERS.register("hpipm")
-def hpipm(program: Shooting) -> ca.Function:
+def hpipm(program: TrackingProgram) -> ca.Function:
     """HPIPM, stage by stage: called directly where its library is there, else through CasADi."""
     return conic(program, "hpipm", {**program.dimensions, "hpipm": HPIPM})
 
 
-def conic(program: Shooting, plugin: str, options: dict[str, Any] | None = None) -> ca.Function:
+def conic(
+    program: TrackingProgram, plugin: str, options: dict[str, Any] | None = None
+) -> ca.Function:
     """A QP solver of CasADi. Wrapped: a bare one overwrites the pointers that a buffer keeps."""
     p = program
     chosen: dict[str, Any] = {"error_on_fail": False, "print_time": False, **(options or {})}
@@ -90,12 +92,12 @@ class Sqp:
     cycle, damping is added, which slows them down and does not move the solution.
     """
 
-    def __init__(self, program: Shooting, solver: QpSolver, tolerance: float) -> None:
+    def __init__(self, program: TrackingProgram, solver: QpSolver, tolerance: float) -> None:
         if solver not in QP_SOLVERS:
             names = ", ".join(repr(name) for name in QP_SOLVERS)
             raise InputError(f"solver = {solver!r}: choose {names} or 'ipopt'")
         self.program, self.tolerance = program, tolerance
-        self.point = Linearisation(program)
+        self.point = TrackingPoint(program)
         self.direction = np.zeros(program.size)
         self._diagonal = _diagonal(program)
         self._stages: StageQp | None = None
@@ -110,7 +112,7 @@ class Sqp:
             self._buffer.set_arg(i, memoryview(argument))  # type: ignore
         self._buffer.set_res(0, memoryview(self.direction))  # type: ignore
 
-    def solve(self, iterations: int, work: float = np.inf) -> Outcome:
+    def solve(self, iterations: int, work: float = np.inf) -> SqpOutcome:
         """At most so many steps from ``point.unknowns``, which is left at the solution.
 
         No further step is begun after ``work`` iterations of the interior-point method in all.
@@ -125,17 +127,17 @@ class Sqp:
             spent += perf_counter() - begin
             done += self._stages.iterations if self._stages else 0
             if not self._solved():
-                return Outcome(False, False, k, np.inf, spent, done)
+                return SqpOutcome(False, False, k, np.inf, spent, done)
             point.w += self.direction
             size = float(np.max(np.abs(self.direction)))
             if size <= self.tolerance:
-                return Outcome(True, True, k, size, spent, done)
+                return SqpOutcome(True, True, k, size, spent, done)
             if done >= work:
                 break
             if size > before:
                 damping = min(max(4 * damping, DAMPING[0]), DAMPING[1])
             before = size
-        return Outcome(True, False, k, size, spent, done)
+        return SqpOutcome(True, False, k, size, spent, done)
 
     def _solved(self) -> bool:
         """Whether the direction meets the QP's rows:
@@ -147,7 +149,7 @@ class Sqp:
         return bool(miss <= MISS)  # False for NaN too
 
 
-def _diagonal(program: Shooting) -> NDArray[np.intp]:
+def _diagonal(program: TrackingProgram) -> NDArray[np.intp]:
     """Where the Hessian's stored diagonal entries stand among its entries."""
     rows, columns = program.h_sparsity.get_triplet()
     return np.flatnonzero(np.array(rows) == np.array(columns))
@@ -163,10 +165,10 @@ LONGEST = 5.0
 """Processor seconds of one solve by IPOPT; a controller that waits longer has lost its plant."""
 
 
-class Ipopt:
+class TrackingIpopt:
     """The same program by IPOPT with exact Hessian: slower, and sure. Made at its first use."""
 
-    def __init__(self, program: Shooting) -> None:
+    def __init__(self, program: TrackingProgram) -> None:
         self.program = p = program
         n, inner, last = p.horizon, p.inner, p.last
         w, start = ca.MX.sym("w", p.size), ca.MX.sym("start", p.nx + len(p.rated))
@@ -212,7 +214,7 @@ class Ipopt:
             "ubg": _infinite(p.a_high),
         }
 
-    def solve(self, point: Linearisation) -> Outcome:
+    def solve(self, point: TrackingPoint) -> SqpOutcome:
         """From ``point.unknowns``, which is left at the solution when there is one."""
         begin = perf_counter()
         guess = np.where(np.isfinite(point.w), point.w, 0.0)
@@ -223,6 +225,6 @@ class Ipopt:
         if stats["success"]:
             point.w[:] = np.asarray(result["x"]).ravel()
         spent = perf_counter() - begin
-        return Outcome(
+        return SqpOutcome(
             bool(stats["success"]), bool(stats["success"]), int(stats["iter_count"]), 0.0, spent
         )

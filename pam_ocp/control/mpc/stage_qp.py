@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .shooting import UNBOUNDED, Linearisation
+from .shooting import UNBOUNDED, TrackingPoint
 
 __all__ = ["StageQp", "available"]
 
@@ -77,7 +77,7 @@ class StageQp:
     RuntimeError where :func:`available` is False.
     """
 
-    def __init__(self, point: Linearisation, direction: Array) -> None:
+    def __init__(self, point: TrackingPoint, direction: Array) -> None:
         library = _library()
         if library is None:
             raise RuntimeError("CasADi's wheel brings no HPIPM of the interface known here")

@@ -20,7 +20,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .between import decided, deviance
-from .estimation import ORDERS, Task, estimate, require_influence
+from .estimation import ORDERS, FitTask, estimate, require_influence
 from .experiment import groups, measured_names, prepare
 from .outcome import outcome
 from .plant_fit import ACCURATE, PlantFit
@@ -116,7 +116,7 @@ def fit_plant(
 
 
 def _fitted(
-    task: Task, sigma: Array, delays: tuple[float, float], known: bool, degree: int | None
+    task: FitTask, sigma: Array, delays: tuple[float, float], known: bool, degree: int | None
 ) -> tuple[PlantFit, float]:
     """The fit, and its deviance. known : whether ``sigma`` was given."""
     low, high = delays
@@ -224,7 +224,7 @@ def _task(
     longest_delay: float,
     inputs: Mapping[str, float] | None,
     input_noise: Mapping[str, float],
-) -> Task:
+) -> FitTask:
     if method not in METHODS:
         raise InputError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
     if step is not None:
@@ -240,10 +240,10 @@ def _task(
         prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise)
         for r in records
     ]
-    return Task(plant, experiments, unknowns, method, order, step, constant, input_noise)
+    return FitTask(plant, experiments, unknowns, method, order, step, constant, input_noise)
 
 
-def _noise(plant: Plant, task: Task, noise: Mapping[str, float] | None) -> Array:
+def _noise(plant: Plant, task: FitTask, noise: Mapping[str, float] | None) -> Array:
     """Standard deviations in nominals; at first a part of what each variable spreads over."""
     names = task.unknowns.names
     nominal = np.array([plant.variable(n).nominal for n in names])

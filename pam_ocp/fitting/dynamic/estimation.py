@@ -13,10 +13,10 @@ from ...core.errors import FitError
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import Experiment
-from .gauss_newton import Solution, reduced_jacobian, solve
-from .transcribe import FitMethod, Program, Unknowns, transcribe
+from .gauss_newton import GaussNewtonResult, reduced_jacobian, solve
+from .transcribe import FitMethod, FitProgram, Unknowns, transcribe
 
-__all__ = ["ORDERS", "Estimate", "Task", "estimate", "head_names", "require_influence"]
+__all__ = ["ORDERS", "FitTask", "PlantEstimate", "estimate", "head_names", "require_influence"]
 
 SCANNED_DELAYS = 5
 """Delays from which the best is sought, evenly over the range."""
@@ -33,7 +33,7 @@ BLIND = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class FitTask:
     """What is to be solved, for any delay."""
 
     plant: Plant
@@ -45,11 +45,11 @@ class Task:
     inputs: Mapping[str, float] = field(default_factory=dict)
     input_noise: Mapping[str, float] = field(default_factory=dict)
 
-    def program(self, delay: float, bounds: tuple[float, float] | None) -> Program:
+    def program(self, delay: float, bounds: tuple[float, float] | None) -> FitProgram:
         unknowns = replace(self.unknowns, delay=delay, delay_bounds=bounds)
         return transcribe(self.plant, self.experiments, unknowns, self.method, self.degree)
 
-    def refined(self, estimate: Estimate, order: int) -> Task:
+    def refined(self, estimate: PlantEstimate, order: int) -> FitTask:
         """The same with another degree, starting from what an estimate found."""
         w, plant = estimate.solution.w, self.plant
         values = (
@@ -86,22 +86,22 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class PlantEstimate:
     """A solution with the program and the weights that it belongs to."""
 
-    solution: Solution
-    program: Program
+    solution: GaussNewtonResult
+    program: FitProgram
     sigma: Array
     delay: float
 
 
 def estimate(
-    task: Task,
+    task: FitTask,
     sigma: Array,
     limits: tuple[float, float],
     known_noise: bool,
     start: float | None = None,
-) -> Estimate:
+) -> PlantEstimate:
     """Solve; with several measured variables of unknown noise,
     weigh them by their residuals anew.
     """
@@ -118,11 +118,11 @@ def estimate(
             "fewer "
             "parameters or give bounds"
         )
-    return Estimate(solution, program, sigma, found)
+    return PlantEstimate(solution, program, sigma, found)
 
 
 # ---- is there anything to learn ------------------------------------------------------------------
-def head_names(task: Task, delay: bool) -> list[str]:
+def head_names(task: FitTask, delay: bool) -> list[str]:
     u = task.unknowns
     names = [g.name for g in u.groups]
     names += [f"{u.names[i]}.gain" for i in u.gains] + [f"{u.names[i]}.offset" for i in u.offsets]
@@ -134,7 +134,7 @@ def head_names(task: Task, delay: bool) -> list[str]:
     return names
 
 
-def require_influence(task: Task, program: Program, sigma: Array) -> None:
+def require_influence(task: FitTask, program: FitProgram, sigma: Array) -> None:
     """Refuse parameters that nothing measured depends on, and inputs that do not move."""
     jacobian = reduced_jacobian(program, 1 / sigma, program.guess)
     names = head_names(task, False)[: len(task.unknowns.groups)]
@@ -170,14 +170,16 @@ def _constant(experiment: Experiment) -> bool:
 
 
 # ---- the delay -----------------------------------------------------------------------------------
-def _around(task: Task, delay: float, limits: tuple[float, float]) -> tuple[float, float] | None:
+def _around(task: FitTask, delay: float, limits: tuple[float, float]) -> tuple[float, float] | None:
     """One mesh interval to either side, within the limits; None for a known delay."""
     if limits[0] == limits[1]:
         return None
     return max(limits[0], delay - task.usual), min(limits[1], delay + task.usual)
 
 
-def _delay_of(task: Task, program: Program, solution: Solution, known: float) -> float:
+def _delay_of(
+    task: FitTask, program: FitProgram, solution: GaussNewtonResult, known: float
+) -> float:
     u = task.unknowns
     place = len(u.groups) + len(u.gains) + len(u.offsets)
     free = program.head - place - len(task.experiments) * len(task.plant.states)
@@ -185,8 +187,8 @@ def _delay_of(task: Task, program: Program, solution: Solution, known: float) ->
 
 
 def _seek_delay(
-    task: Task, sigma: Array, limits: tuple[float, float], start: float | None
-) -> tuple[Solution, Program, float]:
+    task: FitTask, sigma: Array, limits: tuple[float, float], start: float | None
+) -> tuple[GaussNewtonResult, FitProgram, float]:
     """Solve at a few fixed delays, then let the best one move until it stays within an interval."""
     low, high = limits
     if low == high:
@@ -213,7 +215,7 @@ def _seek_delay(
     return solution, program, _delay_of(task, program, solution, delay)
 
 
-def _scanned(task: Task, sigma: Array, limits: tuple[float, float]) -> tuple[float, Array]:
+def _scanned(task: FitTask, sigma: Array, limits: tuple[float, float]) -> tuple[float, Array]:
     """The best of a few fixed delays, followed for some iterations, and the unknowns there."""
     best: tuple[float, float, Array] | None = None
     guess = task.program(limits[0], None).guess

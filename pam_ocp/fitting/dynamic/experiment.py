@@ -16,11 +16,11 @@ from ...plants.plant import Plant
 from ...simulation.simulate import simulate
 from ..statistics import Array
 
-__all__ = ["Experiment", "Group", "InputErrors", "groups", "measured_names", "prepare"]
+__all__ = ["Experiment", "InputErrors", "ParameterGroup", "groups", "measured_names", "prepare"]
 
 
 @dataclass(frozen=True)
-class Group:
+class ParameterGroup:
     """One unknown: a parameter of the plant, or several that are to be equal.
 
     members : positions among the plant's parameters. scale : its size in the solver.
@@ -108,10 +108,10 @@ class Experiment:
 
 def groups(
     plant: Plant, free: Sequence[str | Sequence[str]], bounds: Mapping[str, tuple[float, float]]
-) -> list[Group]:
+) -> list[ParameterGroup]:
     """The unknown parameters, from names, patterns (``muscle*.a1``: equal) and tuples (equal)."""
     order = {v.name: i for i, v in enumerate(plant.parameters)}
-    found: list[Group] = []
+    found: list[ParameterGroup] = []
     for entry in free:
         if isinstance(entry, str) and "*" in entry:
             names = [n for n in order if fnmatchcase(n, entry)]
@@ -139,7 +139,7 @@ def groups(
             abs(values[0]) if abs(values[0]) > 1e-3 * variables[0].nominal else variables[0].nominal
         )
         found.append(
-            Group(
+            ParameterGroup(
                 label,
                 tuple(order[n] for n in names),
                 values[0],

@@ -23,7 +23,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .between import decided
-from .experiment import Group, groups
+from .experiment import ParameterGroup, groups
 from .rollout import ASTRAY, Rollout
 from .runs import FreeRun, runs_of
 
@@ -181,7 +181,7 @@ def fit_free_run(
 def _fitted(
     plant: Plant,
     records: Sequence[Trajectory],
-    unknowns: Sequence[Group],
+    unknowns: Sequence[ParameterGroup],
     evaluations: int,
     options: dict[str, Any],
 ) -> FreeRunFit:
@@ -231,7 +231,7 @@ def _fitted(
     )
 
 
-def _require_sense(rollout: Rollout, z: Array, unknowns: Sequence[Group]) -> None:
+def _require_sense(rollout: Rollout, z: Array, unknowns: Sequence[ParameterGroup]) -> None:
     if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY):
         raise FitError(
             "the free runs diverge at the plant's values; start elsewhere with "

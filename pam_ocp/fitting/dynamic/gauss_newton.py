@@ -10,9 +10,9 @@ import numpy as np
 
 from ...core.errors import FitError
 from ..statistics import Array
-from .transcribe import Program
+from .transcribe import FitProgram
 
-__all__ = ["Solution", "reduced_jacobian", "solve"]
+__all__ = ["GaussNewtonResult", "reduced_jacobian", "solve"]
 
 LEVENBERG = 1e-6
 """Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
@@ -23,7 +23,7 @@ DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class GaussNewtonResult:
     """Scaled unknowns w, residuals without weights (K, ny) in nominals, and the solver's account.
 
     jumps : of disturbed states, in their standard deviations.
@@ -41,8 +41,8 @@ class Solution:
 
 
 def solve(
-    program: Program, weights: Array, guess: Array, iterations: int | None = None
-) -> Solution:
+    program: FitProgram, weights: Array, guess: Array, iterations: int | None = None
+) -> GaussNewtonResult:
     """Least squares from a guess; with a limit of ``iterations`` only as far as these lead.
 
     Without states among the unknowns (single shooting) by SciPy's trust-region method, else by
@@ -58,8 +58,8 @@ def solve(
 
 
 def _interior_point(
-    program: Program, weights: Array, guess: Array, exact: bool, iterations: int
-) -> Solution:
+    program: FitProgram, weights: Array, guess: Array, exact: bool, iterations: int
+) -> GaussNewtonResult:
     w, residuals = program.w, program.residuals
     options: Any = {
         "print_time": False,
@@ -99,7 +99,7 @@ def _interior_point(
     )
 
 
-def _trust_region(program: Program, weights: Array, guess: Array) -> Solution:
+def _trust_region(program: FitProgram, weights: Array, guess: Array) -> GaussNewtonResult:
     from scipy.optimize import least_squares
 
     w, residuals = program.w, program.residuals
@@ -127,18 +127,18 @@ def _trust_region(program: Program, weights: Array, guess: Array) -> Solution:
 
 
 def _solution(
-    program: Program, weights: Array, found: Array, status: str, iterations: int
-) -> Solution:
+    program: FitProgram, weights: Array, found: Array, status: str, iterations: int
+) -> GaussNewtonResult:
     if not np.all(np.isfinite(found)):
         raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")
     function = ca.Function("residuals", [program.w, program.weights], [program.residuals])
     value = np.asarray(function(found, weights)).ravel()
     measured = value[: value.size - program.jumps].reshape(-1, weights.size)
     jumps = value[value.size - program.jumps :]
-    return Solution(found, measured / weights, status, iterations, jumps)
+    return GaussNewtonResult(found, measured / weights, status, iterations, jumps)
 
 
-def reduced_jacobian(program: Program, weights: Array, w: Array) -> Array:
+def reduced_jacobian(program: FitProgram, weights: Array, w: Array) -> Array:
     """d(weighted residuals)/d(head), the states following from the plant's equations.
 
     Along solutions of defects(head, states) = 0: d(states) = -(d defects/d states)^-1 (d defects/

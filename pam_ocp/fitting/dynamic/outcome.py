@@ -13,7 +13,7 @@ from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ...simulation.simulate import simulate
 from ..statistics import Array, Linearisation
-from .estimation import Estimate, Task, head_names
+from .estimation import FitTask, PlantEstimate, head_names
 from .experiment import Experiment, measured_names, prepare
 from .gauss_newton import reduced_jacobian, solve
 from .plant_fit import PlantFit
@@ -22,7 +22,7 @@ from .transcribe import Unknowns
 __all__ = ["outcome", "replay", "validate"]
 
 
-def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
+def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFit:
     """Statistics, fitted plant and simulations of a solution."""
     solution, sigma, plant, u = estimate.solution, estimate.sigma, task.plant, task.unknowns
     names = head_names(task, delay_free)
@@ -84,7 +84,7 @@ def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
 
 
 def _linearised(
-    task: Task, estimate: Estimate, names: Sequence[str], count: int
+    task: FitTask, estimate: PlantEstimate, names: Sequence[str], count: int
 ) -> tuple[Linearisation, tuple[str, ...]]:
     """The unknowns with their statistics, and which of them ended at a bound.
 
@@ -117,7 +117,7 @@ def _linearised(
     return linearisation, tuple(n for n, edge in zip(names, tight, strict=True) if edge)
 
 
-def _corrected(task: Task, jumps: Array) -> list[Experiment]:
+def _corrected(task: FitTask, jumps: Array) -> list[Experiment]:
     """The records with their inputs as estimated;
     errors of inputs stand at the end of the jumps.
     """
@@ -140,7 +140,7 @@ def _starts(plant: Plant, values: Array, records: int) -> list[dict[str, float]]
     ]
 
 
-def _smoothed(task: Task, residuals: Sequence[Array]) -> tuple[Trajectory, ...]:
+def _smoothed(task: FitTask, residuals: Sequence[Array]) -> tuple[Trajectory, ...]:
     """The most probable motions, as the sensors would have shown them without noise."""
     variables = [task.plant.variable(n) for n in task.unknowns.names]
     return tuple(
@@ -181,7 +181,7 @@ def replay(fit: PlantFit, record: Trajectory) -> Trajectory:
     clean = Trajectory(record.t, corrected, record.variables, between)
     noisy = {n: s for n, s in fit.input_noise.items() if n in clean}
     experiment = prepare(fit.plant, clean, names, fit.delay, fit.step, fit.inputs, noisy)
-    task = Task(fit.plant, [experiment], Unknowns([], names), fit.method, fit.degree)
+    task = FitTask(fit.plant, [experiment], Unknowns([], names), fit.method, fit.degree)
     nominal = np.array([fit.plant.variable(n).nominal for n in names])
     sigma = np.maximum(np.array([fit.noise[n] for n in names]) / nominal, 1e-9)
     program = task.program(fit.delay, None)

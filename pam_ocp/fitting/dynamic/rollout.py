@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...numerics.rosenbrock import ros2
 from ...plants.plant import Plant
 from ..statistics import Array
-from .experiment import Group
+from .experiment import ParameterGroup
 from .runs import Runs
 
 __all__ = ["ASTRAY", "Rollout"]
@@ -30,7 +30,7 @@ ASTRAY = 1e6
 class Rollout:
     """Runs, residuals and their exact Jacobian in the scaled unknowns z."""
 
-    def __init__(self, plant: Plant, runs: Runs, unknowns: Sequence[Group]) -> None:
+    def __init__(self, plant: Plant, runs: Runs, unknowns: Sequence[ParameterGroup]) -> None:
         self._runs = runs
         self._whole: dict[str, ca.Function] = {}
         n, k = runs.measured.shape[:2]
@@ -99,7 +99,7 @@ class Rollout:
 
 
 def _functions(
-    plant: Plant, runs: Runs, unknowns: Sequence[Group]
+    plant: Plant, runs: Runs, unknowns: Sequence[ParameterGroup]
 ) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
     """One step; one step with sensitivities; what is measured; its sensitivities."""
     nx, nu, nz = len(plant.states), len(plant.inputs), len(unknowns)
@@ -109,8 +109,12 @@ def _functions(
     for j, group in enumerate(unknowns):
         for member in group.members:
             p[member] = z[j] * group.scale
+    first = plant.function(x, u, p)[0]
     after = ros2(
-        lambda z: plant.function(z, u, p)[0], lambda z: plant.function(z, late, p)[0], x, runs.step
+        lambda _: (first, ca.jacobian(first, x)),
+        lambda z: plant.function(z, late, p)[0],
+        x,
+        runs.step,
     )
     slopes = ca.jacobian(after, x) @ s + ca.jacobian(after, z)
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))

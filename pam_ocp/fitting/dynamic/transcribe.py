@@ -17,9 +17,9 @@ import numpy as np
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
 from ..statistics import Array
-from .experiment import Experiment, Group
+from .experiment import Experiment, ParameterGroup
 
-__all__ = ["METHODS", "FitMethod", "Program", "Unknowns", "transcribe"]
+__all__ = ["METHODS", "FitMethod", "FitProgram", "Unknowns", "transcribe"]
 
 FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting"]
 METHODS = ("collocation", "multiple-shooting", "single-shooting")
@@ -32,7 +32,7 @@ class Unknowns:
     offsets, gains : positions among the measured names. delay : bounds [s] and value.
     """
 
-    groups: Sequence[Group]
+    groups: Sequence[ParameterGroup]
     names: Sequence[str]
     offsets: Sequence[int] = ()
     gains: Sequence[int] = ()
@@ -43,7 +43,7 @@ class Unknowns:
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class FitProgram:
     """min |W residuals|^2 subject to ``defects`` = 0, in scaled unknowns w = (head, states, jumps).
 
     head : (parameters, gains - 1, offsets, delay, initial states of every record).
@@ -83,7 +83,7 @@ def transcribe(
     unknowns: Unknowns,
     method: FitMethod,
     degree: int,
-) -> Program:
+) -> FitProgram:
     """State the program for a method; ``degree`` is that of the collocation, or steps of RK4."""
     mesh = _mesh(experiments, unknowns.delay)
     x_nominal = plant.vector("state", attribute="nominal")
@@ -125,7 +125,7 @@ def transcribe(
         ]
     )
     open_ = np.full(jumps.numel(), np.inf)
-    return Program(
+    return FitProgram(
         ca.veccat(head, way.points, jumps),
         weights,
         residuals,
@@ -247,7 +247,9 @@ def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:
     )
 
 
-def _parameters(plant: Plant, groups: Sequence[Group], theta: ca.MX) -> tuple[Array, ca.MX]:
+def _parameters(
+    plant: Plant, groups: Sequence[ParameterGroup], theta: ca.MX
+) -> tuple[Array, ca.MX]:
     """Scales of the unknown parameters, and all parameters of the plant."""
     base = plant.vector("parameter")
     place = np.zeros((len(base), len(groups)))

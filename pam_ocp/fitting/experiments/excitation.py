@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.errors import InputError, require_count, require_positive
 from ...plants.plant import Plant, Values
-from ..dynamic.experiment import Group
+from ..dynamic.experiment import ParameterGroup
 from ..statistics import Array
 from .information import Excitation
 
@@ -59,7 +59,7 @@ def random_signals(e: Excitation, seed: int) -> list[Array]:
 
 def excitation(
     plant: Plant,
-    unknown: Sequence[Group],
+    unknown: Sequence[ParameterGroup],
     sigma: Mapping[str, float],
     inputs: Any,
     duration: float,

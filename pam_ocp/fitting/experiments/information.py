@@ -17,7 +17,7 @@ import numpy as np
 
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
-from ..dynamic.experiment import Group
+from ..dynamic.experiment import ParameterGroup
 from ..statistics import Array
 
 __all__ = ["Excitation", "criterion_of"]
@@ -37,7 +37,7 @@ class Excitation:
     """
 
     plant: Plant
-    groups: Sequence[Group]
+    groups: Sequence[ParameterGroup]
     noise: Mapping[str, float]
     sample: float
     basis: Array

@@ -19,7 +19,7 @@ from ...core.errors import FitError, InputError, SimulationError, UnknownNameErr
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.simulate import simulate
-from ..dynamic.experiment import Group, groups
+from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
 from ..statistics import Array
 from .excitation import RANDOM, Family, random_signals, span
@@ -400,7 +400,9 @@ def _chosen(names: Sequence[str], parameters: Sequence[str] | None) -> tuple[int
     return tuple(names.index(n) for n in wanted)
 
 
-def _before(fit: PlantFit | None, unknown: Sequence[Group]) -> tuple[dict[str, float], Array]:
+def _before(
+    fit: PlantFit | None, unknown: Sequence[ParameterGroup]
+) -> tuple[dict[str, float], Array]:
     """Standard errors before, and the information (k, k) that belongs to them in the groups'
     scales.
     """

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError, require_count
 from ..statistics import Array
-from .least_squares import Problem
+from .least_squares import LeastSquares
 from .optimum import Optimum
 from .search import minimise
 
@@ -72,8 +72,8 @@ def bootstrap(fit: Optimum, n: int, seed: int, method: Resampling) -> Bootstrap:
 
 
 def _resampled(
-    fit: Optimum, problem: Problem, random: np.random.Generator, method: Resampling
-) -> Problem:
+    fit: Optimum, problem: LeastSquares, random: np.random.Generator, method: Resampling
+) -> LeastSquares:
     cells = problem.cells
     drawn = random.integers(0, len(cells), len(cells))
     if method == "cases":

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..statistics import Array
-from .least_squares import Problem
+from .least_squares import LeastSquares
 
 __all__ = ["descend"]
 
@@ -18,7 +18,7 @@ SETTLED = 1e-9
 """Relative fall of the cost at which a descent ends."""
 
 
-def descend(problem: Problem, start: Array, moved: Sequence[int]) -> tuple[Array, float]:
+def descend(problem: LeastSquares, start: Array, moved: Sequence[int]) -> tuple[Array, float]:
     """The coefficients (all) and the least squares that they come to, priors included.
 
     moved : positions of the coefficients that may change, within their bounds. The cost is infinite
@@ -55,7 +55,7 @@ def descend(problem: Problem, start: Array, moved: Sequence[int]) -> tuple[Array
     return c, cost
 
 
-def _at(problem: Problem, c: Array) -> tuple[Array, Array, float]:
+def _at(problem: LeastSquares, c: Array) -> tuple[Array, Array, float]:
     with np.errstate(all="ignore"):
         rest, slopes = (a[0] for a in problem.with_priors(c[None]))
         cost = float(rest @ rest)

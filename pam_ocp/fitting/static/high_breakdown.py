@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import FitError
 from ..statistics import Array
-from .least_squares import Problem, least_squares, sizes
+from .least_squares import LeastSquares, least_squares, sizes
 from .polish import polish
 from .scales import BISQUARE
 
@@ -32,7 +32,7 @@ FOLLOWED = 6
 STEPS = 40
 
 
-def robust_start(problem: Problem) -> tuple[Array, float]:
+def robust_start(problem: LeastSquares) -> tuple[Array, float]:
     """Coefficients (all) from which to seek the optimum of a bisquare, and where it ends [N].
 
     Twice: what lies beyond the end at first is taken out before scale and start are found again,
@@ -54,7 +54,7 @@ def robust_start(problem: Problem) -> tuple[Array, float]:
     return found, edge
 
 
-def trimmed_start(problem: Problem) -> tuple[Array, float]:
+def trimmed_start(problem: LeastSquares) -> tuple[Array, float]:
     """Coefficients (m, all), the best first, and the standard deviation of the cells kept [N].
 
     The deviation is that of normal errors whose largest were left out.
@@ -93,7 +93,7 @@ class _Trim:
     groups: tuple[NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, problem: Problem) -> _Trim:
+    def of(cls, problem: LeastSquares) -> _Trim:
         level = problem.cells.levels()
         groups = tuple(np.nonzero(level == i)[0] for i in range(level.max() + 1))
         spare = max(len(problem.cells) - len(problem.free) - 1, 0)
@@ -120,7 +120,7 @@ class _Trim:
             return np.asarray(np.sum(squares, axis=1))
 
 
-def _candidates(problem: Problem, trim: _Trim) -> Array:
+def _candidates(problem: LeastSquares, trim: _Trim) -> Array:
     """The best coefficients (FOLLOWED, all) through random subsets, after two improvements."""
     random = np.random.default_rng(19840701)
     values = _nonlinear_values(problem, random)
@@ -145,7 +145,7 @@ def _candidates(problem: Problem, trim: _Trim) -> Array:
     return np.array(found)[np.argsort(costs)[:FOLLOWED]]
 
 
-def _nonlinear_values(problem: Problem, random: np.random.Generator) -> Array:
+def _nonlinear_values(problem: LeastSquares, random: np.random.Generator) -> Array:
     scales = [sizes(problem.variables[i]) for i in problem.nonlinear]
     if not scales:
         return np.zeros((1, 0))
@@ -156,7 +156,7 @@ def _nonlinear_values(problem: Problem, random: np.random.Generator) -> Array:
     return np.stack([random.choice(s, NONLINEAR[1]) for s in scales], axis=1)
 
 
-def _followed(problem: Problem, start: Array, trim: _Trim) -> tuple[Array, float]:
+def _followed(problem: LeastSquares, start: Array, trim: _Trim) -> tuple[Array, float]:
     """Gauss-Newton steps over all coefficients on the cells kept, as long as their squares fall."""
     free = list(problem.free)
     low = np.array([problem.variables[i].min for i in free])

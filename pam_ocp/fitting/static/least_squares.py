@@ -25,8 +25,8 @@ from ..tables.force_table import ForceTable
 
 __all__ = [
     "PLAIN",
+    "LeastSquares",
     "Loss",
-    "Problem",
     "Terms",
     "least_squares",
     "nonlinear_coefficients",
@@ -116,7 +116,7 @@ PLAIN = Terms()
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class LeastSquares:
     """The fit of one law on taut cells; ``base`` holds the held coefficients."""
 
     law: type[ForceLaw]
@@ -137,7 +137,7 @@ class Problem:
         weights: Array,
         terms: Terms = PLAIN,
         few: bool = False,
-    ) -> Problem:
+    ) -> LeastSquares:
         """``few`` : the table may hold fewer cells than there are coefficients, for a part of a
         fit.
         """

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..statistics import Array
 from .descent import descend
-from .least_squares import DECADES, Problem
+from .least_squares import DECADES, LeastSquares
 from .optimum import Optimum
 from .search import minimise
 from .sweep import Sweep
@@ -123,7 +123,7 @@ def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
 
 
 def _follow(
-    problem: Problem, best: Array, free: list[int], z: Array, others: NDArray[np.intp]
+    problem: LeastSquares, best: Array, free: list[int], z: Array, others: NDArray[np.intp]
 ) -> tuple[Array, Array]:
     """Gauss-Newton steps of all unknowns but one in each row of z; costs that they come to."""
     keep = others[:, None, :]
@@ -159,7 +159,7 @@ def profile_squares(fit: Optimum, name: str, value: float) -> float:
     held = {n: fit.law.values[n] for n in fit.held} | {name: value}
     if len(fit.free) == 1:
         return replace(fit, law=replace(fit.law, **{name: value})).cost
-    problem = Problem.of(type(fit.law), fit.table, held, fit.root_weights, fit.terms)
+    problem = LeastSquares.of(type(fit.law), fit.table, held, fit.root_weights, fit.terms)
     if not problem.nonlinear and problem.plain and not problem.limited:
         return float(problem.project(np.zeros((1, 0)))[0][0])
     return minimise(problem).cost

@@ -19,7 +19,7 @@ from ..statistics import (
 )
 from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
-from .least_squares import PLAIN, Problem, Terms
+from .least_squares import PLAIN, LeastSquares, Terms
 from .polish import SLACK_TOLERANCE
 from .scales import BISQUARE, HUBER, robust_scale, spread
 
@@ -86,10 +86,10 @@ class Optimum:
         return len(self.cells)
 
     @cached_property
-    def problem(self) -> Problem:
+    def problem(self) -> LeastSquares:
         """The problem that was solved."""
         held = {n: float(self.law.values[n]) for n in self.held}
-        return Problem.of(type(self.law), self.table, held, self.root_weights, self.terms)
+        return LeastSquares.of(type(self.law), self.table, held, self.root_weights, self.terms)
 
     @property
     def dof(self) -> int:

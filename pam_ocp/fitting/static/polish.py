@@ -11,7 +11,7 @@ import numpy as np
 
 from ...muscles.law import ForceLaw
 from ..statistics import Array, SolverStatistics
-from .least_squares import Loss, Problem, sizes
+from .least_squares import LeastSquares, Loss, sizes
 
 __all__ = ["SLACK_TOLERANCE", "Optimum", "cosine", "polish"]
 
@@ -91,7 +91,7 @@ def _solver(
     return ca.nlpsol("fit", "ipopt", nlp, options)
 
 
-def polish(problem: Problem, start: Array, scanned: int) -> Optimum:
+def polish(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
     """The optimum next to ``start`` (all coefficients)."""
     free, terms = list(problem.free), problem.terms
     lower, upper = _bounds(problem, start)
@@ -138,7 +138,7 @@ def polish(problem: Problem, start: Array, scanned: int) -> Optimum:
     )
 
 
-def _data(problem: Problem, limp: Any, base: Array, scale: Array, unit: float) -> list[Array]:
+def _data(problem: LeastSquares, limp: Any, base: Array, scale: Array, unit: float) -> list[Array]:
     """The parameters of the solver, in its order."""
     cells, terms = problem.cells, problem.terms
     # without a prior only the straight part counts, and its factor is one of convenience
@@ -161,7 +161,7 @@ def _data(problem: Problem, limp: Any, base: Array, scale: Array, unit: float) -
 
 
 def _gradient(
-    problem: Problem, c: Array, inside: list[int], size: float, statistics: dict[str, Any]
+    problem: LeastSquares, c: Array, inside: list[int], size: float, statistics: dict[str, Any]
 ) -> float:
     """Largest cosine of residual and Jacobian; for robust losses and inequalities IPOPT's own
     measure.
@@ -188,7 +188,7 @@ def cosine(residual: Array, columns: Array, size: float) -> float:
     return float(np.max(np.abs(residual @ columns[:, chosen]) / norms[chosen]) / length)
 
 
-def _bounds(problem: Problem, start: Array) -> tuple[Array, Array]:
+def _bounds(problem: LeastSquares, start: Array) -> tuple[Array, Array]:
     """The law's own bounds; a coefficient that the scan left at its edge is held there.
 
     At an edge the law degenerates (exp(a3 kappa) becomes a straight line, or a step), the linear

@@ -14,7 +14,7 @@ from ...core.errors import FitError
 from ..statistics import Array
 from .descent import descend
 from .high_breakdown import SUBSETS, robust_start
-from .least_squares import Problem, sizes
+from .least_squares import LeastSquares, sizes
 from .polish import Optimum, polish
 
 __all__ = ["minimise"]
@@ -34,7 +34,9 @@ STATIONARY = 1e-6
 """Largest cosine between the residual and a column of the Jacobian at an optimum."""
 
 
-def minimise(problem: Problem, start: Array | None = None, begin: Array | None = None) -> Optimum:
+def minimise(
+    problem: LeastSquares, start: Array | None = None, begin: Array | None = None
+) -> Optimum:
     """The global optimum: scan, follow up the best few, polish by IPOPT.
 
     Tukey's bisquare, which counts cells far off no more, has an optimum for every choice of those:
@@ -71,7 +73,7 @@ def minimise(problem: Problem, start: Array | None = None, begin: Array | None =
     return min(equal, key=lambda o: int(np.sum(o.coefficients[list(problem.nonlinear)] < 0)))
 
 
-def _settled(problem: Problem, found: Optimum) -> Optimum:
+def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
     """A point at which IPOPT did not end, followed by damped steps; accepted with a doubt, if need
     be.
     """
@@ -86,7 +88,7 @@ def _settled(problem: Problem, found: Optimum) -> Optimum:
     return replace(found, solver=replace(found.solver, doubt=DOUBT))
 
 
-def _scan(problem: Problem, start: Array | None) -> tuple[Array, int]:
+def _scan(problem: LeastSquares, start: Array | None) -> tuple[Array, int]:
     """Coefficients (m, all) from which the optimum is to be sought, best first; points scanned."""
     scales = [sizes(problem.variables[i]) for i in problem.nonlinear]
     if not scales:
@@ -111,7 +113,7 @@ def _scan(problem: Problem, start: Array | None) -> tuple[Array, int]:
     return _distinct(coefficients, squares, list(problem.nonlinear)), len(points)
 
 
-def _zoomed(problem: Problem, values: Array, squares: Array) -> Array:
+def _zoomed(problem: LeastSquares, values: Array, squares: Array) -> Array:
     """The best local minima along one coefficient, each bracket narrowed twice."""
     order = np.argsort(values)
     values, squares = values[order], squares[order]

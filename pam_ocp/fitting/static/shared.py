@@ -21,7 +21,7 @@ from ..statistics import Array, Coefficient, Linearisation, SerialErrors, Solver
 from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
 from .doubts import at_edge, following
-from .least_squares import PLAIN, Problem, Terms
+from .least_squares import PLAIN, LeastSquares, Terms
 from .member_fit import MemberFit, marginal_root
 from .report import coefficient_line, correlation_lines
 from .shared_problem import JointOptimum, JointProblem
@@ -319,7 +319,9 @@ def _stated(
         places.append(np.array(place, dtype=np.intp))
         # as a problem of its own a table may hold fewer cells than the law has coefficients
         parts.append(
-            Problem.of(kind, table, held, cell_weights(own, table), Terms(bounds=pairs), few=True)
+            LeastSquares.of(
+                kind, table, held, cell_weights(own, table), Terms(bounds=pairs), few=True
+            )
         )
     problem = JointProblem(tuple(parts), tuple(places))
     if problem.cells < problem.size:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...core.errors import FitError
 from ...core.variables import Variable
 from ..statistics import Array, SolverStatistics
-from .least_squares import Problem, least_squares, sizes
+from .least_squares import LeastSquares, least_squares, sizes
 from .polish import cosine
 from .search import STATIONARY
 
@@ -40,7 +40,7 @@ class JointProblem:
     """Fits of one law to several tables; ``places[i]`` says where in z each free coefficient of
     table i stands (in the order of ``parts[i].free``)."""
 
-    parts: tuple[Problem, ...]
+    parts: tuple[LeastSquares, ...]
     places: tuple[NDArray[np.intp], ...]
 
     @property

@@ -17,7 +17,7 @@ from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .force_fit import ForceFit
 from .high_breakdown import robust_start
-from .least_squares import Loss, Problem, Terms, nonlinear_coefficients, sizes
+from .least_squares import LeastSquares, Loss, Terms, nonlinear_coefficients, sizes
 from .scales import HUBER, spread
 from .search import minimise
 
@@ -95,7 +95,7 @@ def fit_force(
         priors=checked_pairs(kind, "priors", priors, held),
         independent=independent(errors),
     )
-    whole = Problem.of(kind, table, held, cell_weights(weights, table), terms)
+    whole = LeastSquares.of(kind, table, held, cell_weights(weights, table), terms)
     problem, begin = _settled(whole, noise)
     optimum = minimise(problem, _start(problem, dict(start or {})), begin)
     return ForceFit(
@@ -202,7 +202,7 @@ def checked_pairs(
     return tuple(pairs)
 
 
-def _settled(problem: Problem, noise: float | None) -> tuple[Problem, Array | None]:
+def _settled(problem: LeastSquares, noise: float | None) -> tuple[LeastSquares, Array | None]:
     """The problem with the scales that its loss and its priors need, from the data themselves.
 
     Also where to begin, for a loss that has more than one optimum.
@@ -227,11 +227,11 @@ def _settled(problem: Problem, noise: float | None) -> tuple[Problem, Array | No
     return replace(problem, terms=terms), None
 
 
-def _size(problem: Problem) -> float:
+def _size(problem: LeastSquares) -> float:
     return float(np.linalg.norm(problem.weights * problem.cells.force))
 
 
-def _start(problem: Problem, start: Mapping[str, Any]) -> Array | None:
+def _start(problem: LeastSquares, start: Mapping[str, Any]) -> Array | None:
     """The user's values of the nonlinear coefficients; nominal sizes where none is given."""
     given = _checked(problem.law, "start", start)
     wanted = [problem.names[i] for i in problem.nonlinear]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..statistics import Array
 from ..tables.force_table import ForceTable
-from .least_squares import Problem, sizes
+from .least_squares import LeastSquares, sizes
 from .optimum import Optimum
 
 __all__ = ["Sweep"]
@@ -28,7 +28,7 @@ class Sweep:
     For a given q the cost is least + (c - best)^2/variance in each linear coefficient c.
     """
 
-    problem: Problem
+    problem: LeastSquares
     place: int
     best: float
     values: Array
@@ -147,7 +147,7 @@ def _reached(results: tuple[Array, Array, Array], column: int, side: float, limi
     return np.where((room >= 0) & np.isfinite(far), far, -np.inf)
 
 
-def _projected(problem: Problem, values: Array) -> tuple[Array, Array, Array]:
+def _projected(problem: LeastSquares, values: Array) -> tuple[Array, Array, Array]:
     _, target, columns, good = problem.linear_in(values[:, None], problem.with_priors)
     columns[~good], target[~good] = 0.0, 0.0
     norms = np.linalg.norm(columns, axis=1)
