@@ -161,7 +161,8 @@ def test_what_else_the_door_names_is_named_in_annotations_only():
 
 # ---- what an import loads ------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "name", ["pam_ocp", "pam_ocp.export", "pam_ocp.fitting", "pam_ocp.courtesy"]
+    "name",
+    ["pam_ocp", "pam_ocp.courtesy", "pam_ocp.export", "pam_ocp.fitting", "pam_ocp.vibration"],
 )
 def test_an_import_loads_names_only_when_they_are_used(name):
     """No stopwatch: what is not loaded takes no time."""

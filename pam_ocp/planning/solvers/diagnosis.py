@@ -69,9 +69,7 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
     """Least total violation of stops, path and budgets; the dynamics and a cycle's closing are
     kept.
     """
-    soft = np.concatenate(
-        [np.full(r.size, r.kind not in ("defect", "closing")) for r in program.rows]
-    )
+    soft = np.concatenate([r.soft() for r in program.rows])
     chosen = np.flatnonzero(soft)
     g = program.nlp["g"]
     above, below = ca.MX.sym("above", len(chosen)), ca.MX.sym("below", len(chosen))
@@ -90,7 +88,7 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
     zero = np.zeros(2 * len(chosen))
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
     arguments = {
-        "x0": np.concatenate([np.clip(guess, lbx, ubx), zero + 0.1]),
+        "x0": np.concatenate([np.clip(program.completed(guess), lbx, ubx), zero + 0.1]),
         "p": program.parameters(),
         "lbx": np.concatenate([lbx, zero]),
         "ubx": np.concatenate([ubx, zero + np.inf]),

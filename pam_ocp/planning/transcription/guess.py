@@ -269,6 +269,8 @@ def _sampled(
         # this side of a jump
         nodes = np.clip(mesh.form.input_taus(interval.degree), 1e-6, 1 - 1e-6)
         parts.append((inputs(begin + h * nodes) / u_nominal).ravel())
+        # a program completes them
+        parts.append(np.zeros(len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)))
         begin += h
     scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
     return np.concatenate([*parts, *scaled])

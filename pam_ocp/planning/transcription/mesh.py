@@ -23,6 +23,8 @@ __all__ = [
     "Mesh",
     "Method",
     "Shooting",
+    "coarsened",
+    "doubled",
     "halved",
     "held",
     "merged",
@@ -114,6 +116,10 @@ class Form:
         if self.scheme == "shooting":
             return np.linspace(0.0, 1.0, 2 * degree + 1)
         return np.insert(self.state_taus(degree), 0, 0.0)
+
+    def cost_points(self, degree: int) -> int:
+        """At how many points running costs are evaluated."""
+        return 4 * degree if self.scheme == "shooting" else degree
 
     def input_taus(self, degree: int) -> Array:
         """Where the values of an input stand."""
@@ -282,6 +288,23 @@ def watched(mesh: Mesh, beyond: Sequence[Mapping[str, float]], tolerance: float)
         else:
             intervals += replace(interval, watched=()).split(2, min(interval.degree, SPLIT_DEGREE))
     return Mesh(tuple(intervals), mesh.form)
+
+
+def doubled(mesh: Mesh) -> Mesh:
+    """The mesh with all intervals split in two."""
+    parts = (p for i in mesh.intervals for p in replace(i, watched=()).split(2, i.degree))
+    return Mesh(tuple(parts), mesh.form)
+
+
+def coarsened(mesh: Mesh) -> Mesh:
+    """The mesh with each two neighbours on a leg made one."""
+    found: list[Interval] = []
+    for leg in range(1 + mesh.intervals[-1].leg):
+        own = [i for i in mesh.intervals if i.leg == leg]
+        for k in range(0, len(own), 2):
+            fraction = sum(i.fraction for i in own[k : k + 2])
+            found.append(replace(own[k], fraction=fraction, watched=()))
+    return Mesh(tuple(found), mesh.form)
 
 
 def halved(mesh: Mesh) -> Mesh:
