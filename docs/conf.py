@@ -51,10 +51,13 @@ ROLE = re.compile(r":[a-z]+:`~?([^`]+)`|``([^`]+)``")
 
 def plain(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Docstrings are plain text, with formulas: a first paragraph, the rest as it is written."""
+    if what == "data":  # what autodoc finds is the description of a value's class
+        lines[:] = []
+        return
     text = ROLE.sub(lambda found: found[1] or found[2], "\n".join(lines)).strip()
     first, _, rest = text.partition("\n\n")
-    lines[:] = [re.sub(r"([\\*|`_])", r"\\\1", " ".join(first.split()))]
-    if rest.strip() and what != "data":  # those of a value are its class's
+    lines[:] = [re.sub(r"([\\*|`_])", r"\\\1", " ".join(first.split())).rstrip(":")]
+    if rest.strip():
         lines += ["", "::", "", *(f"   {line}" for line in rest.splitlines())]
     lines.append("")
 

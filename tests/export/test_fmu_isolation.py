@@ -304,7 +304,7 @@ def pid_in(path: Path) -> int:
     raise AssertionError("the unit was never called")
 
 
-def gone(pid: int, within: float = 5.0) -> bool:
+def gone(pid: int, within: float = 60.0) -> bool:
     """Whether a process has ended, be it still listed for a parent that does not ask."""
     end = time.monotonic() + within
     while True:
