@@ -20,6 +20,7 @@ __all__ = [
     "PlanWarning",
     "SimulationError",
     "UnknownNameError",
+    "VibrationError",
     "require_count",
     "require_finite",
     "require_instance",
@@ -78,6 +79,10 @@ class PlanError(PamError):
 
 class PlanWarning(UserWarning):
     """A plan was found, but not verified: its verdict says which figure failed."""
+
+
+class VibrationError(PamError):
+    """A border, a limit cycle or an oscillation that was asked for and not found; says why."""
 
 
 class ExportError(PamError):

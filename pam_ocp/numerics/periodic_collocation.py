@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..plants.plant import Plant
-from .newton import Array, VibrationError, newton
+from .newton import Array, NewtonError, newton
 
 __all__ = ["Orbit", "Periodic", "Row"]
 
@@ -196,16 +196,16 @@ class Periodic:
         start = np.concatenate([like.z.ravel(), [1.0, like.lam]])
         try:
             w, _ = newton(equations, start, tolerance=tolerance)
-        except VibrationError as error:
+        except NewtonError as error:
             # towards rest Newton creeps, since there any period will do
             if error.last is not None and unpacked(error.last).swing < SHRUNK * like.swing:
-                raise VibrationError(COLLAPSE) from None
+                raise NewtonError(COLLAPSE) from None
             raise
         if w[-2] <= 0:
-            raise VibrationError("Newton's method ran to a period that is not positive")
+            raise NewtonError("Newton's method ran to a period that is not positive")
         found = unpacked(w)
         if found.swing < 2 * COLLAPSED:
-            raise VibrationError(COLLAPSE)
+            raise NewtonError(COLLAPSE)
         return found
 
     def tangent(self, orbit: Orbit, row: Row) -> Row:

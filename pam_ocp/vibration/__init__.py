@@ -14,7 +14,7 @@ Every result is a frozen dataclass that prints and plots itself.
 
 from __future__ import annotations
 
-from ..numerics.newton import VibrationError
+from ..core.errors import VibrationError
 from ..operating.along import StabilityPath, stability_path
 from .cycle import LimitCycle, limit_cycle
 from .cycle_branch import CycleBranch, continue_cycle

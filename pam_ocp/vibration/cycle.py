@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, require_count, require_positive
+from ..core.errors import InputError, VibrationError, require_count, require_positive
 from ..core.signals import signals
 from ..core.trajectory import Trajectory
-from ..numerics.newton import Array, VibrationError, smooth
+from ..numerics.newton import Array, NewtonError, smooth
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulate import evaluated, simulate
@@ -269,7 +269,10 @@ def converged(periodic: Periodic, orbit: Orbit, row: Row, settings: Settings) ->
     """The closed motion that meets ``row``, on a mesh fine enough for states and multipliers."""
     tolerance = settings.tolerance
     for _ in range(16):
-        orbit = periodic.solve(orbit, row)
+        try:
+            orbit = periodic.solve(orbit, row)
+        except NewtonError as error:
+            raise VibrationError(str(error)) from None
         errors = periodic.errors(orbit)
         if errors.max() <= tolerance:
             if periodic.trivial_error(orbit) <= settings.multiplier_tolerance:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.errors import InputError, require_finite, require_positive
+from ..core.errors import InputError, VibrationError, require_finite, require_positive
 from ..core.trajectory import Trajectory
-from ..numerics.newton import Array, Smooth, VibrationError, smooth
+from ..numerics.newton import Array, Smooth, smooth
 from ..operating.equilibrium import OperatingPoint, equilibrium
 from ..operating.held import Memory, carried
 from ..plants.plant import Plant, Values
