@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, VibrationError, require_count, require_positive
 from ..core.signals import signals
 from ..core.trajectory import Trajectory
-from ..numerics.newton import Array, NewtonError, smooth
+from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulate import evaluated, simulate
 from .hopf import HopfPoint
+from .passages import smooth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
