@@ -2,11 +2,9 @@
 exact?
 
 Work, air and exergy at the default call, a motion of fixed duration there and, for some, back.
-Three
-figures each: the objective, the same integral by SciPy along its own replay of the plan (how exact
-the
-reported figure is), and the objective on a mesh four times as fine (how far the optimum may be
-off).
+Three figures each: the objective, the same integral by SciPy along its own replay of the plan (how
+exact the reported figure is), and the objective on a mesh four times as fine (how far the optimum
+may be off).
 
 Run:  python benchmarks/economy.py [seed] [--fine]
 """

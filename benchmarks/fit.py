@@ -5,9 +5,8 @@
 A spreadsheet's solver (generalised reduced gradient) is a local method; SLSQP, the method of its
 kind in SciPy, stands for it. IPOPT (the solver of our last step, alone) and lmfit (where it is
 installed, else said so) start from the same points. Starts: each coefficient at its nominal size
-times 10^(-1 .. 1), of
-either sign. Success: the sum of squares is within one part in a million of the least one found.
-Times as ratios to ours in the same run.
+times 10^(-1 .. 1), of either sign. Success: the sum of squares is within one part in a million of
+the least one found. Times as ratios to ours in the same run.
 """
 
 from __future__ import annotations

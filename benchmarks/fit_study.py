@@ -6,19 +6,14 @@ bands.
 Each table is sampled from a law of the library: a fit to one of the bundled maps, its coefficients
 moved by up to 10 %. Random too: 3 to 6 contraction levels (the first not always at rest), 5 to 14
 pressures, ramps up or up and down, in order of levels or of pressures, labelled or not, repeats,
-noise
-of 3 to 5 N for a muscle of 1500 N (in proportion for a smaller one) that follows itself along a
-ramp
-with a correlation of 0 to 0.9, slack cells at zero force, cells that are missing, units of the
-columns.
+noise of 3 to 5 N for a muscle of 1500 N (in proportion for a smaller one) that follows itself along
+a ramp with a correlation of 0 to 0.9, slack cells at zero force, cells that are missing, units of
+the columns.
 
 Counted: exceptions; how often the 95 % interval of a coefficient holds its true value, and how
-often
-the 95 % band of the mean force holds the true force, at 60 places of the table's range (both from
-the
-law that the table was sampled from). Coefficients and places that the data do not see (their error
-is
-infinite, and the fit says so) are counted apart. Also written: for each law alone.
+often the 95 % band of the mean force holds the true force, at 60 places of the table's range (both
+from the law that the table was sampled from). Coefficients and places that the data do not see
+(their error is infinite, and the fit says so) are counted apart. Also written: for each law alone.
 """
 
 from __future__ import annotations

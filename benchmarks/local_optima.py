@@ -1,8 +1,8 @@
 """Do other starts lead to other plans? Random minimum-time tasks, each from twelve starts.
 
 Two first guesses (states held, or running between the equilibria), three durations of it, two
-barrier
-strategies. Printed: how far the plan from the planner's own start is above the best of them.
+barrier strategies. Printed: how far the plan from the planner's own start is above the best of
+them.
 
 Run:  python benchmarks/local_optima.py [number of tasks]
 """

@@ -1,8 +1,7 @@
 """Step times of the controller on the planner's benchmark plant, in one run, as ratios to IPOPT.
 
 The plant of PAM-2DIR follows a square wave between the stops: steps of 5 ms, RK4 with two
-sub-steps,
-all limits soft, shifted warm start. IPOPT solves the same program from the same guess.
+sub-steps, all limits soft, shifted warm start. IPOPT solves the same program from the same guess.
 
 Times are those of the thread on the processor, so that other programs do not enter; "wall" is the
 median by the clock. The garbage of the set-up is frozen first, as before any loop that must be on

@@ -4,8 +4,7 @@ none.
 100 random tasks that are feasible by construction: along the whole way a point of rest exists with
 every muscle taut and every pressure inside its range (found here by SciPy on the force law alone),
 and the time is free up to 10 s. 20 infeasible ones: what is named as the conflict is widened by
-what
-is said to be missing, and then a motion must exist.
+what is said to be missing, and then a motion must exist.
 
 Run:  python benchmarks/plan_study.py [number of tasks] [seed]
 """

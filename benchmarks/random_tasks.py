@@ -1,12 +1,9 @@
 """Random planning tasks that are feasible by construction: every arrangement, feed, loss and load
-of the
-library, and plants of one's own in odd coordinates.
+of the library, and plants of one's own in odd coordinates.
 
 Feasible: along the whole way a point of rest exists with every muscle taut and every pressure
-inside
-its range, whatever friction does (found here by SciPy on the force law alone), and the time is free
-or
-long. Nothing of the planner is asked.
+inside its range, whatever friction does (found here by SciPy on the force law alone), and the time
+is free or long. Nothing of the planner is asked.
 """
 
 from __future__ import annotations

@@ -2,15 +2,11 @@
 neighbour.
 
 Two references, both of plain CasADi and IPOPT, started cold: ``Opti`` as its users write it
-(unscaled;
-case (a) alone, see plan.py), and the usual careful way: the scaled program with mapped stage
-functions,
-CasADi's own derivatives and IPOPT's defaults. Each figure is the best of ``REPEATS`` in this one
-process; ratios are those of the solver's time to the careful way's, and to Opti's in brackets.
-"call"
-is the whole call of the planner, with its independent replay. fatrop starts from the neighbour's
-primal
-values alone, so its "warm" is not IPOPT's.
+(unscaled; case (a) alone, see plan.py), and the usual careful way: the scaled program with mapped
+stage functions, CasADi's own derivatives and IPOPT's defaults. Each figure is the best of
+``REPEATS`` in this one process; ratios are those of the solver's time to the careful way's, and to
+Opti's in brackets. "call" is the whole call of the planner, with its independent replay. fatrop
+starts from the neighbour's primal values alone, so its "warm" is not IPOPT's.
 
 Run:  python benchmarks/resolve.py
 """

@@ -1,13 +1,10 @@
 """Rest of plants whose muscles have memory: found, in balance, staying, and held by LQR and Mpc.
 
 Random cases over all arrangements, feeds and losses that are well-posed by construction: SciPy
-finds
-on the force laws alone, with the friction that the chosen memory keeps, pressures inside their
-range
-under which all muscles are taut. Each is asked for by position, by position and stiffness, or by
-pressures; for a memory that is virgin, from above, from below, or given. What is found must balance
-by
-hand-written equations, and ``simulate`` must stay there for 1 s.
+finds on the force laws alone, with the friction that the chosen memory keeps, pressures inside
+their range under which all muscles are taut. Each is asked for by position, by position and
+stiffness, or by pressures; for a memory that is virgin, from above, from below, or given. What is
+found must balance by hand-written equations, and ``simulate`` must stay there for 1 s.
 
 Run:  python benchmarks/rest_study.py [cases] [seed] [controlled cases]
 """
@@ -339,8 +336,8 @@ def stiffness(case: Case, s: float, pressures: list[float], friction: list[float
 
 def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float, float, int]:
     """Distance from the set point behind 3 s, as a part of the stroke: of lqr with integral action
-    and
-    a Kalman filter started 2 % of the stroke away, of an Mpc; and how often the Mpc failed."""
+    and a Kalman filter started 2 % of the stroke away, of an Mpc; and how often the Mpc failed.
+    """
     plant = case.plant(losses)
     friction = case.friction(memory, losses, {})
     point = plant.equilibrium(conditions(case, case.pressures(friction) or []), memory=memory)
@@ -354,7 +351,7 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     start[case.named] = away
     if case.kind == "series":
         start["muscle.shortening"] += away - goal
-    run = pam.closed_loop(plant, feedback, duration=3.0, dt=2e-3, start=start)
+    run = pam.closed_loop(feedback, plant, duration=3.0, dt=2e-3, start=start)
     left = abs(run[case.named][-1] - goal) / stroke
     mpc = pam.Mpc(
         plant,

@@ -100,8 +100,8 @@ def excess(plant, plan, t, states):
 
 def missed_stops(plant, plan, task, states):
     """Largest miss of the two stops' own values at the ends, in nominals (of tasks that are not
-    cyclic:
-    the end is stop 2)."""
+    cyclic: the end is stop 2).
+    """
     p, worst = plant.vector("parameter"), 0.0
     ends = [(task.stops[0], 0)] + ([] if task.arguments.get("cyclic") else [(task.stops[1], -1)])
     for stop, row in ends:

@@ -1,12 +1,10 @@
 """Describing functions of a load on a muscle, and the limit cycle that a relay makes of it.
 
 A relay switches the command by +-D when the load passes its place: u = u0 - D sign(x - x0). Seen by
-its
-first harmonic it sends a sine of amplitude 4 D / pi, so the loop swings at the frequency where the
-plant's describing function at this amplitude has a phase of -180 degrees, with the amplitude that
-the
-describing function then gives. The simulated loop swings so, to within what the higher harmonics
-do.
+its first harmonic it sends a sine of amplitude 4 D / pi, so the loop swings at the frequency where
+the plant's describing function at this amplitude has a phase of -180 degrees, with the amplitude
+that the describing function then gives. The simulated loop swings so, to within what the higher
+harmonics do.
 
 Run:  python examples/control_describing.py [folder for the results]
 """
@@ -54,7 +52,7 @@ def simulated(plant, point):
     """The same of the loop with the relay, and its motion."""
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
     run = pam.closed_loop(
-        plant, Relay(point), duration=4.0, dt=2e-4, start={**start, "x": point["x"] - 1e-3}
+        Relay(point), plant, duration=4.0, dt=2e-4, start={**start, "x": point["x"] - 1e-3}
     )
     late = run.t > 2.0
     t, x = run.t[late], run["x"][late] - point["x"]

@@ -49,10 +49,10 @@ def main(folder: Path) -> None:
     fmu = pam.export_fmu(plant, folder / "slide.fmu", platforms="native")
     shared = {"duration": 0.8, "dt": DT, "start": start, "parameters": true}
     runs = {
-        "LQR": closed_loop(plant, regulator, **shared),
-        "LQI": closed_loop(plant, integral, **shared),
-        "LQG with integral": closed_loop(plant, estimated, noise=noise, **shared),
-        "LQI, FMU as plant": closed_loop(plant, integral, fmu=fmu, **shared),
+        "LQR": closed_loop(regulator, plant, **shared),
+        "LQI": closed_loop(integral, plant, **shared),
+        "LQG with integral": closed_loop(estimated, plant, noise=noise, **shared),
+        "LQI, FMU as plant": closed_loop(integral, fmu, **shared),
     }
     for label, run in runs.items():
         print(f"{label:<20} error at the end {1e6 * (run['x'][-1] - STOP):8.2f} um")

@@ -48,8 +48,8 @@ def main(folder: Path) -> None:
     angle, pressure = figure.subplots(2, 1, sharex=True)
     for i, (label, controller) in enumerate(controllers.items()):
         run = pam.closed_loop(
-            plant,
             controller,
+            plant,
             duration=2.5,
             dt=DT,
             start=start,

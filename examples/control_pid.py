@@ -53,8 +53,8 @@ def main(folder: Path) -> None:
         )
         true = {"inertia": 0.06, "link_mass": 1.2}
         run = closed_loop(
-            plant,
             controller,
+            plant,
             duration=2.5,
             dt=DT,
             start=first,

@@ -51,7 +51,7 @@ def main(folder: Path) -> None:
     }
     runs = {
         label: closed_loop(
-            joint, controller, duration=4.2, dt=DT, start=begin, parameters={"link_mass": 1.2}
+            controller, joint, duration=4.2, dt=DT, start=begin, parameters={"link_mass": 1.2}
         )
         for label, controller in controllers.items()
     }

@@ -52,8 +52,8 @@ def compared(
         true = {n: force * float(plant.variable(n).start) for n in law}
         runs[mass, force] = {
             label: closed_loop(
-                plant,
                 controller,
+                plant,
                 duration=motion.duration,
                 dt=DT,
                 start=start,

@@ -3,9 +3,8 @@
 The law is fitted to a measured table and its coefficients are drawn from the fit's covariance; each
 draw rests at its own place under the same pressures. That is the uncertainty of one muscle in one
 laboratory, and small. Muscles differ more: a second cloud adds a scatter of 10 % in the force of
-each
-muscle (an assumption; published sets differ by 14 to 27 %). The same LQI is looked at on all of
-them.
+each muscle (an assumption; published sets differ by 14 to 27 %). The same LQI is looked at on all
+of them.
 
 Run:  python examples/control_uncertainty.py [folder for the results]
 """

@@ -1,9 +1,9 @@
 """Control by proportional valves: the dead zone inverted, from closed valves at rest.
 
 20 kg hang on a muscle behind a spool valve that stays closed over 15 % of its travel to either
-side. An LQR and an
-Mpc lift them by 30 mm; both choose the valve's opening and send the command that gives it. Beside
-them the LQR's openings sent as if they were commands: small ones are lost in the dead zone.
+side. An LQR and an Mpc lift them by 30 mm; both choose the valve's opening and send the command
+that gives it. Beside them the LQR's openings sent as if they were commands: small ones are lost in
+the dead zone.
 
 Run:  python examples/control_valve.py [folder for the results]
 """
@@ -34,9 +34,9 @@ def main(folder: Path) -> None:
         return {"muscle.command": opening}
 
     runs = {
-        "LQR": closed_loop(plant, feedback, duration=1.0, dt=DT, start=start),
+        "LQR": closed_loop(feedback, plant, duration=1.0, dt=DT, start=start),
         "LQR without inversion": closed_loop(
-            plant, without_inversion, duration=1.0, dt=DT, start=start
+            without_inversion, plant, duration=1.0, dt=DT, start=start
         ),
     }
     mpc = pam.Mpc(plant, horizon=25, step=0.01, track={"x": 1.0}, rate={"muscle.command": 0.05})

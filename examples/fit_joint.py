@@ -20,8 +20,8 @@ Run:  python examples/fit_joint.py [folder for the results] [mpi_arm_64_episodes
 The data are those of Büchler et al. (MPI for Intelligent Systems) in the repository
 ALRhub/action-conditional-rkn, here as columns episode, t_s, q1_rad .. q4_rad, p1_norm .. p8_norm.
 Without a path they are looked for in the folder PAM_OCP_DATA or ../shared/data; where there are
-none, a
-synthetic arm takes their place. --full fits from crude starts (minutes), not from the values below.
+none, a synthetic arm takes their place. --full fits from crude starts (minutes), not from the
+values below.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Model predictive control against an FMU that carries 30 % more mass and is pushed by a force.
 
 The controller and its Kalman filter know the slide with 2 kg and no force. The FMU moves 2.6 kg,
-and
-from 1 s on 40 N push it. Position and pressures are measured with noise; mass, force and velocity
-are
-estimated, and the estimates are what the controller plans with.
+and from 1 s on 40 N push it. Position and pressures are measured with noise; mass, force and
+velocity are estimated, and the estimates are what the controller plans with.
 
 Run:  python examples/mpc.py [folder for the results]
 """
@@ -15,7 +13,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 import pam_ocp as pam
-from pam_ocp.control.mpc_loop import ClosedLoop
+from pam_ocp.control.loop import ClosedLoop
 
 STEP = 0.005
 PUSH, MASS = 40.0, 2.6

@@ -1,11 +1,10 @@
 """One input for muscles that differ: the spread at the stops, and what bounding it costs.
 
 A force law is fitted to a measured table. Slides are drawn from the fit's covariance, with the
-scatter
-of strength between specimens of a muscle (2 %) on top, each muscle by itself. The quickest cycle
-between two stops is planned for the nominal slide alone, and so that 95 % of all slides come within
-0.3 mm of it at the stops: planned for six, tried on 200 others, planned again with the worst of
-these, until 200 slides that no plan has seen confirm the share.
+scatter of strength between specimens of a muscle (2 %) on top, each muscle by itself. The quickest
+cycle between two stops is planned for the nominal slide alone, and so that 95 % of all slides come
+within 0.3 mm of it at the stops: planned for six, tried on 200 others, planned again with the worst
+of these, until 200 slides that no plan has seen confirm the share.
 
 Run:  python examples/robust_plan.py [folder for the results]
 """

@@ -7,8 +7,7 @@ around one symbolic CasADi model. SI units inside; pressures are gauge; contract
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from .core.lazy import lazily
 
 __version__ = "0.1.0"
 
@@ -55,7 +54,7 @@ _HOMES: dict[str, str] = {
     "Inertia": "plants.loads",
     "InputError": "core.errors",
     "InverseDynamics": "control.inverse",
-    "Inversion": "plants.opening",
+    "Inversion": "plants.inversion",
     "JointForceFit": "fitting.static.shared",
     "KalmanFilter": "control.estimators.extended_kalman",
     "LackOfFit": "fitting.static.branches",
@@ -119,7 +118,7 @@ _HOMES: dict[str, str] = {
     "as_nlsys": "operating.nlsys",
     "backbone": "vibration",
     "bode_cloud": "control.analysis",
-    "check_fmu": "export",
+    "check_fmu": "export.check",
     "closed_loop": "control.loop",
     "closed_stiffness": "muscles.gas",
     "coefficient": "muscles.law",
@@ -138,10 +137,10 @@ _HOMES: dict[str, str] = {
     "equilibrium": "operating.equilibrium",
     "equilibrium_branch": "operating.branch",
     "equilibrium_path": "operating.several",
-    "export_fmu": "export",
-    "export_motion": "export",
-    "export_ssp": "export",
-    "fit_branches": "fitting.static.branches",
+    "export_fmu": "export.package",
+    "export_motion": "export.motion",
+    "export_ssp": "export.ssp",
+    "fit_branches": "fitting.static.static",
     "fit_force": "fitting.static.static",
     "fit_forces": "fitting.static.shared",
     "fit_free_run": "fitting.dynamic.free_run",
@@ -174,7 +173,7 @@ _HOMES: dict[str, str] = {
     "muscle_volume": "muscles.gas",
     "own_law": "muscles.laws.user_defined",
     "pareto": "planning.studies.pareto",
-    "pid_controller": "export",
+    "pid_controller": "control.controller_plants",
     "plan": "planning.planner",
     "plot_costates": "figures.plan",
     "polynomial_law": "muscles.laws.user_defined",
@@ -183,14 +182,14 @@ _HOMES: dict[str, str] = {
     "read_records": "fitting.tables.records",
     "read_table": "fitting.tables.force_table",
     "robust_plan": "planning.studies.robust",
-    "save_input_table": "export",
+    "save_input_table": "export.motion",
     "save_muscle": "muscles.muscle_file",
     "scheduled_lqr": "control.schedule",
     "simulate": "simulation.simulate",
     "simulate_many": "simulation.many",
     "spline_law": "muscles.laws.user_defined",
     "stability_path": "vibration",
-    "state_feedback_controller": "export",
+    "state_feedback_controller": "control.controller_plants",
     "stroke_work": "simulation.work",
     "sweep": "simulation.many",
     "tvlqr": "control.tvlqr",
@@ -199,14 +198,4 @@ _HOMES: dict[str, str] = {
 
 __all__ = list(_HOMES)
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+__getattr__, __dir__ = lazily(__name__, __name__, _HOMES)

@@ -15,6 +15,12 @@ from .control.analysis import (
 from .control.analysis import (
     mode_map as mode_map,
 )
+from .control.controller_plants import (
+    pid_controller as pid_controller,
+)
+from .control.controller_plants import (
+    state_feedback_controller as state_feedback_controller,
+)
 from .control.describing import (
     DescribingFunction as DescribingFunction,
 )
@@ -105,26 +111,20 @@ from .core.trajectory import (
 from .core.variables import (
     Variable as Variable,
 )
-from .export import (
+from .export.check import (
     check_fmu as check_fmu,
 )
-from .export import (
-    export_fmu as export_fmu,
-)
-from .export import (
+from .export.motion import (
     export_motion as export_motion,
 )
-from .export import (
-    export_ssp as export_ssp,
-)
-from .export import (
-    pid_controller as pid_controller,
-)
-from .export import (
+from .export.motion import (
     save_input_table as save_input_table,
 )
-from .export import (
-    state_feedback_controller as state_feedback_controller,
+from .export.package import (
+    export_fmu as export_fmu,
+)
+from .export.ssp import (
+    export_ssp as export_ssp,
 )
 from .figures.film import (
     animate_plan as animate_plan,
@@ -175,9 +175,6 @@ from .fitting.static.branches import (
     LackOfFit as LackOfFit,
 )
 from .fitting.static.branches import (
-    fit_branches as fit_branches,
-)
-from .fitting.static.branches import (
     hysteresis as hysteresis,
 )
 from .fitting.static.branches import (
@@ -197,6 +194,9 @@ from .fitting.static.shared import (
 )
 from .fitting.static.static import (
     ForceFit as ForceFit,
+)
+from .fitting.static.static import (
+    fit_branches as fit_branches,
 )
 from .fitting.static.static import (
     fit_force as fit_force,
@@ -417,6 +417,9 @@ from .plants.feeds import (
 from .plants.hanging import (
     HangingLoad as HangingLoad,
 )
+from .plants.inversion import (
+    Inversion as Inversion,
+)
 from .plants.joint import (
     AntagonisticJoint as AntagonisticJoint,
 )
@@ -458,9 +461,6 @@ from .plants.memory import (
 )
 from .plants.memory import (
     MaxwellSlip as MaxwellSlip,
-)
-from .plants.opening import (
-    Inversion as Inversion,
 )
 from .plants.plant import (
     Plant as Plant,

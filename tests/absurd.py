@@ -2,8 +2,7 @@
 them.
 
 A call works (WORKS), warns with the unit that was probably meant (its fragment stands behind
-WARNS), or
-is refused in one sentence that holds a fragment.
+WARNS), or is refused in one sentence that holds a fragment.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ def run(**options: Any) -> pam.Trajectory:
 
 def looped(answer: Any, **options: Any) -> pam.Trajectory:
     controller = answer if callable(answer) else lambda t, y: answer
-    return pam.closed_loop(plant(), controller, **{"duration": 0.01, "dt": 5e-3, **options})
+    return pam.closed_loop(controller, plant(), **{"duration": 0.01, "dt": 5e-3, **options})
 
 
 def posed(**options: Any) -> pam.Planner:
@@ -289,7 +288,7 @@ CALLS: dict[str, tuple[Call, str]] = {
     "simulate(muscle)": (lambda: pam.simulate(muscle(), duration=1), "put the muscle into one"),
     # ---- closed loop -----------------------------------------------------------------------------
     "closed_loop(controller=None)": (
-        lambda: pam.closed_loop(plant(), None, duration=1),
+        lambda: pam.closed_loop(None, plant(), duration=1),
         "is not called with",
     ),
     "controller answers None": (lambda: looped(None), "give inputs by name"),

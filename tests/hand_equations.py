@@ -1,10 +1,8 @@
 """The equations of muscles, feeds, losses, loads and arrangements, written out with math alone.
 
 From docs/model.md, the docstrings' formulas and the published tables; nothing of pam_ocp is used,
-so
-that the plants can be held against it. A muscle is a name of ``SETS`` with a rest length; states
-and
-inputs are mappings by name.
+so that the plants can be held against it. A muscle is a name of ``SETS`` with a rest length; states
+and inputs are mappings by name.
 """
 
 from __future__ import annotations

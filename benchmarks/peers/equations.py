@@ -43,12 +43,11 @@ def report(name, first, solve, iterations, duration, states, inputs, breaks=None
     """Print a result for run.py.
 
     first : seconds to the first result, since BEGIN and since the imports. solve : of the solver
-    alone,
+        alone,
     the best of some. iterations : of IPOPT, or None. states : (4, intervals + 1). inputs :
-    (intervals, 2, len(points)), whose
+        (intervals, 2, len(points)), whose
     polynomial through ``points`` in 0 .. 1 of each interval is the input there. breaks : fractions
-    of
-    the duration at which intervals meet; equal intervals by default.
+    of the duration at which intervals meet; equal intervals by default.
     """
     n = len(inputs)
     print(

@@ -15,7 +15,7 @@ from ..core.quantities import known_keys, quantity, read_toml, table
 
 if TYPE_CHECKING:
     from ..control.estimators.extended_kalman import Estimator
-    from ..control.mpc_loop import ClosedLoop
+    from ..control.loop import ClosedLoop
     from ..plants.plant import Plant
 
 __all__ = ["add_mpc"]
@@ -131,7 +131,7 @@ def _mpc(options: argparse.Namespace) -> int:
         with atomic_path(options.plot) as temporary:
             loop.plot(_title(study)).savefig(temporary, dpi=120)
         print(f"-> {options.plot}")
-    return 1 if loop.statistics.failures else 0
+    return 1 if loop.statistics and loop.statistics.failures else 0
 
 
 def _study(options: argparse.Namespace) -> dict[str, Any]:
@@ -181,14 +181,13 @@ def _pairs(option: str, texts: list[str]) -> dict[str, float]:
 
 def _run(study: Mapping[str, Any]) -> ClosedLoop:
     from ..control.mpc.mpc import Mpc
+    from ..control.references import source
 
     plant = _plant(study)
     position = next(iter(plant.positions), plant.states[0].name)
     reference = study["reference"] or _reference(plant, position, study["duration"])
-    sources = {n: _source(n, v, plant.variable(n).unit) for n, v in reference.items()}
-    start = _values("start", plant, study["start"]) or {
-        n: s(0.0) if callable(s) else s for n, s in sources.items()
-    }
+    sources = {n: source(f"reference.{n}", v, plant.variable(n).unit) for n, v in reference.items()}
+    start = _values("start", plant, study["start"]) or {n: s(0.0) for n, s in sources.items()}
     rest = plant.equilibrium(start)
     begin = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs) if not v.disturbance}
     model = plant.with_values(begin)
@@ -199,7 +198,8 @@ def _run(study: Mapping[str, Any]) -> ClosedLoop:
     controller: Mpc = _made("controller", Mpc, model, settings)
     estimator = _estimator(model, position, {"step": settings["step"], **study["estimator"]})
     disturbances = {
-        n: _switched(n, v, model.variable(n).unit) for n, v in study["disturbances"].items()
+        n: source(f"disturbances.{n}", v, model.variable(n).unit, before=0.0)
+        for n, v in study["disturbances"].items()
     }
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
         return controller.closed_loop(
@@ -247,39 +247,6 @@ def _reference(plant: Plant, position: str, duration: float) -> dict[str, Any]:
     if any(v.name == "stiffness" for v in plant.outputs) and len(plant.inputs) > 1:
         reference["stiffness"] = 2e4
     return reference
-
-
-def _source(name: str, value: Any, unit: str) -> float | Callable[[float], float]:
-    """A number, or stops that follow each other, each held for the dwell; at last the rest."""
-    where = f"reference.{name}"
-    if not isinstance(value, Mapping):
-        return quantity(where, value, unit)
-    known_keys(where, value, ("stops", "dwell", "rest", "rest_from"))
-    stops = [quantity(f"{where}.stops", s, unit) for s in value.get("stops", ())]
-    if not stops:
-        raise InputError(f"{where}: give stops = [...], or one value")
-    dwell, until = (
-        quantity(f"{where}.{key}", value.get(key, default), "s")
-        for key, default in (("dwell", 0.4), ("rest_from", float("inf")))
-    )
-    require_positive(f"{where}.dwell", dwell, "s")
-    rest = quantity(f"{where}.rest", value.get("rest", stops[-1]), unit)
-
-    def wanted(t: float) -> float:
-        # a sample that rounding puts just before a switch belongs behind it
-        return rest if t >= until - 1e-9 else stops[int((t + 1e-9) // dwell) % len(stops)]
-
-    return wanted
-
-
-def _switched(name: str, value: Any, unit: str) -> Callable[[float], float]:
-    """A disturbance: a value, or [value, time from which it acts]."""
-    pair = value if isinstance(value, list) else [value, 0.0]
-    if len(pair) != 2:
-        raise InputError(f"disturbances.{name} = {value}: give a value, or [value, from when on]")
-    size = quantity(f"disturbances.{name}", pair[0], unit)
-    begin = quantity(f"disturbances.{name}", pair[1], "s")
-    return lambda t: size if t >= begin - 1e-9 else 0.0
 
 
 def _estimator(model: Plant, position: str, settings: dict[str, Any]) -> Estimator | None:
@@ -345,7 +312,7 @@ def _report(study: Mapping[str, Any], loop: ClosedLoop) -> str:
     lines.append(
         f"predictions: within {loop.prediction_error:.1e} of nominal of a finer integration"
     )
-    for name in loop.reference.names:
+    for name in loop.reference.names if loop.reference else ():
         variable = loop.trajectory.variable(name)
         error = variable.shown(loop.steady_error(name, window))
         lines.append(f"steady error of {name}: {error} (largest of the last {window:g} s)")

@@ -210,8 +210,7 @@ def muscle_characteristic(
     characteristic.
 
     Returns f(x) = F(pressure, contraction) - F(pressure, contraction + x / rest length) [N], x in
-    m:
-    what resists a shortening by x. For ``control.describing_function`` and its plot (with
+    m: what resists a shortening by x. For ``control.describing_function`` and its plot (with
     ``zero_check=False``, since it is not odd).
     """
     require_instance("muscle", muscle, Muscle, "give a Muscle, such as muscle('DMSP-20-300')")

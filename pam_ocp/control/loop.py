@@ -1,304 +1,425 @@
-"""Closed loop: a sampled controller and the nonlinear plant, or the plant's FMU,
-between samples.
-"""
+"""Closed loop: any sampled controller, with an estimator if there is one, against a real side."""
 
 from __future__ import annotations
 
-import math
 import os
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, SimulationError, require_count, require_positive
-from ..core.signals import PiecewisePolynomial
+from .. import courtesy
+from ..core.errors import InputError, UnknownNameError, require_count, require_positive
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
-from ..plants.opening import Inversion
-from ..plants.plant import Given, Plant, Values, require_plant
-from ..simulation.simulate import evaluated
+from ..plants.inversion import Inversion
+from ..plants.plant import Given, Plant, Values
+from .controller import Controller, Estimate, Measured, Observer, Tracking
+from .mpc_statistics import MpcStatistics
+from .references import Source, source
+from .sides import PlantSide, Side, side_of
 
-__all__ = ["Controller", "Measured", "closed_loop"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-ASTRAY = 10.0
-"""A state this many times beyond all that is usual for it tells of an unstable loop."""
+__all__ = ["ClosedLoop", "Controller", "Measured", "closed_loop"]
 
 Array: TypeAlias = NDArray[np.float64]
-Measured: TypeAlias = Mapping[str, float]
-Stepper: TypeAlias = Callable[[Array, Array], Array]
-"""(states, inputs held over the sample) -> states at the end of each part of the sample."""
+Law: TypeAlias = "Controller | Tracking | Callable[[float, Measured], Mapping[str, float]]"
+
+SAMPLE_TIME = 1e-3
+"""[s], for a controller that has none of its own."""
+LOOKS = 10
+"""Samples, evenly spread, whose prediction is compared with a finer integration."""
 
 
-class Controller(Protocol):
-    """What decides the inputs at each sample."""
+@dataclass(frozen=True)
+class ClosedLoop:
+    """What happened in a closed loop. ``loop["x"]`` and ``loop.t`` are those of its trajectory."""
 
-    def reset(self) -> None:
-        """Forget the past: called once before each run."""
+    trajectory: Trajectory
+    """The real side: states, inputs as they were applied, outputs."""
+    seen: Trajectory
+    """What the controller was given at each sample, and at the end."""
+    reference: Trajectory | None
+    """What was to be reached, at the times of ``trajectory``; None where the loop is not told."""
+    estimate: Trajectory | None
+    """Estimated states and unknowns, and their ``deviation.NAME``; None without an estimator."""
+    statistics: MpcStatistics | None
+    """Times and iterations of the controller, how often it failed, and how often it did not
+    converge; None for controllers that keep none.
+    """
+    prediction_error: float | None
+    """Largest :meth:`Mpc.prediction_error` of the samples looked at, ``LOOKS`` of them at most."""
 
-    def __call__(self, t: float, measured: Measured) -> Mapping[str, float]:
-        """Inputs by name [SI] to hold from t [s] on; those left out stay at their start value.
-        Openings of valves (``muscle.opening``) may be answered in place of their commands.
+    def __getitem__(self, name: str) -> Array:
+        return self.trajectory[name]
 
-        ``measured`` gives every state and output of the plant by name, with noise where asked for.
+    @property
+    def t(self) -> Array:
+        """Times of the trajectory [s]."""
+        return self.trajectory.t
+
+    def steady_error(self, name: str, window: float) -> float:
+        """Largest |real - reference| of a variable over the last ``window`` seconds [its unit].
+
+        Raises InputError where the loop was not told what is to be reached.
         """
+        require_positive("window", window, "s")
+        if self.reference is None:
+            raise InputError("steady_error: the loop knows no reference; give closed_loop one")
+        late = self.t >= self.t[-1] - window
+        return float(np.max(np.abs(self[name][late] - self.reference[name][late])))
+
+    def plot(self, title: str = "") -> Figure:
+        """Tracked variables and their error, inputs, unknowns found, and step times."""
+        return courtesy.plot_closed_loop(self, title)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the trajectory: see :meth:`Trajectory.save`."""
+        return self.trajectory.save(path)
+
+    def __str__(self) -> str:
+        said = [f"closed loop over {self.trajectory.duration:g} s"]
+        if self.statistics is not None:
+            said.append(f"controller: {self.statistics}")
+        if self.prediction_error is not None:
+            said.append(
+                f"its predictions are within {self.prediction_error:.1e} of nominal of a finer "
+                "integration"
+            )
+        return "; ".join(said)
 
 
 def closed_loop(
-    plant: Plant,
-    controller: Controller | Callable[[float, Measured], Mapping[str, float]],
+    controller: Law,
+    side: Plant | str | os.PathLike[str],
+    reference: Mapping[str, Any] | None = None,
     *,
     duration: float,
-    dt: float = 1e-3,
+    sample_time: float | None = None,
+    estimator: Observer | None = None,
     start: Given | None = None,
     parameters: Values | None = None,
     disturbances: Mapping[str, Any] | None = None,
     noise: Mapping[str, float] | None = None,
     seed: int = 0,
-    delay: int = 0,
+    delay: int | None = None,
     parts: int = 1,
-    fmu: str | os.PathLike[str] | None = None,
+    preview: bool = True,
+    plant: Plant | None = None,
     rtol: float = 1e-9,
-) -> Trajectory:
-    """Simulate the nonlinear plant under a sampled controller.
+) -> ClosedLoop:
+    """Run a sampled controller against the real side, which it may not know well.
 
     Parameters
     ----------
-    controller : a Controller, or a function (t, measured) -> inputs; called every ``dt`` seconds;
-    its inputs are held until the
-        next call and kept within the plant's range (the result shows them as the plant gets them).
-    start : initial states by name; by default the states' start values.
-    parameters : of the true plant, which the controller does not know.
-    disturbances : {input: number | function of time}, held over each sample as all inputs are.
-    noise : {measured name: standard deviation [SI]}, normal and white, from ``seed``.
+    controller : a Controller (``lqr``, ``tvlqr``, ``PositionController``, ``Mpc``, ...), or a
+        function (t, measured) -> inputs. Called at each sample; its inputs are held until the next
+        and kept within the side's range (the result shows them as they act).
+    side : a Plant, or the path of an FMU (Co-Simulation by FMPy), which may differ from the
+        controller's model.
+    reference : {name: number, function of time [s], or {"stops": [...], "dwell": ...}} for
+        controllers that are told what to reach (Mpc; lqr for what it integrates); others have
+        theirs. ``preview`` False: of it they know only the present value.
+    duration : [s]; a whole number of samples is run.
+    sample_time : [s]; by default the controller's own, or the estimator's, or 1 ms.
+    estimator : a KalmanFilter, a MovingHorizonEstimator, or what ``kalman`` gives, with the same
+        sample time. The controller is given its states and unknowns, and what is measured besides.
+        Without one it is given all states and outputs.
+    start : initial states and inputs by name, or an operating point; by default the side's own.
+    parameters : of the real side, where they differ from its own; the controller is not told.
+    disturbances : {input of the side: number, function of time, or (value, from when on [s])}, held
+        over each sample; the controller is not told.
+    noise : {measured name: standard deviation [SI]}, normal and white, from ``seed``. By default
+        what the estimator expects, or none.
     delay : samples between measuring and acting (computing time); before the first, start values.
-    parts : samples recorded per ``dt``.
-    fmu : path of the plant's FMU (:func:`pam_ocp.export_fmu`) to be the plant instead, by
-        co-simulation; outputs are still those of the plant at the FMU's states.
-    rtol : relative tolerance of the integrator (CasADi's Rosenbrock), per nominal; the FMU has its
-        own, of which ``rtol`` is asked for.
+        By default what the controller reckons with (``Mpc(delay=1)``), or 0.
+    parts : samples recorded per ``sample_time``.
+    plant : model that says of an FMU's variables what they are (ranges, openings of valves); by
+        default the controller's. Without one the FMU's own description does.
+    rtol : relative tolerance of the side's integrator, per nominal; FMUs are asked for it.
 
-    Raises InputError for bad arguments, SimulationError where the plant cannot be integrated.
+    Raises InputError for what cannot be meant, SimulationError when the side cannot go on.
     """
-    require_plant(plant)
-    samples = _samples(controller, duration, dt, parts, delay)
-    true = _true_plant(plant, parameters)
-    acting = _Inputs(true, disturbances or {})
-    sense = _Sensors(true, noise or {}, seed)
-    x = true.vector("state", start)
-    u = acting(0.0, {})
-    waiting = [u] * delay
-    rows, held = [x[None, :]], []
-    if hasattr(controller, "reset"):
-        controller.reset()
-    with _stepper(true, x, dt, parts, fmu, rtol) as step:
-        for k in range(samples):
-            t = k * dt
-            asked = acting(t, controller(t, sense(x, u)))
-            waiting.append(asked)
-            u = acting.disturbed(t, waiting.pop(0))
-            try:
-                new = step(x, u)
-            except RuntimeError as error:
-                raise _failure(true, t, x, str(error)) from error
-            if not np.all(np.isfinite(new)):
-                raise _failure(true, t, x, "its states are not finite any more")
-            rows.append(new)
-            held.append(u)
-            x = new[-1]
-    inputs = PiecewisePolynomial(
-        np.asarray(dt * np.arange(samples + 1)), np.array(held)[:, None, :]
-    )
-    grid = np.linspace(0.0, samples * dt, samples * parts + 1)
-    return evaluated(true, grid, np.concatenate(rows), inputs)
-
-
-def _samples(controller: Any, duration: float, dt: float, parts: int, delay: int) -> int:
-    """How many there are; InputError for arguments that cannot be."""
-    if not callable(controller):
-        raise InputError(
-            f"controller is a {type(controller).__name__}, which is not called with (t, "
-            "measured); an "
-            "Mpc has its own loop, mpc.closed_loop(...)"
-        )
-    require_positive("dt", dt, "s")
-    samples = round(require_positive("duration", duration, "s") / dt)
+    _require_controller(controller, plant)
+    sample_time = _sample_time(controller, estimator, sample_time)
+    samples = round(require_positive("duration", duration, "s") / sample_time)
     require_count("parts", parts)
-    require_count("delay", delay, 0)
+    waits = require_count("delay", getattr(controller, "delay", 0) if delay is None else delay, 0)
     if samples < 1:
-        raise InputError(f"duration = {duration:g} s: give at least one sample of dt = {dt:g} s")
-    return samples
+        raise InputError(
+            f"duration = {duration:g} s is shorter than a sample of {sample_time:g} s: give at "
+            "least one sample"
+        )
+    require_positive("rtol", rtol)
+    model = plant or getattr(controller, "plant", None)
+    chosen = side_of(side, model, sample_time, parts, parameters=parameters, start=start, rtol=rtol)
+    with chosen as real:
+        inputs = _Inputs(real, chosen.plant if isinstance(chosen, PlantSide) else model)
+        told = {
+            inputs.known(n).name: source(f"reference[{n!r}]", v, inputs.known(n).unit)
+            for n, v in (reference or {}).items()
+        }
+        run = _Run(
+            _told(controller, told, real, preview),
+            estimator,
+            real,
+            inputs,
+            _Sensors(real, estimator, noise, seed),
+            inputs.disturbances(disturbances or {}),
+            [dict(real.inputs)] * waits,
+        )
+        for k in range(samples):
+            run.sample(k * sample_time, look=k % max(1, samples // LOOKS) == 0)
+            real.step(k * sample_time)
+        run.measure(samples * sample_time)
+        return run.result(sample_time, told)
 
 
-def _true_plant(plant: Plant, parameters: Values | None) -> Plant:
-    wrong = [n for n in parameters or {} if plant.variable(n).causality != "parameter"]
-    if wrong:
-        raise InputError(f"parameters: {wrong[0]} is a {plant.variable(wrong[0]).causality}")
-    return plant.with_values(parameters or {})
+def _require_controller(controller: Any, plant: Any) -> None:
+    if isinstance(controller, Plant):
+        raise InputError(
+            "controller is a Plant: the controller comes first, closed_loop(controller, side)"
+        )
+    if not callable(controller) and not isinstance(controller, Tracking):
+        raise InputError(
+            f"controller is a {type(controller).__name__}, which is not called with (t, measured); "
+            "give a controller, or a function"
+        )
+    if plant is not None and not isinstance(plant, Plant):
+        raise InputError(f"plant is a {type(plant).__name__}: give the Plant that the FMU is of")
 
 
-def _failure(plant: Plant, t: float, x: Array, cause: str) -> SimulationError:
-    """What happened, where, and why; the controller is blamed only where the states went astray."""
-    at = ", ".join(f"{v.name} = {v.shown(n)}" for v, n in zip(plant.states, x, strict=True))
-    astray = [v.name for v, n in zip(plant.states, x, strict=True) if abs(n) > _farthest(v)]
-    verdict = (
-        f"{astray[0]} has left its range by far: the closed loop is unstable, change the controller"
-        if astray
-        else "the states are still within reach, so look at the cause before the controller"
-    )
-    reason = " ".join(cause.split())
-    return SimulationError(
-        f"the closed loop of {plant.name!r} cannot be integrated from t = {t:.6g} s on, at {at}; "
-        f"{verdict}. Cause: {reason[-300:]}",
-        t,
-    )
+def _sample_time(controller: Any, estimator: Any, given: float | None) -> float:
+    """The loop's. InputError where somebody in it predicts over another one."""
+    own = getattr(controller, "sample_time", None)
+    other = getattr(estimator, "sample_time", None)
+    first = next((t for t in (given, own, other) if t is not None), SAMPLE_TIME)
+    chosen = require_positive("sample_time", first, "s")
+    predicts = {"estimator": other, "controller": None if callable(controller) else own}
+    for who, time in predicts.items():
+        if time is not None and abs(time - chosen) > 1e-9 * chosen:
+            raise InputError(
+                f"the {who}'s sample_time is {time:g} s, the loop's {chosen:g} s: make both equal"
+            )
+    return chosen
 
 
-def _farthest(state: Variable) -> float:
-    """A size that a state never has in use: far beyond its range, its start and its nominal."""
-    sizes = (state.nominal, state.start or 0.0, state.min, state.max)
-    return ASTRAY * max(abs(s) for s in sizes if math.isfinite(s))
+def _told(controller: Any, told: Mapping[str, Source], side: Side, preview: bool) -> Any:
+    """The controller of this run, which knows what to reach."""
+    if isinstance(controller, Tracking) and (told or not callable(controller)):
+        return controller.tracking(told, side.inputs, preview)
+    if told:
+        raise InputError(
+            f"reference: a {type(controller).__name__} is not told by the loop what to reach; give "
+            "its reference to it"
+        )
+    return controller
 
 
 class _Inputs:
-    """A controller's answer as the vector of the plant's inputs, within their range."""
+    """A controller's answer as the side's inputs, within their range."""
 
-    def __init__(self, plant: Plant, disturbances: Mapping[str, Any]) -> None:
-        self.plant = plant
-        self.start, self.low, self.high = (
-            plant.vector("input", attribute=a) for a in ("start", "min", "max")
-        )
-        self.index = {v.name: i for i, v in enumerate(plant.inputs)}
-        self.inversion = Inversion(plant)
-        self.disturbances = [
-            (self._position(n), v if callable(v) else plant.variable(n).check(v, "disturbance"))
-            for n, v in disturbances.items()
-        ]
+    def __init__(self, side: Side, model: Plant | None) -> None:
+        self._known = {v.name: v for v in side.variables}
+        self._alias = {n.replace(".", "_"): n for n in self._known}
+        self._range = {n: self._known[n] for n in side.inputs}
+        self._start = dict(side.inputs)
+        inversion = None if model is None else Inversion(model)
+        self._inversion = inversion if inversion and self._of(model) else None
 
-    def _position(self, name: str) -> int:
-        variable = self.plant.variable(name)
-        if variable.name not in self.index:
+    def _of(self, model: Plant | None) -> bool:
+        """Whether the side has the model's inputs."""
+        return model is not None and all(v.name in self._range for v in model.inputs)
+
+    def known(self, name: str) -> Variable:
+        """A variable of the side. Raises UnknownNameError."""
+        if self._inversion and (opening := self._inversion.opening_of(name)):
+            return self._inversion.inner.variable(opening)
+        full = name if name in self._known else self._alias.get(name, name)
+        if full not in self._known:
+            raise UnknownNameError("variable of the real side", name, self._known)
+        return self._known[full]
+
+    def _input(self, name: str) -> Variable:
+        variable = self.known(name)
+        if variable.name not in self._range:
             raise InputError(
                 f"{variable.name} is a {variable.causality} of the plant, not an input; its inputs "
-                f"are {', '.join(self.index)}"
+                f"are {', '.join(self._range)}"
             )
-        return self.index[variable.name]
+        return variable
 
-    def __call__(self, t: float, answer: Mapping[str, float]) -> Array:
-        u = self.start.copy()
+    def disturbances(self, given: Mapping[str, Any]) -> dict[str, Source]:
+        """{input: function of time}."""
+        found: dict[str, Source] = {}
+        for name, value in given.items():
+            variable = self._input(name)
+            pair = isinstance(value, list | tuple)
+            if not callable(value) and not isinstance(value, Mapping):
+                size = value[0] if pair and len(value) else value
+                variable.check(size, "disturbance")
+            before = self._start[variable.name]
+            found[variable.name] = source(f"disturbances[{name!r}]", value, variable.unit, before)
+        return found
+
+    def __call__(self, t: float, answer: Mapping[str, float]) -> dict[str, float]:
         if not isinstance(answer, Mapping):
             raise InputError(
                 f"the controller's answer at t = {t:g} s is a {type(answer).__name__}: give "
-                "inputs by "
-                f"name, such as {{{next(iter(self.index), 'name')!r}: 3e5}}"
+                f"inputs by name, such as {{{next(iter(self._range), 'name')!r}: 3e5}}"
             )
-        if self.inversion:
-            answer = self.inversion.commands(answer)
+        if self._inversion:
+            answer = self._inversion.commands(answer)
+        found = dict(self._start)
         for name, value in answer.items():
-            i = self.index[name] if name in self.index else self._position(name)
+            variable = self._range.get(name) or self._input(name)
             try:
-                u[i] = value
+                number = float(value)
             except (TypeError, ValueError):
                 raise InputError(
                     f"the controller's answer at t = {t:g} s: {name} = {value!r} is not a number"
                 ) from None
-        if not np.all(np.isfinite(u)):
-            raise InputError(
-                f"the controller's answer at t = {t:g} s is not finite: {dict(answer)}"
-            )
-        return np.asarray(np.clip(u, self.low, self.high))
-
-    def disturbed(self, t: float, u: Array) -> Array:
-        u = u.copy()
-        for i, value in self.disturbances:
-            u[i] = value(t) if callable(value) else value
-        return u
+            if not np.isfinite(number):
+                raise InputError(
+                    f"the controller's answer at t = {t:g} s is not finite: {dict(answer)}"
+                )
+            found[variable.name] = min(max(number, variable.min), variable.max)
+        return found
 
 
 class _Sensors:
-    """All states and outputs by name, with noise."""
+    """What is measured of the side: all states and outputs by name, with noise."""
 
-    def __init__(self, plant: Plant, noise: Mapping[str, float], seed: int) -> None:
-        self.plant, self.p = plant, plant.vector("parameter")
-        self.names = [v.name for v in (*plant.states, *plant.outputs)]
-        named = {
-            plant.variable(n).name: require_positive(f"noise[{n!r}]", s, zero=True)
-            for n, s in noise.items()
+    def __init__(
+        self,
+        side: Side,
+        estimator: Observer | None,
+        noise: Mapping[str, float] | None,
+        seed: int,
+    ) -> None:
+        self.names = [v.name for v in side.variables if v.causality in ("state", "output")]
+        alias = {n.replace(".", "_"): n for n in self.names}
+        expected = estimator.deviations if estimator is not None else {}
+        for name in expected:
+            if name not in self.names:
+                raise UnknownNameError("measured variable of the real side", name, self.names)
+        given = expected if noise is None else noise
+        self.noise = {
+            alias.get(n, n): require_positive(f"noise[{n!r}]", s, zero=True)
+            for n, s in given.items()
         }
-        unknown = [n for n in named if n not in self.names]
+        unknown = [n for n in self.noise if n not in self.names]
         if unknown:
             raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")
-        self.sigma = np.array([named.get(n, 0.0) for n in self.names])
-        self.random = np.random.default_rng(seed)
+        self._random = np.random.default_rng(seed)
 
-    def __call__(self, x: Array, u: Array) -> Measured:
-        y = np.asarray(self.plant.function(x, u, self.p)[1], dtype=float).ravel()
-        values = np.concatenate([x, y])
-        if self.sigma.any():
-            values = values + self.sigma * self.random.standard_normal(len(values))
-        return dict(zip(self.names, values.tolist(), strict=True))
+    def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
+        seen = {n: values[n] for n in self.names}
+        for name, deviation in self.noise.items():
+            seen[name] += deviation * float(self._random.standard_normal())
+        return seen
 
 
-# ---- the plant between two samples --------------------------------------------------------------
-def _stepper(
-    plant: Plant, x: Array, dt: float, parts: int, fmu: str | os.PathLike[str] | None, rtol: float
-) -> AbstractContextManager[Stepper]:
-    if fmu is not None:
-        return _fmu(plant, x, Path(fmu), dt, parts, rtol)
-    return _integrator(plant, dt, parts, rtol)
+@dataclass
+class _Run:
+    """One closed loop under way."""
+
+    controller: Any
+    estimator: Observer | None
+    side: Side
+    inputs: _Inputs
+    sensors: _Sensors
+    disturbances: Mapping[str, Source]
+    waiting: list[dict[str, float]]
+
+    def __post_init__(self) -> None:
+        self.seen: list[dict[str, float]] = []
+        self.known: list[Estimate] = []
+        self.predicted: list[float] = []
+        self._controls = dict(self.side.inputs)
+        if hasattr(self.controller, "reset"):  # a function has none
+            self.controller.reset()
+        if self.estimator is not None:
+            self.estimator.reset()
+
+    def measure(self, t: float) -> dict[str, float]:
+        """What the controller is given at this moment, the inputs before still acting."""
+        for name, acts in self.disturbances.items():
+            self.side.inputs[name] = acts(t)
+        measured = self.sensors(self.side.values())
+        if self.estimator is not None:
+            names = self.estimator.deviations
+            self.estimator.correct({n: measured[n] for n in names}, self._controls)
+            estimate = self.estimator.estimate
+            self.known.append(estimate)
+            measured = {n: measured[n] for n in names} | estimate.values | estimate.state
+        self.seen.append(measured)
+        return measured
+
+    def sample(self, t: float, look: bool) -> None:
+        """Measure, estimate, control; and leave the inputs of the coming sample with the side."""
+        asked = self.inputs(t, self.controller(t, self.measure(t)))
+        self.waiting.append(asked)
+        self._controls = self.waiting.pop(0)
+        disturbed = {n: self.side.inputs[n] for n in self.disturbances}
+        self.side.inputs.update({**self._controls, **disturbed})
+        if self.estimator is not None:
+            self.estimator.predict(self._controls)
+        if look and hasattr(self.controller, "prediction_error"):
+            self.predicted.append(self.controller.prediction_error())
+
+    def result(self, sample_time: float, told: Mapping[str, Source]) -> ClosedLoop:
+        motion = self.side.trajectory()
+        t = sample_time * np.arange(float(len(self.seen)))
+        model = () if self.estimator is None else self.estimator.plant.variables
+        variables = {v.name: v for v in (*model, *self.side.variables)}
+        return ClosedLoop(
+            motion,
+            _seen(t, self.seen, variables),
+            self._reference(motion, told),
+            self._estimates(t, variables) if self.known else None,
+            getattr(self.controller, "statistics", None),
+            max(self.predicted) if self.predicted else None,
+        )
+
+    def _reference(self, motion: Trajectory, told: Mapping[str, Source]) -> Trajectory | None:
+        wanted = getattr(self.controller, "wanted", None)
+        if wanted is None or not (told or wanted(0.0)):
+            return None
+        rows = [wanted(float(t)) for t in motion.t]
+        return Trajectory(motion.t, _columns(rows), [self.inputs.known(n) for n in rows[0]])
+
+    def _estimates(self, t: Array, known: Mapping[str, Variable]) -> Trajectory:
+        columns, variables = {}, []
+        for name in self.known[0].deviation:
+            offset = name.startswith("der(")
+            kind = known.get(name[4:-1] if offset else name)
+            plain = _plain(name)
+            unit = "1" if offset or kind is None else kind.unit
+            nominal = 1.0 if kind is None else kind.nominal
+            values = [{**e.state, **e.values}[name] for e in self.known]
+            deviations = [e.deviation[name] for e in self.known]
+            for label, column in ((plain, values), (f"deviation.{plain}", deviations)):
+                variables.append(Variable(label, "output", unit=unit, nominal=nominal))
+                columns[label] = column
+        return Trajectory(t, columns, variables)
 
 
-@contextmanager
-def _integrator(plant: Plant, dt: float, parts: int, rtol: float) -> Iterator[Stepper]:
-    """CasADi's Rosenbrock over one sample, in states scaled by nominals."""
-    nominal, p = plant.vector("state", attribute="nominal"), plant.vector("parameter")
-
-    def build() -> ca.Function:
-        x = ca.SX.sym("x", len(nominal))
-        u, parameters = ca.SX.sym("u", len(plant.inputs)), ca.SX.sym("p", len(p))
-        ode = plant.function(x * nominal, u, parameters)[0] / nominal
-        options = {"reltol": rtol, "abstol": rtol}
-        dae = {"x": x, "p": ca.vertcat(parameters, u), "ode": ode}
-        times = [dt * (i + 1) / parts for i in range(parts)]
-        return ca.integrator("sample", "rosenbrock", dae, 0.0, times, options)
-
-    integrator = plant.cached(("closed loop", dt, parts, rtol, nominal.tobytes()), build)
-
-    def step(x: Array, u: Array) -> Array:
-        end = integrator(x0=x / nominal, p=np.concatenate([p, u]))["xf"]
-        return np.asarray(np.asarray(end).T * nominal)
-
-    yield step
+def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:
+    return {n: [row[n] for row in rows] for n in rows[0]}
 
 
-@contextmanager
-def _fmu(
-    plant: Plant, x: Array, path: Path, dt: float, parts: int, rtol: float
-) -> Iterator[Stepper]:
-    """Co-simulation of the plant's FMU, which keeps its own states."""
-    from ..export.runner import Runner, UnpackedFmu
+def _plain(name: str) -> str:
+    """A name for a column: an estimated offset, der(STATE), is offset.STATE."""
+    return f"offset.{name[4:-1]}" if name.startswith("der(") else name
 
-    states, inputs = [v.name for v in plant.states], [v.name for v in plant.inputs]
-    time = 0.0
-    with tempfile.TemporaryDirectory() as folder:
-        unpacked = UnpackedFmu(path, Path(folder))
-        with Runner(unpacked, "CoSimulation") as run:
-            values = {v.name: float(v.start or 0.0) for v in plant.parameters}
-            run.initialize({**values, **dict(zip(states, x.tolist(), strict=True))}, time, rtol)
 
-            def step(x: Array, u: Array) -> Array:
-                nonlocal time
-                run.set(dict(zip(inputs, u.tolist(), strict=True)))
-                rows = []
-                for _ in range(parts):
-                    run.step(time, dt / parts)
-                    time += dt / parts
-                    rows.append(run.get(states))
-                return np.array(rows)
-
-            yield step
+def _seen(t: Array, rows: list[dict[str, float]], known: Mapping[str, Variable]) -> Trajectory:
+    variables = [known.get(n) or Variable(_plain(n), "output") for n in rows[0]]
+    columns = {_plain(n): column for n, column in _columns(rows).items()}
+    return Trajectory(t, columns, variables, "previous")

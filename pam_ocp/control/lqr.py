@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..operating.equilibrium import OperatingPoint
 from ..operating.linear import inside, linearize, no_influence
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .loop import Measured
+from .controller import Measured
+from .references import Source
 
 if TYPE_CHECKING:
     import control
@@ -150,8 +151,7 @@ class StateFeedback:
     K : (inputs, states), Ki : (inputs, integrated outputs), SI units. ``closed`` : python-control's
     system of the closed loop (linear), ``loop`` : the loop broken at the inputs, for margins.
     inversion : for a plant fed by valves, whose openings are u (then ``point`` and ``inputs`` speak
-    of
-    them): the commands that give these openings are sent.
+    of them): the commands that give these openings are sent.
     """
 
     point: OperatingPoint
@@ -183,6 +183,18 @@ class StateFeedback:
         given = self.setpoint(t) if callable(self.setpoint) else (self.setpoint or {})
         named = {self.point.plant.variable(n).name: v for n, v in given.items()}
         return {n: named.get(n, self.point[n]) for n in self.integrated}
+
+    def tracking(
+        self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
+    ) -> StateFeedback:
+        """The Controller that takes what it integrates to ``reference``; see :class:`Tracking`."""
+        for name in reference:
+            if name not in self.integrated:
+                raise InputError(
+                    f"reference: {name} is not integrated, so the feedback holds it at its point; "
+                    f"design lqr(..., integral={{{name!r}: weight}})"
+                )
+        return replace(self, setpoint=lambda t: {n: at(t) for n, at in reference.items()})
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
@@ -252,8 +264,7 @@ def stationary(
     """Gains, solution P of the Riccati equation and Q of a feedback that is seen to stabilise.
 
     The first ``states`` get the least weight where without it none is found. dt : sampled, inputs
-    held.
-    Raises ValueError when none is found.
+    held. Raises ValueError when none is found.
     """
     import control
 
@@ -293,10 +304,8 @@ def lqr(
     """The linear-quadratic regulator about a point of rest; with ``integral``, LQI.
 
     A plant fed by valves is controlled by its openings (``plant.in_openings()``), from closed rest
-    too;
-    the commands that give them are sent. ``effort`` may name either. Held memories (hysteresis)
-    stick
-    to the motion about the point: K has zeros for them.
+    too; the commands that give them are sent. ``effort`` may name either. Held memories
+    (hysteresis) stick to the motion about the point: K has zeros for them.
 
     at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
@@ -305,8 +314,7 @@ def lqr(
 
     Raises InputError when no input has an influence at the point, or when no stabilising feedback
     exists (a state that is a pure integral, such as the totals of a gas feed, or an integrated
-    output
-    that the inputs cannot move).
+    output that the inputs cannot move).
     """
     require_plant(plant)
     require_positive("dt", dt, "s")

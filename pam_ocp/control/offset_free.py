@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_instance
 from ..operating.linear import chosen_signals, linearize
+from .controller import Measured
 from .estimators.stationary import KalmanFilter
-from .loop import Measured
 from .lqr import StateFeedback, sent
 
 __all__ = ["OffsetFree"]
@@ -29,12 +29,11 @@ class OffsetFree:
         inputs that the feedback chooses.
 
     x_d, u_d is the rest of the linear model under the estimated disturbance at which the held
-    values
-    are met (of least norm in units of nominal, where there is a choice). When all that is held is
-    measured, and as many disturbances are estimated as values measured, nothing is left at rest,
-    whatever the true disturbance is: a wrong load, friction, a wrong force law (K. R. Muske and
-    T. A. Badgwell, Journal of Process Control 12 (2002) 617-632). It follows a change of the goal
-    without the overshoot of an integral.
+    values are met (of least norm in units of nominal, where there is a choice). When all that is
+    held is measured, and as many disturbances are estimated as values measured, nothing is left at
+    rest, whatever the true disturbance is: a wrong load, friction, a wrong force law (K. R. Muske
+    and T. A. Badgwell, Journal of Process Control 12 (2002) 617-632). It follows a change of the
+    goal without the overshoot of an integral.
     """
 
     feedback: StateFeedback

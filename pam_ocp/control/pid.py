@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_positive
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant
+from .controller import Measured
 from .inverse import InverseDynamics
-from .loop import Measured
 from .references import Reference
 
 __all__ = ["PID", "PositionController", "PressureLoop"]
@@ -43,7 +43,7 @@ class PID:
         sqrt(zeta^2-1)).
 
         frequency : w/(2 pi) [Hz]; to be some five times below the bandwidth of what gives the
-        force.
+            force.
         """
         w = 2 * np.pi * require_positive("frequency", frequency, "Hz")
         z = require_positive("damping", damping)
@@ -69,11 +69,9 @@ class PressureLoop:
 
     time_constant : of the closed pressure loop [s]. A ``Regulator`` gets the command
         p + lag/time_constant (p_wanted - p), which makes it as quick as that (None: p_wanted
-        itself);
-        pressures that are inputs are simply set.
+        itself); pressures that are inputs are simply set.
     gain : opening of a valve per pressure error [1/Pa], for spool and on/off valves; the command
-    that
-        gives this opening is sent, so that the dead zone of a spool leaves no error.
+        that gives this opening is sent, so that the dead zone of a spool leaves no error.
     """
 
     def __init__(
@@ -171,6 +169,10 @@ class PositionController:
         """See :class:`Controller`."""
         self.pid.reset()
         self._saturated = False
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """The position to be reached at a time [s]."""
+        return {self.inverse.position: self.reference(t)[0]}
 
     def pressures(self, t: float, acceleration: float = 0.0) -> Array:
         """Pressures that move the believed plant along the reference, plus an acceleration."""

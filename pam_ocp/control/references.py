@@ -1,19 +1,74 @@
-"""References: what a position is to do, with its velocity and acceleration."""
+"""References: what is to be reached when; of a position also its velocity and acceleration."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.quantities import known_keys, quantity
 
-__all__ = ["Reference", "hold", "moves", "sine"]
+__all__ = ["Reference", "Source", "hold", "moves", "sine", "source", "visits"]
 
 Reference: TypeAlias = Callable[[float], tuple[float, float, float]]
 """t [s] -> (position, velocity, acceleration)."""
+Source: TypeAlias = Callable[[float], float]
+"""t [s] -> value [SI]."""
+LATE = 1e-9
+"""[s]. A sample that rounding puts this little before a switch belongs behind it."""
+
+
+def visits(
+    stops: Sequence[Any],
+    dwell: Any = 0.4,
+    rest: Any = None,
+    rest_from: Any = np.inf,
+    *,
+    unit: str = "",
+    argument: str = "visits",
+) -> Source:
+    """Stops that follow each other, again and again, each held for ``dwell`` [s].
+
+    rest : value from the time ``rest_from`` [s] on; by default the last stop. Values are numbers
+    in SI, or texts with a unit that measures ``unit``.
+    """
+    values = [require_finite(f"{argument}.stops", s, unit) for s in stops]
+    if not values:
+        raise InputError(f"{argument}: give stops = [...], or one value")
+    span = require_positive(f"{argument}.dwell", quantity(f"{argument}.dwell", dwell, "s"), "s")
+    until = quantity(f"{argument}.rest_from", rest_from, "s")
+    last = values[-1] if rest is None else require_finite(f"{argument}.rest", rest, unit)
+
+    def at(t: float) -> float:
+        return last if t >= until - LATE else values[int((t + LATE) // span) % len(values)]
+
+    return at
+
+
+def source(argument: str, value: Any, unit: str = "", before: float | None = None) -> Source:
+    """What a user may give as a value over time, as a function of time.
+
+    value : a number or a text with a unit, a function of time [s], or {"stops": [...],
+        "dwell": ...} (see :func:`visits`). before : what acts before a pair (value, time from which
+        it acts); None: such a pair is refused.
+
+    Raises InputError for anything else.
+    """
+    if callable(value):
+        return lambda t: require_finite(f"{argument} at t = {t:g} s", value(float(t)))
+    if isinstance(value, Mapping):
+        known_keys(argument, value, ("stops", "dwell", "rest", "rest_from"))
+        return visits(**{"stops": (), **value}, unit=unit, argument=argument)
+    if before is not None and isinstance(value, Sequence) and not isinstance(value, str):
+        if len(value) != 2:
+            raise InputError(f"{argument} = {value!r}: give a value, or [value, from when on]")
+        size, begin = require_finite(argument, value[0], unit), quantity(argument, value[1], "s")
+        return lambda t: size if t >= begin - LATE else before
+    constant = require_finite(argument, value, unit)
+    return lambda t: constant
 
 
 def hold(value: float) -> Reference:

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import require_positive
 from ..operating.linear import LinearGrid, linearize_grid
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .loop import Measured
+from .controller import Measured
 from .lqr import Integrals, lqr, saturated, sent
 
 __all__ = ["ScheduledFeedback", "scheduled_lqr"]
@@ -27,9 +27,8 @@ class ScheduledFeedback:
     grid.
 
     place : t -> {axis: value}, where the plant is to be (position and stiffness, say): it chooses
-    the
-    point of rest and the gains. Values beyond the grid are taken at its border. For a plant fed by
-    valves u stands for the openings; the commands that give them are sent.
+    the point of rest and the gains. Values beyond the grid are taken at its border. For a plant fed
+    by valves u stands for the openings; the commands that give them are sent.
     """
 
     family: LinearGrid

@@ -13,9 +13,9 @@ from ..core.errors import InputError, require_positive
 from ..core.trajectory import Trajectory
 from ..operating.linear import LinearAlong, linearize_along, no_influence
 from ..operating.stuck import Stuck
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
-from .loop import Measured
+from .controller import Measured
 from .lqr import Integrals, Weighting, saturated, sent, stationary
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
@@ -52,8 +52,7 @@ class TrajectoryFeedback:
     """u = u(t) - K(t) (x - x(t)) - Ki(t) integral(y - y(t)): a Controller along a motion.
 
     t : (n,) [s]; K : (n, inputs, states), Ki : (n, inputs, integrated), SI units; P : (n, N, N),
-    the
-    solution of the Riccati equation in units of nominal (cost to go = z' P z, z in nominals).
+    the solution of the Riccati equation in units of nominal (cost to go = z' P z, z in nominals).
     For a plant fed by valves u stands for the openings (``inputs``); commands are sent.
     """
 
@@ -130,8 +129,7 @@ def tvlqr(
     final : P at the end (in units of nominal); by default that of the stationary LQR there, so that
         the plant can be held where the motion ends.
     A plant fed by valves is controlled by its openings, which leave no stretch without influence;
-    the
-    motion holds its commands, as a plan does.
+    the motion holds its commands, as a plan does.
 
     t : times at which A, B and K are taken; by default the motion's samples.
     dt : sampling time [s] of the controller.

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError, UnknownNameError
+from .exceptions import InputError, UnknownNameError
 from .units import unit as unit_of
 
 if sys.version_info >= (3, 11):

@@ -6,26 +6,24 @@ exact form, so that an integrator never steps over a jump.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import comb
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
-
-if TYPE_CHECKING:
-    from ..plants.plant import Plant
-    from .trajectory import Trajectory
+from .system import HasInputs
+from .variables import Causality
 
 __all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "signals"]
 
 Array: TypeAlias = NDArray[np.float64]
 Interpolation: TypeAlias = Literal["previous", "linear"]
-Inputs: TypeAlias = "Mapping[str, Any] | Trajectory | PiecewisePolynomial | None"
+Inputs: TypeAlias = "Mapping[str, Any] | Sampled | PiecewisePolynomial | None"
 
 FUNCTION_TOLERANCE = 1e-9
 """A function of time is replaced by cubics that follow it to this part of the input's nominal."""
@@ -86,8 +84,28 @@ class PiecewisePolynomial:
         return np.asarray((h ** np.arange(self.degree + 1)) @ self.coefficients[-1])
 
 
+class Sampled(Protocol):
+    """Named time series that can drive a plant: a :class:`pam_ocp.Trajectory`."""
+
+    @property
+    def t(self) -> Array: ...
+
+    @property
+    def names(self) -> Sequence[str]: ...
+
+    @property
+    def interpolation(self) -> Interpolation: ...
+
+    @property
+    def signals(self) -> PiecewisePolynomial | None: ...
+
+    def named(self, causality: Causality, /) -> tuple[str, ...]: ...
+
+    def __getitem__(self, name: str, /) -> Array: ...
+
+
 def signals(
-    plant: Plant,
+    plant: HasInputs,
     inputs: Inputs,
     t: Array,
     interpolation: Interpolation = "previous",
@@ -123,7 +141,7 @@ def signals(
     return _joined(pieces, t)
 
 
-def _by_name(plant: Plant, inputs: Any) -> dict[str, Any]:
+def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
     if inputs is None:
         return {}
     if isinstance(inputs, Mapping):

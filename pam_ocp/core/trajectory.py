@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import courtesy
 from .errors import InputError, UnknownNameError
 from .files import atomic_path
 from .signals import Interpolation, PiecewisePolynomial
@@ -69,10 +70,8 @@ class Trajectory:
     columns : {name: (n,) values in SI}.
     variables : what the columns are (unit, causality, nominal, description), in order of display.
     interpolation : how inputs ran between samples: "previous" (held) or "linear". None: not known;
-    they
-        count as linear, and ``interpolation_known`` is False, so that a fit tries both. Files keep
-        it:
-        .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
+        they count as linear, and ``interpolation_known`` is False, so that a fit tries both. Files
+        keep it: .csv in a column ``inputs_held`` (1 or 0) beside those of the inputs.
     events : zero crossings that a simulation located (they are not saved to files).
     signals : the inputs (in the order of their columns) exactly as they ran, also between samples;
         None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
@@ -351,9 +350,7 @@ class Trajectory:
     # ---- looking ----------------------------------------------------------------------------
     def plot(self, names: Sequence[str] | None = None) -> Figure:
         """A figure with one panel per unit, over time. Returns the matplotlib Figure."""
-        from ..figures.trajectory import plot_trajectory
-
-        return plot_trajectory(self, names)
+        return courtesy.plot_trajectory(self, names)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from functools import cache
 
-from .errors import UnknownNameError
+from .exceptions import UnknownNameError
 
 __all__ = ["BASE", "Unit", "display_unit", "unit"]
 

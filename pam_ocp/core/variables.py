@@ -44,8 +44,7 @@ class Variable:
         (hysteresis: rest is a continuum, and a point on it has to be chosen); "settling" forgets
         slowly and rests where its own equation says (creep).
     widest : for parameters that round off a kink: the width at which planning a motion begins, to
-    be
-        narrowed to the parameter's value; 0 for all others.
+        be narrowed to the parameter's value; 0 for all others.
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
     """
 
@@ -114,9 +113,8 @@ class Variable:
         """``value`` as a float; InputError when it is no finite number in [min, max].
 
         A state may lie outside by the rounding of an integrator or a solver, ROUNDING nominals:
-        then
-        it is the end of its range. Warns (UnitWarning) when the value is so far from any usual one
-        that another unit was meant.
+        then it is the end of its range. Warns (UnitWarning) when the value is so far from any usual
+        one that another unit was meant.
         """
         number = self.number(value, argument)
         if not math.isfinite(number):

@@ -1,11 +1,19 @@
 """Export of a plant as an FMU, and its check."""
 
-from .check import FmuCheck, check_fmu
-from .compile import PLATFORMS
-from .controllers import pid_controller, state_feedback_controller
-from .motion import export_motion, save_input_table
-from .package import export_fmu
-from .ssp import export_ssp
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..core.lazy import lazily
+
+if TYPE_CHECKING:
+    from .check import FmuCheck as FmuCheck
+    from .check import check_fmu as check_fmu
+    from .compile import PLATFORMS as PLATFORMS
+    from .motion import export_motion as export_motion
+    from .motion import save_input_table as save_input_table
+    from .package import export_fmu as export_fmu
+    from .ssp import export_ssp as export_ssp
 
 __all__ = [
     "PLATFORMS",
@@ -14,7 +22,17 @@ __all__ = [
     "export_fmu",
     "export_motion",
     "export_ssp",
-    "pid_controller",
     "save_input_table",
-    "state_feedback_controller",
 ]
+
+_HOMES = {
+    "FmuCheck": "check",
+    "PLATFORMS": "compile",
+    "check_fmu": "check",
+    "export_fmu": "package",
+    "export_motion": "motion",
+    "export_ssp": "ssp",
+    "save_input_table": "motion",
+}
+
+__getattr__, __dir__ = lazily(__name__, __name__, _HOMES)

@@ -48,10 +48,8 @@ def usable_folder(part: str) -> Path:
     """The folder ``part`` of the cache, made if need be: it can be written, and nobody else can.
 
     Where the chosen cache cannot be written, one for this user in the temporary folder; where that
-    is
-    not this user's alone, one for this process. A cache that others could have filled is left
-    alone,
-    with a warning: what lies in it would be run.
+    is not this user's alone, one for this process. A cache that others could have filled is left
+    alone, with a warning: what lies in it would be run.
     """
     for folder in dict.fromkeys((cache_folder(), _of_user())):
         inner = folder / part

@@ -123,12 +123,10 @@ def check_fmu(
 
     The unit is unpacked, read and run in a process of its own, which ends with this call and with
     this process: a crash, an exit or a hang of the unit is a finding that names the FMI function.
-    It
-    may take 2 GB of memory (where the platform can limit that) and unpack to 1 GB in 10 000 files;
-    names that lead out of the archive's folder and XML with a DOCTYPE are findings. This guards
-    against accidents; a unit that means harm still runs with the rights of the user. Everything
-    else
-    that runs an FMU (closed loops, :class:`Runner`) does so in this process.
+    It may take 2 GB of memory (where the platform can limit that) and unpack to 1 GB in 10 000
+    files; names that lead out of the archive's folder and XML with a DOCTYPE are findings. This
+    guards against accidents; a unit that means harm still runs with the rights of the user.
+    Everything else that runs an FMU (closed loops, :class:`Runner`) does so in this process.
 
     Raises InputError when the file is no archive or nothing can be compared, SimulationError when
     the process cannot be started. What is wrong with the FMU stands in the result.

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from ..core.errors import ExportError, UnknownNameError
 from .cache import cache_folder, home_folder, keep, kept, usable_folder
-from .runtime import c_sources
+from .runtime import c_text
 
 __all__ = [
     "PLATFORMS",
@@ -71,9 +71,8 @@ _WINDOWS_FLAGS = (
     "-Wl,-e,DllMainCRTStartup",
     *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in ("math", "heap", "stdio", "string")),
 )
-"""For zig: Windows' own runtime (UCRT) alone, and c/windows.c in place of its static part, which
-zig
-would have to build first: most of a minute on a new machine."""
+"""For zig: Windows' own runtime (UCRT) alone, and fmu/src/windows.c in place of its static part,
+which zig would have to build first: most of a minute on a new machine."""
 
 _FLAGS = ("-std=c11", "-O2", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 
@@ -176,8 +175,7 @@ def compile_library(
     output = f"{identifier}{platform.suffix}"
     command = _command(compiler, platform, output, main)
     if _WINDOWS_SOURCE in command:
-        runtime = c_sources() / _WINDOWS_SOURCE
-        sources = {**sources, _WINDOWS_SOURCE: runtime.read_text(encoding="utf-8")}
+        sources = {**sources, _WINDOWS_SOURCE: c_text(_WINDOWS_SOURCE)}
     shown = command[len(compiler.command) :]
     stored = usable_folder("fmu") / f"{_key(sources, shown, compiler.version)}{platform.suffix}"
     library = kept(stored)

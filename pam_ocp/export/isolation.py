@@ -2,8 +2,8 @@
 
 The parent starts a fresh Python by a short command, so that no ``__main__`` is run again (scripts
 without a guard, notebooks). The child tells what it found line by line in JSON, and keeps the name
-of
-the call that it is in, in a file that both have mapped into memory: it is there after a crash, too.
+of the call that it is in, in a file that both have mapped into memory: it is there after a crash,
+too.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class Entry:
 
 
 class Layout:
-    """The variables of a plant's FMU, numbered as in c/model.h, and what depends on what.
+    """The variables of a plant's FMU, numbered as in fmu/src/model.h, and what depends on what.
 
     shown : states and outputs to be outputs of the FMU, by default all; the others are local
     variables, which can be read but are not offered for connections.

@@ -19,7 +19,7 @@ from ..core.variables import Variable
 from ..plants.plant import Plant
 from . import package, source
 from .package import FmiVersion
-from .runtime import c_sources
+from .runtime import c_text
 
 __all__ = ["export_motion", "player", "save_input_table"]
 
@@ -200,7 +200,6 @@ def _code(
     motion: Trajectory, names: Sequence[str], played: PiecewisePolynomial
 ) -> source.ModelCode:
     """The C code that plays, with its table."""
-    folder = c_sources()
     jumps = bool(np.any(_jumps(played, _nominals(motion, names))))
     data = "\n".join(
         [
@@ -214,7 +213,7 @@ def _code(
         ]
     )
     files = {
-        "plant.c": (folder / "motion.c").read_text(encoding="utf-8"),
+        "plant.c": c_text("motion.c"),
         "motion_data.h": data,
     }
     return source.ModelCode(files, _WORK)

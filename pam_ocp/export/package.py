@@ -19,7 +19,7 @@ from ..plants.plant import Plant, require_plant
 from . import compile as compiler
 from . import description, documentation, interface, source
 from .layout import Layout
-from .runtime import c_sources
+from .runtime import c_text
 
 __all__ = [
     "FmiVersion",
@@ -276,13 +276,12 @@ def _pages(
         "communication point or event. The sources folder holds everything to compile the FMU.",
     ]
     folder = "documentation/licenses"
-    c = c_sources()
     pages = {
         "documentation/index.html": documentation.page(
             layout, notes, reference is not None, equations
         ),
-        f"{folder}/license.txt": (c / "LICENSE.sources").read_text("utf-8"),
-        f"{folder}/fmi-headers.txt": (c / "LICENSE.fmi-headers").read_text("utf-8"),
+        f"{folder}/license.txt": c_text("LICENSE.sources"),
+        f"{folder}/fmi-headers.txt": c_text("LICENSE.fmi-headers"),
     }
     if reference is not None:
         for suffix, entries in (("in", layout.of("input")), ("ref", layout.outputs)):

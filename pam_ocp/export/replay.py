@@ -24,21 +24,21 @@ _CURVE_RESIDUAL = 1e-3
 """In Co-Simulation a curved input is played in parts by straight lines with its own mean and first
 moment over the part. What is left has neither, so it moves a state of rate r by no more than about
 (r part)^3 / 100 of its size, and that is kept below this share of nominal by halving the parts:
-with
-parts below 0.1 / r an error of 1e-8."""
+with parts below 0.1 / r an error of 1e-8.
+"""
 _MOST_PARTS = 1024
 _PAIRS, _LONGEST_PAIR = 100, 1e-3
 """FMI 3 gives Co-Simulation no slopes of inputs: what is not constant between two samples is played
 as at least so many pairs of held values, no pair longer than this [s]. The two values of a pair
-have
-the input's mean and first moment: the error is of fourth order in the pair's length."""
+have the input's mean and first moment: the error is of fourth order in the pair's length.
+"""
 
 
 @dataclass(frozen=True)
 class _Played:
     """Inputs over a grid that has all their breaks: on interval k the polynomials
-    sum_j pieces[k, j] (t - times[k])^j; ``values`` are those at the times, to the right of a
-    jump."""
+    sum_j pieces[k, j] (t - times[k])^j; ``values`` are those at the times, to the right of a jump.
+    """
 
     names: list[str]
     times: Array

@@ -1,4 +1,4 @@
-"""The C code of a plant: what CasADi generates, and the tables the C files in c/ ask for."""
+"""The C code of a plant: what CasADi generates, and the tables the C files in fmu/src ask for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import casadi as ca
 from ..core.variables import Causality
 from ..plants.plant import Plant
 from .layout import Layout
-from .runtime import c_sources
+from .runtime import c_text
 
 __all__ = [
     "MAIN_SOURCE",
@@ -46,9 +46,8 @@ _OWN_HEADERS = ("solver.h", "model.h", "instance.h", "elementary.h")
 def hand_written(fmi: str) -> dict[str, str]:
     """The C files that are the same for every plant, by name, with the file to compile."""
     layer = f"fmi{fmi[0]}.c"
-    folder = c_sources()
     names = (*_HEADERS[fmi], *_OWN_HEADERS, *_LAYERS, layer)
-    files = {name: (folder / name).read_text(encoding="utf-8") for name in names}
+    files = {name: c_text(name) for name in names}
     includes = "".join(f'#include "{name}"\n' for name in ("instance.h", *_LAYERS, layer))
     files[MAIN_SOURCE] = (
         f"/* The whole FMU as one translation unit: compile this file. */\n{includes}"
@@ -58,7 +57,7 @@ def hand_written(fmi: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class ModelCode:
-    """The files that define what c/model.c calls, and the work memory of these functions."""
+    """The files that define what fmu/src/model.c calls, and the work memory of these functions."""
 
     files: Mapping[str, str]
     work: Mapping[str, int]
@@ -68,7 +67,7 @@ class ModelCode:
 
 
 def plant_functions(plant: Plant) -> list[ca.Function]:
-    """The functions that c/model.c calls, under the names it calls them by."""
+    """The functions that fmu/src/model.c calls, under the names it calls them by."""
     x, u, p = plant.x, plant.u, plant.p
     xdot, y = (ca.densify(e) for e in plant.function(x, u, p)[:2])
     point = [x, u, p]

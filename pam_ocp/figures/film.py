@@ -8,21 +8,22 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count, require_instance, require_positive
 from ..core.files import atomic_path
 from ..planning.result import Plan
-from ..plants.elastic import SeriesLoad
-from ..plants.joint import AntagonisticJoint
-from ..plants.slide import AntagonisticSlide
+from ..plants.hanging import hanging_sketch
+from ..plants.sketch import Disc, Line, Mark, Point, Polygon, Sketch, Spindle
 from .plan import GREY, colours_of, panels_of
 from .trajectory import _figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     from ..core.trajectory import Trajectory
     from ..plants.plant import Plant
@@ -43,12 +44,11 @@ def animate_plan(
 ) -> Path:
     """Write a plan as an animated GIF: the plant moving, and the curves as they run.
 
-    Slide, joint and plants with one muscle are drawn to scale (muscles as long as they are,
-    coloured
-    by pressure); any other plant by its curves alone.
+    A plant that has a ``sketch()`` (those of the library, and any with one muscle) is drawn to
+    scale, muscles as long as they are and coloured by pressure; any other by its curves alone.
 
     seconds : length of the film; by default the motion slowed down (or quickened) to 4 s. It
-    repeats.
+        repeats.
     fps : frames per second.
 
     Raises InputError when the ending is not .gif, PlanError for a plan that failed.
@@ -136,17 +136,127 @@ def _curves(ax: Axes, motion: Trajectory, unit: str, names: Sequence[str]) -> Fr
 
 
 # ---- plants --------------------------------------------------------------------------------------
+STYLES: dict[str, dict[str, Any]] = {
+    "body": {"fc": "#5b6770", "ec": "#333333", "zorder": 4},
+    "ground": {"fc": "#c9ced3", "ec": "#6b7278", "hatch": "///", "lw": 0.8},
+    "disc": {"fc": "#dfe3e6", "ec": "#6b7278", "zorder": 2},
+    "rod": {"color": "#333333", "lw": 6, "solid_capstyle": "round", "zorder": 5},
+    "rope": {"color": "#555555", "lw": 1.5, "zorder": 1},
+    "needle": {"color": "#333333", "lw": 1.5, "zorder": 5},
+    "rail": {"color": "#6b7278", "lw": 3, "zorder": 1},
+}
+"""How the shapes of a plant's sketch are drawn."""
+
+
 def _scene(plan: Plan, motion: Trajectory) -> Callable[[Axes], Frame] | None:
-    """Who draws the plant; None for one that is not known."""
-    plant = plan.plant
-    if isinstance(plant, AntagonisticSlide):
-        return lambda ax: _slide(ax, plan, motion)
-    if isinstance(plant, AntagonisticJoint):
-        return lambda ax: _joint(ax, plan, motion)
-    names = {v.name for v in plant.variables}
-    if {"x", "muscle.contraction", "muscle.rest_length"} <= names:
-        return lambda ax: _hanging(ax, plan, motion)
-    return None
+    """Who draws the plant; None for one that says nothing of how it looks."""
+    sketch = plan.plant.sketch() or hanging_sketch(plan.plant)
+    return None if sketch is None else lambda ax: _drawn(ax, plan, motion, sketch)
+
+
+class _Places:
+    """Points of a sketch along a motion, or at given values of the states."""
+
+    def __init__(self, plant: Plant, motion: Trajectory) -> None:
+        self._plant = plant
+        self._x, self._u = (
+            motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs)
+        )
+
+    def _at(self, points: Sequence[Point], x: Array, u: Array) -> Array:
+        plant = self._plant
+        flat = ca.vertcat(*(ca.SX(c) for point in points for c in point))
+        function = ca.Function("points", [plant.x, plant.u, plant.p], [ca.densify(flat)])
+        p = np.tile(plant.vector("parameter")[:, None], (1, x.shape[1]))
+        values = np.asarray(function(x, u, p), float)
+        found: Array = values.T.reshape(x.shape[1], len(points), 2)
+        return found
+
+    def along(self, points: Sequence[Point]) -> Array:
+        """(moments, points, 2) [m]."""
+        return self._at(points, self._x, self._u)
+
+    def where(self, points: Sequence[Point], state: str, value: float) -> Array:
+        """(points, 2) [m] for one value of a state, all else at its start."""
+        plant = self._plant
+        x = plant.vector("state", {state: value})
+        only: Array = self._at(points, x[:, None], plant.vector("input")[:, None])[0]
+        return only
+
+
+def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
+    """The sketch on its stage; what moves its shapes."""
+    places = _Places(plan.plant, motion)
+    names = [s.muscle for s in sketch.shapes if isinstance(s, Spindle)]
+    muscles = dict(zip(names, _stage(ax, plan, motion, names), strict=True))
+    frames: list[Frame] = []
+    for shape in sketch.shapes:
+        if isinstance(shape, Spindle):
+            frames.append(_spindle(muscles[shape.muscle], places.along([shape.start, shape.end])))
+        elif isinstance(shape, Polygon):
+            (patch,) = ax.fill([], [], **STYLES[shape.style])
+            frames.append(_placed(patch.set_xy, places.along(shape.points)))
+        elif isinstance(shape, Line):
+            (line,) = ax.plot([], [], **STYLES[shape.style])
+            frames.append(_stretched(line, places.along(shape.points)))
+        else:
+            (patch,) = ax.fill([], [], **STYLES["disc"])
+            frames.append(_placed(patch.set_xy, places.along(_round(shape))))
+    for mark in sketch.marks:
+        _marked(ax, plan, mark, places)
+    (left, low), (right, high) = places.along(list(zip(sketch.width, sketch.height, strict=True)))[
+        0
+    ]
+    ax.set_xlim(left, right)
+    ax.set_ylim(low, high)
+
+    def draw(i: int) -> None:
+        for frame in frames:
+            frame(i)
+
+    return draw
+
+
+def _placed(place: Callable[[Array], Any], points: Array) -> Frame:
+    return lambda i: place(points[i])
+
+
+def _stretched(line: Line2D, points: Array) -> Frame:
+    return lambda i: line.set_data(*points[i].T)
+
+
+def _spindle(muscle: _Muscle, ends: Array) -> Frame:
+    return lambda i: muscle.draw(i, ends[i, 0], ends[i, 1])
+
+
+def _round(disc: Disc) -> list[Point]:
+    angles = np.linspace(0.0, 2 * np.pi, 60)
+    (x, y), r = disc.centre, disc.radius
+    return [(x + r * float(np.cos(a)), y + r * float(np.sin(a))) for a in angles]
+
+
+def _marked(ax: Axes, plan: Plan, mark: Mark, places: _Places) -> None:
+    """A tick, and its value in the unit in which it is shown, at each stop."""
+    variable = plan.plant.variable(mark.state)
+    values = _stop_values(plan, mark.state)
+    middle = (min(values) + max(values)) / 2 if values else 0.0
+    for value in values:
+        points = places.where(mark.points, mark.state, value)
+        style = {"lw": 1.5} if mark.label else {"lw": 1.0, "ls": ":"}
+        ax.plot(*points.T, color=GREY, **style)
+        if mark.label:
+            below = mark.label == "below"
+            side = "right" if below and value < middle else "left"
+            ax.annotate(
+                f"{1e3 * value:g} mm" if variable.unit == "m" else variable.shown(value),
+                points[-1],
+                (0, -2) if below else (2, 0),
+                textcoords="offset points",
+                ha=side,
+                va="top" if below else "center",
+                fontsize="small",
+                color="#555555",
+            )
 
 
 def _value(plant: Plant, name: str) -> float:
@@ -185,8 +295,7 @@ def _stage(ax: Axes, plan: Plan, motion: Trajectory, names: Sequence[str]) -> li
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    largest = max(float(motion[f"{n}.pressure"].max()) for n in names)
-    largest = max(largest, 1e4)
+    largest = max((1e4, *(float(motion[f"{n}.pressure"].max()) for n in names)))
     ax.set_aspect("equal")
     ax.axis("off")
     ax.figure.colorbar(
@@ -201,138 +310,7 @@ def _stage(ax: Axes, plan: Plan, motion: Trajectory, names: Sequence[str]) -> li
     return [_Muscle(ax, plan, motion, n, largest) for n in names]
 
 
-def _wall(ax: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
-    ax.fill(
-        [x[0], x[1], x[1], x[0]],
-        [y[0], y[0], y[1], y[1]],
-        fc="#c9ced3",
-        ec="#6b7278",
-        hatch="///",
-        lw=0.8,
-    )
-
-
 def _stop_values(plan: Plan, name: str) -> list[float]:
     """Where the plan's stops are."""
     stops = plan._problem.stops if plan._problem else ()
     return sorted({float(s[name]) for s in stops if name in s and np.ndim(s[name]) == 0})
-
-
-def _slide(ax: Axes, plan: Plan, motion: Trajectory) -> Frame:
-    """Muscle 2, the slide, muscle 1 in a row between two walls."""
-    plant = plan.plant
-    k0 = _value(plant, "pre_contraction")
-    muscles = _stage(ax, plan, motion, ("muscle1", "muscle2"))
-    one, two = (m.length * (1 - k0) for m in muscles)
-    half = 0.12 * muscles[0].length
-    right, left = half + one, -half - two
-    wall = 0.08 * muscles[0].length
-    _wall(ax, (right, right + wall), (-2 * half, 1.6 * half))
-    _wall(ax, (left - wall, left), (-2 * half, 1.6 * half))
-    ax.plot([left, right], [-1.15 * half] * 2, color="#6b7278", lw=3, zorder=1)
-    middle = (left + right) / 2
-    for value in _stop_values(plan, "x"):
-        ax.plot([value] * 2, [-2.2 * half, -1.35 * half], color=GREY, lw=1.5)
-        side = "right" if value < middle else "left"
-        ax.annotate(
-            f"{1e3 * value:g} mm",
-            (value, -2.3 * half),
-            ha=side,
-            va="top",
-            fontsize="small",
-            color="#555555",
-        )
-    body = ax.fill([], [], fc="#5b6770", ec="#333333", zorder=4)[0]
-    (needle,) = ax.plot([], [], color="#333333", lw=1.5, zorder=5)
-    ax.set_xlim(left - 1.5 * wall, right + 1.5 * wall)
-    ax.set_ylim(-3.6 * half, 2.4 * half)
-
-    def draw(i: int) -> None:
-        x = float(motion["x"][i])
-        body.set_xy([(x - half, -half), (x + half, -half), (x + half, half), (x - half, half)])
-        needle.set_data([x, x], [-1.35 * half, -half])
-        muscles[0].draw(i, (x + half, 0.0), (right, 0.0))
-        muscles[1].draw(i, (left, 0.0), (x - half, 0.0))
-
-    return draw
-
-
-def _joint(ax: Axes, plan: Plan, motion: Trajectory) -> Frame:
-    """Flexor and extensor below a pulley with a link, as long as their contractions make them."""
-    plant = plan.plant
-    names = ("muscle1", "muscle2")
-    muscles = _stage(ax, plan, motion, names)
-    arms = [
-        float(np.mean(motion[f"{n}.radius"]))
-        if f"{n}.radius" in motion
-        else _value(plant, f"{n}.radius")
-        for n in names
-    ]
-    k0 = _value(plant, "pre_contraction")
-    base = -max(m.length * (1 - k0) for m in muscles) - 1.5 * max(arms)
-    link = max(_value(plant, "link_length"), 3.0 * max(arms))
-    gap = max(max(arms), 1.3 * THICKNESS * muscles[0].length)
-    _wall(ax, (-2.6 * gap, 2.6 * gap), (base - 0.5 * gap, base))
-    angle = np.linspace(0.0, 2 * np.pi, 60)
-    ax.fill(
-        max(arms) * np.cos(angle), max(arms) * np.sin(angle), fc="#dfe3e6", ec="#6b7278", zorder=2
-    )
-    for value in _stop_values(plan, "theta"):
-        ax.plot(
-            [0, 1.15 * link * np.sin(value)],
-            [0, 1.15 * link * np.cos(value)],
-            color=GREY,
-            lw=1.0,
-            ls=":",
-        )
-    (rod,) = ax.plot([], [], color="#333333", lw=6, solid_capstyle="round", zorder=5)
-    cables = [ax.plot([], [], color="#555555", lw=1.5, zorder=1)[0] for _ in names]
-    ax.set_xlim(-1.1 * link - gap, 1.1 * link + gap)
-    ax.set_ylim(base - 0.8 * gap, 1.25 * link)
-
-    def draw(i: int) -> None:
-        theta = float(motion["theta"][i])
-        rod.set_data([0.0, link * np.sin(theta)], [0.0, link * np.cos(theta)])
-        # the flexor turns the link towards +theta: to the right, with its muscle on the right
-        for muscle, cable, side, arm in zip(muscles, cables, (1, -1), arms, strict=True):
-            top = base + muscle.length * (1 - float(muscle.kappa[i]))
-            muscle.draw(i, (side * gap, base), (side * gap, top))
-            cable.set_data([side * gap, side * arm], [top, 0.0])
-
-    return draw
-
-
-def _hanging(ax: Axes, plan: Plan, motion: Trajectory) -> Frame:
-    """A muscle under the ceiling; what it moves below it, on a tendon if there is one."""
-    (muscle,) = _stage(ax, plan, motion, ("muscle",))
-    length = muscle.length
-    half, gap = (
-        0.16 * length,
-        0.25 * length if isinstance(plan.plant, SeriesLoad) else 0.06 * length,
-    )
-    shorter = motion["muscle.contraction"] * length
-    zero = float((shorter - motion["x"])[0])  # contraction at x = 0
-    _wall(ax, (-1.6 * half, 1.6 * half), (0.0, 0.08 * length))
-    for value in _stop_values(plan, "x"):
-        y = -length + zero + value - gap
-        ax.plot([1.15 * half, 1.9 * half], [y, y], color=GREY, lw=1.5)
-        ax.annotate(
-            f"{1e3 * value:g} mm", (2.0 * half, y), va="center", fontsize="small", color="#555555"
-        )
-    body = ax.fill([], [], fc="#5b6770", ec="#333333", zorder=4)[0]
-    (rope,) = ax.plot([], [], color="#555555", lw=2, zorder=1)
-    (needle,) = ax.plot([], [], color="#333333", lw=1.5, zorder=5)
-    ax.set_xlim(-3.4 * half, 3.4 * half)
-    ax.set_ylim(-1.15 * length - gap - 1.6 * half, 0.12 * length)
-
-    def draw(i: int) -> None:
-        top = -length + zero + float(motion["x"][i]) - gap
-        end = -length + float(shorter[i])
-        body.set_xy(
-            [(-half, top), (half, top), (half, top - 1.4 * half), (-half, top - 1.4 * half)]
-        )
-        rope.set_data([0.0, 0.0], [end, top])
-        needle.set_data([half, 1.15 * half], [top, top])
-        muscle.draw(i, (0.0, end), (0.0, 0.0))
-
-    return draw

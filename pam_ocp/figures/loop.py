@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.trajectory import Trajectory
 from .trajectory import COLOURS, _draw, _figure
@@ -13,35 +14,45 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..control.mpc_loop import ClosedLoop
+    from ..control.loop import ClosedLoop
+    from ..control.mpc_statistics import MpcStatistics
 
 __all__ = ["plot_closed_loop"]
+
+Array: TypeAlias = NDArray[np.float64]
 
 
 def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
     """Tracked variables with their reference and error, inputs, unknowns found, and step times.
 
-    Bands around unknowns are two standard deviations wide on each side.
+    Bands around unknowns are two standard deviations wide on each side. Where the loop knows no
+    reference the states are shown, without errors; where the controller keeps no times, none.
     """
     real, wanted = loop.trajectory, loop.reference
+    shown = real.named("state") if wanted is None else wanted.names
     controls = [n for n in real.named("input") if not real.variable(n).disturbance]
     unknown = [] if loop.estimate is None else _unknowns(loop.estimate, real)
-    rows = len(wanted.names) + 3 + len(unknown)
+    rows = len(shown) + (wanted is not None) + 1 + len(unknown) + (loop.statistics is not None)
     figure, axes = _figure(rows, size=(8.5, 1.0 + 1.7 * rows))
-    for ax, name in zip(axes[:, 0], wanted.names, strict=False):
+    free = iter(axes[:, 0])
+    for name in shown:
+        ax = next(free)
         _draw(ax, real, name, COLOURS[0])
-        goal = wanted[name] / real.variable(name).display_factor
-        ax.plot(real.t, goal, "k:", lw=1.0, drawstyle="steps-post", label="reference")
+        if wanted is not None:
+            goal = wanted[name] / real.variable(name).display_factor
+            ax.plot(real.t, goal, "k:", lw=1.0, drawstyle="steps-post", label="reference")
         ax.set_ylabel(real.variable(name).label)
-    at = len(wanted.names)
-    _draw_error(axes[at, 0], loop, wanted.names[0])
+    if wanted is not None:
+        _draw_error(next(free), real, wanted, shown[0])
+    ax = next(free)
     for i, name in enumerate(controls):
-        _draw(axes[at + 1, 0], real, name, COLOURS[i % len(COLOURS)], linewidth=1.2)
-    axes[at + 1, 0].set_ylabel(f"inputs [{real.variable(controls[0]).display_unit}]")
+        _draw(ax, real, name, COLOURS[i % len(COLOURS)], linewidth=1.2)
+    ax.set_ylabel(f"inputs [{real.variable(controls[0]).display_unit}]" if controls else "inputs")
     if loop.estimate is not None:
-        for ax, name in zip(axes[at + 2 :, 0], unknown, strict=False):
-            _draw_unknown(ax, loop.estimate, real, name)
-    _draw_times(axes[-1, 0], loop)
+        for name in unknown:
+            _draw_unknown(next(free), loop.estimate, real, name)
+    if loop.statistics is not None:
+        _draw_times(next(free), loop.statistics, loop.seen.t[:-1])
     for ax in axes[:, 0]:
         ax.set_xlim(real.t[0], real.t[-1])
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
@@ -56,12 +67,12 @@ def _unknowns(estimate: Trajectory, real: Trajectory) -> list[str]:
     return [n for n in estimate.names if not n.startswith("deviation.") and n not in states]
 
 
-def _draw_error(ax: Axes, loop: ClosedLoop, name: str) -> None:
+def _draw_error(ax: Axes, real: Trajectory, wanted: Trajectory, name: str) -> None:
     """The error where it is small: jumps of the reference reach out of the panel."""
-    variable = loop.trajectory.variable(name)
-    error = (loop.trajectory[name] - loop.reference[name]) / variable.display_factor
+    variable = real.variable(name)
+    error = (real[name] - wanted[name]) / variable.display_factor
     reach = max(3 * float(np.median(np.abs(error))), 1e-12)
-    ax.plot(loop.trajectory.t, error, color=COLOURS[1], lw=1.2, label="error")
+    ax.plot(real.t, error, color=COLOURS[1], lw=1.2, label="error")
     ax.set_ylim(-2 * reach, 2 * reach)
     ax.set_ylabel(f"error [{variable.display_unit}]")
 
@@ -84,9 +95,9 @@ def _draw_unknown(ax: Axes, estimate: Trajectory, real: Trajectory, name: str) -
     ax.set_ylabel(variable.label)
 
 
-def _draw_times(ax: Axes, loop: ClosedLoop) -> None:
-    seconds = np.array([s.seconds for s in loop.statistics.steps])
-    ax.plot(loop.trajectory.t, 1e3 * seconds, ".", ms=2.5, color=COLOURS[5], label="step time")
-    ax.axhline(1e3 * loop.statistics.median, color=COLOURS[2], lw=1.0, label="median")
-    ax.set_ylim(bottom=0, top=1.1e3 * loop.statistics.worst)
+def _draw_times(ax: Axes, statistics: MpcStatistics, t: Array) -> None:
+    seconds = np.array([s.seconds for s in statistics.steps])
+    ax.plot(t, 1e3 * seconds, ".", ms=2.5, color=COLOURS[5], label="step time")
+    ax.axhline(1e3 * statistics.median, color=COLOURS[2], lw=1.0, label="median")
+    ax.set_ylim(bottom=0, top=1.1e3 * statistics.worst)
     ax.set_ylabel("time [ms]")

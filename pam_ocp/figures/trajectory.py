@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ..fitting.static.static import ForceFit
     from ..muscles.muscle import Muscle
     from ..simulation.compare import RecordComparison
-    from ..studies.loads import LoadStudy
 
 __all__ = [
     "plot_bode",
@@ -217,9 +216,10 @@ def plot_record(comparison: RecordComparison) -> Figure:
     return figure
 
 
-def plot_load_study(study: LoadStudy) -> Figure:
-    """Rest, frequency, damping ratio, overshoot, settling time and air against pressure,
-    by load.
+def plot_load_study(title: str, lines: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
+    """Rest, frequency, damping ratio, overshoot, settling time and air against pressure.
+
+    lines : {label: {column of a load study: values [SI]}}, ``pressure`` among the columns.
     """
     panels = (
         ("position", "contraction [mm]", 1e3),
@@ -230,17 +230,15 @@ def plot_load_study(study: LoadStudy) -> Figure:
         ("air", "air for the step [mg]", 1e6),
     )
     figure, axes = _figure(3, 2, size=(10, 9), sharex=True)
-    masses = sorted({c.mass for c in study.cases})
-    for ax, (name, label, factor) in zip(axes.ravel(), panels, strict=True):
-        for i, mass in enumerate(masses):
-            cases = [c for c in study.cases if c.mass == mass]
-            bars = [c.pressure / 1e5 for c in cases]
-            values = [getattr(c, name) * factor for c in cases]
-            ax.plot(bars, values, "o-", ms=4, color=COLOURS[i % len(COLOURS)], label=f"{mass:g} kg")
-        ax.set_ylabel(label)
+    for ax, (name, words, factor) in zip(axes.ravel(), panels, strict=True):
+        for i, (label, columns) in enumerate(lines.items()):
+            bars = [p / 1e5 for p in columns["pressure"]]
+            values = [v * factor for v in columns[name]]
+            ax.plot(bars, values, "o-", ms=4, color=COLOURS[i % len(COLOURS)], label=label)
+        ax.set_ylabel(words)
         ax.set_ylim(bottom=0.0)
     axes[0, 0].legend(frameon=False, fontsize="small")
-    axes[0, 0].set_title(f"{study.muscle}, hanging loads", loc="left", fontsize="medium")
+    axes[0, 0].set_title(title, loc="left", fontsize="medium")
     for ax in axes[-1]:
         ax.set_xlabel("pressure [bar gauge]")
     return figure

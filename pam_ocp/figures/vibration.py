@@ -50,7 +50,7 @@ def plot_phase(
     """Phase portrait: the velocity of a position over it, one line for each trajectory.
 
     labels : one for each line; or values : a number for each line, shown as colour, named
-    ``label``.
+        ``label``.
     """
     position = plant.variable(state)
     rate = plant.positions.get(position.name)

@@ -9,9 +9,9 @@ to unit length before its rank is judged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,13 +20,11 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_finite
 from ..muscles.law import ForceLaw
 
-if TYPE_CHECKING:
-    from .static.correlation import SerialErrors
-
 __all__ = [
     "Coefficient",
     "Linearisation",
     "Prediction",
+    "SerialErrors",
     "SolverStatistics",
     "sensitivity",
     "student_t",
@@ -104,6 +102,43 @@ class SolverStatistics:
     at_bound: tuple[str, ...] = ()
     seconds: float = 0.0
     doubt: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class SerialErrors:
+    """Errors that follow each other.
+
+    order : along what, in words. probability : that errors follow each other at all.
+    correlation : of neighbouring errors, the mean over all that the data leave possible.
+    meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones
+    would
+    have. spread : standard deviation of an error, in that of independent ones.
+    weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
+    coefficients, in
+    those of ``correlation``. dof : degrees of freedom.
+    """
+
+    order: str
+    correlation: float
+    probability: float
+    meat: Array = field(repr=False)
+    spread: float
+    weights: Array = field(repr=False)
+    sizes: Array = field(repr=False)
+    dof: int
+
+    def reach(self, level: float) -> float:
+        """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
+        from scipy.optimize import brentq
+        from scipy.special import stdtr
+
+        plain = student_t(level, self.dof)
+        roots = np.sqrt(self.sizes)
+
+        def missing(half: float) -> float:
+            return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
+
+        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,8 +46,7 @@ def dead_zone_inverse(effect: ca.SX, width: ca.SX) -> ca.SX:
 
     Within the rounded part, s^4 (2 s^2 - 6 s + 5) = t is solved for s = c/width as
     s (2 s^2 - 6 s + 5)^(1/4) = t^(1/4): rising and concave in s, so Newton's method from its
-    tangent
-    at 0 converges from one side, in a fixed number of steps (for C code).
+    tangent at 0 converges from one side, in a fixed number of steps (for C code).
     """
     half = ca.fmax(width, LEAST_OVERLAP) / 2
     size = ca.fabs(effect)

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.registry import Registry
 from .law import FloatOrSX
 from .muscle import Muscle
 
@@ -61,6 +62,10 @@ class Volume(Protocol):
         """Volume [m3] at contraction kappa, without dead volume; ``declare`` makes parameters."""
 
 
+VOLUMES: Registry[Callable[..., Volume]] = Registry("volume", __package__, argument="volume")
+GASES: Registry[Callable[..., Gas]] = Registry("gas", __package__, argument="gas")
+
+
 def _diameter(muscle: Muscle, own: float | None, declare: Declare) -> FloatOrSX:
     value = muscle.diameter if own is None else own
     if value is None:
@@ -74,6 +79,7 @@ def _diameter(muscle: Muscle, own: float | None, declare: Declare) -> FloatOrSX:
     return declared
 
 
+@VOLUMES.register(units={"diameter": "m"})
 @dataclass(frozen=True)
 class ConsistentVolume:
     """V = V0 + l0 integral_0^kappa G dkappa, with G = dF/dp: consistent with the force law.
@@ -92,6 +98,7 @@ class ConsistentVolume:
         return ca.SX(rest + muscle.rest_length * muscle.law.gain_area(kappa))
 
 
+@VOLUMES.register(units={"angle": "rad", "diameter": "m"})
 @dataclass(frozen=True)
 class BraidVolume:
     """V = pi r0^2 l0 (1-kappa) [1 - cos^2(alpha0) (1-kappa)^2] / sin^2(alpha0).
@@ -124,6 +131,7 @@ class BraidVolume:
         return ca.SX(rest * length * (1 - ca.cos(angle) ** 2 * length**2) / ca.sin(angle) ** 2)
 
 
+@VOLUMES.register(units={"coefficients": "m3"})
 @dataclass(frozen=True)
 class PolynomialVolume:
     """V = v0 + v1 kappa + v2 kappa^2 + ... [m3], as fitted to a measurement of the volume."""
@@ -183,6 +191,7 @@ class Chamber:
         return ca.SX(self.exponent * (supplied - absolute * self.slope * rate) / self.volume)
 
 
+@GASES.register(units={"dead_volume": "m3", "temperature": "K", "ambient": "Pa"})
 @dataclass(frozen=True)
 class Gas:
     """How the air in a muscle behaves: dp_abs/dt = n (R T mdot - p_abs dV/dt)/V.

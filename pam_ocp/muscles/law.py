@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError
+from ..core.registry import Registry
 from ..core.variables import Variable
 from .inverse import first_zero, solve_pressure
 from .validity import Validity
@@ -286,14 +287,13 @@ def evaluate(function: ca.Function, index: int, p: Any, kappa: Any, rest: list[A
     return array if array.ndim else float(array)
 
 
-LAWS: dict[str, type[ForceLaw]] = {}
-"""Every law of the library by its name."""
+LAWS: Registry[type[ForceLaw]] = Registry("force law", f"{__package__}.laws")
+"""Every law by its name."""
 
 
 def register(law: type[Law]) -> type[Law]:
     """Class decorator: put a law into ``LAWS`` under its name."""
-    LAWS[law.name] = law
-    return law
+    return LAWS.register(law.name)(law)
 
 
 @register

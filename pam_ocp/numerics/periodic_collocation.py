@@ -11,16 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plants.plant import Plant
+from ..core.system import System
 from .collocation import collocation_matrices, collocation_points, lagrange
 from .newton import Array, NewtonError, newton
 
 __all__ = ["Orbit", "Periodic", "Row"]
+
+S = TypeVar("S", bound=System)
 
 COLLAPSED = 1e-5
 """Below this amplitude, in units of nominal, a closed motion is a point of rest."""
@@ -110,13 +113,13 @@ class Row:
         return replace(self, z=Orbit(old, self.z, 0.0, 0.0).on(mesh).z)
 
 
-class Periodic:
+class Periodic(Generic[S]):
     """The equations of a closed motion of a plant, one value of it left to vary.
 
     parameter : name of a parameter or an input, or None when nothing varies. Inputs are constant.
     """
 
-    def __init__(self, plant: Plant, parameter: str | None, degree: int) -> None:
+    def __init__(self, plant: S, parameter: str | None, degree: int) -> None:
         self.plant, self.degree = plant, degree
         self.nominal = plant.vector("state", attribute="nominal")
         self.variable = None if parameter is None else plant.variable(parameter)

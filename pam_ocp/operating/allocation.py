@@ -158,8 +158,7 @@ class Allocation:
         """Attainable stiffness at a position and effort: the ends of the co-contraction.
 
         taut : both muscles must pull; pressures : (lowest, highest) [Pa] instead of the plant's
-        own.
-        Raises AllocationError when the effort is out of reach.
+        own. Raises AllocationError when the effort is out of reach.
         """
         box = self._box(pressures)
         ends = self._ends(float(position), float(effort), box, taut)

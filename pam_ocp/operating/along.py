@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import courtesy
 from ..core.errors import InputError
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..plants.plant import Plant
@@ -52,9 +53,7 @@ class StabilityPath:
 
     def plot(self) -> Figure:
         """Eigenvalues in the complex plane, and growth rates over the parameter."""
-        from ..figures.vibration import plot_stability
-
-        return plot_stability(self)
+        return courtesy.plot_stability(self)
 
 
 def stability_path(

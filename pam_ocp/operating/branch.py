@@ -51,16 +51,14 @@ def equilibrium_branch(
     ``equilibrium_branch(plant, "mass", 5.0, 60.0, {"muscle.command": 3e5})``: as
     :func:`equilibrium_path`, but by pseudo-arclength continuation (H. B. Keller, in Applications of
     Bifurcation Theory, Academic Press 1977, 359-384): where the branch turns back, the variable
-    runs
-    backwards along it, and stable points become unstable or the other way round.
+    runs backwards along it, and stable points become unstable or the other way round.
 
     step, longest : first and longest step along the branch, in units of nominal of all states,
         inputs and the variable together; steps follow the branch's curvature.
     memory : what hysteresis keeps, the same along the branch; see :func:`equilibrium`.
 
     The path ends where the variable reaches ``stop`` or comes back to ``start``, where it leaves
-    the
-    bounds of a variable, or after ``max_points``; ``path.end`` says which unless ``stop`` was
+    the bounds of a variable, or after ``max_points``; ``path.end`` says which unless ``stop`` was
     reached. ``path.folds`` are the turning points, found to 1e-9.
 
     Raises InputError for bad conditions, EquilibriumError when there is no point of rest at

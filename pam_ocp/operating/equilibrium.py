@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import PamError, require_instance
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .held import Memory
 from .operating_point import OperatingPoint
@@ -55,10 +55,8 @@ def equilibrium(
         "muscle.command": 3e5}, free=["mass"])["mass"]``. The point's own ``plant`` then has these
         parameters.
     expressions : {label: (CasADi expression of the plant's symbols, value)}, each one more
-    condition
-        for what is no variable, such as the co-contraction of a pair:
-        ``{"mean": ((plant.expression("muscle1.pressure") + plant.expression("muscle2.pressure")) /
-        2, 3e5)}``.
+        condition for what is no variable, such as the co-contraction of a pair: ``{"mean":
+        ((plant.expression("muscle1.pressure") + plant.expression("muscle2.pressure")) / 2, 3e5)}``.
     guess : a point to start from (a neighbour), tried first.
     memory : what hysteresis keeps: "virgin" (nothing has slid yet), "above" or "below" (the side
         from which all positions came, everything has slid fully), or {state: value}.

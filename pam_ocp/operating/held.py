@@ -97,8 +97,7 @@ def _drives(plant: Plant) -> Array:
     """Sign of the rate of each held memory while all positions rise; 0 for one that they leave.
 
     A memory moves with velocities; a position is a state whose rate depends on these (and on
-    itself)
-    alone. So x' = v/2 or a momentum in place of the velocity do as well as x' = v.
+    itself) alone. So x' = v/2 or a momentum in place of the velocity do as well as x' = v.
     """
     names = [v.name for v in plant.states]
     memories = np.array([names.index(n) for n in held_names(plant)])

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_instance, require_positive
 from ..core.trajectory import Trajectory
-from ..plants.opening import Inversion, in_dead_zone
+from ..plants.inversion import Inversion, in_dead_zone
 from ..plants.plant import Plant, Values, require_plant
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
 from .held import Memory
@@ -268,8 +268,7 @@ def linearize_along(
     t : times [s]; by default those of the motion. Between the samples of the motion its states
     are joined by straight lines: give a finely sampled one (``plan.replay.trajectory``).
     inputs : as in :func:`linearize`: where a valve's command is in its dead zone anywhere on the
-    way,
-        the default are openings.
+        way, the default are openings.
     Raises InputError when the motion lacks a state or an input of the plant.
     """
     missing = [v.name for v in (*plant.states, *plant.inputs) if v.name not in motion]
@@ -391,8 +390,7 @@ def linearize_grid(
     """Linear systems at the points of rest over a grid of conditions, to interpolate in.
 
     axes : {name: at least two rising values} of states, inputs, outputs or parameters, as
-    conditions
-        of :func:`equilibrium`: ``{"x": [-0.01, 0, 0.01], "stiffness": [1.8e4, 2.4e4]}``.
+        conditions of :func:`equilibrium`: ``{"x": [-0.01, 0, 0.01], "stiffness": [1.8e4, 2.4e4]}``.
     conditions, memory : further ones of :func:`equilibrium`, the same everywhere.
     inputs : as in :func:`linearize`; of a plant fed by valves the default are openings.
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..core.errors import require_positive
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values
 from .equilibrium import OperatingPoint
 from .linear import chosen_signals, point_of
@@ -30,17 +30,15 @@ def as_nlsys(
     at : an OperatingPoint, or values by name (also of parameters); by default the start values.
         Inputs left out of ``inputs`` are held at its values.
     inputs, outputs : names to keep; by default all inputs, and all states and outputs. Of a plant
-    fed
-        by valves the inputs are the openings (``muscle_opening``), which have a slope through zero,
-        unless commands are named; ``pam.Inversion(plant).commands(...)`` gives the commands.
+        fed by valves the inputs are the openings (``muscle_opening``), which have a slope through
+        zero, unless commands are named; ``pam.Inversion(plant).commands(...)`` gives the commands.
         ``inputs=[]`` gives an autonomous system, as ``phase_plane_plot`` wants it.
 
     Signals and parameters keep the plant's names with ``_`` for ``.`` (python-control reads a dot
-    as
-    system.signal); SI units in ``system.units``. Parameters change by python-control's ``params``
-    (``{"mass": 3.0}``); names that are not the plant's are passed over, as python-control's
-    interconnections hand all parameters to every system. ``system.x0`` and ``system.u0`` hold the
-    point ``at``; ``control.linearize`` of the system uses exact Jacobians.
+    as system.signal); SI units in ``system.units``. Parameters change by python-control's
+    ``params`` (``{"mass": 3.0}``); names that are not the plant's are passed over, as
+    python-control's interconnections hand all parameters to every system. ``system.x0`` and
+    ``system.u0`` hold the point ``at``; ``control.linearize`` of the system uses exact Jacobians.
 
     dt : sampling time [s] for a discrete-time system: its update is the plant's motion over one
         sample under held inputs, integrated at the relative tolerance ``rtol``. python-control then
@@ -49,15 +47,11 @@ def as_nlsys(
 
     Which call for which purpose: ``system.response(t, u)`` is the quickest for the plant alone (the
     plant's own integrator, nothing called in between); ``control.input_output_response`` of a
-    system
-    with ``dt`` for held inputs and sampled loops; that of a continuous one for everything else.
-    There python-control integrates by default to rtol 1e-3: give
-    ``solve_ivp_kwargs={"rtol": 1e-9, "atol": 1e-9 * nominal}`` where figures matter. It joins
-    samples
-    of inputs by straight lines, as ``response`` does (held when the system has a ``dt``). One
-    system
-    may be used by several threads at once as long as ``params`` stay the same; copies are
-    independent.
+    system with ``dt`` for held inputs and sampled loops; that of a continuous one for everything
+    else. There python-control integrates by default to rtol 1e-3: give ``solve_ivp_kwargs={"rtol":
+    1e-9, "atol": 1e-9 * nominal}`` where figures matter. It joins samples of inputs by straight
+    lines, as ``response`` does (held when the system has a ``dt``). One system may be used by
+    several threads at once as long as ``params`` stay the same; copies are independent.
 
     Raises InputError or UnknownNameError for names that are not the plant's.
     """

@@ -30,8 +30,8 @@ class OperatingPoint:
     u: Array
     residual: float = field(default=0.0)
     """Largest |xdot| in units of nominal per second (0 at an equilibrium) of all that must vanish
-    at
-    rest: held memories keep any value of their range."""
+    at rest: held memories keep any value of their range.
+    """
 
     @cached_property
     def values(self) -> dict[str, float]:

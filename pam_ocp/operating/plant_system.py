@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..plants.plant import Plant
+from ..simulation.sampled import SampledPlant
 from ..simulation.simulate import simulate
 
 __all__ = ["PlantSystem"]
@@ -83,7 +84,7 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         rtol: float = 1e-9,
     ) -> None:
         self.plant = plant
-        self._sampling = None if dt is None else (dt, rtol)
+        self._sampled = None if dt is None else SampledPlant(plant, dt, rtol)
         self._held = u
         all_inputs = [v.name for v in plant.inputs]
         self._columns = [all_inputs.index(n) for n in inputs]
@@ -128,66 +129,21 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
             arguments = [plant.x, chosen, ca.vertcat(plant.p, held)]
             update = ca.Function("update", arguments, [ca.densify(xdot)])
             output = ca.Function("output", arguments, [ca.densify(rows)])
-            return self._over_a_sample(update) if self._sampling else update, output
-
-        return plant.cached(  # type: ignore[no-any-return]
-            ("nlsys", inputs, outputs, self._sampling, self._nominal.tobytes()), build
-        )
-
-    @property
-    def _nominal(self) -> Array:
-        return self.plant.vector("state", attribute="nominal")
-
-    def _over_a_sample(self, derivative: ca.Function) -> ca.Function:
-        """The state behind one sample, by CasADi's Rosenbrock integrator in units of nominal."""
-        assert self._sampling is not None
-        (dt, rtol), nominal = self._sampling, self._nominal
-        x, p = ca.SX.sym("x", len(nominal)), ca.SX.sym("p", derivative.numel_in(2))
-        u = ca.SX.sym("u", derivative.numel_in(1))
-        dae = {"x": x, "p": ca.vertcat(u, p), "ode": derivative(x * nominal, u, p) / nominal}
-        step = ca.integrator("step", "rosenbrock", dae, 0.0, dt, {"reltol": rtol, "abstol": rtol})
-        arguments = [ca.MX.sym(n, s.numel()) for n, s in zip("xup", (x, u, p), strict=True)]
-        end = step(x0=arguments[0] / nominal, p=ca.vertcat(*arguments[1:]))["xf"] * nominal
-        return ca.Function("update", arguments, [end])
-
-    def _jacobians(self, x: Array, chosen: Array, p: Array) -> tuple[Array, Array]:
-        """A and B of the sampled system: the variational equations integrated with the motion.
-
-        (CasADi's derivatives of the integrator follow steps chosen for the motion alone; at rest
-        these are too long.)
-        """
-        assert self._sampling is not None
-        (dt, rtol), n, m = self._sampling, len(x), len(chosen)
-        nominal = self._nominal
-        effort = np.array([self.plant.inputs[i].nominal for i in self._columns])
-
-        def build() -> ca.Function:
-            state, own = ca.SX.sym("x", n), ca.SX.sym("u", m)
-            parameters = ca.SX.sym("p", len(p))
-            u = ca.SX(parameters[len(self.plant.parameters) :])
+            if self._sampled is None:
+                return update, output
+            given = [ca.MX.sym(n, e.numel()) for n, e in zip("xup", arguments, strict=True)]
+            p, known = ca.vertsplit(given[2], [0, len(plant.parameters), given[2].numel()])
+            whole = ca.MX(known)
             for i, column in enumerate(self._columns):
-                u[column] = own[i] * effort[i]
-            values = parameters[: len(self.plant.parameters)]
-            ode = self.plant.function(state * nominal, u, values)[0] / nominal
-            slopes = ca.SX.sym("slopes", n, n + m)
-            change = ca.jacobian(ode, state) @ slopes
-            change[:, n:] += ca.jacobian(ode, own)
-            dae = {
-                "x": ca.vertcat(state, ca.vec(slopes)),
-                "p": ca.vertcat(own, parameters),
-                "ode": ca.vertcat(ode, ca.vec(change)),
-            }
-            options = {"reltol": rtol, "abstol": rtol}
-            return ca.integrator("variation", "rosenbrock", dae, 0.0, dt, options)
+                whole[column] = given[1][i]
+            end = self._sampled.function(given[0], whole, p)
+            return ca.Function("update", given, [end]), output
 
-        key = ("variation", *self._columns, self._sampling, nominal.tobytes(), effort.tobytes())
-        start = np.hstack([np.eye(n), np.zeros((n, m))])
-        end = self.plant.cached(key, build)(
-            x0=np.concatenate([x / nominal, start.ravel("F")]),
-            p=np.concatenate([chosen / effort, p]),
-        )["xf"]
-        slopes = np.asarray(end, dtype=float)[n:].reshape(n, n + m, order="F") * nominal[:, None]
-        return slopes[:, :n] / nominal, slopes[:, n:] / effort
+        nominal = plant.vector("state", attribute="nominal").tobytes()
+        sampling = self._sampled and (self._sampled.sample_time, self._sampled.rtol)
+        return plant.cached(  # type: ignore[no-any-return]
+            ("nlsys", inputs, outputs, sampling, nominal), build
+        )
 
     def response(
         self,
@@ -223,7 +179,7 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
             t=t,
             start={v.name: float(n) for v, n in zip(self.plant.states, x0, strict=True)},
             parameters=values,
-            interpolation="previous" if self._sampling else "linear",
+            interpolation="previous" if self._sampled else "linear",
             rtol=rtol,
         )
         x = motion.array([v.name for v in self.plant.states]).T
@@ -293,8 +249,8 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         a, b, c, d = (np.asarray(m) for m in self.plant.jacobians(x, u, p))
         c, d = np.vstack([np.eye(len(x)), c]), np.vstack([np.zeros_like(b), d])
         b = b[:, self._columns]
-        if self._sampling:
-            a, b = self._jacobians(x, u[self._columns], vector)
+        if self._sampled:
+            a, b = self._sampled.slopes(x, u, p, self._columns)
         system = control.StateSpace(
             a,
             b,

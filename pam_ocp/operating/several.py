@@ -45,10 +45,9 @@ def equilibria(
     basin.
 
     With hysteresis there is a point of rest for all that it may keep, in bands. Without ``memory``
-    the
-    virgin point of each band is returned, and ``.bands`` holds their ends; with it (see
-    :func:`equilibrium`) the points of rest with just that memory.
-    Raises InputError for bad conditions, EquilibriumError when there is none.
+    the virgin point of each band is returned, and ``.bands`` holds their ends; with it (see
+    :func:`equilibrium`) the points of rest with just that memory. Raises InputError for bad
+    conditions, EquilibriumError when there is none.
     """
     given = {**(conditions or {}), **more}
     search = posed(Search, plant, given, free, memory=memory or "virgin")
@@ -162,8 +161,7 @@ def equilibrium_path(
     ``equilibrium_path(plant, "mass", np.linspace(5, 60, 40), {"muscle.command": 3e5})``. Each point
     starts from its neighbour, so the path stays on one branch; it ends where that branch leaves the
     bounds or turns back (a fold), and says so in ``end``; :func:`equilibrium_branch` goes round
-    folds.
-    What hysteresis keeps (``memory``, see :func:`equilibrium`) is the same along the path.
+    folds. What hysteresis keeps (``memory``, see :func:`equilibrium`) is the same along the path.
     Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
     """
     points: list[OperatingPoint] = []

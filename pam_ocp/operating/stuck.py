@@ -3,14 +3,11 @@
 At rest the rate of a held memory z is a slope times a velocity, z' = G v, and the positions' rates
 are q' = T v; so z - M q with M T = G never changes, whatever the inputs do. To first order every
 motion that starts at the point has dz = M dq: an element that sticks is a spring. Put in, this
-takes
-z out of the linear system, and with it one pole at zero each that no input reaches, which would
-make
-every Riccati equation unsolvable. Transfer functions are the same.
+takes z out of the linear system, and with it one pole at zero each that no input reaches, which
+would make every Riccati equation unsolvable. Transfer functions are the same.
 
 At an element that has slid fully (z at an end of its range) there is no such slope: one way it
-slides
-on, the other way it sticks. Its linear model has the mean of both, half the spring.
+slides on, the other way it sticks. Its linear model has the mean of both, half the spring.
 """
 
 from __future__ import annotations

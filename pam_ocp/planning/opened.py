@@ -1,8 +1,7 @@
 """A plan's first guess for muscles fed by valves: the same plan with openings as inputs.
 
 In commands a solver has to cross dead zones without slope, and each is a place to get stuck; in
-openings
-there is none. What it finds there is taken back to commands by the exact inverse.
+openings there is none. What it finds there is taken back to commands by the exact inverse.
 """
 
 from __future__ import annotations
@@ -14,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
-from ..plants.opening import Inversion
+from ..plants.inversion import Inversion
 from ..plants.plant import Plant
-from .problem.pose import Wish, pose
+from .problem.formulation import formulate
 from .problem.problem import Problem
+from .problem.statement import Statement
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks, narrowing
 from .transcription.guess import by_stops, from_solution, wants_balance
@@ -30,21 +30,24 @@ __all__ = ["guess_in_openings"]
 Array: TypeAlias = NDArray[np.float64]
 
 
-def guess_in_openings(problem: Problem, mesh: Mesh, wish: Wish, backend: Backend) -> Array | None:
-    """Scaled unknowns of ``problem`` (posed of ``wish``) along the optimum in openings.
+def guess_in_openings(
+    problem: Problem, mesh: Mesh, statement: Statement, backend: Backend
+) -> Array | None:
+    """Scaled unknowns of ``problem`` (of ``statement``) along the optimum in openings.
 
-    None where the plant has no openings, the wish speaks of commands in a way that openings cannot,
-    or
-    no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
-    this is
-    where to start ("near"), not the plan.
+    None where the plant has no openings, the statement speaks of commands as openings cannot,
+    or no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
+    this is where to start ("near"), not the plan.
     """
     plant = problem.plant
     inversion = Inversion(plant)
     if not inversion:
         return None
     try:
-        inner = pose(inversion.inner, replace(wish, bounds=_bounds(plant, inversion, wish.bounds)))
+        inner = formulate(
+            inversion.inner,
+            replace(statement, bounds=_bounds(plant, inversion, statement.bounds)),
+        )
     except InputError:  # names or symbols of commands
         return None
     program = transcribe(inner, mesh)
@@ -68,7 +71,7 @@ def guess_in_openings(problem: Problem, mesh: Mesh, wish: Wish, backend: Backend
 
 
 def _bounds(plant: Plant, inversion: Inversion, bounds: Any) -> dict[str, Any] | None:
-    """The wish's bounds with those of commands said of openings."""
+    """The statement's bounds with those of commands said of openings."""
     if bounds is None:
         return None
     commands = {c for o in plant.openings for c in o.commands}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -24,8 +25,9 @@ from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from ..simulation.simulate import evaluated
 from .opened import guess_in_openings
-from .problem.pose import Cyclic, Wish, pose
+from .problem.formulation import formulate
 from .problem.problem import Budget, Condition, Problem
+from .problem.statement import Cyclic, Statement, StatementKeywords
 from .problem.wording import Avoid, Constraint, Phase, Stop
 from .refine import Checked, Refinement, checked
 from .result import Plan, Solved
@@ -38,12 +40,36 @@ from .transcription.mesh import Collocation, Mesh, Method, Shooting
 from .transcription.transcription import Program, Row, transcribe
 from .verdict import TOLERANCE
 
-__all__ = ["Planner", "plan"]
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+__all__ = ["PlanKeywords", "Planner", "SolveKeywords", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
 
+SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progress": "progress"}
+"""Keywords that say how a solution is searched, and the fields of Backend that hold them."""
+
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
+
+
+class PlanKeywords(StatementKeywords, total=False):
+    """What is asked, and how it is searched: the keywords of all verbs that plan."""
+
+    method: Method | None
+    progress: Progress
+    solver: SolverName
+    compiled: bool
+    options: Mapping[str, Any] | None
+
+
+class SolveKeywords(PlanKeywords, total=False):
+    """All keywords of :func:`plan`."""
+
+    tolerance: float | None
+    guess: Plan | None
+    starts: int | None
 
 
 def plan(
@@ -79,25 +105,21 @@ def plan(
     stops : at least two mappings {variable: value or (low, high)} of states, inputs or outputs, or
         :class:`Stop` with more to say: a via point (``rest=False``), a dwell.
     cyclic : True returns to the first stop and closes the cycle in all states; "mirrored" plans
-    half
-        a cycle between two stops whose second half is its mirror image (equal muscles).
+        half a cycle between two stops whose second half is its mirror image (equal muscles).
     duration : of each leg between two stops: None (free), seconds, (shortest, longest), or a list
         with one of these per leg.
     minimise : one term, or {term: weight}. Terms: "time", "effort" (integral of the squared inputs
-    in
-        units of nominal), "rate" (the same of their rates), "work" (mechanical, out of the muscles
-        [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles), and of any variable:
+        in units of nominal), "rate" (the same of their rates), "work" (mechanical, out of the
+        muscles [J]), "air" [g] and "exergy" [10 J] (of valve-fed muscles), and of any variable:
         "integral(NAME)", "square(NAME)" (integral of the square), "final(NAME)" (at the end; a
         negative weight asks for the most), "peak(NAME)" (largest value), in units of its nominal.
     bounds : {NAME or "der(NAME)": value or (low, high)}, None for an open end, a :class:`Profile`
         for a bound that changes with time; narrows the plant's own bounds. Path constraints of the
         plant (never slack, pressure rates) always hold.
     rest : positions have zero velocity and acceleration at each stop, in whatever coordinates; what
-    an
-        input sets at once may jump there, if admissible inputs would hold the plant.
+        an input sets at once may jump there, if admissible inputs would hold the plant.
     memory : what states with a held memory (hysteresis) hold at the first stop: "virgin" (their
-    start
-        values), "above" or "below" (the side from which the plant came to rest there), or
+        start values), "above" or "below" (the side from which the plant came to rest there), or
         {state: value}; a cyclic motion closes them. What settles (creep) has settled there.
     phases : one :class:`Phase` or None per leg, for what holds there only.
     constraints : :class:`Constraint` (any expression) and :class:`Avoid` (forbidden regions).
@@ -111,34 +133,26 @@ def plan(
     method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
         ``Shooting(intervals=50, steps=4)``.
     tolerance : of the plan's verdict, in units of nominal: how far a tight integration of the
-    planned
-        inputs may leave the planned motion, and exceed limits, stops and budgets, between the
-        points
-        of the mesh too. The mesh is refined until it is met; polynomial inputs that cannot meet it
-        are held constant instead. None for one mesh only, judged by 1e-3.
+        planned inputs may leave the planned motion, and exceed limits, stops and budgets, between
+        the points of the mesh too. The mesh is refined until it is met; polynomial inputs that
+        cannot meet it are held constant instead. None for one mesh only, judged by 1e-3.
     guess : another plan to start from.
     starts : 1 to 12: how many starts are tried (other durations, states and barrier strategies of
-    the
-        first guess), side by side in processes where that pays; the best plan is kept, and
+        the first guess), side by side in processes where that pays; the best plan is kept, and
         ``statistics["starts"]`` says where each ended. None: 4 where local optima are many (valves,
-        a
-        load on a tendon) and no guess is given, else 1.
+        a load on a tendon) and no guess is given, else 1.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on
-    many
-        intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
-        process
-        of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it leaves
-        unsolved
-        IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
+        many intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
+        process of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it
+        leaves unsolved IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
     compiled : IPOPT's functions compiled (zig or cc) and kept for the next time; pays for
         :class:`Shooting` solved many times (a third of the time), little for collocation.
     options : of the solver, over its defaults here.
 
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
-    (PlanWarning) when
-    the plan is not verified: ``plan.verdict`` says why.
+    (PlanWarning) when the plan is not verified: ``plan.verdict`` says why.
     """
     planner = Planner(
         plant,
@@ -168,7 +182,8 @@ def plan(
 class Planner:
     """A planning problem that is built once and solved many times.
 
-    Takes the arguments of :func:`plan` (but tolerance and guess). ``planner()`` solves it;
+    Takes the arguments of :func:`plan` but ``tolerance``, ``guess`` and ``starts``, which are
+    said at each call. ``planner()`` solves it;
     ``planner(stops=..., values=..., guess=plan)`` solves it for other numbers, in milliseconds from
     the solution of a neighbour: stops, durations, bounds, budgets and constant aims may have other
     values (not other names), and so may all parameters of the plant.
@@ -182,22 +197,20 @@ class Planner:
         self,
         plant: Plant,
         stops: Sequence[Mapping[str, Any] | Stop],
-        *,
-        method: Method | None = None,
-        progress: Progress = False,
-        solver: SolverName = "ipopt",
-        compiled: bool = False,
-        options: Mapping[str, Any] | None = None,
-        **wish: Any,
+        **keywords: Unpack[PlanKeywords],
     ) -> None:
         begin = time.perf_counter()
+        _require_known(keywords)
+        said: dict[str, Any] = dict(keywords)
+        method: Method | None = said.pop("method", None)
+        search = {SEARCH[name]: said.pop(name) for name in SEARCH if name in said}
         if method is not None and not isinstance(method, Collocation | Shooting):
             raise InputError(f"method = {method!r}: give Collocation(...) or Shooting(...)")
         self.plant = plant
         jumps = not (isinstance(method, Collocation) and method.control == "linear")
-        self._wish = Wish(stops, jumps=jumps, **wish)
-        self._backend = Backend(solver, compiled, options, progress)
-        problem = pose(plant, self._wish)
+        self._statement = Statement(stops, jumps=jumps, **said)
+        self._backend = Backend(**search)
+        problem = formulate(plant, self._statement)
         mesh = (method or Collocation()).mesh(len(problem.legs))
         self._program = transcribe(problem, mesh)
         self._solver = self._backend.build(self._program)
@@ -218,8 +231,7 @@ class Planner:
         guess : a plan to start from; one of this planner starts warm, with its multipliers.
         tolerance, starts : refine the mesh, try other starts; see :func:`plan`.
         changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track``, ``memory`` of
-        the same
-            form.
+            the same form.
 
         Raises InputError when a change would ask for another program, PlanError as plan does; warns
         as plan does.
@@ -290,7 +302,7 @@ class Planner:
         or it helps nothing.
         """
         program = run.program
-        guess = guess_in_openings(program.problem, program.mesh, self._wish, self._backend)
+        guess = guess_in_openings(program.problem, program.mesh, self._statement, self._backend)
         return None if guess is None else run.from_guess(guess, "near")
 
     def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
@@ -319,10 +331,20 @@ class Planner:
                     "make a new Planner"
                 )
         plant = self.plant.with_values(values) if values else self.plant
-        problem = pose(plant, replace(self._wish, **changed))
+        problem = formulate(plant, replace(self._statement, **changed))
         _require_same_form(self._program.problem, problem)
         rows = _renewed(self._program, problem)
         return replace(self._program, problem=problem, rows=rows)
+
+
+def _require_known(keywords: Mapping[str, Any]) -> None:
+    """Raise a TypeError that names the nearest keyword."""
+    known = (*StatementKeywords.__annotations__, *SEARCH, "method")
+    for name in keywords:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it knows {', '.join(known)}"
+            raise TypeError(f"a planner takes no argument {name!r}; {hint}")
 
 
 def _shape(problem: Problem) -> tuple[object, ...]:

@@ -30,8 +30,8 @@ POLYNOMIAL_ROUNDS = 5
 """
 EVERYWHERE = 3
 """Each so many rounds all intervals are split: where only some are, held inputs move about there
-the
-more, and what swings behind them with them."""
+the more, and what swings behind them with them.
+"""
 ITERATIONS = 1500
 """Of the solver in all rounds."""
 POLYNOMIAL_ITERATIONS = 300

@@ -33,8 +33,8 @@ BY_SHOOTING = 32
 """The same where an interval has no point inside."""
 FINER = {"polynomial": 10}
 """Parts of each of these that are looked at, by how the inputs run (even numbers). Others than the
-checks
-that the mesh itself makes there: those hold what they see."""
+checks that the mesh itself makes there: those hold what they see.
+"""
 USUALLY = 2
 
 
@@ -48,9 +48,9 @@ class Replay:
     """The state that deviates most."""
     violation: float
     """Largest violation of a bound or path constraint (between the samples too, and on both sides
-    of
-    jumps of the inputs), of a condition at a stop, of the closing of a cycle, or of a budget, in
-    units of nominal."""
+    of jumps of the inputs), of a condition at a stop, of the closing of a cycle, or of a budget, in
+    units of nominal.
+    """
     constraint: str
     """What is violated most ("" when nothing is)."""
     trajectory: Trajectory = field(repr=False)
@@ -122,8 +122,7 @@ class _Check:
     """All that was asked for, looked at along a motion.
 
     Each interval is looked at from its start to its end with its own inputs, so a jump of the
-    inputs
-    is seen from both sides.
+    inputs is seen from both sides.
 
     t, x : (n,) and (nx, n) the motion, ``per`` times from one sample to the next.
     """
@@ -146,8 +145,8 @@ class _Check:
     @cached_property
     def _gaps(self) -> tuple[Array, Array, Array]:
         """Times (gaps, places), states (nx, gaps, places) and inputs (nu, gaps, places): each gap
-        from
-        its start to its end, the states by cubic Hermite polynomials."""
+        from its start to its end, the states by cubic Hermite polynomials.
+        """
         finer = FINER.get(self.mesh.form.control, USUALLY)
         s = np.linspace(0.0, 1.0, finer + 1)
         h = np.diff(self.t)[:, None]

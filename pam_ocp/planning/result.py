@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, PlanError
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
 from .problem.problem import Problem
-from .problem.statement import problem_of, statement_of
+from .problem.problem_data import data_of, problem_of
 from .replay import Replay
 from .solvers import duals
 from .solvers.diagnosis import Conflict
@@ -68,8 +69,8 @@ class Plan:
     """The mesh of each round of refinement; the last is the plan's."""
     log: tuple[dict[str, float], ...] = field(repr=False)
     """The solver's last run: objective (obj), violation (inf_pr), dual infeasibility (inf_du), ...
-    per
-    iteration."""
+    per iteration.
+    """
     conflicts: tuple[Conflict, ...] = ()
     """Of a failed plan: the constraints that cannot hold together, the worst first."""
     tolerance: float = TOLERANCE
@@ -94,8 +95,8 @@ class Plan:
     @property
     def verified(self) -> bool:
         """Whether the solver converged, an independent replay agrees, and all limits hold between
-        the
-        points too, to the plan's :attr:`tolerance`."""
+        the points too, to the plan's :attr:`tolerance`.
+        """
         return self.verdict.verified
 
     @property
@@ -193,7 +194,7 @@ class Plan:
         lost = ("_problem", "_solved", "_coarse", "costates", "sensitivities", "stop_sensitivities")
         kept = {k: v for k, v in self.__dict__.items() if k not in lost}
         try:
-            said = statement_of(self._problem) if self._problem else None
+            said = data_of(self._problem) if self._problem else None
         except InputError:
             said = None
         return {**kept, "_solved": None, "_coarse": None, "conflicts": (), "statement": said}
@@ -206,15 +207,11 @@ class Plan:
     # ---- files and figures ----------------------------------------------------------------------
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
-        from .saved_plan import save_plan
-
-        return save_plan(self, path)
+        return courtesy.save_plan(self, path)
 
     def plot(self) -> Figure:
         """Motion, velocities, pressures with commands, forces, stiffness; active bounds shaded."""
-        from ..figures.plan import plot_plan
-
-        return plot_plan(self)
+        return courtesy.plot_plan(self)
 
     def __str__(self) -> str:
         s = self.statistics

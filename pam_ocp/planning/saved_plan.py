@@ -19,7 +19,7 @@ from ..core.signals import PiecewisePolynomial
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulate import evaluated
 from .problem.problem import Problem
-from .problem.statement import problem_of, statement_of
+from .problem.problem_data import data_of, problem_of
 from .replay import replayed
 from .result import Plan
 from .transcription.mesh import Form, Interval, Mesh
@@ -53,7 +53,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "states": motion.named("state"),
         "inputs": motion.named("input"),
         "parameters": {v.name: v.start for v in plan.plant.parameters},
-        "problem": statement_of(plan._problem),
+        "problem": data_of(plan._problem),
         "status": plan.status,
         "objective": plan.objective,
         "durations": plan.durations,
@@ -88,15 +88,12 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
     """Read a plan of ``plant`` and judge it anew.
 
     Objective, durations, violations and the replay are computed here, from the motion in the file,
-    the
-    problem in the file and today's plant, which takes over the parameter values that the plan was
-    made
-    with. Multipliers are not kept: ``costates`` and ``sensitivities`` of a loaded plan raise
-    PlanError.
+    the problem in the file and today's plant, which takes over the parameter values that the plan
+    was made with. Multipliers are not kept: ``costates`` and ``sensitivities`` of a loaded plan
+    raise PlanError.
 
     Raises InputError for a file that is no plan, a plan of another plant, or one that contradicts
-    itself:
-    the message names what. Warns (PlanWarning) when the plan is not verified.
+    itself: the message names what. Warns (PlanWarning) when the plan is not verified.
     """
     require_plant(plant)
     meta, arrays = _read(Path(path))

@@ -34,8 +34,8 @@ STARTS: tuple[tuple[bool, float, Start], ...] = (
     (False, 3.0, "adaptive"),
 )
 """(whether states run as in the planner's own guess, its durations, barrier strategy), the order in
-which
-they found most on random tasks with valves."""
+which they found most on random tasks with valves.
+"""
 MOST = len(STARTS)
 SEVERAL = 4
 """Starts where local optima are many; see docs/benchmarks.md."""
@@ -96,8 +96,7 @@ def number_of_starts(plant: Plant) -> int:
     """How many starts pay: several with valves or a load on a spring of its own, else one.
 
     Valves are inputs that act more or less as the state is (a flow by the pressures beside it) or
-    as
-    they are themselves; a load on a spring moves by way of another position only.
+    as they are themselves; a load on a spring moves by way of another position only.
     """
     return SEVERAL if _throttled(plant) or _in_series(plant) else 1
 

@@ -27,8 +27,8 @@ class Verdict:
     """The state that deviates most."""
     violation: float
     """Largest violation along the replay of bounds and path constraints (between the points too),
-    of
-    the stops' conditions, the closing of a cycle and budgets, in units of nominal."""
+    of the stops' conditions, the closing of a cycle and budgets, in units of nominal.
+    """
     constraint: str
     """What is violated most ("" when nothing is)."""
     tolerance: float

@@ -6,18 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from numbers import Real
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from ..core.errors import InputError
 from ..muscles.catalogue import muscle as catalogued
 from ..muscles.muscle import Muscle
 from .losses import ConstantDamping, Damping, Loss
 
-if TYPE_CHECKING:
-    from .feeds import Feed
-    from .loads import Load
-
-__all__ = ["as_damping", "as_feed", "as_loads", "as_losses", "as_muscle"]
+__all__ = ["as_damping", "as_losses", "as_muscle", "component", "components"]
 
 
 def as_muscle(value: Any, argument: str = "muscle") -> Muscle:
@@ -39,38 +35,27 @@ def as_damping(value: Any, default: Damping) -> Damping:
     if isinstance(value, str | Real):
         return ConstantDamping(cast(float, value))
     return cast(
-        Damping, _component("damping", value, "coefficient", "a number or StiffnessDamping(0.1)")
+        Damping, component("damping", value, "coefficient", "a number or StiffnessDamping(0.1)")
     )
-
-
-def as_feed(value: Any, default: Feed) -> Feed:
-    """A feed."""
-    example = "Regulator(0.05) or SpoolValve()"
-    return default if value is None else cast("Feed", _component("feed", value, "connect", example))
 
 
 def as_losses(value: Any) -> tuple[Loss, ...]:
     """Losses of a muscle: one of them, several, or none."""
-    return cast("tuple[Loss, ...]", _components("losses", value, "CoulombFriction()"))
+    return cast("tuple[Loss, ...]", components("losses", value, "CoulombFriction()"))
 
 
-def as_loads(value: Any) -> tuple[Load, ...]:
-    """Loads: one of them, several, or none."""
-    return cast("tuple[Load, ...]", _components("loads", value, "Spring(1e3)"))
-
-
-def _components(argument: str, value: Any, example: str) -> tuple[Any, ...]:
+def components(argument: str, value: Any, example: str) -> tuple[Any, ...]:
+    """One component with a ``force``, several, or none."""
     if value is None:
         return ()
     several = (
         isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "force")
     )
-    return tuple(
-        _component(argument, v, "force", example) for v in (value if several else (value,))
-    )
+    return tuple(component(argument, v, "force", example) for v in (value if several else (value,)))
 
 
-def _component(argument: str, value: Any, method: str, example: str) -> Any:
+def component(argument: str, value: Any, method: str, example: str) -> Any:
+    """``value``, or an InputError when it is no component with this method."""
     if isinstance(value, type) and hasattr(value, method):
         raise InputError(
             f"{argument} holds the class {value.__name__}, not one made of it: write "

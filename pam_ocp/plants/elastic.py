@@ -9,14 +9,19 @@ from ..muscles.law import SLACK_WIDTH, clamp
 from ..muscles.muscle import Muscle
 from .components import as_damping, as_muscle
 from .feeds import Feed
-from .hanging import moved_mass, weight
+from .hanging import hanging_sketch, moved_mass, weight
+from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
 from .losses import ConstantDamping, Damping, Loss, StiffnessDamping
 from .plant import Plant
+from .sketch import Sketch
 
 __all__ = ["SeriesLoad", "SpringOverMuscle"]
 
 
+@PLANTS.register(
+    units={"mass": "kg", "spring_stiffness": "N/m", "preload": "N", "inclination": "rad"}
+)
 class SpringOverMuscle(Plant):
     """A muscle inside a bias spring: m x'' + c x' = F - (preload + k_som x) - m g sin(inclination).
 
@@ -88,6 +93,9 @@ class SpringOverMuscle(Plant):
         )
 
 
+@PLANTS.register(
+    units={"mass": "kg", "tendon_stiffness": "N/m", "tendon_damping": "N.s/m", "fitting_mass": "kg"}
+)
 class SeriesLoad(Plant):
     """A muscle pulls a hanging mass by an elastic tendon: two masses, the tendon only pulls.
 
@@ -174,3 +182,7 @@ class SeriesLoad(Plant):
         self.der(v, (pull - weight(self, m) + outside) / (m + added))
         self.der(y, w)
         self.der(w, (attached.force - pull - c * w) / end)
+
+    def sketch(self) -> Sketch | None:
+        """The mass hangs on a tendon that can be seen."""
+        return hanging_sketch(self, gap=0.25)

@@ -6,12 +6,9 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 
-from ..core.errors import InputError
-from ..planning.problem.wording import Avoid, Constraint, Phase, Stop
 from .plant import Plant
 from .stillness import Position
 
@@ -113,7 +110,7 @@ class Ensemble(Plant):
         """The nominal plant's."""
         return tuple(q for q in super().resting(named) if not _COPY.search(q.name))
 
-    # ---- a wish about the plant, said of the ensemble ------------------------------------------
+    # ---- what is said of the plant, said of the ensemble ---------------------------------------
     def images(self, name: str) -> list[str]:
         """What a variable (or der(NAME)) of the plant is called in the copies; [] when shared."""
         inner = name[4:-1] if name.startswith("der(") else name
@@ -130,67 +127,6 @@ class Ensemble(Plant):
         x, p = self._symbols_of[k]
         old = ca.vertcat(plant.x, plant.u, plant.p)
         return ca.SX(ca.substitute(expression, old, ca.vertcat(x, self._u, p)))
-
-    def arguments(self, wish: Mapping[str, Any], kept: bool) -> dict[str, Any]:
-        """Arguments of plan for the plant (all but stops), said of the ensemble."""
-        found = dict(wish)
-        for name in ("integrand", "final"):
-            if found.get(name) is not None:
-                found[name] = self.expression_in(0, found[name])
-        designed = set(found.get("design") or {}) & set(self.draws[0])
-        if designed:
-            raise InputError(f"design: {', '.join(sorted(designed))} is drawn, it cannot be chosen")
-        if found.get("bounds"):
-            found["bounds"] = self._bounds(found["bounds"], kept)
-        if found.get("constraints"):
-            found["constraints"] = self._constraints(found["constraints"], kept)
-        if found.get("phases"):
-            found["phases"] = [
-                phase
-                if phase is None
-                else Phase(
-                    phase.duration,
-                    self._bounds(phase.bounds, kept),
-                    self._constraints(phase.constraints, kept),
-                )
-                for phase in found["phases"]
-            ]
-        return found
-
-    def _bounds(self, bounds: Mapping[str, Any], kept: bool) -> dict[str, Any]:
-        copies = {m: b for n, b in bounds.items() for m in self.images(n)} if kept else {}
-        return {**bounds, **copies}
-
-    def _constraints(
-        self, constraints: Sequence[Constraint | Avoid], kept: bool
-    ) -> list[Constraint | Avoid]:
-        found: list[Constraint | Avoid] = []
-        for given in constraints:
-            for k in range(len(self.draws) + 1 if kept else 1):
-                of = f" in draw {k}" if k else ""
-                if isinstance(given, Constraint):
-                    expression = self.expression_in(k, given.expression)
-                    found.append(replace(given, expression=expression, name=given.name + of))
-                elif k == 0:
-                    found.append(given)
-                else:
-                    region = {
-                        (self.images(n) or [n] * k)[k - 1] if n != "time" else n: value
-                        for n, value in given.region.items()
-                    }
-                    found.append(Avoid(region, given.name + of))
-        return found
-
-    def stop(self, stop: Mapping[str, Any] | Stop, spread: Mapping[str, float]) -> Stop:
-        """A stop, with the copies' watched variables within their spread there."""
-        stop = stop if isinstance(stop, Stop) else Stop(stop)
-        within = {
-            f"{n}.deviation{k}": (-width, width)
-            for n, width in spread.items()
-            if n in self.own
-            for k in range(1, len(self.draws) + 1)
-        }
-        return replace(stop, values={**stop.values, **within})
 
 
 def _touched(plant: Plant, drawn: Sequence[str]) -> set[str]:

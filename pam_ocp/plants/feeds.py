@@ -5,22 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol, cast
 
 import casadi as ca
 
 from ..core.errors import require_positive
+from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
-from .components import as_feed, as_losses, as_muscle
+from .components import as_losses, as_muscle, component
+from .kinds import FEEDS
 from .losses import Loss, Motion
 from .meters import meter_pneumatics, meter_work
 from .valves import GasFeed
 
-if TYPE_CHECKING:
-    from .plant import Plant
-
-__all__ = ["AttachedMuscle", "Feed", "IdealPressure", "Regulator", "attach"]
+__all__ = ["AttachedMuscle", "Feed", "IdealPressure", "Regulator", "as_feed", "attach"]
 
 
 @dataclass(frozen=True)
@@ -43,14 +42,17 @@ class Feed(Protocol):
     """How the pressure of a muscle comes about."""
 
     def connect(
-        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         """Declare the feed's variables under ``name``; return the gauge pressure [Pa].
+
+        Where none of them is called ``<name>.pressure``, an output of this name shows it.
 
         contraction [1] and its rate [1/s] are there for feeds whose gas is compressed by motion.
         """
 
 
+@FEEDS.register(units={"max_pressure": "Pa"})
 @dataclass(frozen=True)
 class IdealPressure:
     """The input ``<name>.pressure`` is the pressure itself.
@@ -66,7 +68,7 @@ class IdealPressure:
         _in_si(self, {"max_pressure": "Pa"})
 
     def connect(
-        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         return plant.input(
             f"{name}.pressure",
@@ -75,6 +77,7 @@ class IdealPressure:
         )
 
 
+@FEEDS.register(units={"lag": "s", "max_pressure": "Pa", "max_rate": "Pa/s"})
 @dataclass(frozen=True)
 class Regulator:
     """First-order pressure regulator: p' = (u - p)/lag, u the commanded pressure.
@@ -97,7 +100,7 @@ class Regulator:
         _in_si(self, {"lag": "s", "max_pressure": "Pa", "max_rate": "Pa/s"})
 
     def connect(
-        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         attributes = _pressure_attributes(muscle, self.max_pressure)
         pressure = plant.state(
@@ -129,6 +132,14 @@ class Regulator:
         return pressure
 
 
+def as_feed(value: Any) -> Feed:
+    """A feed; by default a :class:`Regulator`."""
+    example = "Regulator(0.05) or SpoolValve()"
+    return (
+        Regulator() if value is None else cast(Feed, component("feed", value, "connect", example))
+    )
+
+
 def _in_si(component: Any, units: Mapping[str, str]) -> None:
     """Check these fields of a frozen component: numbers > 0, a text with its unit is one; None
     stays.
@@ -149,7 +160,7 @@ _UNITS = {"rest_length": ("m", 0.1), "slack_width": ("N", 1.0)}
 
 
 def attach(
-    plant: Plant,
+    plant: Declares,
     name: str,
     muscle: Muscle | str,
     *,
@@ -164,7 +175,7 @@ def attach(
     losses : components such as ``CoulombFriction()``, ``BoucWen()`` or ``Creep()``, whose forces
         are taken off the law's tension before the clamp: a slack muscle has no friction either.
     """
-    muscle, feed, losses = as_muscle(muscle), as_feed(feed, Regulator()), as_losses(losses)
+    muscle, feed, losses = as_muscle(muscle), as_feed(feed), as_losses(losses)
     symbolic = _with_parameters(plant, name, muscle)
     if not isinstance(pre_contraction, ca.SX):
         pre_contraction = plant.parameter(
@@ -184,6 +195,14 @@ def attach(
         pressure = air.pressure
     else:
         pressure = feed.connect(plant, name, symbolic, bounded, relative_rate)
+    if f"{name}.pressure" not in {v.name for v in plant.variables}:
+        plant.output(
+            f"{name}.pressure",
+            pressure,
+            unit="Pa",
+            nominal=1e5,
+            description=f"gauge pressure in {name}",
+        )
     tension = symbolic.tension(pressure, bounded)
     gain = ca.jacobian(tension, pressure)
     force = symbolic.force(pressure, bounded)
@@ -205,11 +224,11 @@ def attach(
     _declare_outputs(plant, attached, tension)
     totals = bool(getattr(feed, "totals", False))
     drawn = feed.drawn(plant, name, air) if totals and isinstance(feed, GasFeed) else None
-    work = meter_work(plant, attached, rate, muscle.mass, totals)
+    work = meter_work(plant, name, force, rate, muscle.mass, totals)
     if isinstance(feed, GasFeed):
         feed.meter(plant, name, air, drawn, work)
     elif work is not None:
-        meter_pneumatics(plant, attached, gain, rate, work)
+        meter_pneumatics(plant, name, pressure, gain, rate, work)
     return attached
 
 
@@ -222,7 +241,7 @@ def _within_reach(contraction: ca.SX) -> ca.SX:
     return ca.if_else(contraction < -1, -1, contraction)
 
 
-def _with_parameters(plant: Plant, name: str, muscle: Muscle) -> Muscle:
+def _with_parameters(plant: Declares, name: str, muscle: Muscle) -> Muscle:
     """The muscle with a parameter of the plant for each of its constants."""
     described = {v.name: v for v in muscle.law.coefficient_variables()}
 
@@ -252,7 +271,7 @@ def _with_parameters(plant: Plant, name: str, muscle: Muscle) -> Muscle:
     return muscle.substituted(symbol)
 
 
-def _declare_outputs(plant: Plant, attached: AttachedMuscle, tension: ca.SX) -> None:
+def _declare_outputs(plant: Declares, attached: AttachedMuscle, tension: ca.SX) -> None:
     name = attached.name
     plant.output(
         f"{name}.force",

@@ -10,11 +10,13 @@ from ..core.errors import require_finite, require_positive
 from ..muscles.muscle import Muscle
 from .components import as_damping, as_muscle
 from .feeds import Feed
+from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
 from .losses import Damping, Loss, StiffnessDamping
 from .plant import Plant
+from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
-__all__ = ["GRAVITY", "HangingLoad", "moved_mass", "weight"]
+__all__ = ["GRAVITY", "HangingLoad", "hanging_sketch", "moved_mass", "weight"]
 
 GRAVITY = 9.80665
 """Standard gravity [m/s2]."""
@@ -65,6 +67,36 @@ def weight(plant: Plant, mass: ca.SX, inclination: float | None = None) -> ca.SX
     return ca.SX(mass * g * ca.sin(angle))
 
 
+def hanging_sketch(plant: Plant, gap: float = 0.06) -> Sketch | None:
+    """A muscle under the ceiling and what it moves below it; None for a plant that has no such
+    variables (x, muscle.contraction, muscle.rest_length).
+
+    gap : between the muscle's end and the load at x = 0, in parts of its length.
+    """
+    known = {v.name for v in plant.variables}
+    if not {"x", "muscle.contraction", "muscle.rest_length"} <= known:
+        return None
+    x, length = plant.expression("x"), plant.expression("muscle.rest_length")
+    shorter = plant.expression("muscle.contraction") * length
+    zero = ca.SX(0)
+    if "muscle.pre_contraction" in known:
+        zero = plant.expression("muscle.pre_contraction") * length
+    half, top, end = 0.16 * length, x + zero - (1 + gap) * length, shorter - length
+    return Sketch(
+        (
+            Polygon(box((-1.6 * half, 0.0), (1.6 * half, 0.08 * length)), "ground"),
+            Line([(0.0, end), (0.0, top)], "rope"),
+            Spindle("muscle", (0.0, end), (0.0, 0.0)),
+            Polygon(box((-half, top - 1.4 * half), (half, top))),
+            Line([(half, top), (1.15 * half, top)], "needle"),
+        ),
+        (-3.4 * half, 3.4 * half),
+        (-(1.15 + gap) * length - 1.6 * half, 0.12 * length),
+        (Mark("x", [(1.15 * half, top), (1.9 * half, top)], "right"),),
+    )
+
+
+@PLANTS.register(units={"mass": "kg", "inclination": "rad"})
 class HangingLoad(Plant):
     """A load hanging on one muscle: m x'' + c x' = F(p, kappa) - m g + loads, x the contraction
     [m].
@@ -77,9 +109,9 @@ class HangingLoad(Plant):
     muscle : the muscle, or its name in the catalogue; its rest length sets the stroke.
     mass : load [kg].
     inclination : of +x above the horizontal [rad]: a load pulled up a slope; None for a vertical
-    one.
+        one.
     damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its
-    value.
+        value.
     feed : how the pressure comes about; default ``Regulator()``.
     losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
     loads : what else acts on the mass, as ``(Spring(1e3), ExternalForce())``.

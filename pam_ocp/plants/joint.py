@@ -12,13 +12,15 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.expressions import expression_of
 from ..core.plausible import meant_within
 from ..muscles.muscle import Muscle
-from .components import as_damping, as_loads, as_muscle
+from .components import as_damping, as_muscle
 from .feeds import Feed
 from .hanging import GRAVITY
-from .loads import Coordinate, Load, Wall, applied
+from .kinds import PLANTS
+from .loads import Coordinate, Load, Wall, applied, as_loads
 from .losses import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant
+from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box
 
 __all__ = ["AntagonisticJoint", "MomentArm"]
 
@@ -28,14 +30,22 @@ QUADRATURE = 16
 """Gauss points over which a user's moment arm is integrated to the muscle's shortening."""
 
 
+@PLANTS.register(
+    units={
+        "inertia": "kg.m2",
+        "moment_arm": "m",
+        "moment_arm2": "m",
+        "link_mass": "kg",
+        "link_length": "m",
+        "limits": "rad",
+    }
+)
 class AntagonisticJoint(Plant):
     """A joint between two muscles: I theta'' + c theta' = r1 F1 - r2 F2 - m g d sin(theta) + loads.
 
     Flexor (muscle 1) pulls towards +theta, extensor (muscle 2) towards -theta. A moment arm
-    r(theta)
-    is the derivative of the shortening s: kappa1 = k0 + s1(theta)/l0, kappa2 = k0 - s2(theta)/l0,
-    so
-    the muscles' work is the joint's work.
+    r(theta) is the derivative of the shortening s: kappa1 = k0 + s1(theta)/l0, kappa2 = k0 -
+    s2(theta)/l0, so the muscles' work is the joint's work.
 
     Parameters
     ----------
@@ -51,9 +61,8 @@ class AntagonisticJoint(Plant):
     damping, feed, losses, loads : components; by default 0.3 N m s/rad and a ``Regulator()`` each.
 
     States theta [rad], omega [rad/s] and those of feeds and losses. Outputs ``torque`` of the
-    muscles
-    [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the muscles'
-    own.
+    muscles [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the
+    muscles' own.
     """
 
     def __init__(
@@ -129,6 +138,35 @@ class AntagonisticJoint(Plant):
         one_arm = moment_arm2 is None and not callable(moment_arm)
         if muscles[0] == muscles[1] and one_arm and even and not loads:
             self.mirror({"theta": (-1.0, "theta"), "omega": (-1.0, "omega"), **mirrored_pair(self)})
+
+    def sketch(self) -> Sketch:
+        """Flexor and extensor below a pulley with a link, as long as their contractions make
+        them."""
+        theta, k0 = self.expression("theta"), self.expression("pre_contraction")
+        names = ("muscle1", "muscle2")
+        lengths = [self.expression(f"{n}.rest_length") for n in names]
+        arms = [ca.substitute(self.expression(f"{n}.radius"), theta, 0.0) for n in names]
+        pulley = ca.fmax(*arms)
+        base = -ca.fmax(*lengths) * (1 - k0) - 1.5 * pulley
+        link = ca.fmax(self.expression("link_length"), 3.0 * pulley)
+        gap = ca.fmax(pulley, 0.117 * lengths[0])
+        tip = (ca.sin(theta), ca.cos(theta))
+        shapes: list[Shape] = [
+            Polygon(box((-2.6 * gap, base - 0.5 * gap), (2.6 * gap, base)), "ground"),
+            Disc((0.0, 0.0), pulley),
+        ]
+        # the flexor turns the link towards +theta: to the right, with its muscle on the right
+        for name, length, arm, side in zip(names, lengths, arms, (1, -1), strict=True):
+            top = base + length * (1 - self.expression(f"{name}.contraction"))
+            shapes.append(Line([(side * gap, top), (side * arm, 0.0)], "rope"))
+            shapes.append(Spindle(name, (side * gap, base), (side * gap, top)))
+        shapes.append(Line([(0.0, 0.0), (link * tip[0], link * tip[1])], "rod"))
+        return Sketch(
+            shapes,
+            (-1.1 * link - gap, 1.1 * link + gap),
+            (base - 0.8 * gap, 1.25 * link),
+            (Mark("theta", [(0.0, 0.0), (1.15 * link * tip[0], 1.15 * link * tip[1])]),),
+        )
 
     def _arm(self, name: str, arm: MomentArm, theta: ca.SX) -> tuple[ca.SX, ca.SX]:
         """(shortening s(theta), moment arm r(theta) = ds/dtheta) of one muscle."""

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Any, Protocol, cast
 
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
 from ..muscles.law import clamp
-from .components import as_loads
-
-if TYPE_CHECKING:
-    from .plant import Plant
+from .components import components
+from .kinds import LOADS
 
 __all__ = [
     "Coordinate",
@@ -29,6 +28,7 @@ __all__ = [
     "Spring",
     "Wall",
     "applied",
+    "as_loads",
 ]
 
 
@@ -64,10 +64,11 @@ class Load(Protocol):
     joint.
     """
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """Declare parameters; the force [N] or torque [N.m] in positive direction."""
 
 
+@LOADS.register(units={"start": ("N", "N.m")})
 @dataclass(frozen=True)
 class ExternalForce:
     """The input ``<name>``: a force (or torque) from outside, a disturbance to plans."""
@@ -75,7 +76,7 @@ class ExternalForce:
     name: str = "external_force"
     start: float = 0.0
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         return plant.input(
             self.name,
@@ -87,6 +88,7 @@ class ExternalForce:
         )
 
 
+@LOADS.register(units={"stiffness": ("N/m", "N.m/rad"), "rest": ("m", "rad")})
 @dataclass(frozen=True)
 class Spring:
     """F = -k (position - rest)."""
@@ -99,7 +101,7 @@ class Spring:
         require_positive("Spring.stiffness", self.stiffness, zero=True)
         require_finite("Spring.rest", self.rest)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         k = plant.parameter(
             f"{self.name}.stiffness",
@@ -121,6 +123,7 @@ class Spring:
         return ca.SX(-k * (at.position - rest))
 
 
+@LOADS.register(units={"coefficient": ("N.s/m", "N.m.s/rad")})
 @dataclass(frozen=True)
 class Damper:
     """F = -c velocity."""
@@ -131,7 +134,7 @@ class Damper:
     def __post_init__(self) -> None:
         require_positive("Damper.coefficient", self.coefficient, zero=True)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         c = plant.parameter(
             f"{self.name}.coefficient",
@@ -145,6 +148,7 @@ class Damper:
         return ca.SX(-c * at.velocity)
 
 
+@LOADS.register(units={"coulomb": ("N", "N.m"), "speed": ("m/s", "rad/s")})
 @dataclass(frozen=True)
 class DryFriction:
     """F = -F_c tanh(velocity/v0): Coulomb friction of a guide, rounded off below the speed v0."""
@@ -157,7 +161,7 @@ class DryFriction:
         require_positive("DryFriction.coulomb", self.coulomb, zero=True)
         require_positive("DryFriction.speed", self.speed)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         coulomb = plant.parameter(
             f"{self.name}.coulomb",
@@ -180,6 +184,7 @@ class DryFriction:
         return ca.SX(-coulomb * ca.tanh(at.velocity / speed))
 
 
+@LOADS.register(units={"value": ("kg", "kg.m2")})
 @dataclass(frozen=True)
 class Inertia:
     """More mass [kg] (or moment of inertia [kg.m2]) that moves along; no force."""
@@ -190,11 +195,11 @@ class Inertia:
     def __post_init__(self) -> None:
         require_positive("Inertia.value", self.value, zero=True)
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`; always zero."""
         return ca.SX(0)
 
-    def inertia(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def inertia(self, plant: Declares, at: Coordinate) -> ca.SX:
         """What is added to the moving mass."""
         return plant.parameter(
             self.name,
@@ -206,6 +211,14 @@ class Inertia:
         )
 
 
+@LOADS.register(
+    units={
+        "position": ("m", "rad"),
+        "stiffness": ("N/m", "N.m/rad"),
+        "damping": ("N.s/m", "N.m.s/rad"),
+        "width": ("N", "N.m"),
+    }
+)
 @dataclass(frozen=True)
 class Wall:
     """A stop at ``position``, met from below (side +1) or above (-1): smooth unilateral contact.
@@ -233,7 +246,7 @@ class Wall:
                 f"Wall.side = {self.side!r}: +1 stops motion upwards, -1 motion downwards"
             )
 
-    def force(self, plant: Plant, at: Coordinate) -> ca.SX:
+    def force(self, plant: Declares, at: Coordinate) -> ca.SX:
         """See :class:`Load`."""
         where = plant.parameter(
             f"{self.name}.position",
@@ -282,7 +295,12 @@ class Wall:
         return ca.SX(-self.side * elastic * factor)
 
 
-def applied(plant: Plant, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
+def as_loads(value: Any) -> tuple[Load, ...]:
+    """Loads: one of them, several, or none."""
+    return cast("tuple[Load, ...]", components("loads", value, "Spring(1e3)"))
+
+
+def applied(plant: Declares, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
     """(sum of the forces, sum of the added inertias) of all loads at a coordinate."""
     force, inertia = ca.SX(0), ca.SX(0)
     for load in as_loads(loads):
@@ -291,7 +309,7 @@ def applied(plant: Plant, loads: Load | Sequence[Load], at: Coordinate) -> tuple
     return force, inertia
 
 
-def _inertia(plant: Plant, load: Load, at: Coordinate) -> ca.SX:
+def _inertia(plant: Declares, load: Load, at: Coordinate) -> ca.SX:
     """What a load adds to the moving mass: its ``inertia(plant, at)``, or a number of that name."""
     own = getattr(load, "inertia", 0.0)
     added = own(plant, at) if callable(own) else own

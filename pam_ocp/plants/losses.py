@@ -9,16 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
-
-if TYPE_CHECKING:
-    from .plant import Plant
+from .kinds import DAMPINGS, LOSSES
 
 __all__ = [
     "ConstantDamping",
@@ -40,11 +39,12 @@ class Damping(Protocol):
     """A viscous damping c [N.s/m] that may depend on the state."""
 
     def coefficient(
-        self, plant: Plant, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
+        self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
     ) -> ca.SX:
         """c [N.s/m] for a moving ``mass`` [kg] on ``stiffness`` [N/m]; adds its parameters."""
 
 
+@DAMPINGS.register(units={"value": ("N.s/m", "N.m.s/rad")})
 @dataclass(frozen=True)
 class ConstantDamping:
     """c = constant [N.s/m]."""
@@ -55,7 +55,7 @@ class ConstantDamping:
         require_positive("ConstantDamping.value", self.value, "N.s/m", zero=True)
 
     def coefficient(
-        self, plant: Plant, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
+        self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
     ) -> ca.SX:
         return plant.parameter(
             "damping",
@@ -68,6 +68,7 @@ class ConstantDamping:
         )
 
 
+@DAMPINGS.register()
 @dataclass(frozen=True)
 class StiffnessDamping:
     """c = 2 zeta sqrt(m k): a constant damping ratio, so c is a nonlinear function of displacement.
@@ -83,7 +84,7 @@ class StiffnessDamping:
         require_positive("StiffnessDamping.ratio", self.ratio, zero=True)
 
     def coefficient(
-        self, plant: Plant, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
+        self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
     ) -> ca.SX:
         ratio = plant.parameter(
             "damping_ratio",
@@ -119,7 +120,7 @@ class Motion:
 class Loss(Protocol):
     """A force against the contraction of a muscle."""
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """Declare what is needed under ``name``; force [N],
         positive where it hinders shortening.
         """
@@ -129,6 +130,7 @@ Line = tuple[float, float]
 """Constant [N.s/m] and slope over pressure [N.s/(m.Pa)]."""
 
 
+@LOSSES.register(units={"speed": "m/s", "rounding": "N.s/m"})
 @dataclass(frozen=True)
 class DirectionalDamping:
     """F = B(p) v, with one B while the muscle contracts and another while it relaxes.
@@ -173,14 +175,14 @@ class DirectionalDamping:
         """
         return cls([(2.90e3, 0.0)], [(1.57e3, 0.0), (0.311e3, 3.38e-3)])
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         contracting, relaxing = (self._damping(plant, name, way, motion.pressure) for way in _WAYS)
         v = motion.velocity
         share = (1 + ca.tanh(v / self.speed)) / 2
         return ca.SX((relaxing + (contracting - relaxing) * share) * v)
 
-    def _damping(self, plant: Plant, name: str, way: str, pressure: ca.SX) -> ca.SX:
+    def _damping(self, plant: Declares, name: str, way: str, pressure: ca.SX) -> ca.SX:
         largest = ca.SX(0)
         for i, (constant, slope) in enumerate(getattr(self, way), start=1):
             b0 = plant.parameter(
@@ -204,6 +206,9 @@ class DirectionalDamping:
 _WAYS = ("contracting", "relaxing")
 
 
+@LOSSES.register(
+    units={"constant": "N", "per_pressure": "N/Pa", "speed": "m/s", "stribeck_speed": "m/s"}
+)
 @dataclass(frozen=True)
 class CoulombFriction:
     """F = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v/v0), Fc = constant + per_pressure p.
@@ -229,7 +234,7 @@ class CoulombFriction:
         for argument in ("speed", "stribeck_speed"):
             require_positive(f"CoulombFriction.{argument}", getattr(self, argument), "m/s")
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         constant, slope, excess, speed, stribeck = (
             plant.parameter(

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
+from .kinds import LOSSES
 from .losses import Motion
-
-if TYPE_CHECKING:
-    from .plant import Plant
 
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 
@@ -37,7 +35,7 @@ WIDEST_RATE = 0.3
 """The same where planning a motion begins [1/s]."""
 
 
-def _speed(plant: Plant, name: str, key: str, rate: ca.SX) -> ca.SX:
+def _speed(plant: Declares, name: str, key: str, rate: ca.SX) -> ca.SX:
     width = plant.parameter(
         f"{name}.{key}_rest_rate",
         REST_RATE,
@@ -55,13 +53,13 @@ def _passage(towards: ca.SX, edge: float | ca.SX, most: float = 1.0) -> ca.SX:
     """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
 
     With ``most`` > 1 it goes on below 0 from there, which leads back: exact motion never comes
-    there,
-    and on a coarse mesh what oversteps the edge does not stay beyond.
+    there, and on a coarse mesh what oversteps the edge does not stay beyond.
     """
     s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), most)
     return ca.SX(1 - s**3)
 
 
+@LOSSES.register(units={"friction": "N", "yield_contraction": "1"})
 @dataclass(frozen=True)
 class BoucWen:
     """F = F0 z, dz/dkappa = [1 - (beta sign(kappa' z) + 1 - beta) |z|^n]/yield, |z| <= 1.
@@ -94,7 +92,7 @@ class BoucWen:
         if require_finite("BoucWen.order", self.order) < 1:
             raise InputError(f"BoucWen.order = {self.order:g} must be >= 1")
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         friction, width, beta, order = (
             plant.parameter(
@@ -133,6 +131,7 @@ class BoucWen:
         return ca.SX(friction * z)
 
 
+@LOSSES.register(units={"friction": "N", "yield_contraction": "1"})
 @dataclass(frozen=True)
 class MaxwellSlip:
     """F = sum F_i z_i: springs in series with dry friction, each sliding at its own |z_i| = 1.
@@ -167,7 +166,7 @@ class MaxwellSlip:
         if not 0 < require_finite("MaxwellSlip.edge", self.edge) <= 1:
             raise InputError(f"MaxwellSlip.edge = {self.edge:g} must lie in 0 .. 1")
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         rate, speed = motion.rate, _speed(plant, name, "slip", motion.rate)
         edge = plant.parameter(
@@ -213,6 +212,7 @@ class MaxwellSlip:
         return total
 
 
+@LOSSES.register(units={"stiffness": "N", "time": "s"})
 @dataclass(frozen=True)
 class Creep:
     """F = sum K_i (kappa - e_i), de_i/dt = (kappa - e_i)/tau_i: the membrane gives way in time.
@@ -245,7 +245,7 @@ class Creep:
             )
             object.__setattr__(self, argument, values)
 
-    def force(self, plant: Plant, name: str, motion: Motion) -> ca.SX:
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
         total = ca.SX(0)
         for i, (value, time) in enumerate(zip(self.stiffness, self.time, strict=True), start=1):

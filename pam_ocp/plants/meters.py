@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import casadi as ca
 
+from ..core.system import Declares
 from .valves import EXERGY_FLOOR
-
-if TYPE_CHECKING:
-    from .feeds import AttachedMuscle
-    from .plant import Plant
 
 __all__ = ["meter_pneumatics", "meter_work"]
 
 
 def meter_work(
-    plant: Plant, attached: AttachedMuscle, velocity: ca.SX, mass: float | None, totals: bool
+    plant: Declares, name: str, force: ca.SX, velocity: ca.SX, mass: float | None, totals: bool
 ) -> ca.SX | None:
     """Declare ``<name>.power`` = F times the speed of shortening [m/s], and what follows from it.
 
     mass : of the muscle [kg]; known, power (and work) per mass are outputs too.
     totals : add the state ``<name>.work``, the integral of the power, which is returned.
     """
-    name, power = attached.name, ca.SX(attached.force * velocity)
+    power = ca.SX(force * velocity)
     per_mass = [("power_per_mass", power, "W/kg", "mechanical power per mass")]
     plant.output(
         f"{name}.power",
@@ -60,7 +55,7 @@ def meter_work(
 
 
 def meter_pneumatics(
-    plant: Plant, attached: AttachedMuscle, gain: ca.SX, velocity: ca.SX, work: ca.SX
+    plant: Declares, name: str, pressure: ca.SX, gain: ca.SX, velocity: ca.SX, work: ca.SX
 ) -> None:
     """Declare what a feed without gas puts into the muscle, the integral of p dV, and the
     efficiency.
@@ -68,14 +63,13 @@ def meter_pneumatics(
     gain : dF/dp = -dV/dl [N/Pa], so that p dV/dt = p gain velocity whatever the volume at rest. In
     this sense a law that is linear in pressure loses nothing over a cycle; losses take their share.
     """
-    name = attached.name
     spent = plant.state(
         f"{name}.pneumatic_work",
         unit="J",
         nominal=10.0,
         description=f"pressure times change of volume, put into {name}",
     )
-    plant.der(spent, attached.pressure * gain * velocity)
+    plant.der(spent, pressure * gain * velocity)
     plant.output(
         f"{name}.efficiency",
         work / ca.sqrt(spent**2 + EXERGY_FLOOR**2),

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, UnknownNameError
 from ..core.expressions import scalar_expression
 from ..core.variables import Causality, Variable
@@ -24,12 +25,13 @@ from ..muscles.muscle import Muscle
 from .feeds import AttachedMuscle, Feed, attach
 from .losses import Loss
 from .opening import Opening, Way, checked_commands
+from .sketch import Sketch
 from .stillness import Position, resting
 
 if TYPE_CHECKING:
     import control
 
-    from ..operating.equilibrium import OperatingPoint
+    from ..courtesy import OperatingPoint
 
 __all__ = ["Given", "Plant", "Values", "by_name", "require_plant"]
 
@@ -187,8 +189,8 @@ class Plant:
 
         commands : symbols of the inputs. forward : w as an expression of them and of parameters.
         inverse : w -> the commands that give it. ways : what stands in the plant's equations, each
-        as
-        (expression of the commands, w -> the same of w); returns their symbols, to be used there.
+        as (expression of the commands, w -> the same of w); returns their symbols, to be used
+        there.
         attributes : of the variable w; see :class:`Variable`. See :meth:`in_openings`.
         """
         self._open()
@@ -213,8 +215,7 @@ class Plant:
 
         Smooth within ``width`` of zero, the command less width/2 beyond; ``width`` is a number or a
         symbol, such as that of a parameter. Controllers then choose this effect itself, as the
-        input
-        ``name`` (by default ``<command>_effect``), and send the command that gives it.
+        input ``name`` (by default ``<command>_effect``), and send the command that gives it.
         """
         name_of = next((n for n, s in self._symbols.items() if s is command), str(command))
         checked_commands("dead_zone", [name_of], self._variables)
@@ -269,9 +270,8 @@ class Plant:
         losses : friction, hysteresis, creep, such as ``CoulombFriction()``.
 
         Adds the outputs ``<name>.force``, ``.contraction``, ``.stiffness``, ``.power`` (mechanical)
-        and
-        the path constraint ``<name>.tension`` >= 0 (never slack). Returns expressions to use in the
-        equation of motion.
+        and the path constraint ``<name>.tension`` >= 0 (never slack). Returns expressions to use in
+        the equation of motion.
         """
         return attach(
             self,
@@ -393,19 +393,22 @@ class Plant:
         """The point of rest under conditions; see
         :func:`pam_ocp.operating.equilibrium.equilibrium`.
         """
-        from ..operating.equilibrium import equilibrium
-
-        return equilibrium(self, conditions, **more)
+        return courtesy.equilibrium(self, conditions, **more)
 
     def linearize(self, at: Any = None, **options: Any) -> control.StateSpace:
         """python-control's StateSpace near a point;
         see :func:`pam_ocp.operating.linear.linearize`.
         """
-        from ..operating.linear import linearize
-
-        return linearize(self, at, **options)
+        return courtesy.linearize(self, at, **options)
 
     # ---- expressions and functions -----------------------------------------------------------
+    def sketch(self) -> Sketch | None:
+        """How the plant looks in a film; None: as a load on a muscle if it is one, else not at all.
+
+        A subclass overrides it: shapes whose points are expressions of its own variables.
+        """
+        return None
+
     def _finished(self) -> _System:
         if self._system is None:
             self._system = self._close()
@@ -532,8 +535,7 @@ class Plant:
 
         A valve-fed muscle has the input ``<name>.opening`` (-1 exhaust .. 1 supply), through whose
         zero the flow goes with a slope: there a linear model and a solver see what the valve can
-        do.
-        The plant itself where it declares no openings. Values, names and order are kept.
+        do. The plant itself where it declares no openings. Values, names and order are kept.
         """
         if not self._openings:
             return self

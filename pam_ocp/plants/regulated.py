@@ -9,15 +9,25 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ..core.errors import require_finite, require_positive
+from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.muscle import Muscle
 from .hanging import HangingLoad
+from .kinds import FEEDS, PLANTS
 from .losses import Damping, Loss
-from .plant import Plant
 
 __all__ = ["PositionFeedback", "RegulatedLoad"]
 
 
+@FEEDS.register(
+    units={
+        "gain": "Pa/m",
+        "derivative_gain": "Pa.s/m",
+        "lag": "s",
+        "max_pressure": "Pa",
+        "rounding": "Pa",
+    }
+)
 @dataclass(frozen=True)
 class PositionFeedback:
     """A regulator that follows the muscle's own shortening s = kappa l0 with a first-order lag.
@@ -53,7 +63,7 @@ class PositionFeedback:
             require_positive("PositionFeedback.max_pressure", self.max_pressure, "Pa")
 
     def connect(
-        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         """Declare the loop; return the gauge pressure [Pa]."""
         top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
@@ -132,6 +142,15 @@ class PositionFeedback:
         return pressure
 
 
+@PLANTS.register(
+    units={
+        "mass": "kg",
+        "gain": "Pa/m",
+        "derivative_gain": "Pa.s/m",
+        "lag": "s",
+        "max_pressure": "Pa",
+    }
+)
 class RegulatedLoad(HangingLoad):
     """A hanging load whose pressure is fed back from its position through a regulator with a lag.
 
@@ -149,7 +168,7 @@ class RegulatedLoad(HangingLoad):
     mass : load [kg].
     gain, derivative_gain, lag, max_pressure, totals : see :class:`PositionFeedback`.
     damping : ``StiffnessDamping(ratio)`` (default 0.1), ``ConstantDamping(value)`` or just its
-    value.
+        value.
     losses : friction, hysteresis, creep of the muscle, as ``(CoulombFriction(), Creep())``.
 
     States x [m] (upwards), v [m/s], muscle.pressure [Pa]; inputs muscle.set_pressure [Pa] and

@@ -7,16 +7,19 @@ from collections.abc import Sequence
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.plausible import meant_within
 from ..muscles.muscle import Muscle
-from .components import as_damping, as_loads, as_muscle
+from .components import as_damping, as_muscle
 from .feeds import Feed
-from .loads import Coordinate, Load, applied
+from .kinds import PLANTS
+from .loads import Coordinate, Load, applied, as_loads
 from .losses import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant
+from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
 __all__ = ["AntagonisticSlide"]
 
 
+@PLANTS.register(units={"mass": "kg", "pre_contraction": "1", "stroke": "m"})
 class AntagonisticSlide(Plant):
     """Two muscles pulling a slide in opposite directions: m x'' + c x' = F1 - F2 + loads.
 
@@ -29,7 +32,7 @@ class AntagonisticSlide(Plant):
     pre_contraction : contraction k0 of both muscles at x = 0.
     stroke : largest |x| [m]; by default as far as both muscles stay in their measured range.
     damping : ``ConstantDamping(value)`` (default 20 N s/m) or its value, or
-    ``StiffnessDamping(ratio)``.
+        ``StiffnessDamping(ratio)``.
     feed : how each pressure comes about; default ``Regulator()``.
     losses : friction, hysteresis, creep of each muscle, as ``(CoulombFriction(), Creep())``.
     loads : what else acts on the slide, as ``(ExternalForce(), DryFriction(5.0))``.
@@ -115,3 +118,24 @@ class AntagonisticSlide(Plant):
         )
         if muscles[0] == muscles[1] and not loads:  # a load may act to one side
             self.mirror({"x": (-1.0, "x"), "v": (-1.0, "v"), **mirrored_pair(self)})
+
+    def sketch(self) -> Sketch:
+        """Muscle 2, the slide, muscle 1 in a row between two walls."""
+        x, k0 = self.expression("x"), self.expression("pre_contraction")
+        lengths = [self.expression(f"muscle{i}.rest_length") for i in (1, 2)]
+        half, wall = 0.12 * lengths[0], 0.08 * lengths[0]
+        right, left = half + lengths[0] * (1 - k0), -half - lengths[1] * (1 - k0)
+        return Sketch(
+            (
+                Polygon(box((right, -2 * half), (right + wall, 1.6 * half)), "ground"),
+                Polygon(box((left - wall, -2 * half), (left, 1.6 * half)), "ground"),
+                Line([(left, -1.15 * half), (right, -1.15 * half)], "rail"),
+                Spindle("muscle1", (x + half, 0.0), (right, 0.0)),
+                Spindle("muscle2", (left, 0.0), (x - half, 0.0)),
+                Polygon(box((x - half, -half), (x + half, half))),
+                Line([(x, -1.35 * half), (x, -half)], "needle"),
+            ),
+            (left - 1.5 * wall, right + 1.5 * wall),
+            (-3.6 * half, 2.4 * half),
+            (Mark("x", [(x, -1.35 * half), (x, -2.2 * half)], "below"),),
+        )

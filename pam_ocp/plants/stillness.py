@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core import units
+from ..core.system import System
 from ..numerics.newton import iterate, least_squares
-
-if TYPE_CHECKING:
-    from .plant import Plant
 
 __all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "totals"]
 
@@ -49,7 +47,7 @@ class Position:
 class _Rates:
     """The equations of some states: values and slopes in units of nominals."""
 
-    plant: Plant
+    plant: System
 
     @property
     def scale(self) -> tuple[Array, Array]:
@@ -107,27 +105,26 @@ def _somewhere(variable: object, draw: np.random.Generator) -> float:
     return float(np.clip(wide, v.min, v.max))  # type: ignore[attr-defined]
 
 
-def _measures(plant: Plant, name: str) -> int:
+def _measures(plant: System, name: str) -> int:
     """0 for a length or an angle, 1 for a pure number, 2 for anything else."""
     exponents = units.unit(plant.variable(name).unit).base_exponents
     return 0 if exponents in ({"m": 1}, {"rad": 1}) else 2 if exponents else 1
 
 
-def resting(plant: Plant, named: Collection[str] = ()) -> tuple[Position, ...]:
+def resting(plant: System, named: Collection[str] = ()) -> tuple[Position, ...]:
     """The positions of a plant, whose rates and accelerations vanish where it rests.
 
     Pressures, lags and states with memory are none. Where the equations leave open which of two
     states is the position (x' = v, v' = -x), or where one integrates the other, ``named`` ones come
     first: those that a motion's stops speak of. Units decide next: lengths and angles are
-    positions;
-    states in other units are only where there is nothing else.
+    positions; states in other units are only where there is nothing else.
     """
     key = ("resting", tuple(sorted(named)), tuple(plant.vector("parameter")))
     found: tuple[Position, ...] = plant.cached(key, lambda: _resting(plant, named))
     return found
 
 
-def _resting(plant: Plant, named: Collection[str]) -> tuple[Position, ...]:
+def _resting(plant: System, named: Collection[str]) -> tuple[Position, ...]:
     names = [v.name for v in plant.states]
     neutral, slopes = _neutral(plant)
     nx = len(names)
@@ -169,7 +166,7 @@ def _heads(pool: list[int], uses: dict[int, list[int]]) -> list[int]:
     return chosen
 
 
-def _neutral(plant: Plant) -> tuple[list[int], NDArray[np.bool_]]:
+def _neutral(plant: System) -> tuple[list[int], NDArray[np.bool_]]:
     """States whose rates, where they vanish, do not depend on themselves; and what they depend on
     there.
     """
@@ -196,7 +193,7 @@ def _neutral(plant: Plant) -> tuple[list[int], NDArray[np.bool_]]:
         chosen = [i for i in chosen if i not in lost]
 
 
-def rate_of(plant: Plant, name: str) -> ca.SX:
+def rate_of(plant: System, name: str) -> ca.SX:
     """The rate of a state, or of an output while the inputs stand."""
     if plant.variable(name).causality == "state":
         return plant.expression(f"der({name})")
@@ -204,7 +201,7 @@ def rate_of(plant: Plant, name: str) -> ca.SX:
     return ca.SX(ca.jtimes(plant.expression(name), plant.x, xdot))
 
 
-def rest_rows(plant: Plant, positions: tuple[Position, ...]) -> list[tuple[Position, int, ca.SX]]:
+def rest_rows(plant: System, positions: tuple[Position, ...]) -> list[tuple[Position, int, ca.SX]]:
     """[(position, order, expression)]: rates (order 1) and accelerations (2), without repetitions.
 
     What follows from the rows before it (a wheel that counts the same motion) is left out.
@@ -231,7 +228,7 @@ def rest_rows(plant: Plant, positions: tuple[Position, ...]) -> list[tuple[Posit
     return sorted(chosen, key=lambda row: (order[row[0].name], row[1]))
 
 
-def _independent(plant: Plant, slopes: ca.Function, nominal: Array) -> set[int]:
+def _independent(plant: System, slopes: ca.Function, nominal: Array) -> set[int]:
     """Rows that say something new at a point where all vanish."""
     draw, p = np.random.default_rng(0), plant.vector("parameter")
     z = np.array([_somewhere(v, draw) for v in (*plant.states, *plant.inputs)])
@@ -258,7 +255,7 @@ def _independent(plant: Plant, slopes: ca.Function, nominal: Array) -> set[int]:
     return kept
 
 
-def _structure(plant: Plant) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:
+def _structure(plant: System) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:
     """(states, what each rate depends on: states, inputs that are chosen)."""
     names = [v.name for v in plant.states]
     xdot = plant.function(plant.x, plant.u, plant.p)[0]
@@ -268,7 +265,7 @@ def _structure(plant: Plant) -> tuple[list[str], NDArray[np.bool_], NDArray[np.b
     return names, a, b.reshape(len(names), len(plant.inputs))[:, chosen]
 
 
-def totals(plant: Plant) -> tuple[str, ...]:
+def totals(plant: System) -> tuple[str, ...]:
     """States that only sum up (air drawn, work done): no equation, not even their own,
     needs them.
     """
@@ -281,7 +278,7 @@ def totals(plant: Plant) -> tuple[str, ...]:
     )
 
 
-def settled_names(plant: Plant) -> tuple[str, ...]:
+def settled_names(plant: System) -> tuple[str, ...]:
     """States that a long rest brings to their place: marked as settling, and lags of positions.
 
     A lag of positions (a sensor's filter) follows positions, velocities and its like only: no

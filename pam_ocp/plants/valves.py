@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
 from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse, two_ways
 from ..muscles.gas import Chamber, Gas, conductance_from_flow, iso6358, specific_exergy
 from ..muscles.muscle import Muscle
-
-if TYPE_CHECKING:
-    from .plant import Plant
+from .kinds import FEEDS, TUBES
 
 __all__ = ["Air", "GasFeed", "OnOffValves", "SpoolValve", "Tube"]
 
@@ -22,8 +21,17 @@ LOWEST_PRESSURE = -2e4
 """Lower bound of a gas pressure [Pa gauge]: below ambient the membrane collapses."""
 EXERGY_FLOOR = 0.1
 """Below about this exergy [J] the efficiency is rounded off: nothing drawn, nothing gained is 0."""
+GAS_UNITS = {
+    "conductance": "m3/(s.Pa)",
+    "exhaust_conductance": "m3/(s.Pa)",
+    "supply": "Pa",
+    "leak": "m3/(s.Pa)",
+    "max_pressure": "Pa",
+}
+"""Units of what every feed that knows the gas takes; see :class:`GasFeed`."""
 
 
+@TUBES.register(units={"volume": "m3", "lag": "s"})
 @dataclass(frozen=True)
 class Tube:
     """A tube between valve and muscle: a volume, and a first-order lag to the muscle's pressure.
@@ -100,16 +108,18 @@ class GasFeed(ABC):
             raise InputError(f"{kind}.critical_ratio = {self.critical_ratio:g} must lie in 0 .. 1")
 
     @abstractmethod
-    def openings(self, plant: Plant, name: str) -> tuple[ca.SX, ca.SX]:
+    def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:
         """Declare the inputs; how far the ways from supply and to ambient are open (0 .. 1)."""
 
     def connect(
-        self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         """See :class:`Feed`."""
         return self.fill(plant, name, muscle, contraction, rate).pressure
 
-    def fill(self, plant: Plant, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX) -> Air:
+    def fill(
+        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
+    ) -> Air:
         """Declare states, inputs and parameters of the gas; give its expressions."""
 
         def declare(key: str, value: float, **attributes: Any) -> ca.SX:
@@ -156,7 +166,7 @@ class GasFeed(ABC):
         exergy = drawn * specific_exergy(supply, chamber.ambient, chamber.temperature)
         return Air(pressure, drawn, exergy, chamber.temperature, chamber.ambient, supply)
 
-    def drawn(self, plant: Plant, name: str, air: Air) -> ca.SX:
+    def drawn(self, plant: Declares, name: str, air: Air) -> ca.SX:
         """Declare the state ``<name>.air_drawn`` [kg] of the totals."""
         drawn = plant.state(
             f"{name}.air_drawn", unit="kg", nominal=1e-3, description=f"air drawn by {name}"
@@ -165,7 +175,7 @@ class GasFeed(ABC):
         return drawn
 
     def meter(
-        self, plant: Plant, name: str, air: Air, drawn: ca.SX | None, work: ca.SX | None
+        self, plant: Declares, name: str, air: Air, drawn: ca.SX | None, work: ca.SX | None
     ) -> None:
         """Declare what the feed costs; with the totals, air drawn and work done, the efficiency."""
         meters = [
@@ -184,7 +194,7 @@ class GasFeed(ABC):
             )
 
     # ---- parts ------------------------------------------------------------------------------
-    def _pressure_state(self, plant: Plant, name: str, muscle: Muscle, state: str) -> ca.SX:
+    def _pressure_state(self, plant: Declares, name: str, muscle: Muscle, state: str) -> ca.SX:
         top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
         tube = "" if state.endswith(f"{name}.pressure") else "the tube of "
         return plant.state(
@@ -199,7 +209,7 @@ class GasFeed(ABC):
 
     def _flows(
         self,
-        plant: Plant,
+        plant: Declares,
         name: str,
         declare: Any,
         chamber: Chamber,
@@ -236,7 +246,7 @@ class GasFeed(ABC):
     def _through(
         self,
         tube: Tube,
-        plant: Plant,
+        plant: Declares,
         declare: Any,
         chamber: Chamber,
         node: ca.SX,
@@ -267,6 +277,7 @@ class GasFeed(ABC):
         return ca.SX(leaving)
 
 
+@FEEDS.register(units=GAS_UNITS)
 @dataclass(frozen=True, kw_only=True)
 class SpoolValve(GasFeed):
     """Proportional 5/3 or 3/3 spool valve: ``<name>.command`` from -1 (exhaust) to +1 (supply).
@@ -279,8 +290,8 @@ class SpoolValve(GasFeed):
         critically lapped valve (0) is rounded over 1e-4.
 
     Controllers choose ``<name>.opening`` instead, how far the way from the supply (> 0) or to
-    ambient
-    (< 0) is open, and send the command that gives exactly that; see :meth:`Plant.in_openings`.
+    ambient (< 0) is open, and send the command that gives exactly that; see
+    :meth:`Plant.in_openings`.
     """
 
     overlap: float = 0.02
@@ -290,7 +301,7 @@ class SpoolValve(GasFeed):
         if not 0 <= require_finite("SpoolValve.overlap", self.overlap) < 0.5:
             raise InputError(f"SpoolValve.overlap = {self.overlap:g} must lie in 0 .. 0.5")
 
-    def openings(self, plant: Plant, name: str) -> tuple[ca.SX, ca.SX]:
+    def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:
         """See :meth:`GasFeed.openings`."""
         command = plant.input(
             f"{name}.command",
@@ -330,6 +341,7 @@ def _opening(name: str) -> dict[str, Any]:
     }
 
 
+@FEEDS.register(units=GAS_UNITS)
 @dataclass(frozen=True, kw_only=True)
 class OnOffValves(GasFeed):
     """Two on/off valves with PWM: the inputs ``<name>.fill`` and ``<name>.vent`` are duties 0 .. 1.
@@ -339,11 +351,10 @@ class OnOffValves(GasFeed):
     time (some 0.1 s) and long against the valves' switching time.
 
     Controllers choose ``<name>.opening`` instead, the duty of filling (> 0) or of venting (< 0):
-    never
-    are both open. See :meth:`Plant.in_openings`.
+    never are both open. See :meth:`Plant.in_openings`.
     """
 
-    def openings(self, plant: Plant, name: str) -> tuple[ca.SX, ca.SX]:
+    def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:
         """See :meth:`GasFeed.openings`."""
         words = {"fill": "from the supply", "vent": "to ambient"}
         fill, vent = (

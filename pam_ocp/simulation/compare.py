@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, require_positive
 from ..core.trajectory import Trajectory
 
@@ -63,9 +64,7 @@ class RecordComparison:
 
     def plot(self) -> Figure:
         """Measured and simulated, and the residual, for each compared variable."""
-        from ..figures.trajectory import plot_record
-
-        return plot_record(self)
+        return courtesy.plot_record(self)
 
 
 def compare_with_record(

@@ -26,8 +26,8 @@ class Integration:
     """x' = f(x, u(t), p) from ``x0`` over ``grid``, the breaks of ``u`` among its times.
 
     method : "rosenbrock" (CasADi's, order 5, L-stable, adaptive, or equal steps of at most
-    ``step``),
-        "cvodes" (SUNDIALS BDF, started anew at each break), "rk4" (explicit, steps of ``step``).
+        ``step``), "cvodes" (SUNDIALS BDF, started anew at each break), "rk4" (explicit, steps of
+        ``step``).
     States are scaled by nominals, so tolerances are relative to them too.
     """
 

@@ -52,8 +52,8 @@ def stroke_work(
     """Work of every muscle over a motion, or over its part from ``begin`` to ``end`` [s].
 
     motion : what simulate, a plan or an FMU's replay gave: it holds ``<muscle>.power`` [W], which
-    is
-        integrated; where it holds ``<muscle>.work`` (a feed with ``totals``), that is the net work.
+        is integrated; where it holds ``<muscle>.work`` (a feed with ``totals``), that is the net
+        work.
 
     Raises InputError when there is no power, or no sample between begin and end.
     """

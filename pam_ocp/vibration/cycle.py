@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_count, require_positive
 from ..core.signals import signals
 from ..core.trajectory import Trajectory
@@ -126,15 +127,13 @@ class LimitCycle:
 
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portrait: rate over state."""
-        from ..figures.vibration import plot_phase
-
-        return plot_phase([self.trajectory], state, self.plant, labels=[f"{self.frequency:.3f} Hz"])
+        return courtesy.plot_phase(
+            [self.trajectory], state, self.plant, labels=[f"{self.frequency:.3f} Hz"]
+        )
 
     def plot_multipliers(self) -> Figure:
         """Floquet multipliers and the unit circle."""
-        from ..figures.vibration import plot_multipliers
-
-        return plot_multipliers(self)
+        return courtesy.plot_multipliers(self)
 
 
 def limit_cycle(
@@ -266,7 +265,7 @@ def pin(orbit: Orbit, lam: float) -> Row:
     return Row(np.zeros_like(orbit.z), 0.0, 1.0, lam)
 
 
-def converged(periodic: Periodic, orbit: Orbit, row: Row, settings: Settings) -> Orbit:
+def converged(periodic: Periodic[Plant], orbit: Orbit, row: Row, settings: Settings) -> Orbit:
     """The closed motion that meets ``row``, on a mesh fine enough for states and multipliers."""
     tolerance = settings.tolerance
     for _ in range(16):
@@ -294,7 +293,7 @@ def converged(periodic: Periodic, orbit: Orbit, row: Row, settings: Settings) ->
     )
 
 
-def finished(periodic: Periodic, orbit: Orbit, settings: Settings) -> LimitCycle:
+def finished(periodic: Periodic[Plant], orbit: Orbit, settings: Settings) -> LimitCycle:
     """What a user wants to know of a closed motion."""
     plant = periodic.plant
     if periodic.variable is not None:

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_positive
 from ..core.variables import Variable
 from ..numerics.continuation import Walk
 from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import Orbit, Periodic, Row
+from ..plants.plant import Plant
 from .cycle import LimitCycle, Settings, converged, finished, pin
 
 if TYPE_CHECKING:
@@ -94,16 +96,12 @@ class CycleBranch:
 
     def plot(self, state: str = "x") -> Figure:
         """Amplitude and frequency over the parameter; unstable cycles dashed."""
-        from ..figures.vibration import plot_branch
-
-        return plot_branch(self, state)
+        return courtesy.plot_branch(self, state)
 
     def plot_phase(self, state: str = "x") -> Figure:
         """Phase portraits of the cycles in one picture."""
-        from ..figures.vibration import plot_phase
-
         v = self.cycles[0].plant.variable(self.parameter)
-        return plot_phase(
+        return courtesy.plot_phase(
             [c.trajectory for c in self.cycles],
             state,
             self.cycles[0].plant,
@@ -208,7 +206,7 @@ def _range(
 class _Cycles:
     """The curve of closed motions, for :class:`pam_ocp.numerics.continuation.Walk`."""
 
-    periodic: Periodic
+    periodic: Periodic[Plant]
     settings: Settings
 
     def tangent(self, orbit: Orbit, direction: Direction) -> Row:
@@ -245,7 +243,7 @@ class _Cycles:
 
 
 def _pinned(
-    periodic: Periodic, one: Orbit, two: Orbit, value: float, settings: Settings
+    periodic: Periodic[Plant], one: Orbit, two: Orbit, value: float, settings: Settings
 ) -> LimitCycle:
     """The cycle between two neighbours at exactly this value of the parameter."""
     assert periodic.variable is not None

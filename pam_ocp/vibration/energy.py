@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from .. import courtesy
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
@@ -54,9 +55,7 @@ class Energy:
 
     def plot(self) -> Figure:
         """Energies over time, and the power lost."""
-        from ..figures.vibration import plot_energy
-
-        return plot_energy(self)
+        return courtesy.plot_energy(self)
 
 
 def energy(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_finite, require_positive
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
@@ -88,17 +89,13 @@ class FreeVibration:
 
     def plot_phase(self) -> Figure:
         """Phase portrait: rate over state."""
-        from ..figures.vibration import plot_phase
-
-        return plot_phase(
+        return courtesy.plot_phase(
             [self.trajectory], self.state, self.point.plant, labels=["free vibration"]
         )
 
     def plot_envelope(self) -> Figure:
         """The state over time with the envelope through its turning points; frequency below."""
-        from ..figures.vibration import plot_envelope
-
-        return plot_envelope(self)
+        return courtesy.plot_envelope(self)
 
 
 @dataclass(frozen=True)
@@ -119,9 +116,7 @@ class Backbone:
 
     def plot(self) -> Figure:
         """Frequency over amplitude."""
-        from ..figures.vibration import plot_backbone
-
-        return plot_backbone({"": self})
+        return courtesy.plot_backbone({"": self})
 
 
 def free_vibration(

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import courtesy
 from ..core.errors import InputError, PamError, VibrationError
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..operating.along import StabilityPath, stability_path
@@ -101,9 +102,7 @@ class HopfBorder:
 
     def plot(self) -> Figure:
         """The border over the two parameters, with its frequency below."""
-        from ..figures.vibration import plot_border
-
-        return plot_border(self)
+        return courtesy.plot_border(self)
 
 
 def hopf(

@@ -134,7 +134,7 @@ def test_every_figure_is_drawn_without_pyplot(slide, hanging):
 
     point = slide.equilibrium(x=0.0, stiffness=2.2e4)
     feedback = lqr(slide, point)
-    run = closed_loop(slide, feedback, duration=0.02)
+    run = closed_loop(feedback, slide, duration=0.02)
     cloud = bode_cloud(
         slide,
         {"x": 0.0, "stiffness": 2.2e4},

@@ -24,32 +24,32 @@ def joint(long_muscle):
 # -------------------------------------------------------------------------------
 def test_between_samples_the_plant_moves_as_in_simulate(slide):
     answer = lambda t: {"muscle1.command": (3 + (t > 0.0499)) * BAR, "muscle2.command": 3 * BAR}  # noqa: E731
-    run = closed_loop(slide, Fixed(answer), duration=0.2, dt=5e-3, parts=4)
-    assert len(run) == 161
-    motion = pam.simulate(slide, run, t=run.t)
-    assert run.compare(motion).largest < 1e-6
+    run = closed_loop(Fixed(answer), slide, duration=0.2, dt=5e-3, parts=4)
+    assert len(run.t) == 161
+    motion = pam.simulate(slide, run.trajectory, t=run.t)
+    assert run.trajectory.compare(motion).largest < 1e-6
 
 
 def test_a_function_may_be_the_controller(slide):
     answer = lambda t, measured: {"muscle1.command": 4 * BAR if measured["x"] < 0 else 2 * BAR}  # noqa: E731
-    run = closed_loop(slide, answer, duration=0.05, dt=1e-2, start={"x": -1e-3})
+    run = closed_loop(answer, slide, duration=0.05, dt=1e-2, start={"x": -1e-3})
     assert run["muscle1.command"][0] == 4 * BAR
 
 
 def test_what_the_controller_asks_is_kept_within_the_plants_range(slide):
-    run = closed_loop(slide, Fixed({"muscle1.command": 20 * BAR}), duration=0.05, dt=1e-2)
+    run = closed_loop(Fixed({"muscle1.command": 20 * BAR}), slide, duration=0.05, dt=1e-2)
     assert np.all(run["muscle1.command"] == slide.variable("muscle1.command").max)
     assert np.all(run["muscle2.command"] == slide.variable("muscle2.command").start)
 
 
 def test_a_delay_lets_the_start_values_run_first(slide):
-    run = closed_loop(slide, Fixed({"muscle1.command": 4 * BAR}), duration=0.05, dt=1e-2, delay=2)
+    run = closed_loop(Fixed({"muscle1.command": 4 * BAR}), slide, duration=0.05, dt=1e-2, delay=2)
     assert run["muscle1.command"][:4] == pytest.approx([3 * BAR, 3 * BAR, 4 * BAR, 4 * BAR])
 
 
 def test_noise_has_the_deviation_asked_for_and_does_not_move_the_plant(slide):
     watch = Fixed({})
-    run = closed_loop(slide, watch, duration=2.0, dt=1e-3, noise={"x": 1e-3}, seed=3)
+    run = closed_loop(watch, slide, duration=2.0, dt=1e-3, noise={"x": 1e-3}, seed=3)
     seen = np.array([m["x"] for m in watch.seen])
     assert np.std(seen - run["x"][:-1]) == pytest.approx(1e-3, rel=0.05)
     assert run["x"] == pytest.approx(0.0, abs=1e-12)  # both muscles at equal pressures
@@ -59,8 +59,8 @@ def test_disturbances_act_and_the_true_parameters_stay_hidden(long_muscle):
     plant = pam.AntagonisticJoint(long_muscle, loads=[pam.ExternalForce()])
     (external,) = [v.name for v in plant.inputs if v.disturbance]
     run = closed_loop(
-        plant,
         Fixed({}),
+        plant,
         duration=2.5,
         dt=1e-2,
         disturbances={external: 1.0},
@@ -72,13 +72,13 @@ def test_disturbances_act_and_the_true_parameters_stay_hidden(long_muscle):
 
 def test_bad_arguments_of_the_closed_loop_are_named(slide):
     with pytest.raises(InputError, match="at least one sample"):
-        closed_loop(slide, Fixed({}), duration=1e-4, dt=1e-3)
+        closed_loop(Fixed({}), slide, duration=1e-4, dt=1e-3)
     with pytest.raises(InputError, match="x is a state of the plant, not an input"):
-        closed_loop(slide, Fixed({"x": 0.0}), duration=0.1, dt=1e-2)
+        closed_loop(Fixed({"x": 0.0}), slide, duration=0.1, dt=1e-2)
     with pytest.raises(InputError, match="controller's answer at t = 0 s is not finite"):
-        closed_loop(slide, Fixed({"muscle1.command": np.nan}), duration=0.1, dt=1e-2)
+        closed_loop(Fixed({"muscle1.command": np.nan}), slide, duration=0.1, dt=1e-2)
     with pytest.raises(InputError, match=r"noise: muscle1\.command is not measured"):
-        closed_loop(slide, Fixed({}), duration=0.1, dt=1e-2, noise={"muscle1.command": 1.0})
+        closed_loop(Fixed({}), slide, duration=0.1, dt=1e-2, noise={"muscle1.command": 1.0})
 
 
 @pytest.mark.slow
@@ -86,7 +86,7 @@ def test_the_fmu_as_the_plant_gives_the_same_closed_loop(slide, tmp_path):
     fmu = pam.export_fmu(slide, tmp_path / "slide.fmu", platforms="native")
     feedback = lqr(slide, slide.equilibrium(x=0.003, stiffness=2.2e4), integral={"x": 50.0})
     shared = {"duration": 0.3, "dt": 2e-3, "parameters": {"mass": 2.6}, "parts": 2}
-    plant, unit = (closed_loop(slide, feedback, fmu=f, **shared) for f in (None, fmu))
+    plant, unit = (closed_loop(feedback, side, **shared).trajectory for side in (slide, fmu))
     assert plant["x"][-1] != pytest.approx(plant["x"][0], abs=1e-3)
     assert plant.compare(unit).largest < 1e-6
 
@@ -157,7 +157,7 @@ def test_feed_forward_by_the_inverse_alone_follows_the_motion_it_was_made_for(lo
     errors = []
     for dt in (2e-3, 1e-3):
         controller = PositionController(plant, reference, PID(0.0), dt=dt, stiffness=25.0)
-        run = closed_loop(plant, controller, duration=0.7, dt=dt)
+        run = closed_loop(controller, plant, duration=0.7, dt=dt)
         errors.append(np.abs(run["theta"] - [reference(t)[0] for t in run.t]).max())
     assert errors[1] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
@@ -215,7 +215,7 @@ def test_the_pressure_loop_closes_with_its_time_constant(hanging):
             return loop({"muscle": 3.5 * BAR}, measured)
 
     run = closed_loop(
-        hanging, Hold(), duration=0.05, dt=1e-4, start={"x": 0.06, "muscle.pressure": 3 * BAR}
+        Hold(), hanging, duration=0.05, dt=1e-4, start={"x": 0.06, "muscle.pressure": 3 * BAR}
     )
     expected = 3.5 * BAR - 0.5 * BAR * np.exp(-run.t / 0.01)
     assert run["muscle.pressure"] == pytest.approx(expected, abs=0.01 * BAR)
@@ -239,7 +239,7 @@ def test_feed_forward_makes_the_error_a_fifth_of_the_pids_alone(long_muscle, fee
         first = controller.pressures(0.0)
         start = {f"muscle{i + 1}.pressure": first[i] for i in (0, 1)}
         run = closed_loop(
-            plant, controller, duration=0.8, dt=2e-3, start=start, parameters={"link_mass": 1.2}
+            controller, plant, duration=0.8, dt=2e-3, start=start, parameters={"link_mass": 1.2}
         )
         largest[feedforward] = np.abs(run["theta"] - [reference(t)[0] for t in run.t]).max()
     assert largest[True] < largest[False] / 5

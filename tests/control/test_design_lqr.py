@@ -63,7 +63,7 @@ def test_near_the_stop_the_nonlinear_loop_moves_as_linear_theory_says(slide):
     feedback = lqr(slide, point, dt=1e-4)
     start = {v.name: x for v, x in zip(slide.states, point.x, strict=True)}
     run = closed_loop(
-        slide, feedback, duration=0.06, dt=1e-4, start={**start, "x": point.x[0] + 1e-6}
+        feedback, slide, duration=0.06, dt=1e-4, start={**start, "x": point.x[0] + 1e-6}
     )
     a = np.asarray(feedback.system.A) - np.asarray(feedback.system.B) @ feedback.K
     d = [(linalg.expm(a * t) @ [1e-6, 0, 0, 0])[0] for t in run.t]
@@ -90,7 +90,7 @@ def test_integral_action_removes_the_error_that_lqr_leaves(slide):
     left = {}
     for name, integral in (("LQR", {}), ("LQI", {"x": 100.0})):
         feedback = lqr(slide, point, integral=integral)
-        run = closed_loop(slide, feedback, duration=1.0, start=start, parameters=true)
+        run = closed_loop(feedback, slide, duration=1.0, start=start, parameters=true)
         left[name] = abs(run["x"][-1] - 0.004)
     assert left["LQR"] > 1e-4
     assert left["LQI"] < 1e-6
@@ -116,7 +116,7 @@ def test_an_lqi_goes_to_another_set_point(slide):
     point = slide.equilibrium(x=0.0, stiffness=2.2e4)
     feedback = lqr(slide, point, integral={"x": 100.0}, setpoint={"x": 0.003})
     start = {n: point[n] for n in ("muscle1.pressure", "muscle2.pressure")}
-    assert closed_loop(slide, feedback, duration=1.0, start=start)["x"][-1] == pytest.approx(
+    assert closed_loop(feedback, slide, duration=1.0, start=start)["x"][-1] == pytest.approx(
         0.003, abs=1e-6
     )
 
@@ -165,7 +165,7 @@ def test_the_filter_finds_velocity_and_pressure_from_the_position(hanging):
             return inputs
 
     start = {"x": 0.06, "v": 0.02, "muscle.pressure": point["muscle.pressure"] - 3e3}
-    run = closed_loop(hanging, Watching(), duration=1.0, start=start, noise={"x": 2e-5}, seed=5)
+    run = closed_loop(Watching(), hanging, duration=1.0, start=start, noise={"x": 2e-5}, seed=5)
     truth = run.array([v.name for v in hanging.states])[:-1]
     error = np.abs(np.array(estimates) - truth)
     late = error[500:]
@@ -180,7 +180,7 @@ def test_a_controller_behind_a_filter_sees_the_estimate_only(hanging):
     inner = Fixed({"muscle.command": point["muscle.command"]})
     watch = kalman(hanging, point, measured={"x": 1e-5}, dt=1e-3)
     start = {"x": 0.058, "muscle.pressure": point["muscle.pressure"]}
-    closed_loop(hanging, WithEstimate(inner, watch, ["muscle.force"]), duration=0.01, start=start)
+    closed_loop(WithEstimate(inner, watch, ["muscle.force"]), hanging, duration=0.01, start=start)
     assert set(inner.seen[0]) == {"x", "v", "muscle.pressure", "muscle.force"}
     assert inner.seen[0]["x"] != 0.058
 
@@ -191,8 +191,8 @@ def test_lqg_holds_a_stop_from_noisy_measurements(slide):
     watch = kalman(slide, point, measured=noise, process={"v": 5.0, "muscle1.pressure": 1.0})
     start = {n: point[n] for n in ("muscle1.pressure", "muscle2.pressure")}
     run = closed_loop(
-        slide,
         WithEstimate(lqr(slide, point, integral={"x": 100.0}), watch),
+        slide,
         duration=0.6,
         start={**start, "x": 0.001},
         noise=noise,
@@ -238,8 +238,8 @@ def test_a_scheduled_joint_follows_position_and_stiffness_at_once(joint):
         ("scheduled", scheduled_lqr(joint, axes, place, **cost)),
     ):
         run = closed_loop(
-            joint,
             controller,
+            joint,
             duration=1.2,
             dt=2e-3,
             parameters={"link_mass": 1.2},

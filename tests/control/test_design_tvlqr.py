@@ -99,7 +99,7 @@ def test_open_loop_plays_the_plan(slide):
         start={"muscle1.pressure": 3e5, "muscle2.pressure": 3e5},
     )
     start = {v.name: motion[v.name][0] for v in slide.states}
-    run = closed_loop(slide, OpenLoop(slide, motion, 1e-3), duration=0.1, start=start)
+    run = closed_loop(OpenLoop(slide, motion, 1e-3), slide, duration=0.1, start=start)
     assert run["x"] == pytest.approx(motion["x"], abs=1e-6)
 
 

@@ -11,8 +11,8 @@ from test_mpc import double_integrator
 import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
 from pam_ocp.control.estimators.moving_horizon import MovingHorizonEstimator
+from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.mpc.mpc import Mpc
-from pam_ocp.control.mpc_loop import closed_loop
 from pam_ocp.core.errors import InputError, UnknownNameError
 
 
@@ -173,7 +173,7 @@ def test_it_takes_the_filters_place_in_a_closed_loop():
     )
     mpc = Mpc(plant, horizon=20, step=0.1, track={"x": 1.0}, rate={"f": 0.01})
     loop = closed_loop(
-        mpc, plant, {"x": 0.5}, 6.0, estimator=window, disturbances={"push": 0.8}, seed=3
+        mpc, plant, {"x": 0.5}, duration=6.0, estimator=window, disturbances={"push": 0.8}, seed=3
     )
     found = loop.estimate.row(-1)
     assert abs(found["push"] - 0.8) < 4 * found["deviation.push"] < 0.1

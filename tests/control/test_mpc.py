@@ -9,10 +9,10 @@ from conftest import benchmark_slide
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.extended_kalman import KalmanFilter
+from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.mpc import sqp
 from pam_ocp.control.mpc.mpc import Mpc
 from pam_ocp.control.mpc.stage_qp import StageQp
-from pam_ocp.control.mpc_loop import closed_loop
 from pam_ocp.core.errors import InputError, UnknownNameError
 
 SOLVERS = ("hpipm", "piqp", "ipopt")
@@ -112,7 +112,9 @@ def test_a_state_outside_its_soft_bound_is_brought_back():
         bounds={"v": (-0.4, 0.4)},
         iterations=5,
     )
-    loop = closed_loop(mpc, double_integrator(limit=1.0), {"x": 1.0}, 2.0, start={"v": 0.8})
+    loop = closed_loop(
+        mpc, double_integrator(limit=1.0), {"x": 1.0}, duration=2.0, start={"v": 0.8}
+    )
     assert loop.statistics.fallbacks == loop.statistics.failures == 0
     assert loop.trajectory["v"][5:].max() <= 0.4 + 1e-3
 
@@ -186,7 +188,7 @@ def test_seeded_noise_gives_the_same_run_twice():
             slide_mpc(),
             benchmark_slide(),
             {"x": square, "stiffness": 2e4},
-            0.1,
+            duration=0.1,
             noise={"x": 1e-5},
             seed=seed,
         ).trajectory
@@ -286,7 +288,7 @@ def test_a_wrong_load_is_found_and_rejected_against_the_fmu(tmp_path):
         mpc,
         fmu,
         {"x": lambda t: square(t) if t < 1 else 0.005, "stiffness": 2e4},
-        1.6,
+        duration=1.6,
         estimator=observer,
         parameters={"mass": 2.6},
         start=start,
@@ -343,7 +345,7 @@ def test_plant_and_fmu_are_the_same_real_side(tmp_path):
             slide_mpc(),
             side,
             {"x": square, "stiffness": 2e4},
-            0.3,
+            duration=0.3,
             parameters={"mass": 2.6},
             **more,
         ).trajectory
@@ -355,16 +357,16 @@ def test_plant_and_fmu_are_the_same_real_side(tmp_path):
 def test_a_closed_loop_refuses_what_cannot_be_meant(tmp_path):
     mpc = Mpc(double_integrator(), horizon=5, step=0.1, track={"x": 1.0})
     real = double_integrator()
-    with pytest.raises(InputError, match="shorter than a step"):
-        closed_loop(mpc, real, {"x": 1.0}, 0.01)
+    with pytest.raises(InputError, match="shorter than a sample"):
+        closed_loop(mpc, real, {"x": 1.0}, duration=0.01)
     with pytest.raises(UnknownNameError, match="push"):
-        closed_loop(mpc, real, {"x": 1.0}, 1.0, disturbances={"pushh": 1.0})
+        closed_loop(mpc, real, {"x": 1.0}, duration=1.0, disturbances={"pushh": 1.0})
     with pytest.raises(InputError, match="no such FMU"):
-        closed_loop(mpc, tmp_path / "none.fmu", {"x": 1.0}, 1.0)
+        closed_loop(mpc, tmp_path / "none.fmu", {"x": 1.0}, duration=1.0)
     slow = KalmanFilter(real, step=0.2, measured={"x": 1e-3})
-    with pytest.raises(InputError, match="estimator's step"):
-        closed_loop(mpc, real, {"x": 1.0}, 1.0, estimator=slow)
-    with pytest.raises(InputError, match=r"controller is a Mpc.*mpc\.closed_loop"):
+    with pytest.raises(InputError, match="estimator's sample_time"):
+        closed_loop(mpc, real, {"x": 1.0}, duration=1.0, estimator=slow)
+    with pytest.raises(InputError, match="the controller comes first"):
         pam.closed_loop(real, mpc, duration=1.0)
 
 

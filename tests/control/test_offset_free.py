@@ -26,7 +26,7 @@ DRIFT = {"external_force": 30.0}
 
 def run(plant, point, controller, duration=1.5, **options):
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
-    return pam.closed_loop(plant, controller, duration=duration, dt=2e-3, start=start, **options)
+    return pam.closed_loop(controller, plant, duration=duration, dt=2e-3, start=start, **options)
 
 
 def test_the_estimate_is_the_torque_that_acts(pushed):

@@ -16,10 +16,11 @@ from conftest import BAR
 
 import pam_ocp as pam
 from pam_ocp import InputError
+from pam_ocp.control.controller_plants import pid_controller, state_feedback_controller
 from pam_ocp.control.inverse import InverseDynamics
 from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.pid import PID, PositionController, PressureLoop
-from pam_ocp.export import export_fmu, pid_controller, state_feedback_controller
+from pam_ocp.export import export_fmu
 from pam_ocp.muscles.law import clamp
 from pam_ocp.planning.opened import guess_in_openings
 from pam_ocp.planning.run import Run
@@ -170,11 +171,11 @@ def test_lqr_and_tvlqr_reach_the_set_point_from_closed_rest(kind, overlap):
     plant, x, start, goal = case(kind, pam.SpoolValve(overlap=overlap))
     begin = at_rest(plant, start)
     loop = {"duration": 1.5, "dt": 4e-3, "rtol": 1e-6}
-    motion = closed_loop(plant, pam.lqr(plant, goal, dt=4e-3), start=begin, **loop)
+    motion = closed_loop(pam.lqr(plant, goal, dt=4e-3), plant, start=begin, **loop)
     assert missed(motion, x, start, goal) < 0.01
     along = pam.tvlqr(plant, motion, t=np.linspace(0, 1.5, 151), dt=4e-3, rtol=1e-5)
     begin[x] += 0.1 * (goal[x] - start[x])
-    assert missed(closed_loop(plant, along, start=begin, **loop), x, start, goal) < 0.01
+    assert missed(closed_loop(along, plant, start=begin, **loop), x, start, goal) < 0.01
 
 
 @pytest.mark.parametrize(("kind", "overlap"), FEEDS)
@@ -242,8 +243,8 @@ def test_a_kalman_filter_follows_the_pressure_from_the_commands():
     )
     begin = {**at_rest(plant, goal), x: goal[x]}
     run = closed_loop(
-        plant,
         pam.WithEstimate(feedback, watch),
+        plant,
         duration=1.0,
         dt=2e-3,
         start=begin,
@@ -260,7 +261,7 @@ def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
     plant, x, start, goal = case("hanging load", pam.SpoolValve())
     loop = {"duration": 1.2, "dt": 4e-3, "rtol": 1e-6, "start": at_rest(plant, start)}
     grid = pam.scheduled_lqr(plant, {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}, dt=4e-3)
-    assert missed(closed_loop(plant, grid, **loop), x, start, goal) < 0.01
+    assert missed(closed_loop(grid, plant, **loop), x, start, goal) < 0.01
     watch = pam.kalman(
         plant,
         goal,
@@ -272,7 +273,7 @@ def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
     loop["start"] = at_rest(plant, plant.equilibrium(x=goal[x] - 0.004))
     assert (
         missed(
-            closed_loop(plant, free, parameters={"muscle.gas.leak": 1e-10}, **loop), x, start, goal
+            closed_loop(free, plant, parameters={"muscle.gas.leak": 1e-10}, **loop), x, start, goal
         )
         < 0.01
     )
@@ -295,8 +296,8 @@ def test_the_pressure_loop_leaves_no_error_in_the_dead_zone():
     for model in (plant, plant.in_commands()):
         inner = PressureLoop(model, gain=5e-6)
         run = closed_loop(
-            plant,
             lambda t, y, inner=inner: inner({"muscle": 3.0 * BAR}, y),
+            plant,
             duration=0.8,
             dt=2e-3,
             rtol=1e-6,
@@ -391,7 +392,7 @@ def test_a_dead_zone_of_ones_own_is_inverted():
     u = 0.01 * feedback.K[0, 0]
     s = sent / 0.8
     assert 0.4 * s**4 * (2 * s**2 - 6 * s + 5) == pytest.approx(u, rel=1e-9)
-    run = closed_loop(plant, feedback, duration=8.0, dt=0.01, start={"x": 0.5})
+    run = closed_loop(feedback, plant, duration=8.0, dt=0.01, start={"x": 0.5})
     assert abs(run["x"][-1]) < 5e-3
     assert plant.in_openings().inputs[0].max == pytest.approx(4.6)
 

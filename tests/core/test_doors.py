@@ -200,7 +200,7 @@ def test_a_loop_that_cannot_be_integrated_blames_the_controller_only_where_it_mu
     u = plant.input("u")
     plant.der(x, -ca.sqrt(x) - 1 + 0 * u)  # ends at x = 0 by itself
     with pytest.raises(pam.SimulationError) as caught:
-        pam.closed_loop(plant, lambda t, y: {"u": 0.0}, duration=5.0, dt=0.1)
+        pam.closed_loop(lambda t, y: {"u": 0.0}, plant, duration=5.0, dt=0.1)
     assert "unstable" not in str(caught.value)
     assert "Cause: " in str(caught.value)
     assert caught.value.__cause__ is not None or "not finite" in str(caught.value)
@@ -208,7 +208,7 @@ def test_a_loop_that_cannot_be_integrated_blames_the_controller_only_where_it_mu
     x = runaway.state("x", unit="m", start=0.1, nominal=0.1)
     runaway.der(x, 40 * x + runaway.input("u"))
     with pytest.raises(pam.SimulationError, match="the closed loop is unstable"):
-        pam.closed_loop(runaway, lambda t, y: {"u": 10 * y["x"]}, duration=50.0, dt=0.1)
+        pam.closed_loop(lambda t, y: {"u": 10 * y["x"]}, runaway, duration=50.0, dt=0.1)
 
 
 FEEDS = {

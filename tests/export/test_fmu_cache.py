@@ -235,7 +235,7 @@ def test_a_user_whom_the_machine_does_not_know_has_a_cache(home: str | None) -> 
     """No entry in passwd; no home, or one that cannot be written."""
     script = """
 import os, sys
-from pam_ocp.fmu import cache, compile
+from pam_ocp.export import cache, compile
 os.setgroups([]); os.setgid(int(sys.argv[1])); os.setuid(int(sys.argv[1]))
 print(cache.usable_folder("fmu")); print(compile._environment()["ZIG_GLOBAL_CACHE_DIR"])
 if compile.shutil.which("cc"):  # zig may be where this user cannot look

@@ -15,7 +15,8 @@ from fmu_tools import coupled
 
 import pam_ocp as pam
 from pam_ocp import InputError
-from pam_ocp.export import check_fmu, export_fmu, export_ssp, state_feedback_controller
+from pam_ocp.control.controller_plants import state_feedback_controller
+from pam_ocp.export import check_fmu, export_fmu, export_ssp
 
 COMMANDS = ("muscle1.command", "muscle2.command")
 STATES = ("x", "v", "muscle1.pressure", "muscle2.pressure")

@@ -147,7 +147,7 @@ def test_only_fmi_functions_can_be_seen_from_outside(fmi: str, tmp_path: Path) -
         (name,) = [n for n in archive.namelist() if n.startswith("binaries/")]
         library = archive.read(name)
     symbols = exported_symbols(library)
-    header = (Path(__file__).parents[2] / "fmu" / f"fmi{fmi[0]}Functions.h").read_text()
+    header = (Path(__file__).parents[2] / f"fmu/include/fmi{fmi[0]}Functions.h").read_text()
     declared = set(re.findall(rf"FMI{fmi[0]}_Export\s+\w+\s+(fmi\w+)\s*;", header))
     assert set(symbols) == declared
     assert str(tmp_path).encode() not in library

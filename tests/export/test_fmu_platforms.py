@@ -22,18 +22,18 @@ from conftest import benchmark_slide
 import pam_ocp as pam
 from pam_ocp.export import PLATFORMS, check_fmu, export_fmu
 from pam_ocp.export.compile import compile_library, native, platforms_named
-from pam_ocp.export.runtime import c_sources
+from pam_ocp.export.runtime import c_sources, c_text
 from pam_ocp.export.symbols import exported_symbols
 from pam_ocp.plants.losses import CoulombFriction
 
-HERE = Path(__file__).parents[1] / "c"
+PROGRAMS = Path(__file__).parents[2] / "fmu" / "tests"
 ARM_ROOT = Path("/usr/aarch64-linux-gnu")
 QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
 WINE = (
     shutil.which("wine64") or shutil.which("wine64", path="/usr/lib/wine") or shutil.which("wine")
 )
 LINES = 20
-"""How often the loader (c/loader.c) prints in its 2000 steps."""
+"""How often the loader (fmu/tests/loader.c) prints in its 2000 steps."""
 
 needs_qemu = pytest.mark.skipif(
     QEMU is None or not ARM_ROOT.is_dir(),
@@ -95,7 +95,7 @@ class Bench:
         """The C program for one platform, compiled by zig."""
         if (fmi, name) not in self.loaders:
             target = self.folder / f"loader{fmi[0]}-{name}.exe"
-            headers = c_sources()
+            headers = c_sources() / "include"
             subprocess.run(
                 [
                     sys.executable,
@@ -109,7 +109,7 @@ class Bench:
                     f"-DFMI={fmi[0]}",
                     "-I",
                     str(headers),
-                    str(HERE / "loader.c"),
+                    str(PROGRAMS / "loader.c"),
                     "-o",
                     str(target),
                     *(["-ldl"] if name.endswith("linux") else []),
@@ -234,8 +234,8 @@ EXPORT double own_tanh(double x) { return portable_tanh(x); }
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The functions of c/elementary.h."""
-    header = (c_sources() / "elementary.h").read_text("utf-8")
+    """The functions of fmu/src/elementary.h."""
+    header = c_text("elementary.h")
     sources = {"elementary.h": header, "main.c": _EXPORTS}
     path = tmp_path_factory.mktemp("elementary") / f"own{native().suffix}"
     path.write_bytes(compile_library(sources, "main.c", native(), "own"))

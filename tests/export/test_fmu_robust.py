@@ -25,7 +25,7 @@ from pam_ocp.export import compile as compiler
 from pam_ocp.export.runner import Runner, UnpackedFmu
 
 VERSIONS = ("2.0", "3.0")
-HERE = Path(__file__).parents[1] / "c"
+PROGRAMS = Path(__file__).parents[2] / "fmu" / "tests"
 
 
 def exported(folder: Path, fmi: Any, plant: pam.Plant | None = None, **options: Any) -> Path:
@@ -43,7 +43,7 @@ def lonely() -> pam.Plant:
 
 
 def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -> Path:
-    """A C program of tests/c, compiled by gcc together with the sources of an FMU."""
+    """A C program of fmu/tests, compiled by gcc together with the sources of an FMU."""
     with zipfile.ZipFile(exported(folder, fmi, plant)) as archive:
         archive.extractall(folder / "fmu")
     target = folder / program
@@ -56,7 +56,7 @@ def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -
             *flags,
             "-I",
             str(folder / "fmu" / "sources"),
-            str(HERE / f"{program}.c"),
+            str(PROGRAMS / f"{program}.c"),
             "-o",
             str(target),
             "-lm",

@@ -1,4 +1,4 @@
-"""The FMU's integrator (c/solver.c) on its own: order, stiffness, failure."""
+"""The FMU's integrator (fmu/src/solver.c) on its own: order, stiffness, failure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pam_ocp.export.compile import compile_library, native
-from pam_ocp.export.runtime import c_sources
+from pam_ocp.export.runtime import c_text
+
+PROGRAMS = Path(__file__).parents[2] / "fmu" / "tests"
 
 OK, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS = range(4)
 
@@ -30,13 +32,12 @@ class Outcome:
 def solver(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Outcome]:
     """solver(problem, x, span, tolerance=..., fixed_step=..., max_steps=...)"""
     folder = tmp_path_factory.mktemp("solver")
-    c = c_sources()
-    harness = (Path(__file__).parents[1] / "c" / "solver_harness.c").read_text("utf-8")
+    harness = (PROGRAMS / "solver_harness.c").read_text("utf-8")
     loaded: dict[int, Any] = {}
 
     def library(problem: int) -> Any:
         if problem not in loaded:
-            sources = {n: (c / n).read_text("utf-8") for n in ("solver.c", "solver.h")}
+            sources = {n: c_text(n) for n in ("solver.c", "solver.h")}
             sources["harness.c"] = f"#define PROBLEM {problem}\n{harness}"
             path = folder / f"solver{problem}{native().suffix}"
             path.write_bytes(compile_library(sources, "harness.c", native(), "solver"))

@@ -13,7 +13,8 @@ from fmu_tools import coupled
 
 import pam_ocp as pam
 from pam_ocp import InputError, UnknownNameError
-from pam_ocp.export import check_fmu, export_fmu, export_ssp, pid_controller
+from pam_ocp.control.controller_plants import pid_controller
+from pam_ocp.export import check_fmu, export_fmu, export_ssp
 
 COMMANDS = ("muscle1.command", "muscle2.command")
 STEP, DURATION = 1e-3, 0.8

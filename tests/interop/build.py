@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.export import export_fmu, export_ssp, pid_controller, state_feedback_controller
+from pam_ocp.control.controller_plants import pid_controller, state_feedback_controller
+from pam_ocp.export import export_fmu, export_ssp
 from pam_ocp.export.runner import Runner, UnpackedFmu
 
 BAR = 1e5

@@ -4,8 +4,7 @@ environment.
 Makes a virtual environment beside this file, installs each importer there, exports the FMUs and the
 reference motions with this interpreter, runs the tests, and prints what every importer deviates by.
 An importer that cannot be installed or loaded is a skip that says why; one that disagrees is a
-failure.
-Nothing is fetched for what is installed already. Further arguments go to pytest.
+failure. Nothing is fetched for what is installed already. Further arguments go to pytest.
 """
 
 from __future__ import annotations

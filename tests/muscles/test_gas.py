@@ -116,8 +116,23 @@ def test_volumes_that_cannot_be_known_are_refused():
         muscle_volume(corrected, 0.1)
     with pytest.raises(InputError, match="must be > 0"):
         PolynomialVolume([-1e-4])
-    with pytest.raises(InputError, match="must lie in 1"):
-        Gas(exponent=0.5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"exponent": 0.99}, "must lie in 1"),
+        ({"exponent": 1.68}, "must lie in 1"),
+        ({"dead_volume": -1e-6}, "Gas.dead_volume = -1e-06 m3 must be >= 0"),
+        ({"temperature": 0.0}, "Gas.temperature = 0 K must be > 0"),
+        ({"ambient": 0.0}, "Gas.ambient = 0 Pa must be > 0"),
+    ],
+)
+def test_gas_that_cannot_be_is_refused(arguments, words):
+    with pytest.raises(InputError, match=words):
+        Gas(**arguments)
+    Gas(exponent=1.0, dead_volume=0.0)
+    Gas(exponent=1.67)
 
 
 # ---- stiffness with closed valve

@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
 from pam_ocp.core.errors import InputError, UnknownNameError
+from pam_ocp.core.plausible import UnitWarning
 from pam_ocp.muscles.catalogue import muscle
 from pam_ocp.muscles.law import LAWS, SixParameterLaw, coefficient
 from pam_ocp.muscles.laws.braid import CorrectedLaw, GeometricLaw
@@ -27,7 +28,7 @@ from pam_ocp.muscles.laws.empirical import (
 from pam_ocp.muscles.laws.thick_wall import ThickWallLaw
 from pam_ocp.muscles.laws.user_defined import own_law, polynomial_law, spline_law
 from pam_ocp.muscles.muscle import Muscle
-from pam_ocp.muscles.validity import ValidityWarning, forget_warnings
+from pam_ocp.muscles.validity import Validity, ValidityWarning, forget_warnings
 from pam_ocp.plants.hanging import HangingLoad
 
 MEASURED = {"DMSP-20-300": (0.300, 0.020), "DMSP-10-250": (0.250, 0.010)}
@@ -383,3 +384,56 @@ def test_a_muscle_warns_where_it_was_not_measured():
     forget_warnings()
     with pytest.warns(ValidityWarning, match=r"contraction = 30 % is outside 0 % \.\. 20\.8 %"):
         muscle("DMSP-10-250").force(3e5, 0.30)
+
+
+@pytest.mark.parametrize("part", [0.5, 2.0])
+def test_rounding_at_the_end_of_a_range_is_no_extrapolation(part):
+    """A thousand-millionth of the upper end, whatever the unit."""
+    told = Validity(pressure=(1e5, 6e5), contraction=(0.0, 0.25))
+    for pressure, kappa in ((6e5 * (1 + part * 1e-9), 0.1), (1e5 - part * 6e-4, 0.1),
+                            (2e5, 0.25 * (1 + part * 1e-9)), (2e5, -part * 0.25e-9)):  # fmt: skip
+        forget_warnings()
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            told.check("law", pressure, kappa)
+        assert len(caught) == (part > 1)
+
+
+def test_a_law_without_a_stated_range_holds_everywhere():
+    assert Validity() == Validity((-math.inf, math.inf), (-math.inf, math.inf))
+    half = Validity(pressure=(0.0, math.inf))
+    forget_warnings()
+    with pytest.warns(ValidityWarning, match=r"pressure = -0.1 bar"):
+        half.check("half", [-1e4, 9e9], 7.0)
+
+
+@pytest.mark.parametrize("breaks", [[0.0, 0.2, 0.1], [0.0, 0.1, 0.1], [0.0, 0.1, math.nan], [0.1]])
+def test_breaks_of_a_spline_must_increase(breaks):
+    with pytest.raises(InputError, match="two or more increasing contractions"):
+        spline_law(breaks)
+
+
+def test_a_spline_of_degree_0_to_3_is_scipys_at_its_breaks_too():
+    breaks = (0.0, 0.05, 0.12, 0.25)
+    for degree in (1, 2, 3):
+        count = len(breaks) - 1 + degree
+        g, h = np.linspace(2e-3, 1e-3, count) ** 1.1, -np.linspace(10, 300, count)
+        law = spline_law(breaks, degree)(*g, *h)
+        knots = [0.0] * degree + list(breaks) + [0.25] * degree
+        kappa = np.array(breaks)
+        expected = BSpline(knots, g, degree)(kappa) * 4e5 + BSpline(knots, h, degree)(kappa)
+        assert law.tension(4e5, kappa) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_largest_contraction_is_looked_for_up_to_45_percent():
+    end = own_law(
+        "line", lambda p, kappa, end: p * (end - kappa), {"end": coefficient("1", 0.1, "its end")}
+    )
+    assert end(0.4493).max_contraction(3e5) == pytest.approx(0.4493, abs=1e-12)
+    assert math.isnan(end(0.4507).max_contraction(3e5))
+    assert math.isnan(end(-0.01).max_contraction(3e5))
+
+
+def test_a_pressure_range_typed_in_bar_is_doubted():
+    with pytest.warns(UnitWarning, match="pressure_range = 6 Pa.*6 bar"):
+        Muscle(SAMPLES["six-parameter"], 0.3, pressure_range=(0.0, 6.0))

@@ -205,8 +205,8 @@ def test_a_sampled_plant_and_a_sampled_controller_are_closed_loops_closed_loop(s
     t = dt * np.arange(101)
     found = control.input_output_response(loop, t, np.zeros((0, 101)), start)
     run = pam.closed_loop(
-        slide,
         feedback,
+        slide,
         duration=0.2,
         dt=dt,
         start={v.name: x for v, x in zip(slide.states, start, strict=True)},

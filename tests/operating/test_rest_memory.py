@@ -278,7 +278,7 @@ def test_lqr_and_kalman_hold_a_joint_with_hysteresis(losses):
     controller = pam.WithEstimate(feedback, filtered)
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)} | {"theta": 0.13}
     for used in (feedback, controller):
-        run = pam.closed_loop(plant, used, duration=2.0, dt=2e-3, start=start)
+        run = pam.closed_loop(used, plant, duration=2.0, dt=2e-3, start=start)
         assert run["theta"][-1] == pytest.approx(0.1, abs=0.003)
 
 

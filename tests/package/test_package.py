@@ -55,8 +55,8 @@ def test_a_wheel_holds_all_and_no_module_named_fmu(tmp_path):
         "pam_ocp/data/DMSP-20-300_static.csv",
         "pam_ocp/muscles/catalogue.toml",
         "pam_ocp/export/package.py",
-        "pam_ocp/export/c/instance.c",
-        "pam_ocp/export/c/fmi3Functions.h",
+        "pam_ocp/export/c/src/instance.c",
+        "pam_ocp/export/c/include/fmi3Functions.h",
         "pam_ocp/export/c/LICENSE.fmi-headers",
     ):
         assert needed in names

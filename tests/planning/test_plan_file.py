@@ -12,7 +12,8 @@ from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, 
 from pam_ocp.cli.main import main
 from pam_ocp.planning.problem.expression_text import expression_of
 from pam_ocp.planning.problem.problem_file import load_problem
-from pam_ocp.plants.plant_file import ARRANGEMENTS, muscle_of, plant_of
+from pam_ocp.plants.kinds import PLANTS
+from pam_ocp.plants.plant_file import muscle_of, plant_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "slide.toml"
 
@@ -212,7 +213,7 @@ def test_what_is_wrong_in_a_file_is_said(tmp_path, parts, message):
 
 
 def test_plants_of_all_arrangements_and_components(tmp_path):
-    for name in ARRANGEMENTS:
+    for name in PLANTS:
         assert plant_of({"arrangement": name, "muscle": "DMSP-20-200N"}).states
     joint = plant_of(
         {

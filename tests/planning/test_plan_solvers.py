@@ -265,7 +265,7 @@ def test_a_process_that_dies_is_started_again():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"solver": "snopt"}, "choose one of ipopt, fatrop"),
+        ({"solver": "snopt"}, "choose one of fatrop, ipopt"),
         ({"solver": "fatrop", "options": {"time_limit": 0}}, "give seconds > 0"),
         ({"solver": "fatrop", "compiled": True}, "compiled = True goes with solver = 'ipopt'"),
         ({"solver": "fatrop", "options": {"no_such_option": 1}}, "no_such_option"),

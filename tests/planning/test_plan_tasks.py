@@ -1,6 +1,6 @@
 """A sample of benchmarks/plan_study.py: random tasks solved from the planner's own guess, and ones
-that
-cannot be, each naming a true conflict."""
+that cannot be, each naming a true conflict.
+"""
 
 import sys
 from pathlib import Path

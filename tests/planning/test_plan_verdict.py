@@ -19,7 +19,8 @@ import pytest
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, PlanWarning
 from pam_ocp.core.signals import PiecewisePolynomial
-from pam_ocp.planning.problem.pose import Wish, pose
+from pam_ocp.planning.problem.formulation import formulate
+from pam_ocp.planning.problem.statement import Statement
 from pam_ocp.planning.replay import replayed
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh
 from pam_ocp.planning.transcription.solution import Solution
@@ -40,12 +41,12 @@ def cart(speed=np.inf):
     return plant
 
 
-def by_hand(plant, wish, pieces=((0.5, 4.0), (0.5, -4.0))):
+def by_hand(plant, statement, pieces=((0.5, 4.0), (0.5, -4.0))):
     """The replay of a motion from rest whose inputs are held: (duration, value) of each interval.
 
     Exact states at the ends of the intervals, so only what happens between them can be wrong.
     """
-    problem = pose(plant, wish)
+    problem = formulate(plant, statement)
     total = sum(h for h, _ in pieces)
     intervals = [Interval(0, h / total, 1) for h, _ in pieces]
     mesh = Mesh(tuple(intervals), Form("radau", "constant"))
@@ -74,14 +75,14 @@ FOURTH = tuple((0.25, u) for u in (4.0, 4.0, -4.0, -4.0))
 def test_a_motion_that_keeps_everything_has_no_violation():
     limits = {"v": (None, 2.0), "sum": (None, 6.0), "power": (None, 8.0)}  # touched, all of them
     replay = by_hand(
-        cart(), Wish(MOVE, rest=False, bounds=limits, budgets={"effort": 16.0}), FOURTH
+        cart(), Statement(MOVE, rest=False, bounds=limits, budgets={"effort": 16.0}), FOURTH
     )
     assert replay.error < 1e-9
     assert replay.violation < 1e-9
 
 
 @pytest.mark.parametrize(
-    ("wish", "label", "violation"),
+    ("statement", "label", "violation"),
     [
         # u + v = 6 just before the switch in the middle, seen from the left only
         ({"bounds": {"sum": (None, 5.0)}}, "sum", 1.0),
@@ -98,8 +99,8 @@ def test_a_motion_that_keeps_everything_has_no_violation():
         ({"budgets": {"integral(power)": (1.0, None)}}, "budget of integral(power)", 1.0),
     ],
 )
-def test_a_path_that_is_violated_between_the_points_is_seen(wish, label, violation):
-    replay = by_hand(cart(), Wish(MOVE, **wish), FOURTH)
+def test_a_path_that_is_violated_between_the_points_is_seen(statement, label, violation):
+    replay = by_hand(cart(), Statement(MOVE, **statement), FOURTH)
     assert replay.error < 1e-9
     assert replay.constraint == label
     assert replay.violation == pytest.approx(violation, abs=2e-3)
@@ -114,7 +115,7 @@ def test_a_violation_inside_an_interval_is_seen_though_its_ends_keep_the_limit()
     plant.der(v, u)
     plant.constraint("height", 2 * x, max=0.6)
     stops = [{"x": 0.0, "v": 2.0}, {"x": 0.0, "v": -2.0}]
-    problem = pose(plant, Wish(stops, rest=False))
+    problem = formulate(plant, Statement(stops, rest=False))
     t, states = np.array([0.0, 1.0]), np.array([[0.0, 2.0], [0.0, -2.0]])
     inputs = PiecewisePolynomial(t, np.full((1, 1, 1), -4.0))
     solution = Solution(t, states, inputs, np.array([1.0]), np.zeros(0), np.zeros(0))
@@ -129,7 +130,7 @@ def test_a_violation_inside_an_interval_is_seen_though_its_ends_keep_the_limit()
 
 
 @pytest.mark.parametrize(
-    ("stops", "wish", "label", "violation"),
+    ("stops", "statement", "label", "violation"),
     [
         ([{"x": 0.0}, {"x": 1.3}], {}, "stop 2: x", 0.3),
         ([{"x": 0.0}, {"x": 1.0, "v": 0.25}], {}, "stop 2: v", 0.25),
@@ -137,23 +138,27 @@ def test_a_violation_inside_an_interval_is_seen_though_its_ends_keep_the_limit()
         ([{"x": 0.0, "der(v)": 0.0}, {"x": 1.0}], {}, "stop 1: der(v)", 0.4),  # 4 of 10 nominals
     ],
 )
-def test_a_stop_that_is_missed_by_the_motion_is_seen(stops, wish, label, violation):
-    replay = by_hand(cart(), Wish(stops, **{"rest": False, **wish}))
+def test_a_stop_that_is_missed_by_the_motion_is_seen(stops, statement, label, violation):
+    replay = by_hand(cart(), Statement(stops, **{"rest": False, **statement}))
     assert replay.violation == pytest.approx(violation, abs=1e-6)
     assert replay.constraint == label
     assert replay.missed == replay.violation
 
 
 def test_a_cycle_that_is_open_is_seen():
-    replay = by_hand(cart(), Wish(MOVE, rest=False, cyclic=True), ((0.5, 4.0), (0.5, -4.0)))
+    replay = by_hand(cart(), Statement(MOVE, rest=False, cyclic=True), ((0.5, 4.0), (0.5, -4.0)))
     assert replay.constraint == "closing of the cycle: x"
     assert replay.violation == pytest.approx(1.0, abs=1e-9)
 
 
 def test_the_objective_of_a_replay_is_that_of_the_motion():
     """u = +-4 for half a second each: effort 16, power integral 0, jump 8 over 0.5 s."""
-    wish = Wish(MOVE, minimise={"time": 2.0, "effort": 0.5, "rate": 0.25, "final(x)": 3.0})
-    assert by_hand(cart(), wish).objective == pytest.approx(2 + 8 + 0.25 * 64 / 0.5 + 3, rel=1e-9)
+    statement = Statement(
+        MOVE, minimise={"time": 2.0, "effort": 0.5, "rate": 0.25, "final(x)": 3.0}
+    )
+    assert by_hand(cart(), statement).objective == pytest.approx(
+        2 + 8 + 0.25 * 64 / 0.5 + 3, rel=1e-9
+    )
 
 
 # ---- the verdict of a plan
@@ -214,16 +219,21 @@ def test_a_verdict_names_each_figure_that_failed():
 @pytest.mark.parametrize("points", ["radau", "gauss"])
 def test_a_bound_on_a_state_holds_between_the_points_too(points):
     """Bryson and Denham's limit, which a coarse mesh keeps at its points only."""
-    wish = {"duration": 1.0, "minimise": "effort", "rest": False, "bounds": {"x": (None, 1 / 9)}}
+    asked = {
+        "duration": 1.0,
+        "minimise": "effort",
+        "rest": False,
+        "bounds": {"x": (None, 1 / 9)},
+    }
     stops = [{"x": 0.0, "v": 1.0}, {"x": 0.0, "v": -1.0}]
     method = Collocation(4, 3, "linear", points)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PlanWarning)
-        rough = pam.plan(cart(), stops, **wish, method=method, tolerance=None)
+        rough = pam.plan(cart(), stops, **asked, method=method, tolerance=None)
     assert rough.replay_error < 1e-6
     assert rough.replay.violation > 5e-4
     assert rough.replay.constraint == "x"
-    plan = pam.plan(cart(), stops, **wish, method=method, tolerance=1e-5)
+    plan = pam.plan(cart(), stops, **asked, method=method, tolerance=1e-5)
     assert plan.verified
     assert plan.replay.trajectory["x"].max() <= 1 / 9 + 1e-5
 

@@ -1,5 +1,6 @@
 """plan: via points, dwells, phases, profiles, forbidden regions, budgets, objectives, design."""
 
+import inspect
 import pickle
 
 import casadi as ca
@@ -10,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
+from pam_ocp.planning.planner import SolveKeywords
 
 POLYNOMIAL = Collocation(6, 6, "polynomial")
 
@@ -458,3 +460,11 @@ def test_what_cannot_be_meant_is_refused(slide, arguments, message):
         pam.plan(slide, **{"stops": STOPS, **arguments})
     with pytest.raises(InputError):
         Profile([0.0, 0.0], [1.0, 2.0])
+
+
+def test_a_planner_knows_the_keywords_of_plan_and_names_the_nearest_to_a_wrong_one():
+    asked = set(inspect.signature(pam.plan).parameters) - {"plant", "stops"}
+    assert asked == set(SolveKeywords.__annotations__)
+    stops = [{"x": 0.0}, {"x": 0.01}]
+    with pytest.raises(TypeError, match="no argument 'minimize'; did you mean 'minimise'"):
+        pam.Planner(pam.HangingLoad("DMSP-20-400N", mass=20.0), stops, minimize="time")

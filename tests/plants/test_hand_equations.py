@@ -6,24 +6,12 @@ import casadi as ca
 import hand_equations as hand
 import numpy as np
 import pytest
+from fibres import LONG, SHORT, THIN, bought
 
 import pam_ocp as pam
 
 POINTS = 40
 CHOKED = 3e-8
-LONG, SHORT, THIN = (
-    hand.Fibre("DMSP-20-400N", 0.4),
-    hand.Fibre("DMSP-20-200N", 0.2),
-    hand.Fibre("DMSP-10", 0.25, 0.01),
-)
-
-
-def bought(fibre):
-    """The same muscle of the library, from the published numbers alone."""
-    law = pam.SixParameterLaw.from_published(hand.SETS[fibre.name])
-    return pam.Muscle(law, fibre.length, fibre.diameter)
-
-
 GAS = {"dead_volume": 3e-5, "exponent": 1.3, "temperature": 305.0, "ambient": 0.95e5}
 
 

@@ -182,3 +182,169 @@ def test_unequal_muscles_have_no_mirror_image():
 def test_a_muscle_in_place_of_a_plant_is_told_where_it_belongs(verb, long_muscle):
     with pytest.raises(InputError, match=r"plant is a Muscle, not a Plant.*HangingLoad\(muscle\)"):
         verb(long_muscle)
+
+
+# ---- what a plant answers ---------------------------------------------------------------------
+
+
+def test_values_come_by_name_or_from_a_point_of_rest(hanging):
+    point = hanging.equilibrium(x=0.05)
+    assert hanging.vector("state", point) == pytest.approx(point.x)
+    assert hanging.vector("input", point) == pytest.approx(point.u)
+    with pytest.raises(InputError, match="give values by name"):
+        hanging.vector("state", [0.0, 0.1])
+    with pytest.raises(InputError, match="mass is a parameter, not a state"):
+        hanging.vector("state", {"mass": 1.0})
+
+
+def test_vectors_hold_one_attribute_in_the_order_of_declaration():
+    plant = pam.Plant("three")
+    a, b = plant.state("a", start=1.0, min=-4.0, nominal=2.0), plant.state("b", max=5.0)
+    plant.der(a, b)
+    plant.der(b, -a)
+    assert plant.vector("state") == pytest.approx([1.0, 0.0])
+    assert plant.vector("state", {"b": 3.0}) == pytest.approx([1.0, 3.0])
+    assert list(plant.vector("state", attribute="min")) == [-4.0, -np.inf]
+    assert list(plant.vector("state", attribute="max")) == [np.inf, 5.0]
+    assert list(plant.vector("state", attribute="nominal")) == [2.0, 1.0]
+
+
+def test_derivatives_are_given_once_and_of_states():
+    plant = pam.Plant("half")
+    x, u = plant.state("x"), plant.input("u")
+    with pytest.raises(InputError, match="must be the symbol of a state"):
+        plant.der(u, x)
+    with pytest.raises(InputError, match="must be the symbol of a state"):
+        plant.der(2 * x, x)
+    plant.der(x, u)
+    with pytest.raises(InputError, match=r"der\(x\) is given twice"):
+        plant.der(x, u)
+    with pytest.raises(InputError, match="has no state"):
+        _ = pam.Plant("empty").function
+
+
+def test_expressions_are_found_by_name():
+    plant = oscillator()
+    f = ca.Function(
+        "f", [plant.x, plant.u, plant.p], [plant.expression(n) for n in ("der(v)", "v", "spring")]
+    )
+    assert [float(e) for e in f([0.2, 0.3], [5.0], [100.0])] == pytest.approx([-15.0, 0.3, 20.0])
+    with pytest.raises(InputError, match="spring is no state"):
+        plant.expression("der(spring)")
+
+
+def test_jacobians_are_those_of_the_equations():
+    a, b, c, d = (np.asarray(e) for e in oscillator().jacobians([0.2, 0.3], [5.0], [80.0]))
+    assert np.array_equal(a, [[0, 1], [-80, 0]])
+    assert np.array_equal(b, [[0], [1]])
+    assert np.array_equal(c, [[80, 0]])
+    assert np.array_equal(d, [[0]])
+
+
+def test_copies_share_what_was_built_and_the_latest_32_are_kept():
+    plant = oscillator()
+    plant.cached("first", lambda: "built")
+    for k in range(31):
+        plant.cached(k, lambda k=k: k)
+    assert plant.with_values(k=1.0).cached("first", lambda: "anew") == "built"  # used again
+    plant.cached(31, lambda: 31)
+    assert plant.cached("first", lambda: "anew") == "built"
+    assert plant.cached(0, lambda: "anew") == "anew"  # the oldest that was not used
+
+
+def test_a_mirror_names_variables_of_the_plant():
+    plant = pam.Plant("mirrored")
+    x = plant.state("x")
+    plant.der(x, -x)
+    with pytest.raises(UnknownNameError):
+        plant.mirror({"x": (-1.0, "y")})
+    with pytest.raises(UnknownNameError):
+        plant.mirror({"y": (-1.0, "x")})
+    plant.mirror({"x": (-1.0, "x")})
+    assert plant.mirror_map == {"x": (-1.0, "x")}
+    _ = plant.function
+    with pytest.raises(InputError, match="in use"):
+        plant.mirror({})
+
+
+def test_a_plant_travels_with_values_names_and_mirror(slide):
+    import pickle
+
+    moved = slide.with_values(mass=3.5, x=0.004)
+    there = pickle.loads(pickle.dumps(moved))
+    assert there.variables == moved.variables
+    assert (there.name, there.description) == (slide.name, slide.description)
+    assert there.mirror_map == slide.mirror_map
+    x, u = np.array([0.004, 0.3, 3e5, 2e5]), [5e5, 1e5]
+    for one, two in zip(
+        slide.function(x, u, moved.vector("parameter")),
+        there.function(x, u, there.vector("parameter")),
+        strict=True,
+    ):
+        assert flat(two) == pytest.approx(flat(one), rel=1e-14)
+
+
+# ---- meters -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("feed", [pam.IdealPressure(totals=True), pam.Regulator(0.07, totals=True)])
+def test_power_work_and_pneumatic_work_are_integrals_of_force_and_pressure(feed, long_muscle):
+    """F v of the muscle; p dV with dV/dt = (dF/dp) v, for F = G p + H."""
+    from dataclasses import replace
+
+    muscle = replace(long_muscle, mass=0.25)
+    plant = pam.HangingLoad(muscle, mass=15.0, feed=feed)
+    rng = np.random.default_rng(3)
+    names = [v.name for v in plant.states]
+    for _ in range(5):
+        values = {"x": 0.05 + 0.03 * rng.uniform(), "v": rng.uniform(-0.4, 0.4)}
+        pressure = rng.uniform(4, 6) * BAR
+        values |= {
+            "muscle.pressure": pressure,
+            "muscle.work": 300.0,
+            "muscle.pneumatic_work": 500.0,
+        }
+        x = [values[n] for n in names]
+        u, p = [pressure], plant.vector("parameter")
+        xdot, y = (flat(e) for e in plant.function(x, u, p)[:2])
+        rate = dict(zip(names, xdot, strict=True))
+        out = dict(zip((v.name for v in plant.outputs), y, strict=True))
+        law, kappa = long_muscle.law, values["x"] / 0.4
+        force = law.tension(pressure, kappa)
+        gain = law.tension(1.0, kappa) - law.tension(0.0, kappa)
+        power = force * values["v"]
+        assert out["muscle.power"] == pytest.approx(power, rel=1e-9)
+        assert out["muscle.power_per_mass"] == pytest.approx(power / 0.25, rel=1e-9)
+        assert out["muscle.work_per_mass"] == pytest.approx(300.0 / 0.25)
+        assert out["muscle.efficiency"] == pytest.approx(300.0 / 500.0, rel=1e-6)
+        assert rate["muscle.work"] == pytest.approx(power, rel=1e-9)
+        assert rate["muscle.pneumatic_work"] == pytest.approx(
+            pressure * gain * values["v"], rel=1e-7
+        )
+
+
+def test_a_valves_totals_are_the_air_drawn_and_its_exergy(long_muscle):
+    """Exergy of compressed air per mass: R T ln(p / ambient)."""
+    gas = pam.Gas(temperature=305.0, ambient=0.95e5)
+    feed = pam.OnOffValves(conductance=3e-8, supply=6.5e5, gas=gas, totals=True)
+    plant = pam.HangingLoad(long_muscle, mass=15.0, feed=feed)
+    values = {"x": 0.05, "muscle.pressure": 2e5, "muscle.air_drawn": 2e-3, "muscle.work": 40.0}
+    x = [values.get(v.name, 0.0) for v in plant.states]
+    u = [{"muscle.fill": 0.6}.get(v.name, 0.0) for v in plant.inputs]
+    xdot, y = (flat(e) for e in plant.function(x, u, plant.vector("parameter"))[:2])
+    rate = dict(zip((v.name for v in plant.states), xdot, strict=True))
+    out = dict(zip((v.name for v in plant.outputs), y, strict=True))
+    specific = 287.05 * 305.0 * np.log((6.5e5 + 0.95e5) / 0.95e5)
+    assert rate["muscle.air_drawn"] == pytest.approx(out["muscle.supply_flow"])
+    assert rate["muscle.air_drawn"] > 0
+    assert out["muscle.exergy_flow"] == pytest.approx(specific * out["muscle.supply_flow"])
+    assert out["muscle.exergy_drawn"] == pytest.approx(2e-3 * specific)
+    assert out["muscle.efficiency"] == pytest.approx(40.0 / (2e-3 * specific), rel=1e-6)
+
+
+@pytest.mark.parametrize("cls", [pam.IdealPressure, pam.Regulator])
+def test_without_totals_there_are_no_sums(cls, long_muscle):
+    plant = pam.HangingLoad(long_muscle, mass=15.0, feed=cls())
+    names = {v.name for v in plant.variables}
+    assert "muscle.power" in names
+    assert not {n for n in names if "work" in n or "efficiency" in n}

@@ -3,10 +3,9 @@
 
 Each set gets a virtual environment beside this file: "oldest" what oldest.txt pins, on Python 3.10;
 "newest" what pip finds, on the newest Python of this machine. A part of the tests runs in each,
-chosen
-to touch every dependency. A machine without such a Python skips that set, and says so; a set that
-cannot
-be installed, or a test that fails, is a failure. Nothing is fetched for what is installed already.
+chosen to touch every dependency. A machine without such a Python skips that set, and says so; a set
+that cannot be installed, or a test that fails, is a failure. Nothing is fetched for what is
+installed already.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """KalmanFilter: states, and unknown parameters, disturbances or offsets, from noisy measurements.
 
 Extended Kalman filter, continuous in the model and discrete in the measurements (Jazwinski,
-Stochastic
-Processes and Filtering Theory, 1970, ch. 8), with exact Jacobians of the integrated step.
+Stochastic Processes and Filtering Theory, 1970, ch. 8), with exact Jacobians of the integrated
+step.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -18,7 +17,9 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...plants.plant import Plant, Values, require_plant
-from ..mpc.step import Givens, Step, StepMethod
+from ..controller import Estimate
+from ..step import Givens, Step, StepMethod
+from .correction import corrected
 
 __all__ = ["Estimate", "Estimator", "KalmanFilter"]
 
@@ -26,17 +27,6 @@ Array: TypeAlias = NDArray[np.float64]
 
 PROCESS = 1e-2
 """Default process noise of a state, in units of nominal, per square root of a second."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What an estimator knows at one moment, by name [SI]."""
-
-    state: dict[str, float]
-    values: dict[str, float]
-    """Of the unknowns: parameters, disturbances, ``der(STATE)``."""
-    deviation: dict[str, float]
-    """Standard deviation of states and unknowns."""
 
 
 class Estimator(ABC):
@@ -93,6 +83,7 @@ class Estimator(ABC):
         """Of states and unknowns, in units of nominal."""
         self._q = self.given.vector()
         self._z = np.concatenate([plant.vector("state", start), self._q[self._at]]) / self._scale
+        self._first = self._z.copy(), self.covariance.copy()
         low, high = self.given.low[self._at], self.given.high[self._at]
         self._low = np.concatenate([np.full(nx, -np.inf), low]) / self._scale
         self._high = np.concatenate([np.full(nx, np.inf), high]) / self._scale
@@ -130,6 +121,21 @@ class Estimator(ABC):
         )
 
     # ---- using it -------------------------------------------------------------------------------
+    @property
+    def sample_time(self) -> float:
+        """See :class:`Observer`."""
+        return self.step
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """{measured state or output: standard deviation of its noise [SI]}."""
+        return {v.name: float(s) for v, s in zip(self.measured, self.noise, strict=True)}
+
+    def reset(self) -> None:
+        """Back to what was known at first."""
+        self._q = self.given.vector()
+        self._z, self.covariance = (part.copy() for part in self._first)
+
     @property
     def estimate(self) -> Estimate:
         """The present knowledge."""
@@ -208,13 +214,11 @@ class KalmanFilter(Estimator):
         value, jacobian = (
             np.asarray(m) for m in self._measure(self._z, self._inputs(inputs), self._q)
         )
-        c, r = jacobian[present], np.diag(self._noise[present] ** 2)
-        spread = c @ self.covariance @ c.T + r
-        gain = np.linalg.solve(spread, c @ self.covariance).T
+        gain, self.covariance = corrected(
+            self.covariance, jacobian[present], self._noise[present] ** 2
+        )
         self._z = self._z + gain @ (seen - value.ravel())[present]
         self._z = np.clip(self._z, self._low, self._high)
-        keep = np.eye(len(self._z)) - gain @ c
-        self.covariance = keep @ self.covariance @ keep.T + gain @ r @ gain.T  # Joseph's form
         return self.estimate
 
     def predict(self, inputs: Values | None = None) -> Estimate:

@@ -2,12 +2,9 @@
 measurements.
 
 At each measurement the trajectory of the window is the most probable one under the model, the noise
-and
-the bounds (Rao, Rawlings, Mayne, IEEE Trans. Automat. Control 48, 2003); what came before the
-window
-enters as an arrival cost carried on by the extended Kalman filter. Solved by Gauss-Newton steps on
-the
-condensed problem: its unknowns are the window's start and the noise of each step.
+and the bounds (Rao, Rawlings, Mayne, IEEE Trans. Automat. Control 48, 2003); what came before the
+window enters as an arrival cost carried on by the extended Kalman filter. Solved by Gauss-Newton
+steps on the condensed problem: its unknowns are the window's start and the noise of each step.
 """
 
 from __future__ import annotations
@@ -22,8 +19,10 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
 from ...plants.plant import Plant, Values
-from ..mpc.step import StepMethod
-from .extended_kalman import Estimate, Estimator
+from ...simulation.sampled import StepMethod
+from ..controller import Estimate
+from .correction import corrected
+from .extended_kalman import Estimator
 
 __all__ = ["MovingHorizonEstimator"]
 
@@ -40,14 +39,12 @@ class MovingHorizonEstimator(Estimator):
     ----------
     horizon : number of steps looked back.
     bounds : {state or unknown: (low, high)} [SI], None for an open end; narrows the bounds of
-    states and
-        parameters that the plant declares, which always hold, all over the window.
+        states and parameters that the plant declares, which always hold, all over the window.
     robust : residuals beyond so many standard deviations count linearly, not squared (Huber, Ann.
-    Math.
-        Statist. 35, 1964; 1.345 is usual): outliers lose their pull. None: all squared.
+        Math. Statist. 35, 1964; 1.345 is usual): outliers lose their pull. None: all squared.
     iterations : at most so many Gauss-Newton steps per measurement.
     plant, step, measured, process, unknown, start, uncertainty, method, substeps : see
-    KalmanFilter.
+        KalmanFilter.
 
     On a linear plant, without active bounds and with ``robust=None``, it is the Kalman filter.
     Measuring the same variable twice before the next :meth:`predict` replaces its value.
@@ -88,18 +85,28 @@ class MovingHorizonEstimator(Estimator):
         self.horizon, self.iterations = horizon, iterations
         self.robust = math.inf if robust is None else require_positive("robust", robust)
         self._narrow(bounds or {})
-        self._prior, self._prior_covariance = self._z.copy(), self.covariance.copy()
-        self._last = 0
-        """Index of the present node: how many steps the window has."""
-        self._nodes: Array = np.tile(self._z[:, None], horizon + 1)
-        self._values = np.full((horizon + 1, len(self.measured)), np.nan)
-        self._controls = np.zeros((2, len(self.given.controls), horizon + 1))
-        """Of each node: when it was measured, and on the step that follows."""
-        self._givens = np.tile(self._q[None, :, None], (2, 1, horizon + 1))
+        self._empty()
         self._steps = self._predict.map(horizon)
         self._looks = self._measure.map(horizon + 1)
         self._bounded = np.flatnonzero(np.isfinite(self._low) | np.isfinite(self._high))
         self._qp: ca.Function | None = None
+
+    def _empty(self) -> None:
+        """A window of one node: the present."""
+        nodes = self.horizon + 1
+        self._prior, self._prior_covariance = self._z.copy(), self.covariance.copy()
+        self._last = 0
+        """Index of the present node: how many steps the window has."""
+        self._nodes: Array = np.tile(self._z[:, None], nodes)
+        self._values = np.full((nodes, len(self.measured)), np.nan)
+        self._controls = np.zeros((2, len(self.given.controls), nodes))
+        """Of each node: when it was measured, and on the step that follows."""
+        self._givens = np.tile(self._q[None, :, None], (2, 1, nodes))
+
+    def reset(self) -> None:
+        """Back to what was known at first, with an empty window."""
+        super().reset()
+        self._empty()
 
     def _narrow(self, bounds: Mapping[str, Any]) -> None:
         """Bounds of states and unknowns in units of nominal: the plant's, narrowed."""
@@ -233,12 +240,10 @@ class MovingHorizonEstimator(Estimator):
         present = np.flatnonzero(weight)
         covariance, mean = self._prior_covariance, self._prior
         if len(present):
-            c, noise = c[present], np.diag(self._noise[present] ** 2 / weight[present])
-            gain = np.linalg.solve(c @ covariance @ c.T + noise, c @ covariance).T
+            c, noise = c[present], self._noise[present] ** 2 / weight[present]
+            gain, covariance = corrected(covariance, c, noise)
             expected = value.ravel()[present] + c @ (mean - z)
             mean = mean + gain @ (self._values[0][present] - expected)
-            keep = np.eye(len(z)) - gain @ c
-            covariance = keep @ covariance @ keep.T + gain @ noise @ gain.T
         following, a, half = (np.asarray(e) for e in self._predict(z, u[1], q[1]))
         self._prior = following.ravel() + a @ (mean - z)
         self._prior_covariance = a @ covariance @ a.T + self._step_noise(a, half)

@@ -13,9 +13,10 @@ from ...core.errors import InputError, require_positive
 from ...operating.equilibrium import OperatingPoint
 from ...operating.linear import inside, linearize
 from ...operating.stuck import Stuck
-from ...plants.opening import Inversion
+from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant
-from ..loop import Controller, Measured
+from ..controller import Controller, Estimate, Measured
+from .correction import corrected
 
 __all__ = ["KalmanFilter", "WithEstimate", "kalman"]
 
@@ -42,6 +43,10 @@ class KalmanFilter:
     """
     disturbances: list[str] = field(default_factory=list)
     inversion: Inversion | None = field(default=None, repr=False)
+    noise: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    """Standard deviations of what is measured [SI]."""
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    """Of states and disturbances after a correction [SI], stationary."""
 
     def __post_init__(self) -> None:
         self._a, self._b, self._c, self._d = (
@@ -55,8 +60,38 @@ class KalmanFilter:
         self.deviation: Array = np.zeros(len(self._a))
         self._u: Array = np.zeros(self._b.shape[1])
 
-    def correct(self, measured: Measured) -> Array:
-        """The estimated states (nx,) after a measurement."""
+    @property
+    def plant(self) -> Plant:
+        """Its model."""
+        return self.point.plant
+
+    @property
+    def sample_time(self) -> float:
+        """See :class:`Observer`."""
+        return self.dt
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """{measured state or output: standard deviation of its noise [SI]}."""
+        return dict(zip(self.measured, self.noise.tolist(), strict=True))
+
+    @property
+    def estimate(self) -> Estimate:
+        """The present knowledge."""
+        states = [v.name for v in self.plant.states]
+        x = self.point.x + self.deviation[: len(states)]
+        spread = np.sqrt(np.diag(self.covariance)).tolist()
+        return Estimate(
+            dict(zip(states, x.tolist(), strict=True)),
+            self.disturbance,
+            dict(zip([*states, *self.disturbances], spread, strict=True)),
+        )
+
+    def correct(self, measured: Measured, inputs: Mapping[str, float] | None = None) -> Array:
+        """The estimated states (nx,) after a measurement.
+
+        Inputs that act while it is measured are those of the last :meth:`predict`.
+        """
         y = np.array([measured[n] for n in self.measured]) - self._y0
         error = y - self._c @ self.deviation - self._d @ self._u
         self.deviation = self.deviation + self.gain @ error
@@ -68,9 +103,9 @@ class KalmanFilter:
         found = self.deviation[len(self.point.x) :]
         return {n: self.point[n] + float(d) for n, d in zip(self.disturbances, found, strict=True)}
 
-    def predict(self, inputs: Mapping[str, float]) -> None:
+    def predict(self, inputs: Mapping[str, float] | None = None) -> None:
         """Go on to the next sample under inputs by name (kept within the plant's range)."""
-        variables = self.point.plant.inputs
+        variables, inputs = self.point.plant.inputs, inputs or {}
         if self.inversion:
             inputs = self.inversion.openings(inputs)
         u = np.array([np.clip(inputs.get(v.name, v.start or 0.0), v.min, v.max) for v in variables])
@@ -94,10 +129,8 @@ def kalman(
     process : what drives the states besides the inputs, in units of nominal per sqrt(s): a number
         for all, or {state: value} (others 0). The mass not known well is noise on the velocity.
     disturbances : {input: drift [SI per sqrt(s)]} of inputs that are not known but estimated with
-    the
-        states, as constants that drift: an external force, or a command's unknown offset. At most
-        as
-        many as measured values. See :class:`OffsetFree`.
+        the states, as constants that drift: an external force, or a command's unknown offset. At
+        most as many as measured values. See :class:`OffsetFree`.
 
     By ``control.dlqe``'s Riccati equation on the exactly sampled system in units of nominal.
     Raises InputError when the states cannot be told from what is measured.
@@ -124,11 +157,21 @@ def kalman(
         for (n, v), size in zip(unknown.items(), sizes, strict=True)
     ]
     nominal = np.concatenate([states, sizes])
-    gain = _stationary(system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * dt)
-    gain = follow.lift(more=len(unknown)) @ gain
+    gain, covariance = _stationary(
+        system, names, nominal, noise, np.concatenate([drive, drift]) ** 2 * dt
+    )
+    lift = follow.lift(more=len(unknown))
     system = _of_all_states(plant, system, follow)
     return KalmanFilter(
-        at, names, gain, dt, system, list(unknown), inversion if inversion else None
+        at,
+        names,
+        lift @ gain,
+        dt,
+        system,
+        list(unknown),
+        inversion if inversion else None,
+        noise,
+        lift @ covariance @ lift.T,
     )
 
 
@@ -206,8 +249,13 @@ def _with_disturbances(plant: Plant, system: Any, disturbances: list[str], x: Ar
     )
 
 
-def _stationary(system: Any, names: list[str], nominal: Array, noise: Array, drive: Array) -> Array:
-    """The gain that corrects the present estimate, in SI; ``drive`` : variances per sample."""
+def _stationary(
+    system: Any, names: list[str], nominal: Array, noise: Array, drive: Array
+) -> tuple[Array, Array]:
+    """The gain that corrects the present estimate, and the covariance that this leaves, in SI.
+
+    drive : variances per sample.
+    """
     import control
 
     a = np.asarray(system.A) * nominal / nominal[:, None]
@@ -221,11 +269,10 @@ def _stationary(system: Any, names: list[str], nominal: Array, noise: Array, dri
             "add process noise"
         ) from None
     # dlqe's gain corrects the prediction for the next sample; this one corrects the present one
-    p = np.asarray(covariance)
-    present = p @ c.T @ np.linalg.inv(c @ p @ c.T + np.eye(len(noise)))
+    present, left = corrected(np.asarray(covariance), c, np.ones(len(noise)))
     if not np.all(np.isfinite(gain)):
         raise InputError(f"kalman: no stationary filter exists for {', '.join(names)}")
-    return np.asarray(present * nominal[:, None] / noise)
+    return present * nominal[:, None] / noise, left * nominal * nominal[:, None]
 
 
 @dataclass

@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import courtesy
 from ...core.errors import (
     InputError,
     UnknownNameError,
@@ -25,16 +26,17 @@ from ...core.signals import PiecewisePolynomial
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...planning.solvers.narrowing import rounded
-from ...plants.opening import Inversion
+from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulate import evaluated
-from .mpc_statistics import MpcStatistics, MpcStep
+from ..mpc_statistics import MpcStatistics, MpcStep
+from ..references import Source
+from ..step import Givens, Step, StepMethod
 from .shooting import Limit, Penalty, Shooting
 from .sqp import Ipopt, Outcome, Sqp
-from .step import Givens, Step, StepMethod
 
 if TYPE_CHECKING:
-    from ..mpc_loop import ClosedLoop
+    from ...courtesy import ClosedLoop
 
 __all__ = ["Mpc", "MpcStatistics", "MpcStep"]
 
@@ -45,8 +47,8 @@ FIRST_ITERATIONS = 30
 
 KINKS = 0.5
 """Place between the widest roundings (0) and the plant's own (1) at which a controller sees kinks:
-one
-step of Newton's method a sample does not settle on sharper ones."""
+one step of Newton's method a sample does not settle on sharper ones.
+"""
 FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
@@ -59,15 +61,14 @@ class Mpc:
     Parameters
     ----------
     plant : the model. Inputs marked as disturbances are not for the controller to choose. Of
-    muscles
-        fed by valves it chooses the openings (``plant.in_openings()``), which move the flow through
-        zero, where commands have a dead zone, and gives the commands that make exactly these;
-        weights and bounds may name either. ``plant.in_commands()`` leaves commands as they are.
+        muscles fed by valves it chooses the openings (``plant.in_openings()``), which move the flow
+        through zero, where commands have a dead zone, and gives the commands that make exactly
+        these; weights and bounds may name either. ``plant.in_commands()`` leaves commands as they
+        are.
     horizon : number of steps looked ahead, of ``step`` seconds each.
     track : {state, output or input: weight w >= 0}.
     rate : {input: weight r >= 0} on its change from step to step. Weights on changes leave no
-    steady
-        error; weights on inputs (in ``track``) pull away from the reference of the others.
+        steady error; weights on inputs (in ``track``) pull away from the reference of the others.
     terminal : {state or output: weight at the last node}; by default that of ``track``.
     bounds : {state, input, output or constraint: (low, high)}, None for an open end; narrows the
         plant's own bounds and path constraints, which always hold.
@@ -77,31 +78,25 @@ class Mpc:
     iterations : at most so many SQP steps per call; 1 is the real-time iteration (Diehl et al.,
         SIAM J. Control Optim. 43, 2005). The first call takes as many as it needs.
     work : no further SQP step is begun in a call once its quadratic programs took so many
-    iterations of
-        the interior-point method (known with "hpipm"). Usual calls take 5 to 7; after a jump of the
-        reference the solution is completed over the calls that follow, so that no call takes much
-        longer than the others; a larger number tracks jumps a little better. None: no limit. The
-        first call has none either.
+        iterations of the interior-point method (known with "hpipm"). Usual calls take 5 to 7; after
+        a jump of the reference the solution is completed over the calls that follow, so that no
+        call takes much longer than the others; a larger number tracks jumps a little better. None:
+        no limit. The first call has none either.
     delay : 0 when the inputs are applied at once, 1 when they take effect a step later: the state
-    is
-        then predicted to that time with the inputs applied meanwhile.
+        is then predicted to that time with the inputs applied meanwhile.
     method, substeps : of the integration from node to node, see Step ("rosenbrock" for stiff
-    plants).
+        plants).
     solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program.
     tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
 
     Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
     When the SQP fails, IPOPT is asked; :attr:`statistics` says how often, how often that failed
-    too, and
-    how often the solution applied had not converged. No step is replayed: :meth:`prediction_error`
-    does
-    that of the last one.
+    too, and how often the solution applied had not converged. No step is replayed:
+    :meth:`prediction_error` does that of the last one.
 
     Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for
-    names. The
-    first call warns of an input that has no influence where the plant stands (a dead zone that is
-    not
-    declared): no solver of this kind finds out of it.
+    names. The first call warns of an input that has no influence where the plant stands (a dead
+    zone that is not declared): no solver of this kind finds out of it.
     """
 
     def __init__(
@@ -138,8 +133,8 @@ class Mpc:
         self.inversion = inversion = Inversion(plant)
         self.model = rounded(inversion.inner, KINKS)
         """The plant as the program sees it: with openings in place of the commands of valves, and
-        the
-        kinks of friction and hysteresis rounded off over wider widths."""
+        the kinks of friction and hysteresis rounded off over wider widths.
+        """
         self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
@@ -193,13 +188,24 @@ class Mpc:
         duration: float,
         **options: Any,
     ) -> ClosedLoop:
-        """Run against a plant or an FMU, with noise, disturbances and an estimator.
+        """Run against a plant or an FMU: :func:`pam_ocp.control.loop.closed_loop` with it."""
+        return courtesy.closed_loop(self, real, reference, duration=duration, **options)
 
-        Arguments as for :func:`pam_ocp.control.mpc_loop.closed_loop`.
-        """
-        from ..mpc_loop import closed_loop
+    @property
+    def sample_time(self) -> float:
+        """See :class:`Controller`."""
+        return self.step
 
-        return closed_loop(self, real, reference, duration, **options)
+    def tracking(
+        self,
+        reference: Mapping[str, Source],
+        inputs: Mapping[str, float] | None = None,
+        preview: bool = True,
+    ) -> TrackingMpc:
+        """The Controller that tracks ``reference``; see :class:`Tracking`."""
+        own = set(self.commands)
+        applied = None if inputs is None else {n: u for n, u in inputs.items() if n in own}
+        return TrackingMpc(self, reference, applied, preview)
 
     # ---- one step -------------------------------------------------------------------------------
     def control(
@@ -287,12 +293,9 @@ class Mpc:
         """How far the last call's prediction is from its own model's motion, in units of nominal.
 
         The largest difference, over the steps of the horizon, between the next node and the step
-        from
-        the node before with substeps ``FINER`` times finer: the error of the integration, and what
-        an
-        SQP that was not run to its end leaves of defects. Takes some milliseconds; a controller
-        does
-        not do it by itself.
+        from the node before with substeps ``FINER`` times finer: the error of the integration, and
+        what an SQP that was not run to its end leaves of defects. Takes some milliseconds; a
+        controller does not do it by itself.
         """
         p, point = self.program, self._sqp.point
         if self._fine is None:
@@ -389,6 +392,49 @@ class Mpc:
         at = p.at[p.nx + len(p.rated) : p.nx + len(p.rated) + p.nu, 0]
         inputs: Array = np.clip(self._sqp.point.w[at], p.w_low[at], p.w_high[at])
         return inputs
+
+
+@dataclass
+class TrackingMpc:
+    """An Mpc as a Controller, with what it is to track.
+
+    Estimated unknowns among what it is given are planned with; the states are taken as they are
+    given.
+    """
+
+    mpc: Mpc
+    reference: Mapping[str, Source]
+    inputs: Values | None = None
+    """Those applied as a run begins; None: start values."""
+    preview: bool = True
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self.mpc.reset(self.inputs)
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """What is to be reached at a time [s]."""
+        return {n: at(t) for n, at in self.reference.items()}
+
+    @property
+    def statistics(self) -> MpcStatistics:
+        return self.mpc.statistics
+
+    def prediction_error(self) -> float:
+        """See :meth:`Mpc.prediction_error`."""
+        return self.mpc.prediction_error()
+
+    def __call__(self, t: float, measured: Mapping[str, float]) -> dict[str, float]:
+        """See :class:`Controller`."""
+        mpc = self.mpc
+        states = [v.name for v in mpc.plant.states]
+        ahead = t + mpc.step * (mpc.delay + np.arange(mpc.horizon + 1))
+        if not self.preview:
+            ahead = np.full_like(ahead, t)
+        reference = {n: np.array([at(float(s)) for s in ahead]) for n, at in self.reference.items()}
+        names = set(mpc.given.names)
+        unknowns = {n: v for n, v in measured.items() if n in names}
+        return mpc.control({n: measured[n] for n in states}, reference, unknowns)
 
 
 # ---- checking the arguments ---------------------------------------------------------------------

@@ -2,8 +2,7 @@
 
 The step from one node to the next is integrated with the inputs held; states at the nodes are
 unknowns of their own, and the step's defect is a constraint (Bock and Plitt, IFAC 1984). The cost
-is
-a sum of squares, so its Hessian is the Gauss-Newton one. All unknowns are scaled by nominals.
+is a sum of squares, so its Hessian is the Gauss-Newton one. All unknowns are scaled by nominals.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.variables import Variable
-from .step import Givens, Step
+from ..step import Givens, Step
 
 __all__ = ["Limit", "Linearisation", "Penalty", "Shooting"]
 

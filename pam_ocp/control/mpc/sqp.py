@@ -22,9 +22,9 @@ QpSolver: TypeAlias = Literal["hpipm", "piqp"]
 
 HPIPM: dict[str, Any] = {"mode": "speed_abs", "iter_max": 60, "res_m_max": 1e-6}
 """For CasADi's interface, used where StageQp is not available: its barriers at the open ends of
-bounds
-make the matrices ill-conditioned, and steps less exact again when the complementarity gap is
-smaller."""
+bounds make the matrices ill-conditioned, and steps less exact again when the complementarity gap is
+smaller.
+"""
 MISS = 1e-3
 """Largest violation of a QP's rows by its solution, in units of nominal, that still counts as
 solved.

@@ -1,11 +1,9 @@
 """HPIPM, called directly: the quadratic program of shooting, stage by stage, in fixed memory.
 
 CasADi's interface to HPIPM goes through sparse matrices and gives each open end of a bound a
-barrier
-of its own. Here the library that comes in CasADi's wheel is called as its C header declares it:
-dense
-blocks per stage, vectors read where they stand, open ends masked (Frison and Diehl, HPIPM, IFAC
-2020).
+barrier of its own. Here the library that comes in CasADi's wheel is called as its C header declares
+it: dense blocks per stage, vectors read where they stand, open ends masked (Frison and Diehl,
+HPIPM, IFAC 2020).
 """
 
 from __future__ import annotations
@@ -32,8 +30,8 @@ SPEED_ABS = 0
 """HPIPM's mode: absolute formulation, no residuals computed on the way."""
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program: where more would be
-needed, the
-reference has just jumped, and the next program sees the rest."""
+needed, the reference has just jumped, and the next program sees the rest.
+"""
 GAP = 1e-8
 """Complementarity that ends it: leaves 1e-5 of nominal in the step, below what SQP looks at."""
 
@@ -76,8 +74,7 @@ class StageQp:
     """The quadratic program at ``point``; a call leaves its solution in ``direction``.
 
     All memory is taken at construction. ``iterations`` are those of the last call. Raises
-    RuntimeError
-    where :func:`available` is False.
+    RuntimeError where :func:`available` is False.
     """
 
     def __init__(self, point: Linearisation, direction: Array) -> None:

@@ -43,8 +43,7 @@ def decided(
     words.
 
     fitted : records to a fit and its deviance. Called once where all records say how inputs ran, or
-    where
-    none of them moves.
+    where none of them moves.
     """
     if all(r.interpolation_known or not _moves(plant, r) for r in records):
         return fitted(records)[0], "linear", ""

@@ -52,13 +52,11 @@ def fit_plant(
     Parameters
     ----------
     plant : any Plant; its parameter values are where the fit starts (such as those of a static
-    fit).
+        fit).
     records : Trajectories with the measured inputs and some states or outputs; see
-    :func:`read_record`.
-        Inputs run between samples as each record says; where one does not, both are fitted (held,
-        joined by lines), the likelier counts, and the report says so. Initial states are unknown
-        and
-        estimated.
+        :func:`read_record`. Inputs run between samples as each record says; where one does not,
+        both are fitted (held, joined by lines), the likelier counts, and the report says so.
+        Initial states are unknown and estimated.
     free : names of the parameters to fit. A tuple of names, or a pattern such as ``"muscle*.a1"``,
         is one unknown: these parameters are to be equal.
     outputs : the measured states and outputs to compare; by default all that the records hold.
@@ -74,16 +72,13 @@ def fit_plant(
     inputs : values of inputs that were constant and are no column.
     process_noise : {state: intensity}: white noise that disturbs the plant itself, as the standard
         deviation that the state gains in one second [its unit/sqrt(s)]. The motion is then
-        smoothed:
-        states may jump where intervals begin, and jumps are weighed against the measurement noise,
-        which must be given (the most probable parameters and motion together; A. Jazwinski,
-        Stochastic Processes and Filtering Theory, 1970, 5.3). Not for single shooting.
+        smoothed: states may jump where intervals begin, and jumps are weighed against the
+        measurement noise, which must be given (the most probable parameters and motion together; A.
+        Jazwinski, Stochastic Processes and Filtering Theory, 1970, 5.3). Not for single shooting.
     input_noise : {measured input: standard deviation}: its samples have errors, which are estimated
-    with all
-        else and weighed against those of the outputs, whose ``noise`` must be given. An input that
-        is
-        measured with noise and taken as exact biases the parameters, damping above all (errors in
-        variables; W. Fuller, Measurement Error Models, 1987).
+        with all else and weighed against those of the outputs, whose ``noise`` must be given. An
+        input that is measured with noise and taken as exact biases the parameters, damping above
+        all (errors in variables; W. Fuller, Measurement Error Models, 1987).
 
     Returns
     -------

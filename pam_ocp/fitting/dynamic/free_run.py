@@ -37,8 +37,7 @@ class FreeRunFit:
     plant : with the fitted values. training : its runs along the records of the fit.
     integration_error : how much halving the step changes the runs (RMS, unit of each variable).
     at_bound : free parameters that ended at the edge of their range. cost : mean squared error
-    before
-    and after, in parts of the measured variables' variance.
+    before and after, in parts of the measured variables' variance.
     """
 
     plant: Plant
@@ -145,8 +144,7 @@ def fit_free_run(
     free : names, tuples or patterns of parameters, as for :func:`fit_plant`.
     bounds : {free parameter: (low, high)}, within those of its variable.
     evaluations : of all runs, at most. Other arguments as for :func:`free_run`. Where a record does
-    not
-        say how its inputs ran between samples, both ways are fitted and the likelier counts.
+        not say how its inputs ran between samples, both ways are fitted and the likelier counts.
 
     Raises
     ------

@@ -10,6 +10,7 @@ import numpy as np
 from ...core.signals import PiecewisePolynomial
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
+from ...simulation.compare import RecordComparison, compare_with_record
 from ...simulation.simulate import simulate
 from ..statistics import Array, Linearisation
 from .estimation import Estimate, Task, head_names
@@ -18,7 +19,7 @@ from .gauss_newton import reduced_jacobian, solve
 from .plant_fit import PlantFit
 from .transcribe import Unknowns
 
-__all__ = ["outcome", "replay"]
+__all__ = ["outcome", "replay", "validate"]
 
 
 def outcome(task: Task, estimate: Estimate, delay_free: bool) -> PlantFit:
@@ -188,3 +189,9 @@ def replay(fit: PlantFit, record: Trajectory) -> Trajectory:
     start = _starts(fit.plant, solution.w[: program.head] * program.head_scale, 1)[0]
     (experiment,) = _corrected(task, solution.jumps)
     return _simulated(fit.plant, experiment, start, fit.delay, names, fit.offsets, fit.gains)
+
+
+def validate(fit: PlantFit, records: Trajectory | Sequence[Trajectory]) -> list[RecordComparison]:
+    """See :meth:`PlantFit.validate`."""
+    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    return [compare_with_record(replay(fit, r), r, fit.measured) for r in chosen]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ... import courtesy
 from ...core.errors import UnknownNameError
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
@@ -63,8 +64,8 @@ class PlantFit:
     seconds: float
     process_noise: Mapping[str, float] = field(default_factory=dict)
     """Intensity of the noise that was allowed to disturb a state [unit/sqrt(s)]; ``simulated`` is
-    then
-    the smoothed motion."""
+    then the smoothed motion.
+    """
 
     input_noise: Mapping[str, float] = field(default_factory=dict)
     """Standard deviation of measured inputs whose errors were estimated; ``simulated`` ran without
@@ -164,10 +165,7 @@ class PlantFit:
 
         Only the initial states are estimated from each record; parameters, sensors and delay stay.
         """
-        from .outcome import replay
-
-        chosen = [records] if isinstance(records, Trajectory) else list(records)
-        return [compare_with_record(replay(self, r), r, self.measured) for r in chosen]
+        return courtesy.validate(self, records)
 
     # ---- doubts --------------------------------------------------------------------------------
     @property
@@ -213,15 +211,11 @@ class PlantFit:
     # ---- text ----------------------------------------------------------------------------------
     def report(self, level: float = 0.95) -> str:
         """The fit as text: agreement, parameters ± standard error, correlations, warnings."""
-        from ..static.report import plant_report
-
-        return plant_report(self, level)
+        return courtesy.plant_report(self, level)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
-        from .saved_plant import write_plant_fit
-
-        return write_plant_fit(self, path)
+        return courtesy.write_plant_fit(self, path)
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...numerics.rosenbrock import ros2
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import Group
@@ -16,14 +17,11 @@ from .runs import Runs
 
 __all__ = ["ASTRAY", "Rollout"]
 
-GAMMA = 1 - 1 / np.sqrt(2)
-"""Of the Rosenbrock method: with this value it is L-stable, so stiff friction does no harm."""
 WILD = 1e3
 """A run whose sensitivity (spreads per unit of a scaled unknown) exceeds this steers no step.
 
 It lies beside a parting of the ways (stick or slide) or is unstable: its slope holds for changes
-far
-smaller than any step and would outweigh all other runs. Its error still counts.
+far smaller than any step and would outweigh all other runs. Its error still counts.
 """
 ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""
@@ -111,7 +109,9 @@ def _functions(
     for j, group in enumerate(unknowns):
         for member in group.members:
             p[member] = z[j] * group.scale
-    after = _rosenbrock(plant, x, u, late, p, runs.step)
+    after = ros2(
+        lambda z: plant.function(z, u, p)[0], lambda z: plant.function(z, late, p)[0], x, runs.step
+    )
     slopes = ca.jacobian(after, x) @ s + ca.jacobian(after, z)
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
     y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, u, p)
@@ -125,17 +125,3 @@ def _functions(
         ca.Function("read", [x, u, z], [y]),
         ca.Function("slope", [x, column, u, z], [ca.densify(ca.vec(y_slopes))]),
     )
-
-
-def _rosenbrock(plant: Plant, x: ca.SX, u: ca.SX, late: ca.SX, p: ca.SX, h: float) -> ca.SX:
-    """The state after one step of ROS2, the inputs going from u to late.
-
-    (I - gamma h A) k1 = f(x, u), (I - gamma h A) k2 = f(x + h k1, late) - 2 k1, A = df/dx,
-    x+ = x + 3/2 h k1 + 1/2 h k2. Of second order for any A, so df/dt may be left out.
-    """
-    f = plant.function
-    first = f(x, u, p)[0]
-    matrix = ca.SX.eye(x.numel()) - GAMMA * h * ca.jacobian(first, x)
-    k1 = ca.solve(matrix, first)
-    k2 = ca.solve(matrix, f(x + h * k1, late, p)[0] - 2 * k1)
-    return ca.SX(x + 1.5 * h * k1 + 0.5 * h * k2)

@@ -50,8 +50,8 @@ class Program:
     head : (parameters, gains - 1, offsets, delay, initial states of every record).
     residuals : in units of the measured variables' nominals; one weight each is the parameter.
     jumps : how many unknowns at the end of w are jumps of disturbed states where intervals begin,
-    and
-        errors of measured inputs, in units of their standard deviations; residuals ends with them.
+        and errors of measured inputs, in units of their standard deviations; residuals ends with
+        them.
     """
 
     w: ca.MX
@@ -211,8 +211,8 @@ def _jumps(
 
 def _input_errors(experiments: Sequence[Experiment], mesh: _Mesh) -> ca.DM:
     """Matrix from errors of measured inputs (in standard deviations) to all coefficients, a column
-    of ``mesh.u``
-    after the other."""
+    of ``mesh.u`` after the other.
+    """
     rows, columns, values, first, count = [], [], [], 0, 0
     for e in experiments:
         if e.errors is not None:

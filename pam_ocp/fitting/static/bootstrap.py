@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError, require_count
 from ..statistics import Array
 from .least_squares import Problem
+from .optimum import Optimum
 from .search import minimise
-
-if TYPE_CHECKING:
-    from .force_fit import ForceFit
 
 __all__ = ["Bootstrap", "Resampling", "bootstrap"]
 
@@ -52,7 +50,7 @@ class Bootstrap:
         return np.atleast_2d(np.cov(self.samples.T))
 
 
-def bootstrap(fit: ForceFit, n: int, seed: int, method: Resampling) -> Bootstrap:
+def bootstrap(fit: Optimum, n: int, seed: int, method: Resampling) -> Bootstrap:
     """See :meth:`ForceFit.bootstrap`."""
     require_count("n", n, 2)
     if method not in ("residuals", "cases"):
@@ -74,7 +72,7 @@ def bootstrap(fit: ForceFit, n: int, seed: int, method: Resampling) -> Bootstrap
 
 
 def _resampled(
-    fit: ForceFit, problem: Problem, random: np.random.Generator, method: Resampling
+    fit: Optimum, problem: Problem, random: np.random.Generator, method: Resampling
 ) -> Problem:
     cells = problem.cells
     drawn = random.integers(0, len(cells), len(cells))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +10,9 @@ from numpy.typing import NDArray
 from ...core.errors import InputError, require_instance
 from ..statistics import Array
 from ..tables.force_table import ForceTable
+from .optimum import Optimum
 
-if TYPE_CHECKING:
-    from .force_fit import ForceFit
-
-__all__ = ["Hysteresis", "LackOfFit", "branch_lines", "fit_branches", "hysteresis", "lack_of_fit"]
+__all__ = ["Hysteresis", "LackOfFit", "branch_lines", "hysteresis", "lack_of_fit"]
 
 SAME_PRESSURE = 0.005
 """Cells whose pressures differ by less than this part of the largest count as repeats."""
@@ -54,21 +50,18 @@ class LackOfFit:
         )
 
 
-def lack_of_fit(fit: ForceFit) -> LackOfFit:
+def lack_of_fit(fit: Optimum) -> LackOfFit:
     """Test a fit by least squares against repeats of its cells (weights count).
 
     Cells of the same pressure (to 0.5 % of the largest), contraction (to 0.001) and branch are
     repeats. (N. Draper, H. Smith, Applied Regression Analysis, 1998, 2.1; approximate for a law
-    that
-    is not linear in its coefficients.)
+    that is not linear in its coefficients.)
 
     Raises InputError where no cell was repeated, no freedom is left, or the loss is a robust one.
     """
     from scipy.special import fdtrc
 
-    from .force_fit import ForceFit
-
-    require_instance("fit", fit, ForceFit, "give what fit_force() returned")
+    require_instance("fit", fit, Optimum, "give what fit_force() returned")
     if fit.terms.loss != "squares" or fit.terms.priors:
         raise InputError("lack_of_fit needs loss='squares' without priors")
     group = repeats(fit.cells)
@@ -214,25 +207,7 @@ def hysteresis(table: ForceTable) -> Hysteresis:
     )
 
 
-def fit_branches(
-    table: ForceTable, law: Any = "six-parameter", **options: Any
-) -> Mapping[str, ForceFit]:
-    """A fit for each branch of a table; options as for :func:`fit_force`, without weights.
-
-    Raises InputError for a table without branches.
-    """
-    from .static import fit_force
-
-    if not table.branches:
-        raise InputError(
-            "the table has no branches; label cells in a column 'branch' (inflation, deflation)"
-        )
-    if options.get("weights") is not None:
-        raise InputError("weights belong to a whole table; fit branch by branch with fit_force")
-    return {b: fit_force(table.of_branch(b), law, **options) for b in table.branches}
-
-
-def branch_lines(fit: ForceFit) -> list[str]:
+def branch_lines(fit: Optimum) -> list[str]:
     """Residuals by branch, and the test by repeats, for a report; nothing without labels."""
     lines = []
     cells, residuals = fit.cells, fit.residuals

@@ -2,27 +2,26 @@
 
 A regulator that settles, friction and creep make neighbouring measurements err alike, so n of them
 tell less than n. The errors along a sequence are taken as e_i = rho e_(i-1) + new (an AR(1)
-process,
-stationary). rho has a restricted likelihood, that of the part of the data which no coefficient can
-take up (H. Patterson, R. Thompson, Biometrika 58 (1971) 545-554): residuals themselves follow each
-other less than errors do, for the fit has taken up what lasts long. Coefficients stay those of
-least
-squares; their covariance is (J^T J)^-1 J^T R J (J^T J)^-1, averaged over rho with that likelihood
-(all values from 0 to 1 equally likely before), so that not knowing rho counts, too.
+process, stationary). rho has a restricted likelihood, that of the part of the data which no
+coefficient can take up (H. Patterson, R. Thompson, Biometrika 58 (1971) 545-554): residuals
+themselves follow each other less than errors do, for the fit has taken up what lasts long.
+Coefficients stay those of least squares; their covariance is (J^T J)^-1 J^T R J (J^T J)^-1,
+averaged over rho with that likelihood (all values from 0 to 1 equally likely before), so that not
+knowing rho counts, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statistics import Array, student_t
+from ..statistics import Array, SerialErrors
 from ..tables.force_table import ForceTable
 
-__all__ = ["SerialErrors", "neighbours", "sequences", "serial_errors", "widening"]
+__all__ = ["neighbours", "sequences", "serial_errors", "widening"]
 
 NEGLECTED = 0.15
 """Probability of a correlation below which errors count as independent.
@@ -61,49 +60,11 @@ class Order:
     follows: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
-class SerialErrors:
-    """Errors that follow each other.
-
-    order : along what, in words. probability : that errors follow each other at all.
-    correlation : of neighbouring errors, the mean over all that the data leave possible.
-    meat : (k, k), J^T R J with that correlation, for errors of the variance that independent ones
-    would
-    have. spread : standard deviation of an error, in that of independent ones.
-    weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
-    coefficients, in
-    those of ``correlation``. dof : degrees of freedom.
-    """
-
-    order: str
-    correlation: float
-    probability: float
-    meat: Array = field(repr=False)
-    spread: float
-    weights: Array = field(repr=False)
-    sizes: Array = field(repr=False)
-    dof: int
-
-    def reach(self, level: float) -> float:
-        """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
-        from scipy.optimize import brentq
-        from scipy.special import stdtr
-
-        plain = student_t(level, self.dof)
-        roots = np.sqrt(self.sizes)
-
-        def missing(half: float) -> float:
-            return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
-
-        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
-
-
 def sequences(*tables: ForceTable) -> list[Order]:
     """Orders in which errors of the cells of tables (one behind the other) may follow each other.
 
     Row after row; row after row within a ramp (contraction level, branch and run); along pressure
-    in
-    each of these. Nothing follows from table to table.
+    in each of these. Nothing follows from table to table.
     """
     found = [_joined(orders) for orders in zip(*(_orders(t) for t in tables), strict=True)]
     distinct: list[Order] = []

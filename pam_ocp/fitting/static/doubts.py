@@ -9,7 +9,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from ..statistics import Linearisation
-    from .force_fit import ForceFit
+
+from .optimum import Optimum
 
 __all__ = ["at_edge", "following", "force_warnings", "unseen"]
 
@@ -24,7 +25,7 @@ LIKELY = 0.95
 """Probability from which a correlation is stated as a fact."""
 
 
-def force_warnings(fit: ForceFit) -> tuple[str, ...]:
+def force_warnings(fit: Optimum) -> tuple[str, ...]:
     """See :attr:`ForceFit.warnings`."""
     found = [fit.solver.doubt] if fit.solver.doubt else []
     found += [*unseen(fit), *_saturated(fit), *following(fit.linearisation)]
@@ -33,7 +34,7 @@ def force_warnings(fit: ForceFit) -> tuple[str, ...]:
     return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
 
 
-def unseen(fit: ForceFit) -> list[str]:
+def unseen(fit: Optimum) -> list[str]:
     """Combinations of coefficients that the data do not, or hardly, see."""
     found = [
         f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
@@ -78,7 +79,7 @@ def following(linear: Linearisation) -> list[str]:
     ]
 
 
-def _saturated(fit: ForceFit) -> list[str]:
+def _saturated(fit: Optimum) -> list[str]:
     if not type(fit.law).is_affine():
         return []
     # at each contraction the law is a straight line in p: two numbers at most

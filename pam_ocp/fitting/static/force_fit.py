@@ -7,45 +7,36 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ... import courtesy
 from ...core.errors import InputError, UnknownNameError
 from ...muscles.law import ForceLaw
 from ...muscles.muscle import Muscle
 from ..statistics import (
     Array,
     Coefficient,
-    Linearisation,
     Prediction,
-    SolverStatistics,
-    sensitivity,
 )
-from ..tables.force_table import ForceTable
-from .correlation import sequences, serial_errors
-from .least_squares import PLAIN, Problem, Terms
-from .polish import SLACK_TOLERANCE
-from .scales import BISQUARE, HUBER, robust_scale, spread
-
-if TYPE_CHECKING:
-    from .bootstrap import Bootstrap, Resampling
-    from .branches import LackOfFit
-    from .correlation import SerialErrors
-    from .likelihood_profile import Ends
+from .bootstrap import Bootstrap, Resampling, bootstrap
+from .branches import LackOfFit, lack_of_fit
+from .doubts import force_warnings
+from .likelihood_profile import Ends, profile_ends
+from .optimum import Optimum
+from .sweep import Sweep
 
 __all__ = ["ForceFit"]
 
 STRAIGHT = 0.2
 """By this part of its half width the profile interval of a coefficient may differ from value ± t
-errors
-for the law to count as nearly linear in it."""
+errors for the law to count as nearly linear in it.
+"""
 
 
-@dataclass(frozen=True, eq=False)
-class ForceFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class ForceFit(Optimum):
     """A force law fitted to a table, with all that the data say about its coefficients.
 
     law : the fitted law. table : the data, slack cells included. held : coefficients that were
@@ -53,199 +44,10 @@ class ForceFit:
     terms : loss, censoring, bounds and priors of the fit.
     """
 
-    law: ForceLaw
-    table: ForceTable
-    held: tuple[str, ...]
-    weights: Array | None
-    solver: SolverStatistics
-    terms: Terms = PLAIN
-
     def __repr__(self) -> str:
         return f"ForceFit({self.law.name}: RMSE {self.rmse:.4g} N over {self.n} taut cells)"
 
-    # ---- the fit itself ---------------------------------------------------------------------
-    @cached_property
-    def cells(self) -> ForceTable:
-        """The taut cells, in the order of ``residuals``."""
-        return self.table.taut
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Names of the fitted coefficients."""
-        return tuple(n for n in self.law.values if n not in self.held)
-
-    @property
-    def root_weights(self) -> Array:
-        """Factor of each residual; ones without weights."""
-        return np.ones(len(self.cells)) if self.weights is None else self.weights
-
-    def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
-        """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
-        names = list(self.law.values)
-        values = ca.DM(list(self.law.values.values()))
-        tension, jacobian = sensitivity(type(self.law))(p[None], kappa[None], values)
-        columns = [names.index(n) for n in self.free]
-        return np.asarray(tension).ravel(), np.asarray(jacobian).reshape(p.size, -1)[:, columns]
-
-    @cached_property
-    def _at_cells(self) -> tuple[Array, Array]:
-        return self._sensitivity(self.cells.pressure, self.cells.contraction)
-
-    @property
-    def residuals(self) -> Array:
-        """Measured minus fitted force of the taut cells [N]."""
-        return self.cells.force - self._at_cells[0]
-
-    @property
-    def jacobian(self) -> Array:
-        """Exact derivatives of the force, (taut cells, free coefficients) [N/unit]."""
-        return self._at_cells[1]
-
-    @property
-    def n(self) -> int:
-        """Number of taut cells."""
-        return len(self.cells)
-
-    @cached_property
-    def problem(self) -> Problem:
-        """The problem that was solved."""
-        held = {n: float(self.law.values[n]) for n in self.held}
-        return Problem.of(type(self.law), self.table, held, self.root_weights, self.terms)
-
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom: taut cells and priors less fitted coefficients."""
-        return self.n + len(self.problem.priors[0]) - len(self.free)
-
-    @property
-    def cost(self) -> float:
-        """What the fit made smallest [N2]: ``squares``, or the robust loss, and the priors."""
-        return self.problem.cost(np.array([float(v) for v in self.law.values.values()]))
-
-    @property
-    def squares(self) -> float:
-        """Weighted sum of squared residuals."""
-        return float(np.sum((self.root_weights * self.residuals) ** 2))
-
-    @property
-    def rmse(self) -> float:
-        """Root of the mean squared residual over the taut cells, without weights [N]."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
-
-    @property
-    def r2(self) -> float:
-        """1 - (squared residuals)/(squared deviations from the mean), without weights."""
-        spread = float(np.sum((self.cells.force - self.cells.force.mean()) ** 2))
-        return 1 - float(np.sum(self.residuals**2)) / spread if spread else float("nan")
-
-    @property
-    def sigma(self) -> float:
-        """Standard deviation s of a measurement of weight 1 [N]; NaN without freedom.
-
-        After a robust fit from the median of the absolute residuals, or the scale of the bisquare.
-        """
-        if not self.dof:
-            return float("nan")
-        if self.terms.loss == "bisquare":
-            return self.terms.threshold / BISQUARE
-        if self.terms.loss != "squares":
-            return spread(self.root_weights * self.residuals, len(self.free))
-        return float(np.sqrt(self.cost / self.dof))
-
     # ---- what the data say about the coefficients ---------------------------------------------
-    @cached_property
-    def linearisation(self) -> Linearisation:
-        """The weighted least-squares problem near its optimum."""
-        variables = {v.name: v for v in self.law.coefficient_variables()}
-        jacobian = self.problem.with_priors(self._vector)[1][0][:, list(self.problem.free)]
-        return Linearisation(
-            self.free,
-            np.array([float(self.law.values[n]) for n in self.free]),
-            [variables[n].unit for n in self.free],
-            jacobian,
-            self._scale,
-            self.dof,
-            self._active,
-            None
-            if self.terms.independent
-            else serial_errors(jacobian, self._influential, sequences(self.cells)),
-        )
-
-    @property
-    def _influential(self) -> Array:
-        """Weighted residuals as they count: cells far off do not after a robust fit."""
-        residuals = self.root_weights * self.residuals
-        if np.linalg.norm(residuals) <= 1e-9 * np.linalg.norm(self.root_weights * self.cells.force):
-            return np.zeros(self.n)  # rounding errors follow each other, too
-        if self.terms.loss == "squares":
-            return residuals
-        if self.terms.loss == "l1":
-            edge = HUBER * spread(residuals, len(self.free))
-            return np.clip(residuals, -edge, edge)
-        return residuals * self.terms.reweighting(residuals, 0.0) ** 2
-
-    @property
-    def serial(self) -> SerialErrors | None:
-        """How errors follow each other along a ramp, which widens all intervals; None where they do
-        not.
-        """
-        return self.linearisation.serial
-
-    @property
-    def _vector(self) -> Array:
-        return np.array([[float(v) for v in self.law.values.values()]])
-
-    @property
-    def _scale(self) -> float:
-        """The factor s of the covariance s^2 (J^T J)^-1."""
-        if self.terms.loss == "squares" or not self.dof:
-            return self.sigma
-        return robust_scale(self.terms, self.root_weights * self.residuals, len(self.free))
-
-    @property
-    def _active(self) -> Array | None:
-        """Gradients of the slack cells at which the law would pull more if it could."""
-        if not self.problem.censored:
-            return None
-        tension, gradients = self.problem.tension_where_slack(self._vector[0])
-        return gradients[tension > 0.999 * SLACK_TOLERANCE][:, list(self.problem.free)]
-
-    @property
-    def rank(self) -> int:
-        """How many independent combinations of the coefficients the data determine."""
-        return self.linearisation.rank
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the Jacobian with columns of unit length."""
-        return self.linearisation.condition
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the free coefficients; of what the data determine where rank is lacking."""
-        return self.linearisation.covariance
-
-    @cached_property
-    def coefficients(self) -> dict[str, Coefficient]:
-        """Every coefficient by name, held ones included."""
-        errors = dict(zip(self.free, self.linearisation.stderr(), strict=True))
-        return {
-            v.name: Coefficient(
-                v.name,
-                float(self.law.values[v.name]),
-                float(errors.get(v.name, 0.0)),
-                v.unit,
-                v.name in self.held,
-                v.description,
-            )
-            for v in self.law.coefficient_variables()
-        }
-
-    @property
-    def correlation(self) -> Array:
-        """Correlation matrix of the free coefficients."""
-        return self.linearisation.correlation
-
     def interval(
         self, name: str, level: float = 0.95, *, linearised: bool = False
     ) -> tuple[float, float]:
@@ -262,9 +64,8 @@ class ForceFit:
 
         By profile likelihood, as :meth:`profile_interval`, wherever it is defined: after least
         squares without inequalities. Else, and with ``linearised``, value ± t standard errors,
-        which
-        is short on one side for a coefficient in which the law bends. An end may be infinite: see
-        :meth:`open_ends`.
+        which is short on one side for a coefficient in which the law bends. An end may be infinite:
+        see :meth:`open_ends`.
         """
         return self._intervals(self.free, level, linearised)
 
@@ -298,8 +99,6 @@ class ForceFit:
         """Ends of the profile intervals of the coefficients for which there is one."""
         known: dict[float, Mapping[str, Ends]] = self.__dict__.setdefault("_profiles", {})
         if level not in known:
-            from .likelihood_profile import profile_ends
-
             names = [n for n in self.free if np.isfinite(self.coefficients[n].stderr)]
             wanted = self.has_profile and self.sigma > 0 and self.problem.nonlinear
             known[level] = (
@@ -322,8 +121,6 @@ class ForceFit:
         Where errors follow each other, the excess is larger in the ratio of the variances with and
         without that (R. Chandler, S. Bate, Biometrika 94 (2007) 167-183).
         """
-        from .likelihood_profile import profile_ends
-
         entry = self._entry(name)
         if entry.held:
             return entry.value, entry.value
@@ -340,10 +137,8 @@ class ForceFit:
         """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
 
         ``prediction`` is for a measurement of weight 1. Where the one nonlinear coefficient of a
-        law is
-        hardly known, the bands are those of the profile likelihood: all that laws reach which fit
-        as
-        well as its interval allows, no narrower than ``stderr`` says.
+        law is hardly known, the bands are those of the profile likelihood: all that laws reach
+        which fit as well as its interval allows, no narrower than ``stderr`` says.
         """
         pressure, contraction = np.broadcast_arrays(np.asarray(p, float), np.asarray(kappa, float))
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
@@ -384,8 +179,6 @@ class ForceFit:
         self, p: Array, kappa: Array, level: float, low: Array, high: Array
     ) -> tuple[Array, Array]:
         """The band by profile likelihood, no narrower than the linearised one (low, high)."""
-        from .sweep import Sweep
-
         sweep, linear = Sweep.of(self), self.linearisation
         if sweep is None or not p.size:
             return low, high
@@ -411,22 +204,16 @@ class ForceFit:
         method : "residuals" puts residuals, drawn with replacement, on the fitted law; "cases"
         draws the cells themselves, also right where the scatter is not the same everywhere.
         """
-        from .bootstrap import bootstrap
-
         return bootstrap(self, n, seed, method)
 
     def lack_of_fit(self) -> LackOfFit:
         """F-test of the law against the scatter of repeats; see :func:`branches.lack_of_fit`."""
-        from .branches import lack_of_fit
-
         return lack_of_fit(self)
 
     # ---- doubts, in words ---------------------------------------------------------------------
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What to know before the coefficients are trusted; empty when there is nothing."""
-        from .doubts import force_warnings
-
         return force_warnings(self)
 
     # ---- out of it ------------------------------------------------------------------------------
@@ -458,21 +245,15 @@ class ForceFit:
 
     def report(self, level: float = 0.95) -> str:
         """The fit as text: statistics, coefficients ± standard error, correlations, warnings."""
-        from .report import force_report
-
-        return force_report(self, level)
+        return courtesy.force_report(self, level)
 
     def to_json(self, path: str | os.PathLike[str]) -> Path:
         """Write law, coefficients, data and statistics;
         :meth:`from_json` reads them back exactly.
         """
-        from .saved_force import write_fit
-
-        return write_fit(self, path)
+        return courtesy.write_fit(self, path)
 
     @classmethod
     def from_json(cls, path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:
         """Read what :meth:`to_json` wrote. ``law`` : the class, for a law of the user's own."""
-        from .saved_force import read_fit
-
-        return read_fit(path, law)
+        return courtesy.read_fit(path, law)

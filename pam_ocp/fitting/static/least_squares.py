@@ -248,8 +248,7 @@ class Problem:
         """What is left for the linear coefficients at nonlinear ``values`` (m, k), they being 0.
 
         rows : ``evaluate`` or ``with_priors``. Returns coefficients (m, all), targets (m, n),
-        columns
-        (m, n, linear) and which of the m are finite.
+        columns (m, n, linear) and which of the m are finite.
         """
         c = np.tile(self.base, (len(values), 1))
         c[:, list(self.nonlinear)] = values

@@ -2,11 +2,10 @@
 
 Three ways, each for what the one before leaves over. Along each profile tau(value) = sign
 sqrt(cost - least)/s is nearly straight (D. Bates, D. Watts, Nonlinear Regression Analysis, 1988,
-6.1),
-so secant steps find tau = reach, the others following by Gauss-Newton (:func:`_together`). With one
-nonlinear coefficient q the cost is for each q a parabola in every other one, so the ends of all
-intervals are the extremes over q of ends in closed form: global, and a sweep over q sees where
-nothing ends (:func:`swept`). Else the coefficient walks outwards, the others fitted anew from
+6.1), so secant steps find tau = reach, the others following by Gauss-Newton (:func:`_together`).
+With one nonlinear coefficient q the cost is for each q a parabola in every other one, so the ends
+of all intervals are the extremes over q of ends in closed form: global, and a sweep over q sees
+where nothing ends (:func:`swept`). Else the coefficient walks outwards, the others fitted anew from
 step to step (:func:`profile_end`).
 """
 
@@ -14,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +20,9 @@ from numpy.typing import NDArray
 from ..statistics import Array
 from .descent import descend
 from .least_squares import DECADES, Problem
+from .optimum import Optimum
 from .search import minimise
 from .sweep import Sweep
-
-if TYPE_CHECKING:
-    from .force_fit import ForceFit
 
 __all__ = ["Ends", "profile_end", "profile_ends", "profile_squares"]
 
@@ -51,7 +47,7 @@ class Ends:
     reason: str = ""
 
 
-def profile_ends(fit: ForceFit, names: Sequence[str], reach: float) -> dict[str, Ends]:
+def profile_ends(fit: Optimum, names: Sequence[str], reach: float) -> dict[str, Ends]:
     """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
 
     A standard error that is larger than that of independent errors widens the interval as much.
@@ -84,7 +80,7 @@ def profile_ends(fit: ForceFit, names: Sequence[str], reach: float) -> dict[str,
     return ends
 
 
-def _together(fit: ForceFit, names: Sequence[str], reaches: Array) -> Array:
+def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
     """(names, 2) ends; NaN where the iteration did not settle, or met a bound."""
     problem, free, sigma = fit.problem, list(fit.problem.free), fit.sigma
     least, reach = fit.cost, np.repeat(reaches, 2)
@@ -156,7 +152,7 @@ def _follow(
     raise AssertionError("the loop returns")
 
 
-def profile_squares(fit: ForceFit, name: str, value: float) -> float:
+def profile_squares(fit: Optimum, name: str, value: float) -> float:
     """Least cost (weighted sum of squares, priors included) with coefficient ``name`` held at
     ``value``.
     """
@@ -169,7 +165,7 @@ def profile_squares(fit: ForceFit, name: str, value: float) -> float:
     return minimise(problem).cost
 
 
-def profile_end(fit: ForceFit, name: str, step: float, limit: float) -> tuple[float, str]:
+def profile_end(fit: Optimum, name: str, step: float, limit: float) -> tuple[float, str]:
     """Value of ``name``, on the side of ``step``, at which the profiled cost reaches ``limit``.
 
     Infinite, with the reason, where the cost stays below it or cannot be computed. The law's bound

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from ...core.errors import FitError, InputError, UnknownNameError
 from ...muscles.law import ForceLaw
-from ..statistics import Array, Coefficient, Linearisation, SolverStatistics
+from ..statistics import Array, Coefficient, Linearisation, SerialErrors, SolverStatistics
 from ..tables.force_table import ForceTable
-from .correlation import SerialErrors, sequences, serial_errors
+from .correlation import sequences, serial_errors
 from .doubts import at_edge, following
 from .least_squares import PLAIN, Problem, Terms
 from .member_fit import MemberFit, marginal_root

@@ -246,3 +246,19 @@ def _start(problem: Problem, start: Mapping[str, Any]) -> Array | None:
         np.abs(values), [s.min() for s in reach], [s.max() for s in reach]
     )
     return clipped
+
+
+def fit_branches(
+    table: ForceTable, law: Any = "six-parameter", **options: Any
+) -> Mapping[str, ForceFit]:
+    """A fit for each branch of a table; options as for :func:`fit_force`, without weights.
+
+    Raises InputError for a table without branches.
+    """
+    if not table.branches:
+        raise InputError(
+            "the table has no branches; label cells in a column 'branch' (inflation, deflation)"
+        )
+    if options.get("weights") is not None:
+        raise InputError("weights belong to a whole table; fit branch by branch with fit_force")
+    return {b: fit_force(table.of_branch(b), law, **options) for b in table.branches}

@@ -5,16 +5,13 @@ range.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .least_squares import Problem, sizes
-
-if TYPE_CHECKING:
-    from .force_fit import ForceFit
+from .optimum import Optimum
 
 __all__ = ["Sweep"]
 
@@ -41,7 +38,7 @@ class Sweep:
     """
 
     @classmethod
-    def of(cls, fit: ForceFit) -> Sweep | None:
+    def of(cls, fit: Optimum) -> Sweep | None:
         """None for laws with other than one nonlinear coefficient, or bounds of linear ones."""
         problem = fit.problem
         if len(problem.nonlinear) != 1 or problem.limited or fit.terms.loss != "squares":

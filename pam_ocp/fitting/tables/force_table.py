@@ -188,7 +188,7 @@ def read_table(
         source=raw.label,
         **read_labels(raw, dict(columns or {})),
     )
-    check_mixed_pressure(series["pressure"], table)
+    check_mixed_pressure(series["pressure"], table.pressure, table.force, table.contraction)
     if not np.any(~table.slack):
         sign = (
             "all forces are negative or zero: count pulling as positive"

@@ -56,9 +56,8 @@ def read_record(
     units : {variable: unit} where the header names none; by default SI.
     time : header of the time; by default the one called time or t. Without a unit in seconds.
     inputs : how inputs ran between samples: "held" (as a digital controller writes them) or
-    "linear".
-        By default as the file says, if a Trajectory wrote it. Where nothing says it, they count as
-        linear until a fit tries both (``Trajectory.interpolation_known``).
+        "linear". By default as the file says, if a Trajectory wrote it. Where nothing says it, they
+        count as linear until a fit tries both (``Trajectory.interpolation_known``).
     interpolation : the same as ``inputs``, as Trajectory calls it: "previous" (held) or "linear".
     max_gap : longest step of time [s] that is no gap; by default ten times the usual one.
 

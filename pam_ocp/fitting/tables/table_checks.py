@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ...core.units import unit
 from .sources import RawTable
-
-if TYPE_CHECKING:
-    from .force_table import ForceTable
 
 __all__ = [
     "QUANTITIES",
@@ -87,17 +84,13 @@ def check_pressure(pressure: Series) -> None:
         )
 
 
-def check_mixed_pressure(pressure: Series, table: ForceTable) -> None:
+def check_mixed_pressure(pressure: Series, p: Array, force: Array, contraction: Array) -> None:
     """A muscle at its rest length or shorter cannot pull hard with next to no pressure."""
-    doubtful = (
-        (table.pressure < table.pressure.max() / 500)
-        & (table.force > 0.2 * table.force.max())
-        & (table.contraction >= 0)
-    )
+    doubtful = (p < p.max() / 500) & (force > 0.2 * force.max()) & (contraction >= 0)
     if np.any(doubtful):
         i = int(np.argmax(doubtful))
         raise InputError(
-            f"{pressure.shown(i)} goes with a force of {table.force[i]:g} N, while other rows "
+            f"{pressure.shown(i)} goes with a force of {force[i]:g} N, while other rows "
             "reach "
             f"{pressure.values.max():g} {pressure.unit}: the column mixes units"
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -12,13 +11,13 @@ import casadi as ca
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.variables import Variable
 from ...plants.plant import Plant
-from .problem import Budget, Condition, Objective
-from .profile import Profile
+from .costs import COSTS, running_cost
+from .problem import Budget, Objective
+from .symbols import Symbols
 from .wording import require_expression, subject, times_seconds
 
-__all__ = ["OBJECTIVES", "Symbols", "budget", "objective"]
+__all__ = ["FORMS", "Symbols", "budget", "objective"]
 
-OBJECTIVES = ("time", "effort", "rate", "work", "air", "exergy")
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
 
@@ -26,52 +25,32 @@ WIDEST_POWER, POWER_WIDTH = 10.0, 1e-5
 """Half width [W] of the smooth max(power, 0) where planning begins, and where it ends.
 
 Work put back into a muscle is not counted. The rounding adds at most half its width per muscle:
-less
-than 5 uJ per second.
+less than 5 uJ per second.
 """
 
 
-@dataclass
-class Symbols:
-    """Symbols that a problem needs besides the plant's; see Problem."""
+@running_cost("time", unit="s")
+def _time(plant: Plant, symbols: Symbols) -> ca.SX:
+    """Duration of the whole motion."""
+    return ca.SX(1)
 
-    profiles: list[Profile] = field(default_factory=list)
-    aims: list[float] = field(default_factory=list)
-    peaks: list[tuple[float, Condition]] = field(default_factory=list)
-    r: list[ca.SX] = field(default_factory=list)
-    q: list[ca.SX] = field(default_factory=list)
-    m: list[ca.SX] = field(default_factory=list)
-    widths: dict[int, float] = field(default_factory=dict)
 
-    def aim(self, name: str, value: Any) -> ca.SX:
-        """The symbol of a constant aim, or of a Profile's value."""
-        if isinstance(value, Profile):
-            self.profiles.append(value)
-            self.r.append(ca.SX.sym(f"profile_{len(self.r)}"))
-            return self.r[-1]
-        self.aims.append(require_finite(name, value))
-        self.q.append(ca.SX.sym(f"aim_{len(self.q)}"))
-        return self.q[-1]
+@running_cost("effort", unit="s", slower_is_less=True)
+def _effort(plant: Plant, symbols: Symbols) -> ca.SX:
+    """Integral of the squared inputs, in units of their nominals."""
+    return ca.sumsqr(plant.u / plant.vector("input", attribute="nominal"))
 
-    def width(self, widest: float, own: float) -> ca.SX:
-        """The symbol of a rounding that goes from the widest to its own width while it is solved
-        for.
-        """
-        self.widths[len(self.aims)] = widest
-        return self.aim("width", own)
 
-    def unknown(self) -> ca.SX:
-        """The symbol of a further unknown of the motion, of order one."""
-        self.m.append(ca.SX.sym(f"unknown_{len(self.m)}"))
-        return self.m[-1]
+@running_cost("air", unit="kg", nominal=1e-3, from_supply=True)
+def _air(plant: Plant, symbols: Symbols) -> ca.SX:
+    """Air drawn from the supply, of muscles fed by valves."""
+    return _total(plant, "supply_flow", "air")
 
-    def peak(self, variable: Variable, expression: ca.SX, weight: float) -> None:
-        """A new unknown that no value of the expression exceeds, in units of nominal."""
-        excess = expression - variable.nominal * self.unknown()
-        label = f"peak of {variable.name}"
-        self.peaks.append(
-            (weight, Condition(label, excess, -float("inf"), 0.0, variable.nominal, variable))
-        )
+
+@running_cost("exergy", unit="J", nominal=10.0, from_supply=True)
+def _exergy(plant: Plant, symbols: Symbols) -> ca.SX:
+    """Work that the air drawn from the supply could do."""
+    return _total(plant, "exergy_flow", "exergy")
 
 
 def _total(plant: Plant, kind: str, term: str) -> ca.SX:
@@ -86,8 +65,10 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
     return ca.sum1(ca.vertcat(*(plant.expression(name) for name in found)))
 
 
-def _work(plant: Plant, width: ca.SX) -> ca.SX:
-    """Mechanical power out of the muscles, each counted where it is positive [W]."""
+@running_cost("work", unit="J")
+def _work(plant: Plant, symbols: Symbols) -> ca.SX:
+    """Mechanical work out of the muscles, each counted where its power is positive."""
+    width = symbols.width(WIDEST_POWER, POWER_WIDTH)
     names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
     muscles = [n for n in names if any(v.name == f"{n}.contraction" for v in plant.outputs)]
     if not muscles:
@@ -104,19 +85,8 @@ def _work(plant: Plant, width: ca.SX) -> ca.SX:
 
 def _running(plant: Plant, symbols: Symbols, term: str) -> tuple[ca.SX, Variable]:
     """(integrand in SI, variable that names the unit of its integral) of a running term."""
-    if term == "effort":
-        scaled = plant.u / plant.vector("input", attribute="nominal")
-        return ca.sumsqr(scaled), Variable("effort", "output", unit="s")
-    if term == "work":
-        return _work(plant, symbols.width(WIDEST_POWER, POWER_WIDTH)), Variable(
-            "work", "output", unit="J"
-        )
-    if term == "air":
-        total = _total(plant, "supply_flow", term)
-        return total, Variable("air", "output", unit="kg", nominal=1e-3)
-    if term == "exergy":
-        total = _total(plant, "exergy_flow", term)
-        return total, Variable("exergy", "output", unit="J", nominal=10.0)
+    if term in COSTS:
+        return COSTS[term].expression(plant, symbols), COSTS[term].total
     form = _FORM.match(term)
     if form and form[1] in ("integral", "square"):
         variable, expression = subject(plant, form[2])
@@ -124,7 +94,7 @@ def _running(plant: Plant, symbols: Symbols, term: str) -> tuple[ca.SX, Variable
             return (expression / variable.nominal) ** 2, Variable("square", "output", unit="s")
         unit = times_seconds(variable.unit)
         return expression, Variable("integral", "output", unit=unit, nominal=variable.nominal)
-    raise UnknownNameError("objective", term, (*OBJECTIVES, *(f"{f}(NAME)" for f in FORMS)))
+    raise UnknownNameError("objective", term, (*COSTS, "rate", *(f"{f}(NAME)" for f in FORMS)))
 
 
 def objective(
@@ -185,10 +155,7 @@ def budget(plant: Plant, term: str, value: Any, symbols: Symbols | None = None) 
     """Bounds of the integral of a running term, in its own unit; "time" is that of the whole
     motion.
     """
-    if term == "time":
-        integrand, variable = ca.SX(1), Variable("time", "output", unit="s")
-    else:
-        integrand, variable = _running(plant, symbols or Symbols(), term)
+    integrand, variable = _running(plant, symbols or Symbols(), term)
     pair = value if isinstance(value, tuple | list) else (None, value)
     if len(pair) != 2 or (pair[0] is None and pair[1] is None):
         raise InputError(f"budgets[{term!r}] = {value!r}: give the most, or (least, most)")

@@ -97,12 +97,9 @@ class Problem:
     closing : None, or {state: (sign, image)}: the last node's image is the first node.
     design : {parameter: (low, high)} to be chosen with the motion.
     profiles, aims : what the symbols ``r`` and ``q`` stand for: values of time profiles, constant
-    aims.
-        widths : {place among the aims: widest} of roundings of costs, for which a solver begins
-        wide.
-        ``m`` are further unknowns, in units of nominal: largest values along the motion, inputs
-        that
-        would hold the plant at a stop.
+        aims. widths : {place among the aims: widest} of roundings of costs, for which a solver
+        begins wide. ``m`` are further unknowns, in units of nominal: largest values along the
+        motion, inputs that would hold the plant at a stop.
     """
 
     plant: Plant

@@ -24,9 +24,8 @@ class Stop:
 
     values : {state, input or output: value, or (low, high) with None for an open end}, SI.
     rest : all positions have zero velocity and acceleration there (or inputs that would hold them
-    so,
-        where an input sets the acceleration at once); False makes it a via point. None follows the
-        plan's own ``rest``.
+        so, where an input sets the acceleration at once); False makes it a via point. None follows
+        the plan's own ``rest``.
     dwell : how long the motion stays [s], or (shortest, longest); all named values are then held.
     within : how far they may stray during the dwell, in units of their nominals.
     """

@@ -1,10 +1,10 @@
-"""The choice of a solver: IPOPT, or fatrop with IPOPT behind it."""
+"""The choice of a solver by its name; fatrop with IPOPT behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ..transcription.transcription import Program
 from .fatrop import Fatrop
-from .solver import Ipopt, Outcome, Progress, Start
+from .solver import SOLVERS, Ipopt, Outcome, Progress, Solver, Start
 
 __all__ = ["Backend", "Solver", "SolverName"]
 
 Array: TypeAlias = NDArray[np.float64]
-SolverName: TypeAlias = Literal["ipopt", "fatrop"]
+SolverName: TypeAlias = 'Literal["ipopt", "fatrop"] | str'
+"""Of those in ``SOLVERS``; these two come with the library."""
 
 RESIDUAL = 1e-6
 """Of the optimality conditions of fatrop's solution: beyond it IPOPT goes on from there."""
@@ -33,11 +34,13 @@ class Backend:
     progress: Progress = False
 
     def __post_init__(self) -> None:
-        names = get_args(SolverName)
-        if self.name not in names:
-            raise InputError(f"solver = {self.name!r}: choose one of {', '.join(names)}")
-        if self.compiled and self.name != "ipopt":
-            raise InputError(f"compiled = True goes with solver = 'ipopt', not {self.name!r}")
+        if self.name not in SOLVERS:
+            raise InputError(f"solver = {self.name!r}: choose one of {', '.join(SOLVERS)}")
+        if self.compiled and "compiled" not in SOLVERS.arguments(self.name):
+            able = [repr(n) for n in SOLVERS if "compiled" in SOLVERS.arguments(n)]
+            raise InputError(
+                f"compiled = True goes with solver = {' or '.join(able)}, not {self.name!r}"
+            )
 
     @property
     def ipopt_options(self) -> Mapping[str, Any] | None:
@@ -45,15 +48,22 @@ class Backend:
         return self.options if self.name == "ipopt" else None
 
     def near(self) -> Backend:
-        """What solves a finer mesh once: not compiled, and not fatrop, which cannot start near."""
+        """What solves a finer mesh once: IPOPT, not compiled; not every solver can start near."""
         return replace(self, name="ipopt", compiled=False, options=self.ipopt_options)
 
     def build(self, program: Program) -> Solver:
         """A solver for this program, and for others of the same expressions."""
-        if self.name == "fatrop":
-            ipopt = Ipopt(program, progress=self.progress)
-            return _FatropFirst(Fatrop(program, self.options), ipopt)
-        return Ipopt(program, self.options, self.progress, self.compiled)
+        compiled = {"compiled": True} if self.compiled else {}
+        return SOLVERS[self.name](program, self.options, self.progress, **compiled)
+
+
+@SOLVERS.register("fatrop")
+def fatrop_first(
+    program: Program, options: Mapping[str, Any] | None = None, progress: Progress = False
+) -> Solver:
+    """fatrop, which works stage by stage, in a process of its own; IPOPT where it gives no
+    solution."""
+    return _FatropFirst(Fatrop(program, options), Ipopt(program, progress=progress))
 
 
 class _FatropFirst:
@@ -76,14 +86,11 @@ class _FatropFirst:
         residual = self._ipopt.residual(program, found)
         if residual <= RESIDUAL:
             return found
-        polished = self._ipopt(program, found.w, "warm", found)
+        found_by_ipopt = self._ipopt(program, found.w, "warm", found)
         warning = f"fatrop left a residual of {residual:.1e}; IPOPT went on from there"
         return replace(
-            polished,
+            found_by_ipopt,
             warning=warning,
-            seconds=polished.seconds + found.seconds,
-            iterations=polished.iterations + found.iterations,
+            seconds=found_by_ipopt.seconds + found.seconds,
+            iterations=found_by_ipopt.iterations + found.iterations,
         )
-
-
-Solver: TypeAlias = "Ipopt | _FatropFirst"

@@ -1,8 +1,7 @@
 """A program's functions as machine code: C by CasADi, compiled by zig or cc, kept by content.
 
 It pays where the functions cost more than the linear algebra: on re-solves by shooting, 0.3 to 0.4
-of
-the time; for collocation 0.7 to 0.9. The compiler takes a few seconds, once.
+of the time; for collocation 0.7 to 0.9. The compiler takes a few seconds, once.
 (``benchmarks/resolve.py``.)
 """
 

@@ -26,8 +26,7 @@ def costates(program: Program, outcome: Outcome) -> tuple[Array, Array]:
     From the defects' multipliers: lambda = multiplier / quadrature weight at collocation points
     (Benson et al., J. Guid. Control Dyn. 29, 2006, for Gauss points; Garg et al., Comput. Optim.
     Appl. 49, 2011, for Radau points), the multiplier itself at the end of an interval by Gauss
-    points
-    or shooting; at the start of the motion from the stationarity of the initial state.
+    points or shooting; at the start of the motion from the stationarity of the initial state.
     """
     mesh = program.mesh
     x_nominal, _ = nominals(program.problem)

@@ -1,10 +1,8 @@
 """fatrop on the stage-ordered program, in a process of its own that a time limit can end.
 
 fatrop (Vanroye, Sathya, De Schutter, Decre, FATROP: a fast constrained optimal control problem
-solver,
-IROS 2023) eliminates stage after stage instead of factorising one large matrix. Its version 1.1.8
-may
-run for ever, in C, where no exception reaches it: hence the process.
+solver, IROS 2023) eliminates stage after stage instead of factorising one large matrix. Its version
+1.1.8 may run for ever, in C, where no exception reaches it: hence the process.
 """
 
 from __future__ import annotations
@@ -51,8 +49,7 @@ class Fatrop:
     """fatrop for a program, built once, for any number of solves.
 
     ``time_limit`` [s], among the options, ends a solve: its process is killed, and the outcome says
-    so.
-    A solve starts from primal values alone: fatrop takes no multipliers.
+    so. A solve starts from primal values alone: fatrop takes no multipliers.
     """
 
     def __init__(self, program: Program, options: Mapping[str, Any] | None = None) -> None:

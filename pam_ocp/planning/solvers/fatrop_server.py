@@ -1,8 +1,7 @@
 """fatrop in a process of its own, talking in pickles over its standard streams; see fatrop.py.
 
 Run as a file, so that it needs to import nothing but CasADi and NumPy. First comes (the problem as
-a
-serialised function, CasADi's options, seconds); then, again and again, the arguments of a solve.
+a serialised function, CasADi's options, seconds); then, again and again, the arguments of a solve.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 it.
 
 CasADi swallows an exception that Python raises inside its calls, and the solver's return status
-then
-looks like that of a failed solve. So while a solver runs, the signal only sets a flag, which the
-solver's iteration callback hands on.
+then looks like that of a failed solve. So while a solver runs, the signal only sets a flag, which
+the solver's iteration callback hands on.
 """
 
 from __future__ import annotations

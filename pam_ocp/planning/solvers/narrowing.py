@@ -2,15 +2,13 @@
 ones.
 
 The parameters of a plant that have a ``widest`` value (of hysteresis), and the roundings of costs,
-go
-from there to their own along a path, evenly in their logarithms; each solution starts the next. The
-last one is the problem itself.
+go from there to their own along a path, evenly in their logarithms; each solution starts the next.
+The last one is the problem itself.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +17,7 @@ from ...core.variables import Variable
 from ...plants.plant import Plant
 from ..problem.problem import Problem
 from ..transcription.transcription import Program
-from .solver import Outcome, Start
+from .solver import Outcome, Solver, Start
 
 __all__ = ["has_kinks", "narrowing", "rounded", "widened"]
 
@@ -27,10 +25,6 @@ FIRST, LEAST = 0.3, 0.02
 """Parts of the path that are gone at once: at first, and at least before it is given up."""
 LATE = 0.6
 """Where the path begins for a guess that solves a neighbouring problem."""
-
-
-class _Solver(Protocol):
-    def __call__(self, program: Program, guess: NDArray[np.float64], start: Start) -> Outcome: ...
 
 
 def has_kinks(problem: Problem) -> bool:
@@ -68,7 +62,7 @@ def widened(program: Program) -> Program:
 
 
 def narrowing(
-    solver: _Solver, program: Program, guess: NDArray[np.float64], start: Start
+    solver: Solver, program: Program, guess: NDArray[np.float64], start: Start
 ) -> Outcome:
     """Solve along the path; the outcome for the plant's own roundings,
     or that of the last place.

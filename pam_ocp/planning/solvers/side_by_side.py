@@ -2,10 +2,8 @@
 
 The other processes get the program as CasADi's functions, so nothing of the caller's is imported or
 run again there (a script needs no ``if __name__ == "__main__"``). They end when this function is
-left,
-by an answer or an interruption, and by themselves when this process is gone. Where none can be
-started,
-all starts are solved here.
+left, by an answer or an interruption, and by themselves when this process is gone. Where none can
+be started, all starts are solved here.
 """
 
 from __future__ import annotations

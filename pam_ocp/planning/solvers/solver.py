@@ -1,23 +1,26 @@
-"""IPOPT on a program: cold and warm starts from one set of derivatives, log, live progress."""
+"""What every solver is to a plan, and the first of them: IPOPT, with cold and warm starts from one
+set of derivatives, log, live progress.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError
+from ...core.registry import Registry
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
 from .interrupt import Watch
 
-__all__ = ["DEFAULTS", "Ipopt", "Outcome", "Progress", "Start"]
+__all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start"]
 
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
@@ -42,8 +45,8 @@ DEFAULTS: dict[str, Any] = {
 
 BARRIER_OF_TIME = 5e-4
 """mu_init where only the duration counts, in seconds: motions are quick, and a barrier as high as
-for
-other objectives would first make them slow (a sixth of the time of 78 random tasks)."""
+for other objectives would first make them slow (a sixth of the time of 78 random tasks).
+"""
 
 ADAPTIVE: dict[str, Any] = {
     "mu_strategy": "adaptive",
@@ -54,8 +57,8 @@ ADAPTIVE: dict[str, Any] = {
 
 SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
 """Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes.
-Where
-the linear algebra gets stuck in fill-in another start is the better use of time."""
+Where the linear algebra gets stuck in fill-in another start is the better use of time.
+"""
 PATIENCE = 6.0
 """Times as much for all but the first start."""
 
@@ -141,10 +144,38 @@ class Outcome:
         return self.success or self.stopped
 
 
+class Solver(Protocol):
+    """What solves a program, and others of the same expressions with other numbers."""
+
+    def __call__(
+        self, program: Program, guess: Array, start: Start = "cold", warm: Outcome | None = None
+    ) -> Outcome:
+        """The outcome from a guess of the program's unknowns (scaled, as ``program.nlp["x"]``).
+
+        A solver minimises ``program.nlp["f"]`` under ``program.bounds()`` of x and
+        ``program.limits()`` of g, with ``program.parameters()`` for p. An outcome that is a success
+        keeps them; its multipliers have CasADi's signs (zeros where a solver has none).
+
+        start : where the guess comes from; see ``STARTS``. A solver may take each of them as
+        "cold". warm : the outcome whose multipliers may be used, for the start "warm".
+
+        A solver never raises because it found nothing: it says so in the outcome. InputError is for
+        options that it does not know.
+        """
+
+
+SOLVERS: Registry[Callable[..., Solver]] = Registry("solver", __package__)
+"""What makes a solver: (program, options, progress) -> Solver; ``compiled`` where it knows that.
+
+options : the user's (None for none). progress : True prints, a function is called.
+"""
+
+
 def _printed(iteration: int, objective: float, violation: float) -> None:
     print(f"{iteration:5d}  objective {objective:14.8g}  largest violation {violation:9.2e}")
 
 
+@SOLVERS.register("ipopt")
 class Ipopt:
     """IPOPT for a program, built once, for any number of solves.
 
@@ -229,8 +260,7 @@ class Ipopt:
         """Solve for the program's values (same expressions as the one built).
 
         start : "cold", "adaptive" (another barrier strategy), "near" (the guess solves another
-        mesh)
-        or "warm" (from the multipliers of the outcome ``warm`` too).
+        mesh) or "warm" (from the multipliers of the outcome ``warm`` too).
         """
         begin = time.perf_counter()
         solver = self._solver(start)

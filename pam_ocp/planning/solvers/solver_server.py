@@ -1,8 +1,7 @@
 """IPOPT in a process of its own, talking in pickles over its standard streams; see side_by_side.py.
 
 Run as a file, so that it needs to import nothing but CasADi and NumPy, and never the caller's
-script.
-First comes (problem, {name: options}); then, again and again, (name, arguments) of a solve.
+script. First comes (problem, {name: options}); then, again and again, (name, arguments) of a solve.
 """
 
 from __future__ import annotations

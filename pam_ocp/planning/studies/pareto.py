@@ -11,10 +11,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import courtesy
 from ...core.errors import InputError, PlanError, require_count, require_positive
 from ...core.variables import Variable
 from ...plants.plant import Plant, require_plant
-from ..planner import Planner
+from ..planner import PlanKeywords, Planner
 from ..problem.objective import budget
 from ..problem.wording import Stop, subject
 from ..result import Plan
@@ -22,6 +23,7 @@ from ..transcription.guess import from_solution
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from typing_extensions import Unpack
 
 __all__ = ["Pareto", "pareto"]
 
@@ -56,8 +58,8 @@ class Pareto:
     @property
     def knee(self) -> int:
         """The plan farthest below the straight line between the ends, each objective scaled to 0 ..
-        1:
-        past it, little more of one costs much of the other."""
+        1: past it, little more of one costs much of the other.
+        """
         span = np.ptp(self.values, axis=0)
         scaled = (self.values - self.values.min(axis=0)) / np.where(span > 0, span, 1.0)
         return int(np.argmin(scaled.sum(axis=1)))
@@ -72,9 +74,7 @@ class Pareto:
 
     def plot(self) -> Figure:
         """The front, its ends and its knee; plans that are not verified crossed out."""
-        from ...figures.plan import plot_pareto
-
-        return plot_pareto(self)
+        return courtesy.plot_pareto(self)
 
     def __str__(self) -> str:
         wrong = self.unverified
@@ -104,7 +104,7 @@ def pareto(
     second: str = "effort",
     points: int = 11,
     until: float | None = None,
-    **arguments: Any,
+    **arguments: Unpack[PlanKeywords],
 ) -> Pareto:
     """The front of two objectives: no plan on it is better in one without being worse in the other.
 
@@ -116,7 +116,7 @@ def pareto(
     Parameters
     ----------
     stops, arguments : as for :func:`pam_ocp.plan`, but ``minimise``, ``tolerance``, ``guess``,
-    ``starts``.
+        ``starts``.
     first : "time", "effort", "work", "air", "exergy", "integral(NAME)", "square(NAME)" or
         "peak(NAME)"; second : these, or "rate" or "final(NAME)".
     points : on the front, both ends included.
@@ -124,8 +124,7 @@ def pareto(
         3 times the least time where a slower motion always takes less.
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
-    points
-    between that are not found stand in ``failures``.
+    points between that are not found stand in ``failures``.
     """
     require_plant(plant)
     require_count("points", points, 2)
@@ -238,22 +237,22 @@ class _Sweep:
         """The plan with the least of the first; among equally good ones,
         with little of the second.
         """
-        wish = self._with((self.second, None))
+        asked = self._with((self.second, None))
         alone: dict[str, float] = {self.first.name: 1.0}
         if self.second.name == "rate":  # inputs that jump have none: they shall not
             alone["rate"] = CONTINUOUS
-        plan = Planner(self.plant, self.stops, minimise=alone, **wish)()
+        plan = Planner(self.plant, self.stops, minimise=alone, **asked)()
         one, two = self.first.value(plan), self.second.value(plan)
         if not self.second.bounded or two <= 0 or one <= 0:
             return plan
         sizes = one / self.first.variable.nominal, two / self.second.variable.nominal
         weights = {self.first.name: 1.0, self.second.name: POLISH * sizes[0] / sizes[1]}
         try:
-            polished = Planner(self.plant, self.stops, minimise=weights, **wish)(guess=plan)
+            improved = Planner(self.plant, self.stops, minimise=weights, **asked)(guess=plan)
         except PlanError:
             return plan
-        better = self.second.value(polished) < 0.99 * two
-        return polished if better and self.first.value(polished) < one * 1.001 else plan
+        better = self.second.value(improved) < 0.99 * two
+        return improved if better and self.first.value(improved) < one * 1.001 else plan
 
     def least_second(self, least: Plan, until: float | None) -> Plan:
         """The plan with the least of the second, as far as the first may go."""
@@ -266,15 +265,15 @@ class _Sweep:
                 f"until = {self.first.variable.shown(most)} is not more than the least of "
                 f"{self.first.name}, {self.first.variable.shown(self.first.value(least))}"
             )
-        wish = self._with((self.first, most), (self.second, None))
-        self.planner = Planner(self.plant, self.stops, minimise=self.second.name, **wish)
+        asked = self._with((self.first, most), (self.second, None))
+        self.planner = Planner(self.plant, self.stops, minimise=self.second.name, **asked)
         return self.planner(guess=least)
 
     def second_under(self, most: float, near: Plan) -> Plan:
         """The least of the second with the first bounded."""
         assert self.planner is not None
-        wish = self._with((self.first, most), (self.second, None))
-        changed = {k: wish[k] for k in ("budgets", "bounds") if k in wish}
+        asked = self._with((self.first, most), (self.second, None))
+        changed = {k: asked[k] for k in ("budgets", "bounds") if k in asked}
         return self.planner(guess=near, **changed)
 
     def _second_of(self, plan: Plan) -> float:

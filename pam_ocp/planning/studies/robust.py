@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -23,12 +23,16 @@ from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
 from ...simulation.simulate import evaluated
-from ..planner import plan
+from ..planner import SolveKeywords, plan
 from ..problem.wording import Stop
 from ..result import Plan, Solved
+from .ensemble_problem import ensemble_arguments, ensemble_stop
 from .robust_result import RobustPlan, RobustVerdict, Round
 from .share import Demand, Judged, Share, judged, missed, share_of
 from .spread import Draw, Spread, drawn, spread_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["RobustPlan", "robust_plan"]
 
@@ -58,7 +62,7 @@ def robust_plan(
     seed: int = 0,
     all_within: bool = True,
     start: Start = "rest",
-    **arguments: Any,
+    **arguments: Unpack[SolveKeywords],
 ) -> RobustPlan:
     """One input for a set of plants, so that named variables spread little at the stops.
 
@@ -67,11 +71,9 @@ def robust_plan(
     verified by simulating each draw on the plant itself.
 
     With a function that draws, the plan is one for a ``share`` of all plants: planned for a few,
-    tried
-    on ``fresh`` others, planned again with the worst of these added, and so on until a sample that
-    was never used before confirms the share (G. C. Calafiore, M. C. Campi, IEEE Trans. Autom.
-    Control
-    51 (2006) 742-753, for plans by scenarios; that the worst are added is our choice).
+    tried on ``fresh`` others, planned again with the worst of these added, and so on until a sample
+    that was never used before confirms the share (G. C. Calafiore, M. C. Campi, IEEE Trans. Autom.
+    Control 51 (2006) 742-753, for plans by scenarios; that the worst are added is our choice).
 
     Parameters
     ----------
@@ -81,33 +83,29 @@ def robust_plan(
         :func:`pam_ocp.draws`, all of the same parameters; or a list of them, which are then all
         planned
         for. spread : {variable: largest deviation from the nominal plant} at every stop, in SI; or
-        a
-        list with one of these, or None, per stop.
+        a list with one of these, or None, per stop.
     unseen : further draws, simulated only: a list, on which the share is judged, or a function as
         ``draws`` where ``draws`` is a list to begin with.
     share : part of all plants that shall keep the spread and (``all_within``) all limits. It is met
-    when
-        as large a part of a fresh sample does; ``robust.share`` tells its two-sided Clopper-Pearson
-        interval of the level ``confidence``. Ask for more if its lower end is to lie above your
-        need. None: only the plants planned for count.
+        when as large a part of a fresh sample does; ``robust.share`` tells its two-sided
+        Clopper-Pearson interval of the level ``confidence``. Ask for more if its lower end is to
+        lie above your need. None: only the plants planned for count.
     fresh : plants of each sample, at least 100. begin : plants of the first plan, drawn by the
-    function.
+        function.
     rounds, time_limit : at most so many plans; none is begun after so many seconds.
     seed : of the first plants; the fresh samples have the seeds after it. With it all is
-    repeatable.
+        repeatable.
     all_within : bounds and path constraints (never slack, strokes, rates) hold for every draw, not
-    for
-        the nominal plant only.
+        for the nominal plant only.
     start : where the copies begin: "rest" in the nominal's first state, but each with its positions
         where it rests under the pressures there (if the first stop is at rest); "same" in the very
         same state, as held by a latch. A cyclic motion has no start: every plant closes its own
         cycle.
 
     ``robust.verdict`` says whether it is verified, or which figure failed: then a PlanWarning is
-    given,
-    and the plan is the one with the largest share that was found. Raises InputError for what cannot
-    be meant; PlanError where the spread cannot be kept for the first plants: the message names
-    ``NAME.deviation<k>`` at its stop, and what the nominal plan's inputs would keep.
+    given, and the plan is the one with the largest share that was found. Raises InputError for what
+    cannot be meant; PlanError where the spread cannot be kept for the first plants: the message
+    names ``NAME.deviation<k>`` at its stop, and what the nominal plan's inputs would keep.
     """
     require_plant(plant)
     _check_share(share, confidence)
@@ -119,7 +117,7 @@ def robust_plan(
     samples = None if sampler is None else _Samples(plant, sampler, seed)
     members = samples(begin) if callable(draws) and samples else drawn(plant, _listed(draws))
     given = None if callable(unseen) or not unseen else drawn(plant, unseen)
-    task = _Task(plant, stops, spread, all_within, start, arguments)
+    task = _Task(plant, stops, spread, all_within, start, dict(arguments))
     if samples is None or share is None:
         tried = given if samples is None else samples(fresh)
         try:
@@ -243,7 +241,7 @@ def _searched(
 
 
 class _Task:
-    """What is the same for all plans of a search: the wish, and the nominal plan."""
+    """What is the same for all plans of a search: the statement, and the nominal plan."""
 
     def __init__(
         self,
@@ -272,7 +270,9 @@ class _Task:
         """The plan for the members, from that for fewer of them or from the nominal plan."""
         watched = [v.name for v in self.plant.states] + [n for a in self.allowed for n in a]
         ensemble = Ensemble(self.plant, members, list(dict.fromkeys(watched)), self.all_within)
-        wanted = [ensemble.stop(s, w) for s, w in zip(self.stops, self.allowed, strict=True)]
+        wanted = [
+            ensemble_stop(ensemble, s, w) for s, w in zip(self.stops, self.allowed, strict=True)
+        ]
         if not self.cyclic:
             wanted[0] = _begun(ensemble, wanted[0], self.rest)
         base, motion = (self.nominal, self.nominal.trajectory)
@@ -280,7 +280,8 @@ class _Task:
             base, motion = near.plan, near.motion
         guess = _stacked(ensemble, base, motion, self.cyclic, self.rest)
         further = {k: v for k, v in self.arguments.items() if k != "guess"}
-        return plan(ensemble, wanted, guess=guess, **ensemble.arguments(further, self.all_within))
+        said = ensemble_arguments(ensemble, further, self.all_within)
+        return plan(ensemble, wanted, guess=guess, **said)
 
     def explained(self, error: PlanError, draws: Sequence[Draw], share: float | None) -> PlanError:
         """The error, and what the nominal plan's inputs would keep."""

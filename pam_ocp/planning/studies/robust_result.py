@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from ... import courtesy
 from ...core.trajectory import Trajectory
 from ..result import Plan
 from .share import Demand, Judged, Share, judged
@@ -96,8 +97,7 @@ class RobustPlan:
     """One input for a set of plants, and what each of them does with it by simulation.
 
     ``print(robust.verdict)`` says for whom it is robust; ``share`` is that of plants that no round
-    of
-    the search had seen before, with its interval.
+    of the search had seen before, with its interval.
     """
 
     plan: Plan
@@ -179,9 +179,7 @@ class RobustPlan:
 
     def plot(self) -> Figure:
         """Deviations of all plants over time under the nominal and the robust plan's inputs."""
-        from ...figures.plan import plot_robust
-
-        return plot_robust(self)
+        return courtesy.plot_robust(self)
 
     def __str__(self) -> str:
         lines = [str(self.verdict), str(self.plan)]

@@ -34,7 +34,7 @@ class Demand:
 
     stops : (sample of the motion, number of the stop from 1, {variable: largest deviation}).
     problem : the nominal plant's, for bounds and path conditions along its legs; None to leave them
-    out.
+        out.
     durations : of the legs [s]. peaks : as in :class:`Solution`.
     """
 
@@ -53,8 +53,9 @@ class Judged:
     """(variable, allowed deviation) of a demand at a stop, None for a limit along the way."""
     excess: Array
     """(plants, demands): at a stop deviation over width less 1, with its sign in ``signs``; along
-    the way
-    the violation in units of nominal less the tolerance; infinite where the simulation failed."""
+    the way the violation in units of nominal less the tolerance; infinite where the simulation
+    failed.
+    """
     signs: Array
 
     @property

@@ -50,8 +50,7 @@ class _Local:
 
     y = (start, states, inputs, durations, design, peaks); given = (y, lengths, starts, p, q), where
     lengths and starts weigh the durations in the interval's length and start; rows: of defects,
-    path,
-    budgets.
+    path, budgets.
     """
 
     given: list[ca.SX]

@@ -58,8 +58,7 @@ def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: floa
     """Scaled unknowns along minimum-jerk paths between the stops, all else at its start.
 
     balanced : other states run between the equilibria at the stops instead, and the inputs are
-    those
-        that move them so. stretch : of durations that are free, from the usual ones.
+        those that move them so. stretch : of durations that are free, from the usual ones.
     """
     shortest, longest = np.array([leg.duration for leg in problem.legs]).T
     durations = np.clip(stretch * problem.time_nominals, shortest, longest)
@@ -80,8 +79,7 @@ def wants_balance(problem: Problem) -> bool:
     """Whether the plant's start values are no place to begin at.
 
     So it is where the stops leave positions open (a tendon would hang slack), where hysteresis has
-    to
-    be led, and where an input has no influence (a closed valve).
+    to be led, and where an input has no influence (a closed valve).
     """
     plant = problem.plant
     spoken = ca.vertcat(*(subject(plant, n)[1] for stop in problem.stops for n in stop))

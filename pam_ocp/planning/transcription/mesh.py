@@ -41,9 +41,9 @@ GUARDS = 3
 """Checks of a polynomial input's bounds between each two of its points."""
 WATCHES = {"polynomial": 15}
 """Checks between each two points of what was seen beyond its limit there. A polynomial input may
-then
-be so by 0.5 % of its range, instead of 8 % (Ehlich and Zeller, Math. Z. 86, 1964: 1 / cos(pi / 2 m)
-with m checks per degree); a margin does the rest."""
+then be so by 0.5 % of its range, instead of 8 % (Ehlich and Zeller, Math. Z. 86, 1964: 1 / cos(pi /
+2 m) with m checks per degree); a margin does the rest.
+"""
 FEW_WATCHES = 5
 """The same where inputs are constant or linear: states are smooth."""
 MARGIN = 1.2
@@ -103,8 +103,8 @@ class Form:
 
     def guard_taus(self, degree: int) -> Array:
         """Where polynomial inputs are always checked between their points, the start of the
-        interval
-        among them."""
+        interval among them.
+        """
         if not self.guarded or self.control != "polynomial":
             return np.zeros(0)
         return _between(self.input_taus(degree), GUARDS)
@@ -162,8 +162,8 @@ class Mesh:
 
     def clock(self, nominals: Array) -> tuple[Array, Array]:
         """Weights of the legs' durations in units of ``nominals`` [s]: in the length of each
-        interval,
-        (n, legs), and in its start and the end of the motion, (n + 1, legs)."""
+        interval, (n, legs), and in its start and the end of the motion, (n + 1, legs).
+        """
         lengths = np.zeros((len(self.intervals), len(nominals)))
         for k, interval in enumerate(self.intervals):
             lengths[k, interval.leg] = interval.fraction * nominals[interval.leg]
@@ -244,9 +244,8 @@ def watched(mesh: Mesh, beyond: Sequence[Mapping[str, float]], tolerance: float)
     """The mesh with checks between the points where a limit is exceeded there by the tolerance.
 
     beyond : for each interval {bound or path condition: by how much}, in units of nominal. First
-    the
-    limit is checked there; then, with a margin; where that does not do, or inside an interval of
-    shooting nothing is known, the interval is split.
+    the limit is checked there; then, with a margin; where that does not do, or inside an interval
+    of shooting nothing is known, the interval is split.
     """
     intervals: list[Interval] = []
     for interval, excess in zip(mesh.intervals, beyond, strict=True):
@@ -292,11 +291,9 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool =
     """The mesh with more points where the error of an interval exceeds the tolerance.
 
     The degree is raised first (by 1 for each two decades, at least 1; the steps of RK4 by its
-    fourth
-    order), then the interval is split, into as many parts as there are decades to go (2 to 4). A
-    polynomial input that switches inside an interval, or a kink of the plant, is not helped by
-    degrees:
-    where one rise was not enough, such an interval is split.
+    fourth order), then the interval is split, into as many parts as there are decades to go (2 to
+    4). A polynomial input that switches inside an interval, or a kink of the plant, is not helped
+    by degrees: where one rise was not enough, such an interval is split.
     """
     shooting = mesh.form.scheme == "shooting"
     intervals: list[Interval] = []

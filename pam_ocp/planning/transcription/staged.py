@@ -1,13 +1,11 @@
 """A program in the order of its stages, as solvers that exploit this structure want it.
 
 The unknowns are z = (X_0, U_0, X_1, U_1, ..., X_N), the constraints (X_1 - F_0, g_0, X_2 - F_1,
-g_1,
-..., g_N), and F_k, g_k and the cost of stage k depend on X_k and U_k alone (Vanroye et al., FATROP,
-IROS 2023). What holds for the whole motion is therefore carried along in the state X_k: durations,
-design parameters, peaks, the first state (for closing a cycle), the input at the end of the
-interval
-before, budgets spent. All of z are the program's own unknowns, or follow from them, and all of its
-constraints stand here once: solutions and multipliers are exchanged by permutation.
+g_1, ..., g_N), and F_k, g_k and the cost of stage k depend on X_k and U_k alone (Vanroye et al.,
+FATROP, IROS 2023). What holds for the whole motion is therefore carried along in the state X_k:
+durations, design parameters, peaks, the first state (for closing a cycle), the input at the end of
+the interval before, budgets spent. All of z are the program's own unknowns, or follow from them,
+and all of its constraints stand here once: solutions and multipliers are exchanged by permutation.
 """
 
 from __future__ import annotations

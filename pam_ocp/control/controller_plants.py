@@ -9,11 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..control.lqr import StateFeedback
 from ..core.errors import InputError, require_positive
 from ..core.variables import Variable
-from ..plants.opening import Inversion, Opening
+from ..plants.inversion import Inversion
+from ..plants.opening import Opening
 from ..plants.plant import Plant
+from .lqr import StateFeedback
 
 __all__ = ["pid_controller", "state_feedback_controller"]
 
@@ -33,8 +34,7 @@ def pid_controller(
     """A PID controller with feed-forward for a plant, as a Plant of its own, to be exported.
 
     Each command is its feed-forward plus weight (P e + I + D), held inside the command's range,
-    with
-    e = reference - position. While a command is held, the integral runs back (anti-windup).
+    with e = reference - position. While a command is held, the integral runs back (anti-windup).
 
     Parameters
     ----------
@@ -47,9 +47,8 @@ def pid_controller(
     windup_time : time constant with which the integral runs back while a command is held [s].
 
     A command of a spool valve is inverted: the feed-forward's opening plus weight (P e + I + D) is
-    the
-    opening, held in -1 .. 1, and ``<command>`` is what gives it; gains then count in openings. The
-    dead zone is the tunable parameter ``<name>.valve.overlap``, and on/off valves may be named
+    the opening, held in -1 .. 1, and ``<command>`` is what gives it; gains then count in openings.
+    The dead zone is the tunable parameter ``<name>.valve.overlap``, and on/off valves may be named
     together, as ``muscle.opening``.
 
     Inputs ``reference``, ``position`` and ``feedforward.<command>``; outputs ``<command>``.
@@ -135,16 +134,14 @@ def state_feedback_controller(
     feedback : from :func:`pam_ocp.lqr`, about a point of rest.
     follow : take x0 and u0 from outside, as the inputs ``reference.<state>`` and
         ``feedforward.<command>``, to follow a motion near the point; by default they are the
-        tunable
-        parameters ``point.<state>`` and ``feedforward.<command>``.
+        tunable parameters ``point.<state>`` and ``feedforward.<command>``.
     windup_time : T, time constant with which the integrals run back [s].
     name : of the plant.
 
     Of a plant fed by valves u are the openings: each ``<command>`` is what gives its opening (the
-    dead
-    zone is the tunable parameter ``<name>.valve.overlap``), gains are
-    ``gain.<name>.opening.<state>``,
-    and feed-forwards are commands, of which the openings are taken.
+    dead zone is the tunable parameter ``<name>.valve.overlap``), gains are
+    ``gain.<name>.opening.<state>``, and feed-forwards are commands, of which the openings are
+    taken.
 
     Inputs: every state of the plant, and what else is integrated (all measured), and
     ``reference.<output>`` for what is integrated. Outputs ``<command>``. All gains are tunable

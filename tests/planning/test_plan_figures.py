@@ -5,9 +5,9 @@ import math
 import hand_equations as hand
 import numpy as np
 import pytest
+from fibres import LONG, THIN, bought
 from hand_equations import GRAVITY
 from scipy.integrate import trapezoid
-from test_hand_equations import LONG, THIN, bought
 
 import pam_ocp as pam
 

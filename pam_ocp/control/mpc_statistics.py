@@ -68,8 +68,8 @@ class MpcStatistics:
     @property
     def unconverged(self) -> int:
         """How often a solution was applied whose last change was above the controller's tolerance:
-        its
-        iterations were used up, or its ``work`` was."""
+        its iterations were used up, or its ``work`` was.
+        """
         return sum(not s.converged and not s.failed for s in self.steps)
 
     def __str__(self) -> str:

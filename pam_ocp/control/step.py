@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, TypeAlias, get_args
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import (
+from ..core.errors import (
     InputError,
     UnknownNameError,
     require_count,
     require_finite,
     require_positive,
 )
-from ...plants.plant import Plant, Values
+from ..plants.plant import Plant, Values
+from ..simulation.sampled import StepMethod, stepped
 
 __all__ = ["Givens", "Step", "StepMethod"]
 
 Array: TypeAlias = NDArray[np.float64]
-StepMethod: TypeAlias = Literal["rk4", "rosenbrock"]
 
 
 class Givens:
@@ -105,36 +105,10 @@ class Step:
         inputs, p, offset = given.parts(known, u_si)
         slope = (plant.function(state * scale, inputs, p)[0] + offset) / scale
         slopes = ca.Function("slopes", [state, control, known], [slope, ca.jacobian(slope, state)])
-        h = (self.length if length is None else length) / self.substeps
-        advance = _rk4 if self.method == "rk4" else _rodas3
-        for _ in range(self.substeps):
-            x = advance(lambda z: slopes(z, u, q), x, h)
-        return x
+        span = self.length if length is None else length
 
+        def slopes_at(z: ca.SX) -> tuple[ca.SX, ca.SX]:
+            value, jacobian = slopes.call([z, u, q])
+            return value, jacobian
 
-def _rk4(slopes: Any, x: ca.SX, h: Any) -> ca.SX:
-    """The classical method of Runge and Kutta."""
-    k1 = slopes(x)[0]
-    k2 = slopes(x + h / 2 * k1)[0]
-    k3 = slopes(x + h / 2 * k2)[0]
-    k4 = slopes(x + h * k3)[0]
-    return ca.SX(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-
-
-_RODAS3_M = (2.0, 0.0, 1.0, 1.0)
-_RODAS3_A = ((), (0.0,), (2.0, 0.0), (2.0, 0.0, 1.0))
-_RODAS3_C = ((), (4.0,), (1.0, -1.0), (1.0, -1.0, -8.0 / 3.0))
-"""Sandu, Verwer, Blom, Spee, Carmichael, Potra, Atmospheric Environment 31 (1997) 3459; gamma 1/2.
-"""
-
-
-def _rodas3(slopes: Any, x: ca.SX, h: Any) -> ca.SX:
-    """RODAS3: four stages of linear equations with one matrix."""
-    matrix = ca.SX.eye(x.numel()) * (2.0 / h) - slopes(x)[1]
-    stages: list[ca.SX] = []
-    for row_a, row_c in zip(_RODAS3_A, _RODAS3_C, strict=True):
-        inner = x + sum((a * k for a, k in zip(row_a, stages, strict=True)), ca.SX(0))
-        right = slopes(inner)[0]
-        right += sum((c / h * k for c, k in zip(row_c, stages, strict=True)), ca.SX(0))
-        stages.append(ca.solve(matrix, right))
-    return ca.SX(x + sum((m * k for m, k in zip(_RODAS3_M, stages, strict=True)), ca.SX(0)))
+        return stepped(slopes_at, x, span, self.method, self.substeps)

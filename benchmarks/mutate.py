@@ -1,0 +1,167 @@
+"""Random faults: how many of them do the tests of their own room see?
+
+Faults of the operators of ``mutation/`` are drawn by a seed: first a line of the room's files, then
+a fault of that line. Each is put into a scratch copy, where the tests that run its line are asked,
+the likeliest first, until one fails. A fault that no test run in the room touches has survived.
+
+Run:  nice -n 10 python benchmarks/mutate.py --seed 1 muscles=60 plants=60 ... [--out file]
+      nice -n 10 python benchmarks/mutate.py --again file     (the survivors of an earlier run)
+
+Needs pytest-cov (extra ``test``). The coverage of a room is collected first and kept in --keep.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import random
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from pathlib import Path
+
+from mutation.c_faults import c_faults
+from mutation.coverage_map import CoverageMap, collect
+from mutation.faults import Fault, placed
+from mutation.python_faults import python_faults
+from mutation.scratch import Answer, Scratch
+
+ROOMS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "muscles": ("muscles", ("pam_ocp/muscles/**/*.py",)),
+    "plants": ("plants", ("pam_ocp/plants/**/*.py",)),
+    "transcription": ("planning", ("pam_ocp/planning/transcription/**/*.py",)),
+    "replay": ("planning", ("pam_ocp/planning/replay.py",)),
+    "fits": (
+        "fitting",
+        (
+            "pam_ocp/fitting/statistics.py",
+            "pam_ocp/fitting/static/*.py",
+            "pam_ocp/fitting/dynamic/*.py",
+        ),
+    ),
+    "c": ("export", tuple(f"fmu/{n}.c" for n in ("step", "solver", "values", "state"))),
+}
+"""Name: (room of the tests, files)."""
+C_TESTS = tuple(
+    f"tests/export/test_fmu_{name}.py"
+    for name in (
+        *("solver", "simulation", "state", "derivatives", "interface", "robust", "doors", "log"),
+        *("motion", "check"),
+    )
+)
+"""Tests of the C runtime, the quickest first: no coverage is known of them."""
+BUDGET = 100.0
+"""Seconds of tests (as they take without a fault) spent on one fault."""
+
+
+LENT = ("pam_ocp/plants/ensemble.py", "pam_ocp/plants/plant_file.py")
+"""Files that speak of plans or of files: their tests are in the rooms of plans and of commands."""
+
+
+def faults_of(tree: Path, patterns: tuple[str, ...]) -> list[Fault]:
+    found: list[Fault] = []
+    for pattern in patterns:
+        for path in sorted(tree.glob(pattern)):
+            name, text = path.relative_to(tree).as_posix(), path.read_text(encoding="utf-8")
+            if name in LENT:
+                continue
+            found += (python_faults if path.suffix == ".py" else c_faults)(name, text)
+    return found
+
+
+def drawn(faults: list[Fault], count: int, rng: random.Random) -> list[Fault]:
+    """Lines first, so that a long formula does not stand for its file; no line twice."""
+    by_line: dict[tuple[str, int], list[Fault]] = defaultdict(list)
+    for fault in faults:
+        by_line[fault.file, fault.line].append(fault)
+    lines = rng.sample(sorted(by_line), min(count, len(by_line)))
+    return [rng.choice(by_line[line]) for line in lines]
+
+
+def asked(scratch: Scratch, fault: Fault, known: CoverageMap | None) -> Answer:
+    """What the tests say of a fault."""
+    with scratch.with_fault(fault):
+        if known is None:
+            return scratch.ask(C_TESTS, expected=150.0)
+        order, seconds = [], 0.0
+        for test in known.tests(fault.file, fault.line):
+            if seconds and seconds + known.seconds[test] > BUDGET:
+                continue
+            order.append(test)
+            seconds += known.seconds[test]
+        if not order:
+            return Answer("SURVIVED (no test runs it)", "", 0.0)
+        files = list(dict.fromkeys(t.split("::")[0] for t in order))
+        answer = scratch.ask(files, order, seconds)
+        if answer.killed and answer.by:
+            known.won(answer.by)
+        return answer
+
+
+def still_there(scratch: Scratch, fault: Fault) -> Fault | None:
+    """The fault where its line is now: of the same text, the place nearest to the old one."""
+    text = (scratch.folder / fault.file).read_text(encoding="utf-8")
+    if text[fault.start : fault.end] == fault.old:
+        return fault
+    at = placed(text, fault.old)
+    if at is None:
+        return None
+    return dataclasses.replace(fault, start=at[0], end=at[1], line=text.count("\n", 0, at[0]) + 1)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("counts", nargs="*", help=f"room=count, of {', '.join(ROOMS)}")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="one line of JSON for each fault is added here")
+    parser.add_argument("--again", type=Path, help="ask again about the survivors in this file")
+    parser.add_argument("--keep", type=Path, help="folder of the coverage, used again if there")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        scratch = Scratch(Path(temporary) / "tree")
+        keep = given.keep or Path(temporary) / "coverage"
+        keep.mkdir(parents=True, exist_ok=True)
+        if given.again:
+            lines = [json.loads(line) for line in given.again.read_text("utf-8").splitlines()]
+            fates = {json.dumps(entry["fault"]): entry for entry in lines}  # the last word counts
+            wanted = [
+                (entry["room"], Fault(**entry["fault"]))
+                for entry in fates.values()
+                if not entry["word"].startswith("killed")
+            ]
+        else:
+            rng = random.Random(given.seed)
+            wanted = []
+            for word in given.counts:
+                room, _, count = word.partition("=")
+                faults = faults_of(scratch.folder, ROOMS[room][1])
+                wanted += [(room, f) for f in drawn(faults, int(count), rng)]
+        known: dict[str, CoverageMap | None] = {}
+        tally: dict[str, Counter[str]] = defaultdict(Counter)
+        for room, drawn_fault in wanted:
+            tests = ROOMS[room][0]
+            if room not in known:
+                if room != "c" and not (keep / f"{tests}.json").exists():
+                    collect(scratch.folder, tests, keep)
+                known[room] = None if room == "c" else CoverageMap(scratch.folder, tests, keep)
+            fault = still_there(scratch, drawn_fault)
+            answer = (
+                Answer("STALE", "", 0.0) if fault is None else asked(scratch, fault, known[room])
+            )
+            tally[room][answer.word.split()[0]] += 1
+            print(f"{answer.word:<28}{answer.seconds:6.1f} s  {fault or drawn_fault}", flush=True)
+            if given.out:
+                entry = dataclasses.asdict(answer) | {
+                    "room": room,
+                    "fault": dataclasses.asdict(drawn_fault),
+                }
+                with given.out.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(entry) + "\n")
+    for room, found in tally.items():
+        print(f"{room}: {found['killed']} of {sum(found.values())} killed; {dict(found)}")
+    return int(any(set(found) != {"killed"} for found in tally.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Faults put into the source, and which of them the tests see."""

@@ -1,0 +1,268 @@
+"""The real side of a closed loop: a plant, or an FMU, between two samples."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, SimulationError, UnknownNameError, require_instance
+from ..core.signals import PiecewisePolynomial
+from ..core.trajectory import Trajectory
+from ..core.variables import Causality, Variable
+from ..plants.plant import Given, Plant, Values, by_name
+from ..simulation.sampled import SampledPlant
+from ..simulation.simulate import evaluated
+
+__all__ = ["FmuSide", "PlantSide", "Side", "side_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+ASTRAY = 10.0
+"""A state this many times beyond all that is usual for it tells of an unstable loop."""
+
+
+class Side(ABC):
+    """Values by name, inputs to set, time to pass, and at last the motion.
+
+    name : for messages. variables : its states, inputs and outputs. inputs : those that act now,
+    at first its start values; to be changed by who runs the loop.
+    """
+
+    name: str
+    variables: tuple[Variable, ...]
+    inputs: dict[str, float]
+
+    def __init__(self) -> None:
+        self._held_open = ExitStack()
+        """What is let go of at the end."""
+
+    def __enter__(self) -> Side:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._held_open.close()
+
+    @abstractmethod
+    def values(self) -> dict[str, float]:
+        """States, inputs and outputs at this moment, under the present inputs."""
+
+    @abstractmethod
+    def step(self, time: float) -> None:
+        """Go from ``time`` [s] one sample on, the inputs held. Raises SimulationError."""
+
+    @abstractmethod
+    def trajectory(self) -> Trajectory:
+        """The motion so far, with the inputs as they acted."""
+
+    def failure(self, time: float, values: Mapping[str, float], cause: str) -> SimulationError:
+        """What happened, where, and why; the controller is blamed only where states went astray."""
+        states = [v for v in self.variables if v.causality == "state"]
+        at = ", ".join(f"{v.name} = {v.shown(values[v.name])}" for v in states)
+        astray = [v.name for v in states if not abs(values[v.name]) <= _farthest(v)]
+        verdict = (
+            f"{astray[0]} has left its range by far: the closed loop is unstable, change the "
+            "controller"
+            if astray
+            else "the states are still within reach, so look at the cause before the controller"
+        )
+        reason = " ".join(cause.split())
+        return SimulationError(
+            f"the closed loop of {self.name!r} cannot be integrated from t = {time:.6g} s on, at "
+            f"{at}; {verdict}. Cause: {reason[-300:]}",
+            time,
+        )
+
+
+def side_of(
+    real: Plant | str | os.PathLike[str],
+    model: Plant | None,
+    sample_time: float,
+    parts: int,
+    *,
+    parameters: Values | None,
+    start: Given | None,
+    rtol: float,
+) -> Side:
+    """The side that a user named: a Plant, or the path of an FMU.
+
+    model : plant that says of an FMU's variables what they are (None: its own description does).
+    parameters, start : that differ from its own. Raises InputError for what cannot be meant.
+    """
+    require_instance("side", real, (Plant, str, os.PathLike), "give a Plant, or the path of an FMU")
+    sampling = (sample_time, parts, rtol)
+    if isinstance(real, Plant):
+        return PlantSide(real, parameters, start, sampling)
+    return FmuSide(Path(real), model, parameters, start, sampling)
+
+
+class PlantSide(Side):
+    """A plant, integrated tightly from sample to sample."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        parameters: Values | None,
+        start: Given | None,
+        sampling: tuple[float, int, float],
+    ) -> None:
+        super().__init__()
+        given = by_name("parameters", parameters)
+        wrong = [n for n in given if plant.variable(n).causality != "parameter"]
+        if wrong:
+            raise InputError(f"parameters: {wrong[0]} is a {plant.variable(wrong[0]).causality}")
+        self.plant = plant.with_values({**given, **_start(plant, start)})
+        self.name = plant.name
+        self.variables = (*plant.states, *plant.inputs, *plant.outputs)
+        self.inputs = {v.name: float(v.start or 0.0) for v in self.plant.inputs}
+        sample_time, parts, rtol = sampling
+        self._sampled = SampledPlant(self.plant, sample_time, rtol, parts)
+        self._x, self._p = self.plant.vector("state"), self.plant.vector("parameter")
+        self._rows: list[Array] = [self._x[None, :]]
+        self._held: list[Array] = []
+
+    def values(self) -> dict[str, float]:
+        u = np.array([*self.inputs.values()])
+        y = np.asarray(self.plant.function(self._x, u, self._p)[1], dtype=float).ravel()
+        numbers = np.concatenate([self._x, u, y]).tolist()
+        return {v.name: n for v, n in zip(self.variables, numbers, strict=True)}
+
+    def step(self, time: float) -> None:
+        u = np.array([*self.inputs.values()])
+        try:
+            rows = self._sampled(self._x, u, self._p)
+        except RuntimeError as error:
+            raise self.failure(time, self.values(), str(error)) from error
+        if not np.all(np.isfinite(rows)):
+            raise self.failure(time, self.values(), "its states are not finite any more")
+        self._rows.append(rows)
+        self._held.append(u)
+        self._x = rows[-1]
+
+    def trajectory(self) -> Trajectory:
+        n, parts, sample_time = len(self._held), self._sampled.parts, self._sampled.sample_time
+        breaks = np.asarray(sample_time * np.arange(n + 1))
+        inputs = PiecewisePolynomial(breaks, np.array(self._held)[:, None, :])
+        grid = np.linspace(0.0, n * sample_time, n * parts + 1)
+        return evaluated(self.plant, grid, np.concatenate(self._rows), inputs)
+
+
+class FmuSide(Side):
+    """An FMU in Co-Simulation, which keeps its own states."""
+
+    def __init__(
+        self,
+        path: Path,
+        model: Plant | None,
+        parameters: Values | None,
+        start: Given | None,
+        sampling: tuple[float, int, float],
+    ) -> None:
+        from ..export.runner import Runner, UnpackedFmu  # FMPy is loaded only when it is needed
+
+        super().__init__()
+        if not path.is_file():
+            raise InputError(f"{path}: no such FMU")
+        self.name, (self._sample_time, self._parts, rtol) = path.stem, sampling
+        self._rows: list[Array] = []
+        with ExitStack() as opened:
+            folder = opened.enter_context(tempfile.TemporaryDirectory(prefix="pam_ocp_"))
+            fmu = UnpackedFmu(path, Path(folder))
+            inputs = fmu.names("input")
+            self._names = list(dict.fromkeys([*fmu.states, *inputs, *fmu.names("output")]))
+            self.variables = tuple(_described(fmu, n, model) for n in self._names)
+            self._require_inputs(model)
+            self._runner: Any = opened.enter_context(Runner(fmu, "CoSimulation"))
+            given = {**by_name("parameters", parameters), **by_name("start", start)}
+            if not (start is None or isinstance(start, Mapping)):  # of a point what the FMU has
+                given = {n: v for n, v in given.items() if n in {*fmu.states, *inputs}}
+            self._runner.initialize({n: float(v) for n, v in given.items()}, 0.0, rtol)
+            read = self._runner.get(inputs)
+            self.inputs = {n: float(v) for n, v in zip(inputs, read, strict=True)}
+            self._held_open = opened.pop_all()
+
+    def _require_inputs(self, model: Plant | None) -> None:
+        """UnknownNameError for a state or control of the model that the FMU does not have."""
+        if model is not None:
+            for variable in (*model.states, *(v for v in model.inputs if not v.disturbance)):
+                if variable.name not in self._names:
+                    raise UnknownNameError("variable of the FMU", variable.name, self._names)
+
+    def values(self) -> dict[str, float]:
+        self._runner.set(self.inputs)
+        return dict(zip(self._names, self._runner.get(self._names).tolist(), strict=True))
+
+    def step(self, time: float) -> None:
+        begin = self.values()
+        size = self._sample_time / self._parts
+        rows = [np.array([*begin.values()])]
+        try:
+            for i in range(self._parts):
+                self._runner.step(time + i * size, size)
+                rows.append(self._runner.get(self._names))
+        except Exception as error:  # FMPy raises plain Exceptions
+            cause = str(self._runner.failure(error))
+            raise self.failure(time, begin, cause) from None
+        if not np.all(np.isfinite(rows[-1])):
+            raise self.failure(time, begin, "its values are not finite any more")
+        self._rows[-1:] = rows  # the first one: this moment under the inputs that act from now on
+
+    def trajectory(self) -> Trajectory:
+        data = np.array(self._rows)
+        grid = self._sample_time / self._parts * np.arange(len(data))
+        columns = {n: data[:, i] for i, n in enumerate(self._names)}
+        return Trajectory(grid, columns, self.variables, "previous")
+
+
+def _start(plant: Plant, start: Given | None) -> dict[str, Any]:
+    """Start values of states and inputs; of an operating point those that the plant has."""
+    given = by_name("start", start)
+    own = {v.name for v in (*plant.states, *plant.inputs)}
+    if start is not None and not isinstance(start, Mapping):
+        return {n: v for n, v in given.items() if n in own}
+    for name in given:
+        variable = plant.variable(name)
+        if variable.name not in own:
+            raise InputError(
+                f"start: {variable.name} is a {variable.causality}; give states and inputs"
+            )
+    return given
+
+
+def _described(fmu: Any, name: str, model: Plant | None) -> Variable:
+    """A variable as the model has it, or else as the FMU describes it."""
+    if model is not None and name in {v.name for v in model.variables}:
+        return model.variable(name)
+    read = fmu.variables[name]
+    causality: Causality = "input" if read.causality == "input" else "output"
+    if name in fmu.states:
+        causality = "state"
+    options: dict[str, Any] = {
+        attribute: default if getattr(read, attribute) is None else float(getattr(read, attribute))
+        for attribute, default in (("min", -math.inf), ("max", math.inf), ("nominal", 1.0))
+    }
+    options["description"] = read.description or ""
+    try:
+        return Variable(name, causality, unit=read.unit or "1", **options)
+    except InputError:  # a unit that is not known here is not converted: values stay as they are
+        return Variable(name, causality, **options)
+
+
+def _farthest(state: Variable) -> float:
+    """A size that a state never has in use: far beyond its range, its start and its nominal."""
+    sizes = (state.nominal, state.start or 0.0, state.min, state.max)
+    return ASTRAY * max(abs(s) for s in sizes if math.isfinite(s))

@@ -1,0 +1,83 @@
+"""What can go wrong, as exception classes of our own. All others import them from errors.py.
+
+They stand apart from it because units and quantities, which it reads texts with, raise them, too.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+__all__ = [
+    "ExportError",
+    "FitError",
+    "InputError",
+    "PamError",
+    "PlanError",
+    "PlanWarning",
+    "SimulationError",
+    "UnknownNameError",
+    "VibrationError",
+]
+
+
+class PamError(Exception):
+    """Base of every error that pam_ocp raises on purpose."""
+
+
+class InputError(PamError, ValueError):
+    """An argument has a value that it must not have."""
+
+
+class UnknownNameError(InputError):
+    """A name that is not known here; the message lists the nearest ones."""
+
+    def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
+        known = list(known)
+        near = difflib.get_close_matches(str(name), known, n=3, cutoff=0.4)
+        if near:
+            hint = f"did you mean {' or '.join(repr(n) for n in near)}?"
+        elif len(known) <= 30:
+            hint = f"known: {', '.join(known) or 'none'}"
+        else:
+            hint = f"{len(known)} names are known"
+        super().__init__(f"unknown {kind} {name!r}: {hint}")
+        self.name = name
+        self.nearest = near
+
+
+class SimulationError(PamError):
+    """The integrator could not go on.
+
+    ``time`` is how far it came, ``trajectory`` what was computed until then (or None).
+    """
+
+    def __init__(self, message: str, time: float | None = None, trajectory: Any = None) -> None:
+        super().__init__(message)
+        self.time = time
+        self.trajectory = trajectory
+
+
+class FitError(PamError):
+    """The data do not allow this fit, or the solver did not find it."""
+
+
+class PlanError(PamError):
+    """A plan that was not found; ``plan`` holds what the solver left, sealed."""
+
+    def __init__(self, message: str, plan: Any = None) -> None:
+        super().__init__(message)
+        self.plan = plan
+
+
+class PlanWarning(UserWarning):
+    """A plan was found, but not verified: its verdict says which figure failed."""
+
+
+class VibrationError(PamError):
+    """A border, a limit cycle or an oscillation that was asked for and not found; says why."""
+
+
+class ExportError(PamError):
+    """An FMU could not be built."""

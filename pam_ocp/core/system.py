@@ -1,0 +1,94 @@
+"""A plant as it is seen from below: by what declares variables in it, and by numerics.
+
+Rooms below the plants (and the parts that a plant is made of) name these protocols instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from .variables import Causality, Variable
+
+__all__ = ["Declares", "HasInputs", "System"]
+
+
+class Declares(Protocol):
+    """What takes variables and equations: a plant, for a feed, a loss, a load or a sensor.
+
+    Each method is that of the same name of :class:`pam_ocp.Plant`.
+    """
+
+    @property
+    def variables(self) -> tuple[Variable, ...]: ...
+
+    def state(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX: ...
+
+    def input(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX: ...
+
+    def parameter(self, name: str, value: float, **attributes: Any) -> ca.SX: ...
+
+    def der(self, state: ca.SX, derivative: Any) -> None: ...
+
+    def output(self, name: str, expression: Any, **attributes: Any) -> ca.SX: ...
+
+    def constraint(self, name: str, expression: Any, **attributes: Any) -> ca.SX: ...
+
+    def opening(
+        self,
+        name: str,
+        commands: Sequence[ca.SX],
+        forward: ca.SX,
+        inverse: Callable[[ca.SX], Sequence[ca.SX]],
+        ways: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        **attributes: Any,
+    ) -> list[ca.SX]: ...
+
+
+class HasInputs(Protocol):
+    """Named variables, inputs among them."""
+
+    @property
+    def inputs(self) -> tuple[Variable, ...]: ...
+
+    def variable(self, name: str) -> Variable: ...
+
+
+class System(HasInputs, Protocol):
+    """x' = f(x, u, p), y = g(x, u, p) with named variables: a plant, for numerics.
+
+    Each member is that of the same name of :class:`pam_ocp.Plant`.
+    """
+
+    @property
+    def states(self) -> tuple[Variable, ...]: ...
+
+    @property
+    def parameters(self) -> tuple[Variable, ...]: ...
+
+    @property
+    def x(self) -> ca.SX: ...
+
+    @property
+    def u(self) -> ca.SX: ...
+
+    @property
+    def p(self) -> ca.SX: ...
+
+    @property
+    def function(self) -> ca.Function: ...
+
+    @property
+    def jacobians(self) -> ca.Function: ...
+
+    def expression(self, name: str) -> ca.SX: ...
+
+    def vector(
+        self, causality: Causality, values: Any = None, attribute: str = "start"
+    ) -> NDArray[np.float64]: ...
+
+    def cached(self, key: Hashable, build: Callable[[], Any]) -> Any: ...

@@ -1,0 +1,75 @@
+"""The door: how a noun's courtesy methods (``.plot()``, ``Plant.equilibrium()``) reach rooms above.
+
+Rooms import downwards only (docs/architecture.md). A method that is there for the user's
+convenience, and whose work is done higher up, forwards to a name of this module::
+
+    def plot(self) -> Figure:
+        return courtesy.plot_plan(self)
+
+The module that does the work is loaded at the first call. No other module may import upwards, and
+nothing but a method may use a name from here; tests/package/test_architecture.py keeps both.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .core.lazy import lazily
+
+if TYPE_CHECKING:
+    from .control.loop import ClosedLoop as ClosedLoop
+    from .control.loop import closed_loop as closed_loop
+    from .figures.loop import plot_closed_loop as plot_closed_loop
+    from .figures.plan import plot_pareto as plot_pareto
+    from .figures.plan import plot_plan as plot_plan
+    from .figures.plan import plot_robust as plot_robust
+    from .figures.trajectory import plot_record as plot_record
+    from .figures.trajectory import plot_trajectory as plot_trajectory
+    from .figures.vibration import plot_backbone as plot_backbone
+    from .figures.vibration import plot_border as plot_border
+    from .figures.vibration import plot_branch as plot_branch
+    from .figures.vibration import plot_energy as plot_energy
+    from .figures.vibration import plot_envelope as plot_envelope
+    from .figures.vibration import plot_multipliers as plot_multipliers
+    from .figures.vibration import plot_phase as plot_phase
+    from .figures.vibration import plot_stability as plot_stability
+    from .fitting.dynamic.outcome import validate as validate
+    from .fitting.dynamic.plant_report import plant_report as plant_report
+    from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
+    from .fitting.static.report import force_report as force_report
+    from .fitting.static.saved_force import read_fit as read_fit
+    from .fitting.static.saved_force import write_fit as write_fit
+    from .operating.equilibrium import OperatingPoint as OperatingPoint
+    from .operating.equilibrium import equilibrium as equilibrium
+    from .operating.linear import linearize as linearize
+    from .planning.saved_plan import save_plan as save_plan
+
+_HOMES: dict[str, str] = {
+    "closed_loop": "control.loop",
+    "equilibrium": "operating.equilibrium",
+    "force_report": "fitting.static.report",
+    "linearize": "operating.linear",
+    "plant_report": "fitting.dynamic.plant_report",
+    "plot_backbone": "figures.vibration",
+    "plot_border": "figures.vibration",
+    "plot_branch": "figures.vibration",
+    "plot_closed_loop": "figures.loop",
+    "plot_energy": "figures.vibration",
+    "plot_envelope": "figures.vibration",
+    "plot_multipliers": "figures.vibration",
+    "plot_pareto": "figures.plan",
+    "plot_phase": "figures.vibration",
+    "plot_plan": "figures.plan",
+    "plot_record": "figures.trajectory",
+    "plot_robust": "figures.plan",
+    "plot_stability": "figures.vibration",
+    "plot_trajectory": "figures.trajectory",
+    "read_fit": "fitting.static.saved_force",
+    "save_plan": "planning.saved_plan",
+    "validate": "fitting.dynamic.outcome",
+    "write_fit": "fitting.static.saved_force",
+    "write_plant_fit": "fitting.dynamic.saved_plant",
+}
+"""Module in which each name stands; types for annotations are not among them."""
+
+__getattr__, __dir__ = lazily(__name__, __package__, _HOMES)

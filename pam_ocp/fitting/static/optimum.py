@@ -1,0 +1,226 @@
+"""The optimum of a static fit: the fitted law at its cells, and its linearisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from ...muscles.law import ForceLaw
+from ..statistics import (
+    Array,
+    Coefficient,
+    Linearisation,
+    SerialErrors,
+    SolverStatistics,
+    sensitivity,
+)
+from ..tables.force_table import ForceTable
+from .correlation import sequences, serial_errors
+from .least_squares import PLAIN, Problem, Terms
+from .polish import SLACK_TOLERANCE
+from .scales import BISQUARE, HUBER, robust_scale, spread
+
+__all__ = ["Optimum"]
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A force law at the coefficients that fit a table best, and the problem near them.
+
+    law : the fitted law. table : the data, slack cells included. held : coefficients that were
+    not fitted. weights : of the taut cells, or None. solver : how the optimum was found.
+    terms : loss, censoring, bounds and priors of the fit.
+    """
+
+    law: ForceLaw
+    table: ForceTable
+    held: tuple[str, ...]
+    weights: Array | None
+    solver: SolverStatistics
+    terms: Terms = PLAIN
+
+    # ---- the fit itself ---------------------------------------------------------------------
+    @cached_property
+    def cells(self) -> ForceTable:
+        """The taut cells, in the order of ``residuals``."""
+        return self.table.taut
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the fitted coefficients."""
+        return tuple(n for n in self.law.values if n not in self.held)
+
+    @property
+    def root_weights(self) -> Array:
+        """Factor of each residual; ones without weights."""
+        return np.ones(len(self.cells)) if self.weights is None else self.weights
+
+    def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
+        """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
+        names = list(self.law.values)
+        values = ca.DM(list(self.law.values.values()))
+        tension, jacobian = sensitivity(type(self.law))(p[None], kappa[None], values)
+        columns = [names.index(n) for n in self.free]
+        return np.asarray(tension).ravel(), np.asarray(jacobian).reshape(p.size, -1)[:, columns]
+
+    @cached_property
+    def _at_cells(self) -> tuple[Array, Array]:
+        return self._sensitivity(self.cells.pressure, self.cells.contraction)
+
+    @property
+    def residuals(self) -> Array:
+        """Measured minus fitted force of the taut cells [N]."""
+        return self.cells.force - self._at_cells[0]
+
+    @property
+    def jacobian(self) -> Array:
+        """Exact derivatives of the force, (taut cells, free coefficients) [N/unit]."""
+        return self._at_cells[1]
+
+    @property
+    def n(self) -> int:
+        """Number of taut cells."""
+        return len(self.cells)
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The problem that was solved."""
+        held = {n: float(self.law.values[n]) for n in self.held}
+        return Problem.of(type(self.law), self.table, held, self.root_weights, self.terms)
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: taut cells and priors less fitted coefficients."""
+        return self.n + len(self.problem.priors[0]) - len(self.free)
+
+    @property
+    def cost(self) -> float:
+        """What the fit made smallest [N2]: ``squares``, or the robust loss, and the priors."""
+        return self.problem.cost(np.array([float(v) for v in self.law.values.values()]))
+
+    @property
+    def squares(self) -> float:
+        """Weighted sum of squared residuals."""
+        return float(np.sum((self.root_weights * self.residuals) ** 2))
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean squared residual over the taut cells, without weights [N]."""
+        return float(np.sqrt(np.mean(self.residuals**2)))
+
+    @property
+    def r2(self) -> float:
+        """1 - (squared residuals)/(squared deviations from the mean), without weights."""
+        spread = float(np.sum((self.cells.force - self.cells.force.mean()) ** 2))
+        return 1 - float(np.sum(self.residuals**2)) / spread if spread else float("nan")
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation s of a measurement of weight 1 [N]; NaN without freedom.
+
+        After a robust fit from the median of the absolute residuals, or the scale of the bisquare.
+        """
+        if not self.dof:
+            return float("nan")
+        if self.terms.loss == "bisquare":
+            return self.terms.threshold / BISQUARE
+        if self.terms.loss != "squares":
+            return spread(self.root_weights * self.residuals, len(self.free))
+        return float(np.sqrt(self.cost / self.dof))
+
+    # ---- near the optimum ---------------------------------------------------------------------
+    @cached_property
+    def linearisation(self) -> Linearisation:
+        """The weighted least-squares problem near its optimum."""
+        variables = {v.name: v for v in self.law.coefficient_variables()}
+        jacobian = self.problem.with_priors(self._vector)[1][0][:, list(self.problem.free)]
+        return Linearisation(
+            self.free,
+            np.array([float(self.law.values[n]) for n in self.free]),
+            [variables[n].unit for n in self.free],
+            jacobian,
+            self._scale,
+            self.dof,
+            self._active,
+            None
+            if self.terms.independent
+            else serial_errors(jacobian, self._influential, sequences(self.cells)),
+        )
+
+    @property
+    def _influential(self) -> Array:
+        """Weighted residuals as they count: cells far off do not after a robust fit."""
+        residuals = self.root_weights * self.residuals
+        if np.linalg.norm(residuals) <= 1e-9 * np.linalg.norm(self.root_weights * self.cells.force):
+            return np.zeros(self.n)  # rounding errors follow each other, too
+        if self.terms.loss == "squares":
+            return residuals
+        if self.terms.loss == "l1":
+            edge = HUBER * spread(residuals, len(self.free))
+            return np.clip(residuals, -edge, edge)
+        return residuals * self.terms.reweighting(residuals, 0.0) ** 2
+
+    @property
+    def serial(self) -> SerialErrors | None:
+        """How errors follow each other along a ramp, which widens all intervals; None where they do
+        not.
+        """
+        return self.linearisation.serial
+
+    @property
+    def _vector(self) -> Array:
+        return np.array([[float(v) for v in self.law.values.values()]])
+
+    @property
+    def _scale(self) -> float:
+        """The factor s of the covariance s^2 (J^T J)^-1."""
+        if self.terms.loss == "squares" or not self.dof:
+            return self.sigma
+        return robust_scale(self.terms, self.root_weights * self.residuals, len(self.free))
+
+    @property
+    def _active(self) -> Array | None:
+        """Gradients of the slack cells at which the law would pull more if it could."""
+        if not self.problem.censored:
+            return None
+        tension, gradients = self.problem.tension_where_slack(self._vector[0])
+        return gradients[tension > 0.999 * SLACK_TOLERANCE][:, list(self.problem.free)]
+
+    @property
+    def rank(self) -> int:
+        """How many independent combinations of the coefficients the data determine."""
+        return self.linearisation.rank
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the Jacobian with columns of unit length."""
+        return self.linearisation.condition
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the free coefficients; of what the data determine where rank is lacking."""
+        return self.linearisation.covariance
+
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Every coefficient by name, held ones included."""
+        errors = dict(zip(self.free, self.linearisation.stderr(), strict=True))
+        return {
+            v.name: Coefficient(
+                v.name,
+                float(self.law.values[v.name]),
+                float(errors.get(v.name, 0.0)),
+                v.unit,
+                v.name in self.held,
+                v.description,
+            )
+            for v in self.law.coefficient_variables()
+        }
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix of the free coefficients."""
+        return self.linearisation.correlation

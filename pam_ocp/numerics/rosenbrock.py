@@ -1,0 +1,53 @@
+"""Rosenbrock methods with equal steps, as CasADi expressions: linearly implicit, for stiff plants.
+
+The adaptive one of simulations is CasADi's own integrator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+
+__all__ = ["Slopes", "rodas3", "ros2"]
+
+Slopes: TypeAlias = Callable[[ca.SX], tuple[ca.SX, ca.SX]]
+"""x -> (x', its Jacobian over x)."""
+
+GAMMA = 1 - 1 / np.sqrt(2)
+"""Of ROS2: with this value it is L-stable, so stiff friction does no harm."""
+
+_RODAS3_M = (2.0, 0.0, 1.0, 1.0)
+_RODAS3_A = ((), (0.0,), (2.0, 0.0), (2.0, 0.0, 1.0))
+_RODAS3_C = ((), (4.0,), (1.0, -1.0), (1.0, -1.0, -8.0 / 3.0))
+"""Sandu, Verwer, Blom, Spee, Carmichael, Potra, Atmospheric Environment 31 (1997) 3459; gamma 1/2.
+"""
+
+
+def rodas3(slopes: Slopes, x: ca.SX, h: float | ca.SX) -> ca.SX:
+    """One step h of RODAS3 (order 3, L-stable): four stages of linear equations, one matrix."""
+    matrix = ca.SX.eye(x.numel()) * (2.0 / h) - slopes(x)[1]
+    stages: list[ca.SX] = []
+    for row_a, row_c in zip(_RODAS3_A, _RODAS3_C, strict=True):
+        inner = x + sum((a * k for a, k in zip(row_a, stages, strict=True)), ca.SX(0))
+        right = slopes(inner)[0]
+        right += sum((c / h * k for c, k in zip(row_c, stages, strict=True)), ca.SX(0))
+        stages.append(ca.solve(matrix, right))
+    return ca.SX(x + sum((m * k for m, k in zip(_RODAS3_M, stages, strict=True)), ca.SX(0)))
+
+
+def ros2(
+    early: Callable[[ca.SX], ca.SX], late: Callable[[ca.SX], ca.SX], x: ca.SX, h: float
+) -> ca.SX:
+    """One step h of ROS2, x' going from ``early`` (x) at its begin to ``late`` (x) at its end.
+
+    (I - gamma h A) k1 = f(x, u), (I - gamma h A) k2 = f(x + h k1, late) - 2 k1, A = df/dx,
+    x+ = x + 3/2 h k1 + 1/2 h k2. Of second order for any A, so df/dt may be left out.
+    """
+    first = early(x)
+    matrix = ca.SX.eye(x.numel()) - GAMMA * h * ca.jacobian(first, x)
+    k1 = ca.solve(matrix, first)
+    k2 = ca.solve(matrix, late(x + h * k1) - 2 * k1)
+    return ca.SX(x + 1.5 * h * k1 + 0.5 * h * k2)

@@ -1,0 +1,102 @@
+"""The first stop: what the past left there, in states that nobody sets."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
+
+from ...core.errors import InputError, PlanWarning
+from ...operating.held import held
+from ...plants.plant import Plant
+from ...plants.stillness import Position, settled_names, totals
+from ..transcription.guess import rest_point
+from .costs import COSTS
+from .problem import Condition, Problem, Range
+from .statement import Statement
+from .wording import Stop, subject
+
+__all__ = ["left_by_the_past", "with_given_pressures"]
+
+
+def left_by_the_past(
+    plant: Plant, statement: Statement, first: Stop, bounds: Mapping[str, Range]
+) -> list[Condition]:
+    """What the past left at the first stop, of states that nobody could set: memories, lags,
+    totals.
+    """
+
+    def condition(name: str, words: str, low: float, high: float) -> Condition:
+        variable, expression = subject(plant, name)
+        return Condition(
+            f"stop 1: {name} {words}", expression, low, high, variable.nominal, variable
+        )
+
+    sums = [n for n in totals(plant) if n not in first.values]
+    starts = {n: float(plant.variable(n).start or 0.0) for n in sums}
+    conditions = [condition(n, "at its start", value, value) for n, value in starts.items()]
+    memory = {n: v for n, v in held(plant, statement.memory).items() if n not in first.values}
+    if statement.cyclic:  # the cycle itself says what they hold
+        if statement.memory != "virgin":
+            raise InputError(
+                f"memory = {statement.memory!r}: a cyclic motion closes its memories by "
+                "itself; leave it out"
+            )
+        ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
+        return conditions + [condition(n, "in its range", *ends) for n, ends in ranges.items()]
+    conditions += [condition(n, "held", value, value) for n, value in memory.items()]
+    settled = [n for n in settled_names(plant) if n not in first.values]
+    return conditions + [condition(f"der({n})", "settled", 0.0, 0.0) for n in settled]
+
+
+def with_given_pressures(
+    problem: Problem, statement: Statement, first: Stop, positions: tuple[Position, ...]
+) -> Problem:
+    """Pressures at the first stop are no gift where the supply's air counts.
+
+    A motion that may choose them is made by venting what it was given. Where neither the cycle nor
+    the first stop says what they are, they are those at rest there, nearest to their start values.
+    """
+    plant = problem.plant
+    weights = statement.weights
+    asked = [n for n in COSTS if COSTS[n].from_supply and weights.get(n)]
+    if not asked or statement.cyclic:
+        return problem
+    places = {n for p in positions for n in (p.name, *p.velocities)}
+    known = {*places, *settled_names(plant), *totals(plant), *first.values}
+    free = [v.name for v in plant.states if v.name not in known and not v.memory]
+    spoken = ca.vertcat(*(subject(plant, n)[1] for n in first.values))
+    symbols = ca.vertcat(*(plant.expression(n) for n in free))
+    if not free or ca.depends_on(spoken, symbols):
+        return problem
+    x = rest_point(problem, problem.stops[0])
+    values = {v.name: float(x[i]) for i, v in enumerate(plant.states) if v.name in free}
+    shown = ", ".join(f"{n} = {plant.variable(n).shown(value)}" for n, value in values.items())
+    warnings.warn(
+        f"minimise = {asked[0]!r} leaves no pressure to choose at the first stop, or the motion "
+        "would "
+        f"vent what it begins with: it begins at rest with {shown}. Name other values in the first "
+        "stop, or give cyclic=True",
+        PlanWarning,
+        stacklevel=5,
+    )
+    given = [
+        Condition(
+            f"stop 1: {n} given",
+            plant.expression(n),
+            value,
+            value,
+            plant.variable(n).nominal,
+            plant.variable(n),
+        )
+        for n, value in values.items()
+    ]
+    # with pressures at rest accelerations vanish by themselves: they would be said twice
+    kept = [
+        c
+        for c in problem.nodes[0]
+        if not (c.label.endswith("at rest") and ca.depends_on(c.expression, symbols))
+    ]
+    return replace(problem, nodes=((*kept, *given), *problem.nodes[1:]))

@@ -1,0 +1,232 @@
+"""From a user's statement to a planning problem: stops, legs and their conditions in one form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+
+from ...core.errors import InputError, require_positive
+from ...plants.plant import Plant, require_plant
+from .costs import COSTS
+from .cycles import closing_states, not_implied
+from .first_stop import left_by_the_past, with_given_pressures
+from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
+from .objective import Symbols, budget, objective
+from .problem import Condition, Leg, Problem, Range
+from .rest_conditions import Holding, at_rest, resting_positions
+from .statement import Statement
+from .wording import Stop, subject
+
+__all__ = ["formulate"]
+
+DURATIONS: Range = (1e-3, 10.0)
+"""Bounds of a free duration of one leg [s]."""
+
+
+def formulate(plant: Plant, statement: Statement) -> Problem:
+    """The Problem that a user's statement means for a plant; InputError where it means none."""
+    require_plant(plant)
+    symbols = Symbols()
+    common = common_limits(plant, statement.bounds or {}, symbols)
+    common.path += conditions_of(plant, statement.constraints)
+    stops = _stops(plant, statement)
+    labels = [f"stop {i + 1}" for i in range(len(stops))]
+    route = list(zip(labels, stops, strict=True))
+    if statement.cyclic is True:
+        route.append(route[0])
+    goal = objective(
+        plant, symbols, statement.minimise, statement.track, statement.integrand, statement.final
+    )
+    common.path += [condition for _, condition in symbols.peaks]
+    motions = _motions(plant, statement, len(route) - 1, common, symbols)
+    closing = closing_states(plant, statement.cyclic)
+    holding = Holding(plant, common.variables, symbols, statement.inputs_jump)
+    nodes, legs, values = _laid_out(plant, statement, route, motions, common.variables, holding)
+    nodes[0] += tuple(left_by_the_past(plant, statement, stops[0], common.variables))
+    if statement.cyclic is True:  # the last node is the first: its own conditions would stand twice
+        nodes[-1] = ()
+    elif statement.cyclic == "mirrored":
+        nodes[-1] = not_implied(plant, stops, nodes[-1], closing or {})
+    _require_an_end(statement, legs)
+    goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
+    budgets = [
+        budget(plant, term, value, symbols) for term, value in (statement.budgets or {}).items()
+    ]
+    r, q, m = (ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m))
+    problem = Problem(
+        plant,
+        tuple(values),
+        tuple(nodes),
+        tuple(legs),
+        closing,
+        goal,
+        tuple(budgets),
+        design_ranges(plant, statement.design or {}),
+        tuple(symbols.profiles),
+        tuple(symbols.aims),
+        r,
+        q,
+        m,
+        dict(symbols.widths),
+    )
+    return with_given_pressures(problem, statement, stops[0], holding.positions)
+
+
+# ---- stops ----------------------------------------------------------------------------------
+def _stops(plant: Plant, statement: Statement) -> list[Stop]:
+    if isinstance(statement.stops, Mapping | Stop) or not all(
+        isinstance(s, Mapping | Stop) for s in statement.stops
+    ):
+        raise InputError('stops must be a list of mappings, such as [{"x": 0.0}, {"x": 0.02}]')
+    if len(statement.stops) < 2:
+        raise InputError(f"stops = {list(statement.stops)}: a motion needs at least two stops")
+    found = []
+    for stop in statement.stops:
+        stop = stop if isinstance(stop, Stop) else Stop(stop)
+        values = {key_of(plant, n): v for n, v in stop.values.items()}
+        rest = statement.rest if stop.rest is None else stop.rest
+        if stop.dwells and not rest:
+            raise InputError(f"{stop}: a stop with a dwell is at rest; leave out rest=False")
+        found.append(Stop(values, rest, stop.dwell, stop.within))
+    return found
+
+
+def _laid_out(
+    plant: Plant,
+    statement: Statement,
+    route: Sequence[tuple[str, Stop]],
+    motions: Sequence[Leg],
+    bounds: Mapping[str, Range],
+    holding: Holding,
+) -> tuple[list[tuple[Condition, ...]], list[Leg], list[dict[str, Any]]]:
+    """Nodes, legs and the nodes' values; a dwell adds a leg behind its stop."""
+    nodes, legs, values = [], [], []
+    holding.positions = resting_positions(plant, [stop for _, stop in route])
+    for i, (label, stop) in enumerate(route):
+        closes = bool(statement.cyclic) and i == len(route) - 1
+        # rest at the end of a cycle follows from that at its beginning
+        asked = replace(stop, rest=False) if closes else stop
+        conditions = tuple(_conditions(plant, label, asked, bounds, holding))
+        nodes.append(conditions)
+        values.append(dict(stop.values))
+        closes = closes and statement.cyclic is True
+        if stop.dwells and not closes:
+            if statement.cyclic == "mirrored" and i == len(route) - 1:
+                raise InputError("cyclic = 'mirrored': give the dwell to stop 1, its image follows")
+            within = _held(plant, conditions, stop)
+            path = (*(motions[i] if i < len(motions) else motions[-1]).path, *within)
+            legs.append(Leg(_duration(stop.dwell), path, dict(bounds), dwell=True))
+            nodes.append(conditions)
+            values.append(dict(stop.values))
+        if i < len(motions):
+            legs.append(motions[i])
+    return nodes, legs, values
+
+
+def _held(plant: Plant, conditions: Sequence[Condition], stop: Stop) -> list[Condition]:
+    """The values of a stop, with a margin, all along its dwell."""
+    held = []
+    for condition in conditions[: len(stop.values)]:
+        margin = stop.within * condition.nominal
+        held.append(
+            Condition(
+                f"dwell at {condition.label}",
+                condition.expression,
+                condition.low - margin,
+                condition.high + margin,
+                margin,
+                condition.shown,
+            )
+        )
+    return held
+
+
+def _conditions(
+    plant: Plant,
+    label: str,
+    stop: Stop,
+    bounds: Mapping[str, Range],
+    holding: Holding,
+) -> list[Condition]:
+    if not stop.values:
+        raise InputError(f"{label} is empty; name at least one variable, as in {{'x': 0.01}}")
+    conditions = []
+    for name, value in stop.values.items():
+        variable, expression = subject(plant, name)
+        if variable.causality == "parameter":
+            raise InputError(f"{label}: {name} is a parameter, it cannot change along the motion")
+        low, high = range_of(f"{label}: {name}", value, variable)
+        least, most = bounds.get(name, (variable.min, variable.max))
+        if low > most or high < least:
+            raise InputError(
+                f"{label}: {name} = {variable.shown(low)} is outside the stroke "
+                f"{variable.shown(least)} .. {variable.shown(most)}"
+            )
+        conditions.append(
+            Condition(f"{label}: {name}", expression, low, high, variable.nominal, variable)
+        )
+    return conditions + (at_rest(plant, label, stop, holding) if stop.rest else [])
+
+
+# ---- legs -------------------------------------------------------------------------------------
+def _motions(
+    plant: Plant, statement: Statement, count: int, common: Limits, symbols: Symbols
+) -> list[Leg]:
+    """The legs between the stops, without dwells."""
+    durations = _durations(statement.duration, count)
+    phases = list(statement.phases or [None] * count)
+    if len(phases) != count:
+        raise InputError(
+            f"phases holds {len(phases)} entries for {count} phases; give a Phase or None for each"
+        )
+    legs = []
+    for i, (phase, duration) in enumerate(zip(phases, durations, strict=True)):
+        limits = common
+        if phase is not None:
+            limits = narrowed(plant, common, f"phases[{i}].bounds", phase.bounds, symbols)
+            limits.path.extend(conditions_of(plant, phase.constraints))
+            duration = duration if phase.duration is None else _duration(phase.duration)
+        legs.append(Leg(duration, tuple(limits.path), limits.variables))
+    return legs
+
+
+def _durations(duration: Any, legs: int) -> tuple[Range, ...]:
+    if isinstance(duration, Sequence) and not isinstance(duration, tuple | str):
+        if len(duration) != legs:
+            raise InputError(
+                f"duration holds {len(duration)} entries for {legs} phases; give one per phase"
+            )
+        return tuple(_duration(d) for d in duration)
+    return (_duration(duration),) * legs
+
+
+def _duration(value: Any) -> Range:
+    if value is None:
+        return DURATIONS
+    if isinstance(value, tuple):
+        if len(value) != 2:
+            raise InputError(f"duration = {value}: give (shortest, longest) in seconds")
+        low, high = (require_positive("duration", v, "s") for v in value)
+        if low > high:
+            raise InputError(f"duration = ({low:g}, {high:g}) s: the bounds are crossed")
+        return low, high
+    fixed = require_positive("duration", value, "s")
+    return fixed, fixed
+
+
+def _require_an_end(statement: Statement, legs: Sequence[Leg]) -> None:
+    """A free duration wants a reason to end."""
+    asked = {term for term, weight in statement.weights.items() if weight}
+    ended = statement.track or "time" in (statement.budgets or {})
+    more = statement.integrand is not None or statement.final is not None or ended
+    free = any(leg.duration[1] > leg.duration[0] for leg in legs)
+    endless = {"rate", *(name for name in COSTS if COSTS[name].slower_is_less)}
+    if free and asked and not more and asked <= endless:
+        term = min(asked)
+        raise InputError(
+            f"minimise = {term!r} needs a fixed duration (a slower motion always takes less); "
+            f"give duration=0.5, say, or minimise={{'time': 1.0, {term!r}: 1e-3}}"
+        )

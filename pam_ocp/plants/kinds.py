@@ -1,0 +1,21 @@
+"""What a plant may be built of, by name: the registries of plants and of their components.
+
+Each stands here without its kinds: these register in the files of this room that define them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..core.registry import Registry
+
+__all__ = ["DAMPINGS", "FEEDS", "LOADS", "LOSSES", "PLANTS", "TUBES"]
+
+PLANTS: Registry[Callable[..., Any]] = Registry("plant", __package__)
+"""Plants of the library: called with a muscle, and their own arguments by name."""
+FEEDS: Registry[Callable[..., Any]] = Registry("feed", __package__, argument="feed")
+DAMPINGS: Registry[Callable[..., Any]] = Registry("damping", __package__, argument="damping")
+LOSSES: Registry[Callable[..., Any]] = Registry("loss", __package__, argument="losses")
+LOADS: Registry[Callable[..., Any]] = Registry("load", __package__, argument="loads")
+TUBES: Registry[Callable[..., Any]] = Registry("tube", __package__, argument="tube")
