@@ -36,6 +36,9 @@ MULTIPLIER_TOLERANCE = 1e-4
 GROWTH = 1.5
 """By what steps grow again."""
 
+HALVINGS = 4
+"""Of the step that passes an end of the range, towards the cycle at it."""
+
 LEAST_COSINE = 0.9
 """Of the angle between neighbouring tangents; steps are shortened where the branch bends more."""
 
@@ -158,9 +161,9 @@ def continue_cycle(
     )
     cycles, ended = [cycle], f"{most} cycles were found"
     while len(cycles) < most:
-        before = walk.place
+        before, tangent = walk.place, walk.tangent
         try:
-            walk.advance()
+            length = walk.advance()
         except NewtonError as error:
             ended = f"the branch cannot be followed further: {error}"
             break
@@ -169,7 +172,7 @@ def continue_cycle(
             bound = low if value <= low else high
             ended = f"{variable.name} reaches {variable.shown(bound)}"
             try:
-                cycles.append(_pinned(periodic, before, walk.place, bound, settings))
+                cycles.append(_reached(curve, before, tangent, length, walk.place, bound))
             except VibrationError as error:
                 ended += f", where the cycle is not found: {error}"
             break
@@ -240,6 +243,29 @@ class _Cycles:
         except (VibrationError, np.linalg.LinAlgError) as error:
             raise NewtonError(str(error)) from None
         return found, ahead, row.dot(ahead, found)
+
+
+def _reached(
+    curve: _Cycles, before: Orbit, tangent: Row, length: float, after: Orbit, value: float
+) -> LimitCycle:
+    """The cycle at exactly this value within a step; from nearer neighbours where Newton fails."""
+    periodic = curve.periodic
+    assert periodic.variable is not None
+    lam = value / periodic.variable.nominal
+    for _ in range(HALVINGS):
+        try:
+            return _pinned(periodic, before, after, value, curve.settings)
+        except VibrationError:
+            length /= 2
+        try:
+            middle, ahead, _ = curve.step(before, tangent, length)
+        except NewtonError as error:
+            raise VibrationError(str(error)) from None
+        if (middle.lam - lam) * (before.lam - lam) > 0:
+            before, tangent = middle, ahead
+        else:
+            after = middle
+    return _pinned(periodic, before, after, value, curve.settings)
 
 
 def _pinned(

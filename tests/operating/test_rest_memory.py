@@ -278,8 +278,8 @@ def test_lqr_and_kalman_hold_a_joint_with_hysteresis(losses):
     controller = pam.WithEstimate(feedback, filtered)
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)} | {"theta": 0.13}
     for used in (feedback, controller):
-        run = pam.closed_loop(used, plant, duration=2.0, dt=2e-3, start=start)
-        assert run["theta"][-1] == pytest.approx(0.1, abs=0.003)
+        run = pam.closed_loop(used, plant, duration=2.0, sample_time=2e-3, start=start)
+        assert run.trajectory["theta"][-1] == pytest.approx(0.1, abs=0.003)
 
 
 def test_tvlqr_ends_as_lqr_holds():

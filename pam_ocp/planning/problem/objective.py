@@ -69,16 +69,14 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
 def _work(plant: Plant, symbols: Symbols) -> ca.SX:
     """Mechanical work out of the muscles, each counted where its power is positive."""
     width = symbols.width(WIDEST_POWER, POWER_WIDTH)
-    names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
-    muscles = [n for n in names if any(v.name == f"{n}.contraction" for v in plant.outputs)]
+    outputs = {v.name for v in plant.outputs}
+    names = [n.removesuffix(".power") for n in outputs if n.endswith(".power")]
+    muscles = [n for n in sorted(names) if {f"{n}.force", f"{n}.contraction"} <= outputs]
     if not muscles:
         raise InputError(f"'work': plant {plant.name!r} has no muscle with force and contraction")
-    xdot = plant.function(plant.x, plant.u, plant.p)[0]
     total = ca.SX(0)
     for name in muscles:
-        rate = ca.jtimes(plant.expression(f"{name}.contraction"), plant.x, xdot)
-        length = plant.expression(f"{name}.rest_length")
-        power = plant.expression(f"{name}.force") * rate * length
+        power = plant.expression(f"{name}.power")
         total += (power + ca.sqrt(power**2 + width**2)) / 2  # a slope and a curvature everywhere
     return total
 
