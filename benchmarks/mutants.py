@@ -656,14 +656,14 @@ DESIGN = [
 VIBRATION_AND_FMU = [
     Mutant(
         "potential energy without its minus",
-        "pam_ocp/vibration/energy.py",
+        "pam_ocp/vibration/energy_balance.py",
         "potential = -_integral(resultant",
         "potential = _integral(resultant",
         "tests/vibration/test_vibration.py -k energy",
     ),
     Mutant(
         "power lost without the mass",
-        "pam_ocp/vibration/energy.py",
+        "pam_ocp/vibration/energy_balance.py",
         "float(m) * v * (moving - resting)",
         "v * (moving - resting)",
         "tests/vibration/test_vibration.py -k energy",

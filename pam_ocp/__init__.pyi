@@ -99,6 +99,9 @@ from .core.errors import (
 from .core.errors import (
     UnknownNameError as UnknownNameError,
 )
+from .core.errors import (
+    VibrationError as VibrationError,
+)
 from .core.plausible import (
     UnitWarning as UnitWarning,
 )
@@ -312,6 +315,9 @@ from .operating.allocation import (
 from .operating.allocation import (
     pressures_of as pressures_of,
 )
+from .operating.along import (
+    stability_path as stability_path,
+)
 from .operating.branch import (
     equilibrium_branch as equilibrium_branch,
 )
@@ -516,32 +522,26 @@ from .studies.loads import (
 from .studies.loads import (
     load_study as load_study,
 )
-from .vibration import (
-    VibrationError as VibrationError,
-)
-from .vibration import (
-    backbone as backbone,
-)
-from .vibration import (
-    continue_cycle as continue_cycle,
-)
-from .vibration import (
-    energy as energy,
-)
-from .vibration import (
-    free_vibration as free_vibration,
-)
-from .vibration import (
-    hopf as hopf,
-)
-from .vibration import (
-    hopf_border as hopf_border,
-)
-from .vibration import (
+from .vibration.cycle import (
     limit_cycle as limit_cycle,
 )
-from .vibration import (
-    stability_path as stability_path,
+from .vibration.cycle_branch import (
+    continue_cycle as continue_cycle,
+)
+from .vibration.energy_balance import (
+    energy as energy,
+)
+from .vibration.free import (
+    backbone as backbone,
+)
+from .vibration.free import (
+    free_vibration as free_vibration,
+)
+from .vibration.hopf_bifurcation import (
+    hopf as hopf,
+)
+from .vibration.hopf_bifurcation import (
+    hopf_border as hopf_border,
 )
 
 __version__: str

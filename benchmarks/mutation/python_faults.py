@@ -1,19 +1,18 @@
 """Every fault that a few operators can make in a Python file.
 
 Left out is what no result depends on: docstrings and other text, types, ``raise`` statements and
-warnings (their words), how things are printed, and the nominals, limits and units with which
-variables are declared (choices, not results).
+warnings (their words), how things are printed, and choices: the nominals, limits and units with
+which variables are declared, and the numbers that arguments have by default.
 """
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
 from itertools import pairwise
 
 from .faults import Fault
 
-__all__ = ["python_faults"]
+__all__ = ["alters", "python_faults"]
 
 SWAPS: dict[type, str] = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.Pow: "*"}
 COMPARISONS: dict[type, tuple[str, ...]] = {
@@ -35,10 +34,13 @@ NAMES = {
 }  # fmt: skip
 NAMES |= {b: a for a, b in NAMES.items() if a not in ("zeros", "cumsum", "column_stack")}
 QUIET = {
-    "description", "display", "unit", "nominal", "min", "max", "minimum", "maximum", "name",
+    "description", "display", "repr", "unit", "nominal", "min", "max", "minimum", "maximum", "name",
     "stacklevel", "indent",
 }  # fmt: skip
-UNSWAPPED = {"isinstance", "getattr", "field", "coefficient", "__setattr__"}
+UNSWAPPED = {
+    "isinstance", "getattr", "field", "coefficient", "__setattr__", "min", "max", "fmin", "fmax",
+    "minimum", "maximum", "isclose", "is_equal",
+}  # fmt: skip
 PRINTED = {"__str__", "__repr__", "_repr_html_", "summary", "describe", "plot", "__dir__"}
 SILENT = (ast.Raise, ast.JoinedStr, ast.Import, ast.ImportFrom, ast.Global, ast.Nonlocal)
 
@@ -86,7 +88,7 @@ class _Finder(ast.NodeVisitor):
         if node.name in PRINTED:
             return
         for value in [*node.args.defaults, *(d for d in node.args.kw_defaults if d is not None)]:
-            self.visit(value)
+            self._default(value)
         self._body(node.body)
 
     def visit_ClassDef(self, node: ast.ClassDef) -> None:
@@ -99,7 +101,13 @@ class _Finder(ast.NodeVisitor):
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
         if node.value is not None:
-            self.visit(node.value)
+            self._default(node.value)
+
+    def _default(self, value: ast.expr) -> None:
+        """A number that stands where none is given is a choice; yes or no is more."""
+        number = value.operand if isinstance(value, ast.UnaryOp) else value
+        if not isinstance(number, ast.Constant) or isinstance(number.value, bool):
+            self.visit(value)
 
     def visit_Assign(self, node: ast.Assign) -> None:
         if any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
@@ -264,15 +272,17 @@ class _Finder(ast.NodeVisitor):
             self.add(node, "1.0", "constant")
 
 
-def python_faults(file: str, text: str) -> Iterator[Fault]:
-    """Faults of ``text``, those that do not compile left out."""
+def python_faults(file: str, text: str) -> list[Fault]:
+    """Faults of ``text``, some of which may not compile or change nothing: see :func:`alters`."""
     finder = _Finder(file, text)
     finder.visit(ast.parse(text))
-    same = ast.dump(ast.parse(text))
-    for fault in finder.found:
-        try:
-            tree = ast.parse(fault.applied(text))
-        except SyntaxError:
-            continue
-        if ast.dump(tree) != same:
-            yield fault
+    return finder.found
+
+
+def alters(fault: Fault, text: str) -> bool:
+    """Whether what the fault leaves compiles, and says something else."""
+    try:
+        tree = ast.parse(fault.applied(text))
+    except SyntaxError:
+        return False
+    return ast.dump(tree) != ast.dump(ast.parse(text))

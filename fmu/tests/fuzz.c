@@ -7,8 +7,9 @@
 #define MAX_STEPS 300 /* nonsense values may make the plant as stiff as they like */
 #include "fmu.c"
 
-#include <stdbool.h>
 #include <stdio.h>
+
+#include "face.h"
 
 static unsigned long long random_state;
 
@@ -27,8 +28,7 @@ static double random_number(void) {
     return ((double)choose(2000001) / 1e6 - 1.0) * (choose(2) ? 1.0 : 1e5);
 }
 
-/* ---- one face for both versions ---- */
-static long lines = 0, calls = 0, refused = 0, silent = 0;
+static long calls = 0, refused = 0, silent = 0;
 
 /* Count a refused call, and whether it was refused without a word. */
 static void judge(int answer, long lines_before, unsigned what) {
@@ -39,32 +39,17 @@ static void judge(int answer, long lines_before, unsigned what) {
 
 #ifdef fmi2Functions_h
 typedef fmi2Status Answer;
-static void listen(fmi2ComponentEnvironment e, fmi2String n, fmi2Status s, fmi2String c,
-                   fmi2String m, ...) {
-    (void)e, (void)n, (void)s, (void)c;
-    lines += strlen(m) > 0;
-}
-static const fmi2CallbackFunctions CALLBACKS = {listen, NULL, NULL, NULL, NULL};
-#define F(name2, name3) name2
-static void *create(int kind, const char *token) {
-    return fmi2Instantiate("fuzz", kind ? fmi2CoSimulation : fmi2ModelExchange, token, NULL,
-                           &CALLBACKS, 0, 0);
-}
+#define create_any create
 #else
 typedef fmi3Status Answer;
-static void listen(fmi3InstanceEnvironment e, fmi3Status s, fmi3String c, fmi3String m) {
-    (void)e, (void)s, (void)c;
-    lines += strlen(m) > 0;
-}
-static void between(fmi3InstanceEnvironment e, double t, bool set, bool get, bool done, bool may,
-                    bool *wanted, double *wish) {
-    (void)e, (void)set, (void)get, (void)done, (void)may;
+static void between(fmi3InstanceEnvironment e, double t, bool set_now, bool get_now, bool done,
+                    bool may, bool *wanted, double *wish) {
+    (void)e, (void)set_now, (void)get_now, (void)done, (void)may;
     *wanted = choose(8) == 0;
     *wish = choose(2) ? t : random_number();
 }
-#define F(name2, name3) name3
-static void *create(int kind, const char *token) {
-    if (kind == 0) return fmi3InstantiateModelExchange("fuzz", token, NULL, 0, 0, NULL, listen);
+static void *create_any(int kind, const char *token) {
+    if (kind == 0) return create(0, token);
     return fmi3InstantiateCoSimulation("fuzz", token, NULL, 0, 0, 0, choose(2), NULL, 0, NULL,
                                        listen, choose(2) ? between : NULL);
 }
@@ -196,7 +181,7 @@ int main(int argc, char **argv) {
     for (calls = 0; calls < wanted; calls++) {
         int k = (int)choose(SLOTS);
         if (instance[k] == NULL) {
-            instance[k] = create((int)choose(2), choose(10) == 0 ? "wrong" : MODEL_TOKEN);
+            instance[k] = create_any((int)choose(2), choose(10) == 0 ? "wrong" : MODEL_TOKEN);
             if (instance[k] != NULL && choose(4)) start(k);
             continue;
         }

@@ -60,6 +60,10 @@ static void *start(Library library, const char *token) {
 static int step(Library library, void *c, double time) {
     return ((fmi2DoStepTYPE *)needed(library, "fmi2DoStep"))(c, time, STEP, 1) != fmi2OK;
 }
+
+static void release(Library library, void *c) {
+    ((fmi2FreeInstanceTYPE *)needed(library, "fmi2FreeInstance"))(c);
+}
 #else
 #include "fmi3FunctionTypes.h"
 typedef fmi3SetFloat64TYPE Set;
@@ -81,6 +85,10 @@ static int step(Library library, void *c, double time) {
     double reached;
     return ((fmi3DoStepTYPE *)needed(library, "fmi3DoStep"))(c, time, STEP, 1, &event, &terminate,
                                                            &early, &reached) != fmi3OK;
+}
+
+static void release(Library library, void *c) {
+    ((fmi3FreeInstanceTYPE *)needed(library, "fmi3FreeInstance"))(c);
 }
 #endif
 
@@ -145,5 +153,6 @@ int main(int count, char **words) {
         if (set(library, c, inputs, n_inputs, pressures) || step(library, c, i * STEP)) return 1;
         if ((i + 1) % SHOW_EVERY == 0 && show(library, c, shown, n_shown, i + 1)) return 1;
     }
+    release(library, c);
     return 0;
 }

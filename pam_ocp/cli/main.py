@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError, PamError
+from .components import add_components
 from .fit import add_fit_plant
 from .mpc import add_mpc
 from .plan import add_plan
@@ -54,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_check,
         _add_loads,
         _add_muscles,
+        add_components,
         add_plan,
         add_mpc,
     ):

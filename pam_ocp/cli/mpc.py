@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ..core.errors import InputError, require_finite, require_positive
 from ..core.quantities import known_keys, quantity, read_toml, table
 
 if TYPE_CHECKING:
@@ -57,7 +57,8 @@ keys come first:
   x = { stops = ["10 mm", "-10 mm"], dwell = "0.4 s", rest = 0.0, rest_from = "1.2 s" }
   stiffness = 2e4
 
-  [controller]                            # arguments of Mpc
+  [controller]                            # and arguments of its class
+  kind = "mpc"
   step = 0.005
   horizon = 40
   delay = 1
@@ -108,15 +109,12 @@ def add_mpc(commands: Any) -> None:
             help=f"{meaning}, in SI (may be repeated)",
         )
     mpc.add_argument("--against", metavar="SIDE", help="plant, fmu, or FILE.fmu (default: plant)")
-    mpc.add_argument("--estimator", choices=ESTIMATORS, help="default: kalman")
+    mpc.add_argument("--estimator", metavar="KIND", help="kind of estimator (default: kalman)")
     mpc.add_argument("--duration", type=float, metavar="S")
     mpc.add_argument("--seed", type=int, help="of the noise (default: 0)")
     mpc.add_argument("--out", type=Path, metavar="FILE", help="write the motion (.csv, .npz)")
     mpc.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
     mpc.set_defaults(run=_mpc)
-
-
-ESTIMATORS = ("kalman", "moving-horizon", "none")
 
 
 def _mpc(options: argparse.Namespace) -> int:
@@ -180,7 +178,9 @@ def _pairs(option: str, texts: list[str]) -> dict[str, float]:
 
 
 def _run(study: Mapping[str, Any]) -> ClosedLoop:
-    from ..control.mpc.mpc import Mpc
+    from ..control.controller import Tracking
+    from ..control.kinds import CONTROLLERS
+    from ..control.loop import closed_loop
     from ..control.references import source
 
     plant = _plant(study)
@@ -191,21 +191,30 @@ def _run(study: Mapping[str, Any]) -> ClosedLoop:
     rest = plant.equilibrium(start)
     begin = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs) if not v.disturbance}
     model = plant.with_values(begin)
-    settings = {"step": 0.005, "horizon": 40, "delay": 1, **study["controller"]}
-    settings.setdefault("track", {n: 1.0 if n == position else 0.05 for n in sources})
     controls = [v.name for v in model.inputs if not v.disturbance]
-    settings.setdefault("rate", dict.fromkeys(controls, 0.05))
-    controller: Mpc = _made("controller", Mpc, model, settings)
-    estimator = _estimator(model, position, {"step": settings["step"], **study["estimator"]})
+    usual = {
+        "step": 0.005,
+        "horizon": 40,
+        "delay": 1,
+        "track": {n: 1.0 if n == position else 0.05 for n in sources},
+        "rate": dict.fromkeys(controls, 0.05),
+    }
+    given = {"kind": "mpc", **study["controller"]}
+    kind = CONTROLLERS.name("controller.kind", given.pop("kind"))
+    settings = {n: v for n, v in usual.items() if n in CONTROLLERS.arguments(kind)} | given
+    controller = _made("controller", CONTROLLERS[kind], model, settings)
+    step = settings.get("step", usual["step"])
+    estimator = _estimator(model, position, {"step": step, **study["estimator"]})
     disturbances = {
         n: source(f"disturbances.{n}", v, model.variable(n).unit, before=0.0)
         for n, v in study["disturbances"].items()
     }
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
-        return controller.closed_loop(
+        return closed_loop(
+            controller,
             _real(study["against"], model, Path(folder)),
-            sources,
-            study["duration"],
+            sources if study["reference"] or isinstance(controller, Tracking) else {},
+            duration=study["duration"],
             estimator=estimator,
             disturbances=disturbances,
             noise=_values("noise", plant, study["noise"]) or None,
@@ -251,14 +260,12 @@ def _reference(plant: Plant, position: str, duration: float) -> dict[str, Any]:
 
 def _estimator(model: Plant, position: str, settings: dict[str, Any]) -> Estimator | None:
     """By default the position and the pressures are measured, and the mass is estimated."""
-    from ..control.estimators.extended_kalman import KalmanFilter
-    from ..control.estimators.moving_horizon import MovingHorizonEstimator
+    from ..control.kinds import ESTIMATORS
 
     kind = settings.pop("kind", "kalman")
-    if kind not in ESTIMATORS:
-        raise UnknownNameError("estimator.kind", kind, ESTIMATORS)
     if kind == "none":
         return None
+    chosen = ESTIMATORS.find("estimator.kind", kind, "none")
     for key in ("measured", "process", "uncertainty"):
         if key in settings:
             settings[key] = _values(f"estimator.{key}", model, settings[key])
@@ -273,7 +280,6 @@ def _estimator(model: Plant, position: str, settings: dict[str, Any]) -> Estimat
     mass = next((v for v in model.parameters if v.name == "mass"), None)
     if mass is not None and mass.start:
         settings.setdefault("unknown", {"mass": (0.25 * mass.start, 0.025 * mass.start)})
-    chosen = KalmanFilter if kind == "kalman" else MovingHorizonEstimator
     made: Estimator = _made("estimator", chosen, model, settings)
     return made
 
@@ -308,10 +314,11 @@ def _report(study: Mapping[str, Any], loop: ClosedLoop) -> str:
     window = min(float(study["window"]), float(study["duration"]))
     lines = [f"{_title(study)} against {study['against']}, {loop.trajectory.duration:g} s"]
     lines += [f"real side: {n} = {v}" for n, v in study["real"].items()]
-    lines.append(f"controller: {loop.statistics}")
-    lines.append(
-        f"predictions: within {loop.prediction_error:.1e} of nominal of a finer integration"
-    )
+    if loop.statistics is not None:
+        lines.append(f"controller: {loop.statistics}")
+        lines.append(
+            f"predictions: within {loop.prediction_error:.1e} of nominal of a finer integration"
+        )
     for name in loop.reference.names if loop.reference else ():
         variable = loop.trajectory.variable(name)
         error = variable.shown(loop.steady_error(name, window))

@@ -121,9 +121,9 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
 
     def _import_room(self) -> None:
         room = importlib.import_module(self.room)
-        for found in pkgutil.iter_modules(room.__path__):
+        for found in pkgutil.walk_packages(room.__path__, f"{self.room}."):
             if not found.name.endswith("_server"):  # scripts of other processes
-                importlib.import_module(f"{self.room}.{found.name}")
+                importlib.import_module(found.name)
         self._complete = True
 
     def __iter__(self) -> Iterator[str]:
@@ -163,9 +163,9 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         return str(getattr(made, "title", "")) or _first_sentence(inspect.getdoc(made) or "")
 
     def arguments(self, name: str) -> dict[str, Argument]:
-        """The arguments by name, with units and defaults."""
+        """The arguments by name, with units and defaults; none of what is not called."""
         made: Any = self[name]
-        return arguments(made, self._units[name])
+        return arguments(made, self._units[name]) if callable(made) else {}
 
 
 def arguments(
@@ -205,4 +205,4 @@ def _snake(name: str) -> str:
 
 def _first_sentence(text: str) -> str:
     paragraph = " ".join(text.partition("\n\n")[0].split())
-    return re.split(r"(?<=[.:;])\s+(?=[A-Z`])", paragraph)[0].rstrip(".;:")
+    return re.split(r"(?<=[.;])\s+(?=[A-Z`])", paragraph)[0].rstrip(".;:")

@@ -35,7 +35,6 @@ STEP_FRACTION = 0.05
 """Error allowed in one internal step of Co-Simulation, as a part of the tolerance: over many steps
 the sum stays below the tolerance, also in outputs that are steeper than the states."""
 
-_LAYERS = ("solver.c", "model.c", "instance.c", "values.c", "derivatives.c", "step.c", "state.c")
 _HEADERS = {
     "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -45,14 +44,10 @@ _OWN_HEADERS = ("solver.h", "model.h", "instance.h", "elementary.h")
 
 def hand_written(fmi: str) -> dict[str, str]:
     """The C files that are the same for every plant, by name, with the file to compile."""
-    layer = f"fmi{fmi[0]}.c"
-    names = (*_HEADERS[fmi], *_OWN_HEADERS, *_LAYERS, layer)
-    files = {name: c_text(name) for name in names}
-    includes = "".join(f'#include "{name}"\n' for name in ("instance.h", *_LAYERS, layer))
-    files[MAIN_SOURCE] = (
-        f"/* The whole FMU as one translation unit: compile this file. */\n{includes}"
-    )
-    return files
+    whole = c_text(f"fmu{fmi[0]}.c")
+    layers = re.findall(r'#include "(\w+\.c)"', whole)
+    files = {name: c_text(name) for name in (*_HEADERS[fmi], *_OWN_HEADERS, *layers)}
+    return {**files, MAIN_SOURCE: whole}
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from ..operating.along import StabilityPath
     from ..vibration.cycle import LimitCycle
     from ..vibration.cycle_branch import CycleBranch
-    from ..vibration.energy import Energy
+    from ..vibration.energy_balance import Energy
     from ..vibration.free import Backbone, FreeVibration
-    from ..vibration.hopf import HopfBorder
+    from ..vibration.hopf_bifurcation import HopfBorder
 
 __all__ = [
     "plot_backbone",

@@ -287,7 +287,7 @@ def evaluate(function: ca.Function, index: int, p: Any, kappa: Any, rest: list[A
     return array if array.ndim else float(array)
 
 
-LAWS: Registry[type[ForceLaw]] = Registry("force law", f"{__package__}.laws")
+LAWS: Registry[type[ForceLaw]] = Registry("law", f"{__package__}.laws")
 """Every law by its name."""
 
 

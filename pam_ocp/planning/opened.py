@@ -55,6 +55,8 @@ def guess_in_openings(
     guess = by_stops(inner, mesh, balanced=usual)
     if has_kinks(inner):
         outcome = narrowing(solver, program, guess, "cold")
+        if not outcome.ended:
+            outcome = narrowing(solver, program, guess, "adaptive")
     else:
         outcome = solver(program, guess, "cold", None)
         if not outcome.ended:

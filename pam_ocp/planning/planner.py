@@ -24,6 +24,7 @@ from ..core.errors import (
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from ..simulation.simulate import evaluated
+from .climb import Climb, ladder
 from .opened import guess_in_openings
 from .problem.formulation import formulate
 from .problem.problem import Budget, Condition, Problem
@@ -256,25 +257,51 @@ class Planner:
         program = self._with(values, changed)
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
-        found = self._searched(run, guess, starts, figures)
+        climb = Climb(self._backend)
+        found = self._found(run, guess, starts, figures, climb)
         outcome, build = found[0].outcome, self._build_seconds
         figures["iterations"] = outcome.iterations
         if not outcome.success:
             figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
             failed = _plan(found[0], figures, conflicts=run.conflicts)
-            raise PlanError(explanation(failed.plant.name, outcome, run.conflicts), failed)
+            words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
+            raise PlanError(words, failed)
+        base = found[0]
+        if program.problem.objective.economical and tolerance is not None:
+            found = [climb.settled(base, tolerance), *found[1:]]
+            figures["objective_change"] = climb.change
         refinement = self._refined(found, tolerance)
-        figures["iterations"] += refinement.iterations
+        figures["iterations"] += refinement.iterations + climb.iterations
         if refinement.warning:
             figures["warning"] = refinement.warning
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
-        meshes = tuple(refinement.meshes)
-        best, first = refinement.best, refinement.first
-        result = _plan(best.found, figures, best, meshes, first, tolerance)
+        meshes, best, first = refinement.meshes, refinement.best, refinement.first
+        if first is found[0] and first is not base:
+            first, meshes = base, [base.program.mesh, *meshes]
+        result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
             warnings.warn(message, PlanWarning, stacklevel=stacklevel)
         return result
+
+    def _found(
+        self,
+        run: Run,
+        guess: Plan | None,
+        starts: int | None,
+        figures: dict[str, Any],
+        climb: Climb,
+    ) -> list[Solved]:
+        """Solutions, the best first, of economical motions by way of coarser meshes."""
+        program = run.program
+        meshes = ladder(program.mesh) if program.problem.objective.economical else []
+        if meshes and guess is None:
+            found = climb.reached(
+                lambda first: self._searched(first, None, starts, figures), run, meshes
+            )
+            if found:
+                return found
+        return self._searched(run, guess, starts, figures)
 
     def _searched(
         self, run: Run, guess: Plan | None, starts: int | None, figures: dict[str, Any]
@@ -353,6 +380,7 @@ def _shape(problem: Problem) -> tuple[object, ...]:
         [[c.label for c in node] for node in problem.nodes],
         [[c.label for c in leg.path] for leg in problem.legs],
         [b.label for b in problem.budgets],
+        len(problem.auxiliaries),
         list(problem.design),
         len(problem.profiles),
         len(problem.aims),
@@ -378,6 +406,10 @@ def _renewed(program: Program, problem: Problem) -> tuple[Row, ...]:
         *zip(old.nodes, problem.nodes, strict=True),
         *((a.path, b.path) for a, b in zip(old.legs, problem.legs, strict=True)),
         (old.budgets, problem.budgets),
+        *(
+            (a.conditions, b.conditions)
+            for a, b in zip(old.auxiliaries, problem.auxiliaries, strict=True)
+        ),
     ]
     image: dict[int, Condition | Budget] = {
         id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)

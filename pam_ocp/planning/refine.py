@@ -116,8 +116,10 @@ class Refinement:
                 return
             mesh = current.found.program.mesh
             following = None
-            everywhere = [halved(mesh)] if i % EVERYWHERE == 0 else []
-            for finer in (*everywhere, *self._finer(current)):
+            meshes = [*self._finer(current), halved(mesh)]
+            if i % EVERYWHERE == 0:
+                meshes = [meshes[-1], *meshes[:-1]]
+            for finer in meshes:
                 if finer == mesh or len(finer.intervals) > len(mesh.intervals) + MORE_INTERVALS:
                     continue
                 following = self._solved(finer, current.found)

@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import pairwise
 from typing import TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -242,9 +243,9 @@ class _Check:
             found[f"closing of the cycle: {name}"] = _finite(abs(gap) / nominal[i])
         return found
 
-    def _integral(self, expressions: Sequence[object]) -> Array:
+    def _integral(self, expressions: Sequence[ca.SX]) -> Array:
         """Of expressions over the whole motion, by Simpson's rule on each gap."""
-        function = self.problem.function("integrands", expressions)  # type: ignore[arg-type]
+        function = self.problem.function("integrands", self.problem.explicit(expressions))
         t, x, u = self._gaps
         columns = (part.reshape(len(part), -1) for part in (x, u))
         values = np.asarray(function(*self._arguments(t.ravel(), *columns)), float)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -16,13 +16,19 @@ from .solvers.narrowing import has_kinks, narrowing, widened
 from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome, Start
 from .starts import Ends, tasks
-from .transcription.guess import by_stops, from_solution, wants_balance
+from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
+from .transcription.mesh import merged
 from .transcription.solution import unpack
-from .transcription.transcription import Program
+from .transcription.transcription import Program, transcribe
 
 __all__ = ["Run"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+COARSER = (4, 2)
+"""Intervals in one, where the mesh that was asked for led to nothing."""
+FROM_COARSER: tuple[Start, ...] = ("step", "cold", "adaptive")
+"""Ways from a solution on a coarser mesh."""
 
 
 class Run:
@@ -33,10 +39,11 @@ class Run:
 
     def __init__(self, program: Program, backend: Backend, solver: Solver | None = None) -> None:
         begin = time.perf_counter()
-        self.program, self.options = program, backend.ipopt_options
+        self.program, self.backend = program, backend
         self.solver = solver or backend.build(program)
         self.build_seconds = time.perf_counter() - begin
         self.conflicts: tuple[Conflict, ...] = ()
+        self.feasible = False
 
     def refined(self, coarse: Solved, again: bool = True) -> Solved:
         """From the solution on a coarser mesh; no other guess would be better.
@@ -82,16 +89,79 @@ class Run:
         return found if found.outcome.ended else self.after(found)
 
     def after(self, found: Solved) -> Solved:
-        """After a start that failed: another guess, then the elastic re-solve's; then failure."""
-        program, problem, mesh = self.program, self.program.problem, self.program.mesh
-        balanced = by_stops(problem, mesh, balanced=True)
-        again = self.from_guess(balanced, "adaptive")
+        """After a start that failed: coarser meshes, another guess, the elastic re-solve's; then
+        failure.
+        """
+        again = self._from_coarser()
+        if again is not None:
+            return again
+        problem, mesh = self.program.problem, self.program.mesh
+        again = self.from_guess(by_stops(problem, mesh, balanced=True), "adaptive")
         if again.outcome.ended:
             return again
-        self.conflicts, feasible = elastic(program, balanced, self.options)
-        if not self.conflicts:
+        feasible = self._diagnosed()
+        if feasible is not None:
             again = self.from_guess(feasible, "adaptive")
         return again if again.outcome.ended else found
+
+    def _from_coarser(self) -> Solved | None:
+        """From solutions on coarser meshes, which are found sooner (few unknowns, and numerical
+        damping); None when they lead to nothing.
+        """
+        problem, mesh = self.program.problem, self.program.mesh
+        coarse: Solved | None = None
+        for each in (merged(mesh, count) for count in COARSER):
+            if len(each.intervals) < len(mesh.intervals):
+                run = Run(transcribe(problem, each), self.backend.near())
+                coarse = run._wide(coarse) or coarse
+                if coarse is not None and coarse.outcome.stopped:
+                    return coarse
+        if coarse is None:
+            return None
+        guess = from_solution(problem, mesh, coarse.solution)
+        for start in FROM_COARSER:
+            found = self.from_guess(guess, start)
+            if found.outcome.ended:
+                return found
+        return None
+
+    def _wide(self, coarse: Solved | None) -> Solved | None:
+        """The first solution with the widest roundings, from a coarser mesh and from points of
+        rest; None when there is none.
+        """
+        problem, mesh = self.program.problem, self.program.mesh
+        program = widened(self.program) if has_kinks(problem) else self.program
+
+        def guesses() -> Iterator[tuple[Array, Start]]:
+            if coarse is not None:
+                yield from_solution(problem, mesh, coarse.solution), "near"
+            along = by_rests(problem, mesh)
+            yield along, "cold"
+            yield along, "adaptive"
+            yield by_stops(problem, mesh, balanced=False), "adaptive"
+
+        for guess, start in guesses():
+            outcome = self.solver(program, guess, start)
+            if outcome.ended:
+                return self._solution(outcome)
+        return None
+
+    def _diagnosed(self) -> Array | None:
+        """A point that meets all constraints; None where none was found. Conflicts are those that
+        two elastic re-solves ended at, from different guesses.
+        """
+        problem, mesh, options = self.program.problem, self.program.mesh, self.backend.ipopt_options
+        ends = []
+        for balanced in (True, False):
+            guess = by_stops(problem, mesh, balanced=balanced)
+            ends.append(elastic(self.program, guess, options))
+            if ends[-1].feasible:
+                self.feasible = True
+                return ends[-1].w
+            if not ends[-1].converged:
+                return None
+        self.conflicts = ends[0].conflicts
+        return None
 
     def from_another(self, previous: Solved) -> Solved:
         """From a solution of this program (warm) or of another."""

@@ -221,7 +221,7 @@ def _require_grid(path: str, problem: Problem, mesh: Mesh, solution: Solution) -
 
 def _require_solution(path: str, program: Program, solution: Solution, objective: float) -> float:
     """The objective of a motion that meets the problem's constraints and has this objective."""
-    w = pack(program.problem, program.mesh, solution)
+    w = program.completed(pack(program.problem, program.mesh, solution))
     nlp = program.nlp
     values = ca.Function("values", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
     f, g = (np.asarray(v, float).ravel() for v in values(w, program.parameters()))

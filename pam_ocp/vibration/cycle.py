@@ -18,7 +18,7 @@ from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulate import evaluated, simulate
-from .hopf import HopfPoint
+from .hopf_bifurcation import HopfPoint
 from .passages import smooth
 
 if TYPE_CHECKING:

@@ -13,6 +13,8 @@ from pam_ocp.fitting.static.likelihood_profile import profile_squares
 from pam_ocp.muscles.law import SixParameterLaw
 
 DATA_SETS = 500
+SOME = 100
+"""Of them, where each is looked at one by one."""
 NOISE = 5.0
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.56665, -8.7013, 267.672, -309.603))
 # |kappa| levels and pressures of the DMSP-20-300's table, where the noise turns no cell slack
@@ -96,15 +98,15 @@ def test_95_percent_intervals_cover_the_truth_in_93_to_97_percent(
     """
     everything = [fit.intervals() for fit in replicas]
     for name, truth in TRUTH.values.items():
-        covered = np.mean([low <= truth <= high for low, high in (e[name] for e in everything)])
-        assert 0.93 <= covered <= 0.97, name
+        within = [low <= truth <= high for low, high in (e[name] for e in everything)]
+        assert 0.93 <= np.mean(within) <= 0.97, name
         # the same without ends: inside where holding the truth costs no more than F(1, dof) allows
         inside = [
             profile_squares(fit, name, truth) - fit.squares
             <= fisher.ppf(0.95, 1, fit.dof) * fit.squares / fit.dof
-            for fit in replicas
+            for fit in replicas[:SOME]
         ]
-        assert covered == pytest.approx(np.mean(inside), abs=1 / DATA_SETS)
+        assert sum(a != b for a, b in zip(within, inside, strict=False)) <= 1
 
 
 @pytest.mark.slow

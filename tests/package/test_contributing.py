@@ -4,10 +4,13 @@ What a contributor would write as a new file stands between two registrations; n
 package is touched, and the registries are as before afterwards.
 """
 
+import importlib
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import casadi as ca
@@ -17,16 +20,22 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 import pam_ocp as pam
+from pam_ocp.cli.main import main
+from pam_ocp.control.kinds import CONTROLLERS, ESTIMATORS
+from pam_ocp.control.mpc.sqp import QP_SOLVERS, conic
 from pam_ocp.core.registry import Registry
 from pam_ocp.figures.film import _film
+from pam_ocp.muscles.gas import VOLUMES
 from pam_ocp.muscles.law import LAWS, coefficient, register
 from pam_ocp.planning.problem.costs import COSTS, running_cost
 from pam_ocp.planning.problem.problem_file import load_problem
 from pam_ocp.planning.solvers.solver import SOLVERS, Outcome
-from pam_ocp.plants.kinds import FEEDS, LOADS, LOSSES, PLANTS
+from pam_ocp.plants.kinds import DAMPINGS, FEEDS, LOADS, LOSSES, PLANTS
 from pam_ocp.plants.plant_file import plant_of
 from pam_ocp.plants.sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
 MUSCLE = "DMSP-20-200N"
 QUICK = "[method]\nintervals = 8\ndegree = 5\n"
 
@@ -241,6 +250,60 @@ def test_a_loss_is_one_class(tmp_path):
         is_taken_by_every_verb(plant, tmp_path, x=0.01)
 
 
+# ---- a damping, a volume ---------------------------------------------------------------------
+def test_a_damping_is_one_class():
+    @DAMPINGS.register(units={"time": "s"})
+    @dataclass(frozen=True)
+    class Rayleigh:
+        """c = time k: damping in proportion to stiffness."""
+
+        time: float = 1e-3
+
+        def coefficient(self, plant, mass, stiffness, unit="N.s/m"):
+            time = plant.parameter("damping_time", self.time, unit="s", min=0.0, nominal=1e-3)
+            return time * stiffness
+
+    with known(DAMPINGS, "Rayleigh"):
+        plant = plant_of(
+            {
+                "arrangement": "HangingLoad",
+                "muscle": MUSCLE,
+                "mass": 10.0,
+                "damping": {"kind": "Rayleigh", "time": "2 ms"},
+            }
+        )
+        at = {"x": 0.02, "muscle.pressure": 3e5}
+        slope = rates(plant, at | {"v": 0.1}, {})["v"] - rates(plant, at, {})["v"]
+        k = pam.muscle(MUSCLE).stiffness(3e5, 0.02 / pam.muscle(MUSCLE).rest_length)
+        assert slope == pytest.approx(-2e-3 * k * 0.1 / 10.0)
+
+
+def test_a_volume_is_one_class():
+    @VOLUMES.register(units={"rest": "m3", "growth": "m3"})
+    @dataclass(frozen=True)
+    class StraightVolume:
+        """V = rest + growth kappa."""
+
+        rest: float
+        growth: float
+
+        def filled(self, muscle, kappa, declare):
+            return declare("v_rest", self.rest, unit="m3") + self.growth * kappa
+
+    with known(VOLUMES, "StraightVolume"):
+        volume = {"kind": "StraightVolume", "rest": "0.1 l", "growth": "0.2 l"}
+        plant = plant_of(
+            {
+                "arrangement": "HangingLoad",
+                "muscle": MUSCLE,
+                "feed": {"kind": "OnOffValves", "gas": {"volume": volume, "dead_volume": "0 l"}},
+            }
+        )
+        motion = pam.simulate(plant, duration=0.01)
+        expected = 1e-4 + 2e-4 * motion["muscle.contraction"]
+        assert motion["muscle.volume"] == pytest.approx(expected, rel=1e-9)
+
+
 # ---- a running cost --------------------------------------------------------------------------
 def test_a_running_cost_is_one_function(tmp_path):
     @running_cost("tension", unit="N2.s", nominal=1e4, slower_is_less=True)
@@ -416,3 +479,112 @@ def test_a_solver_is_one_class(tmp_path):
             pam.plan(plant, tolerance=None, compiled=True, **arguments)
     with pytest.raises(pam.InputError, match="solver = 'slsqp': choose one of fatrop, ipopt"):
         pam.plan(plant, **arguments)
+
+
+# ---- a controller, an estimator, a QP solver -------------------------------------------------
+def test_a_controller_is_one_class(tmp_path, capsys):
+    @CONTROLLERS.register("relay")
+    class Relay:
+        """More pressure below the place, less above it."""
+
+        def __init__(self, plant, place: float, low: float = 1e5, high: float = 3e5) -> None:
+            self.name, self.place, self.ends = plant.inputs[0].name, place, (high, low)
+
+        def reset(self):
+            """Nothing to forget."""
+
+        def __call__(self, t, measured):
+            return {self.name: self.ends[measured["x"] > self.place]}
+
+    file, motion = tmp_path / "loop.toml", tmp_path / "motion.csv"
+    file.write_text(
+        f"plant = 'hanging_load'\nmuscle = '{MUSCLE}'\nset = {{ mass = '10 kg' }}\n"
+        "duration = '1 s'\nstart = { x = '20 mm' }\n"
+        "[controller]\nkind = 'relay'\nplace = 0.03\nhigh = 4e5\n[estimator]\nkind = 'none'\n"
+    )
+    with known(CONTROLLERS, "relay"):
+        assert main(["mpc", str(file), "--out", str(motion)]) == 0
+        run = pam.Trajectory.load(motion)
+        late = run["x"][run.t > 0.5]
+        assert late.min() < 0.03 < late.max()
+        assert set(np.unique(run["muscle.command"])) == {1e5, 4e5}
+    capsys.readouterr()
+    assert main(["mpc", str(file)]) == 2
+    assert "unknown controller.kind 'relay': known: mpc" in capsys.readouterr().err
+
+
+def test_an_estimator_is_one_class(capsys):
+    @ESTIMATORS.register("gated")
+    class Gated(pam.KalmanFilter):
+        """A Kalman filter that does not believe what is far from what it expects."""
+
+        seen: ClassVar[list[int]] = []
+
+        def correct(self, measurement, inputs=None):
+            expected = self.estimate.state
+            near = {
+                n: v
+                for n, v in measurement.items()
+                if abs(v - expected.get(n, v)) < self.plant.variable(n).nominal
+            }
+            self.seen.append(len(near))
+            return super().correct(near, inputs)
+
+    with known(ESTIMATORS, "gated"):
+        assert main(["mpc", "--estimator", "gated", "--duration", "0.05"]) == 0
+        assert len(Gated.seen) >= 10
+        assert "steady error of x" in capsys.readouterr().out
+    assert main(["mpc", "--estimator", "gated", "--duration", "0.05"]) == 2
+    assert "unknown estimator.kind 'gated': known: kalman" in capsys.readouterr().err
+
+
+def test_a_qp_solver_is_one_function():
+    @QP_SOLVERS.register("qrqp")
+    def qrqp(program):
+        """CasADi's own active-set method."""
+        return conic(program, "qrqp", {"print_iter": False, "print_header": False})
+
+    with known(QP_SOLVERS, "qrqp"):
+        plant = pam.AntagonisticSlide(MUSCLE)
+        rest = plant.equilibrium(x=0.0, stiffness=2e4)
+        state = {v.name: rest[v.name] for v in plant.states}
+        asked = {
+            "horizon": 8,
+            "step": 5e-3,
+            "track": {"x": 1.0, "stiffness": 0.05},
+            "rate": {v.name: 0.05 for v in plant.inputs},
+        }
+        given = [
+            pam.Mpc(plant, solver=solver, **asked).control(state, {"x": 0.004, "stiffness": 2e4})
+            for solver in ("qrqp", "piqp")
+        ]
+        for name, value in given[0].items():
+            assert value == pytest.approx(given[1][name], abs=50.0)  # 5e-4 of nominal
+    with pytest.raises(pam.InputError, match="'qrqp': choose 'hpipm', 'piqp' or 'ipopt'"):
+        pam.Mpc(plant, solver="qrqp", **asked)
+
+
+# ---- what CONTRIBUTING.md shows ---------------------------------------------------------------
+def test_the_load_and_the_problem_of_the_page_work(tmp_path, monkeypatch):
+    code, words = (re.search(rf"```{kind}\n(.*?)```", PAGE, re.S)[1] for kind in ("python", "toml"))
+    for name in ("..core.errors", ".kinds", ".loads"):
+        full = f"pam_ocp.plants{name}" if name.count(".") == 1 else f"pam_ocp{name[1:]}"
+        code = code.replace(f"from {name} import", f"from {full} import")
+    (tmp_path / "magnet.py").write_text(code, "utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    importlib.import_module("magnet")
+    with known(LOADS, "Magnet"):
+        plant, _ = problem(tmp_path, "stops = [{ x = 0.0 }, { x = '1 mm' }]", words)
+        assert plant.variable("magnet.pull").start == 30.0
+
+
+def test_the_page_names_every_registry_and_every_file_that_holds_one():
+    holders = {"plants/kinds.py", "muscles/law.py", "muscles/gas.py", "control/kinds.py"}
+    holders |= {"planning/problem/costs.py", "planning/solvers/solver.py", "control/mpc/sqp.py"}
+    found = {
+        path.relative_to(ROOT / "pam_ocp").as_posix()
+        for path in (ROOT / "pam_ocp").rglob("*.py")
+        if re.search(r"^[A-Z_]+: Registry\[", path.read_text("utf-8"), re.M)
+    }
+    assert found == holders
+    assert all(f"`{name}`" in PAGE for name in holders)

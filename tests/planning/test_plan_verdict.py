@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 import signal
 import threading
 import time
@@ -21,7 +22,7 @@ from pam_ocp import Collocation, InputError, PlanWarning
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.planning.problem.formulation import formulate
 from pam_ocp.planning.problem.statement import Statement
-from pam_ocp.planning.replay import replayed
+from pam_ocp.planning.replay import interval_errors, replayed
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh
 from pam_ocp.planning.transcription.solution import Solution
 from pam_ocp.simulation.simulate import evaluated
@@ -159,6 +160,44 @@ def test_the_objective_of_a_replay_is_that_of_the_motion():
     assert by_hand(cart(), statement).objective == pytest.approx(
         2 + 8 + 0.25 * 64 / 0.5 + 3, rel=1e-9
     )
+
+
+def along(plant, wish, t, states, coefficients, form, degree):
+    """The replay of a motion on one interval, its input a polynomial in t."""
+    problem = formulate(plant, wish)
+    mesh = Mesh((Interval(0, 1.0, degree),), form)
+    inputs = PiecewisePolynomial(t[[0, -1]], np.array(coefficients).reshape(1, -1, 1))
+    solution = Solution(t, states, inputs, t[-1:], np.zeros(0), np.ones(problem.m.numel()))
+    samples = evaluated(plant, t, states, inputs)
+    return replayed(problem, plant, mesh, samples, solution), mesh, solution
+
+
+def test_the_rate_of_a_polynomial_input_is_the_integral_of_its_squared_slope():
+    """u = 6 t^2 + 2 t^3 over 0.8 s: u' = 12 t + 6 t^2; x = t^4/2 + t^5/10, v = 2 t^3 + t^4/2."""
+    form, end = Form("radau", "polynomial"), 0.8
+    t = np.concatenate([[0.0], end * np.asarray(form.state_taus(4))])
+    states = np.column_stack([t**4 / 2 + t**5 / 10, 2 * t**3 + t**4 / 2])
+    stops = [{"x": 0.0}, {"x": states[-1, 0]}]
+    wish = Statement(stops, rest=False, duration=end, minimise={"rate": 0.5})
+    replay, *_ = along(cart(), wish, t, states, [0, 0, 6.0, 2.0], form, 4)
+    expected = 144 * end**3 / 3 + 144 * end**4 / 4 + 36 * end**5 / 5
+    assert replay.error < 1e-9
+    assert replay.objective == pytest.approx(0.5 * expected, rel=1e-9)
+
+
+def test_a_motion_that_runs_away_is_no_plan():
+    """x' = x^2 from 1 ends at 1 s in infinity; a line was planned, for 2 s."""
+    plant = pam.Plant("runaway")
+    x, u = plant.state("x"), plant.input("u")
+    plant.der(x, x**2 + u)
+    t = np.array([0.0, 2.0])
+    wish = Statement([{"x": 1.0}, {"x": 3.0}], rest=False)
+    form = Form("radau", "constant")
+    replay, mesh, solution = along(plant, wish, t, np.array([[1.0], [3.0]]), [0.0], form, 1)
+    assert (replay.error, replay.violation) == (np.inf, np.inf)
+    assert re.match(r"the replay stops at t = (0\.9|1)", replay.state)
+    assert replay.constraint == "everything behind"
+    assert interval_errors(plant, mesh, solution) == [np.inf]
 
 
 # ---- the verdict of a plan

@@ -180,7 +180,8 @@ def test_rows_of_inputs_keep_each_plants_order():
     p = np.array([5.0, 0.6])
     assert one.rows(sent, p)[0] == pytest.approx([1.0, 0.3, 0.2])
     assert one.sent(np.array([[1.0, 0.3, 0.2]]), p) == pytest.approx(sent[:1])
-    assert two.rows(np.array([[0.8, 0.1]])) == pytest.approx(np.array([[0.7]]))
+    duties = np.array([[0.8, 0.1], [0.2, 0.5], [0.3, 0.3]])
+    assert two.rows(duties) == pytest.approx(np.array([[0.7], [-0.3], [0.0]]))
     assert two.sent(np.array([[0.7], [-0.2]])) == pytest.approx(np.array([[0.7, 0], [0, 0.2]]))
 
 

@@ -252,3 +252,39 @@ def test_a_muscle_measured_away_from_rest_length_starts_where_it_was_measured():
     ):
         name = "muscle.shortening" if plant.name == "series_load" else "x"
         assert plant.variable(name).start == pytest.approx(0.008)
+
+
+def test_a_joint_has_no_link_unless_one_is_given():
+    """Equal pressures balance at the middle; aside, both muscles pull back and nothing else."""
+    muscle = pam.muscle("DMSP-20-400N")
+    joint = pam.AntagonisticJoint(muscle, 0.05, 0.04, 0.125, damping=0.0, feed=pam.IdealPressure())
+    values, angle = {v.name: 0.0 for v in joint.states}, 0.2
+    values["theta"] = angle
+    x, u = list(values.values()), [4e5, 4e5]
+    acceleration = np.asarray(joint.function(x, u, joint.vector("parameter"))[0]).ravel()[1]
+    one, two = (muscle.law.tension(4e5, 0.125 + s * 0.04 * angle / 0.4) for s in (1, -1))
+    assert acceleration == pytest.approx(0.04 * (one - two) / 0.05, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("build", "own"),
+    [
+        (pam.HangingLoad, {"mass", "damping_ratio"}),
+        (pam.SpringOverMuscle, {"mass", "damping_ratio"}),
+        (pam.SeriesLoad, {"mass", "damping"}),
+        (pam.AntagonisticSlide, {"mass", "damping"}),
+        (
+            lambda m, loads: pam.AntagonisticJoint(m, link_mass=1.0, link_length=0.2, loads=loads),
+            {"inertia", "link_mass", "damping"},
+        ),
+    ],
+)
+def test_what_is_moved_may_change_during_a_simulation_and_the_muscle_may_not(build, own):
+    loads = [pam.Spring(1.0), pam.Damper(1.0), pam.DryFriction(1.0), pam.Inertia(1.0)]
+    plant = build(pam.muscle("DMSP-20-400N"), loads=[*loads, pam.Wall(0.05)])
+    of_loads = "spring.stiffness spring.rest damper.coefficient friction.coulomb load_inertia"
+    assert {v.name for v in plant.parameters if v.tunable} == {
+        *own,
+        *of_loads.split(),
+        "wall.position",
+    }

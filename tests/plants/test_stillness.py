@@ -142,3 +142,15 @@ def test_a_filter_of_a_filter_settles_and_a_filter_of_a_pressure_does_not():
     assert settled_names(plant) == ("one", "two", "creep")
     assert totals(plant) == ()  # each of them follows itself
     assert flat(plant.function([0, 0, 0, 0, 1, 0, 0], [0], [])[0])[4] == -1.0
+
+
+def test_what_a_disturbance_keeps_moving_does_not_rest():
+    plant = pam.Plant("raft")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    y, w = plant.state("y", unit="m"), plant.state("w", unit="m/s")
+    u, stream = plant.input("u"), plant.input("stream", start=1.0, disturbance=True)
+    plant.der(x, stream + 0.1 * ca.sin(v))
+    plant.der(v, u)
+    plant.der(y, stream - 1 + w)
+    plant.der(w, u)
+    assert plant.resting() == (Position("y", ("w",)),)

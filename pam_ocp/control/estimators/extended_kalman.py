@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...plants.plant import Plant, Values, require_plant
 from ..controller import Estimate
+from ..kinds import ESTIMATORS
 from ..step import Givens, Step, StepMethod
 from .correction import corrected
 
@@ -186,6 +187,7 @@ class Estimator(ABC):
         return np.array([values[v.name] for v in self.given.controls])
 
 
+@ESTIMATORS.register("kalman")
 class KalmanFilter(Estimator):
     """Extended Kalman filter of a plant.
 

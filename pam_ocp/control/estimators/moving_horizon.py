@@ -21,6 +21,7 @@ from ...core.errors import InputError, require_count, require_finite, require_po
 from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
 from ..controller import Estimate
+from ..kinds import ESTIMATORS
 from .correction import corrected
 from .extended_kalman import Estimator
 
@@ -32,6 +33,7 @@ TOLERANCE = 1e-9
 """Change of the window's trajectory, in units of nominal, that ends the Gauss-Newton steps."""
 
 
+@ESTIMATORS.register("moving-horizon")
 class MovingHorizonEstimator(Estimator):
     """Moving-horizon estimation of a plant's states and unknowns.
 

@@ -29,11 +29,12 @@ from ...planning.solvers.narrowing import rounded
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulate import evaluated
+from ..kinds import CONTROLLERS
 from ..mpc_statistics import MpcStatistics, MpcStep
 from ..references import Source
 from ..step import Givens, Step, StepMethod
 from .shooting import Limit, Penalty, Shooting
-from .sqp import Ipopt, Outcome, Sqp
+from .sqp import Ipopt, Outcome, QpSolver, Sqp
 
 if TYPE_CHECKING:
     from ...courtesy import ClosedLoop
@@ -53,6 +54,7 @@ FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
 
+@CONTROLLERS.register("mpc")
 class Mpc:
     """Receding-horizon control: at each step, the best inputs over a horizon; the first is applied.
 
@@ -116,7 +118,7 @@ class Mpc:
         delay: int = 0,
         method: StepMethod = "rk4",
         substeps: int = 2,
-        solver: Literal["hpipm", "piqp", "ipopt"] = "hpipm",
+        solver: QpSolver | Literal["ipopt"] = "hpipm",
         tolerance: float = 1e-3,
     ) -> None:
         counts = [("horizon", horizon, 1), ("iterations", iterations, 1)]

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError
+from ...core.registry import Registry
 from ...planning.solvers.interrupt import Watch
 from .shooting import UNBOUNDED, Linearisation, Shooting
 from .stage_qp import StageQp, available
 
-__all__ = ["Ipopt", "Outcome", "QpSolver", "Sqp"]
+__all__ = ["QP_SOLVERS", "Ipopt", "Outcome", "QpSolver", "Sqp"]
 
 Array: TypeAlias = NDArray[np.float64]
-QpSolver: TypeAlias = Literal["hpipm", "piqp"]
+QpSolver: TypeAlias = 'Literal["hpipm", "piqp"] | str'
+"""Of those in ``QP_SOLVERS``; these two come with the library."""
 
 HPIPM: dict[str, Any] = {"mode": "speed_abs", "iter_max": 60, "res_m_max": 1e-6}
 """For CasADi's interface, used where StageQp is not available: its barriers at the open ends of
@@ -50,6 +53,36 @@ class Outcome:
     """Iterations of the interior-point method in all quadratic programs, where known."""
 
 
+QP_SOLVERS: Registry[Callable[[Shooting], ca.Function]] = Registry("QP solver", __package__)
+"""What solves the quadratic programs: a Function (h, gradient, a, lba, uba, lbx, ubx) -> x, ..."""
+
+
+@QP_SOLVERS.register("piqp")
+def piqp(program: Shooting) -> ca.Function:
+    """PIQP, a proximal interior-point method, through CasADi."""
+    return conic(program, "piqp")
+
+
+@QP_SOLVERS.register("hpipm")
+def hpipm(program: Shooting) -> ca.Function:
+    """HPIPM, stage by stage: called directly where its library is there, else through CasADi."""
+    return conic(program, "hpipm", {**program.dimensions, "hpipm": HPIPM})
+
+
+def conic(program: Shooting, plugin: str, options: dict[str, Any] | None = None) -> ca.Function:
+    """A QP solver of CasADi. Wrapped: a bare one overwrites the pointers that a buffer keeps."""
+    p = program
+    chosen: dict[str, Any] = {"error_on_fail": False, "print_time": False, **(options or {})}
+    solver = ca.conic("qp", plugin, {"h": p.h_sparsity, "a": p.a_sparsity}, chosen)
+    rows = len(p.a_low)
+    h, a = ca.MX.sym("h", p.h_sparsity), ca.MX.sym("a", p.a_sparsity)
+    g, lba, uba, lbx, ubx = (ca.MX.sym("v", n) for n in (p.size, rows, rows, p.size, p.size))
+    out = solver(h=h, g=g, a=a, lba=lba, uba=uba, lbx=lbx, ubx=ubx)
+    # HPIPM's interface writes its multipliers even where nobody asks for them
+    results = [out["x"], out["lam_a"], out["lam_x"]]
+    return ca.Function("step", [h, g, a, lba, uba, lbx, ubx], results)
+
+
 class Sqp:
     """Full Gauss-Newton steps from where ``point`` stands, a QP each, until they are small.
 
@@ -58,8 +91,9 @@ class Sqp:
     """
 
     def __init__(self, program: Shooting, solver: QpSolver, tolerance: float) -> None:
-        if solver not in get_args(QpSolver):
-            raise InputError(f"solver = {solver!r}: choose 'hpipm', 'piqp' or 'ipopt'")
+        if solver not in QP_SOLVERS:
+            names = ", ".join(repr(name) for name in QP_SOLVERS)
+            raise InputError(f"solver = {solver!r}: choose {names} or 'ipopt'")
         self.program, self.tolerance = program, tolerance
         self.point = Linearisation(program)
         self.direction = np.zeros(program.size)
@@ -68,28 +102,13 @@ class Sqp:
         if solver == "hpipm" and available():
             self._stages = self._call = StageQp(self.point, self.direction)
             return
-        self._buffer, self._call = self._quadratic(solver).buffer()
+        self._buffer, self._call = QP_SOLVERS[solver](program).buffer()
         point = self.point
         for i, argument in enumerate(
             (point.h, point.gradient, point.a, point.a_low, point.a_high, point.w_low, point.w_high)
         ):
             self._buffer.set_arg(i, memoryview(argument))  # type: ignore
         self._buffer.set_res(0, memoryview(self.direction))  # type: ignore
-
-    def _quadratic(self, solver: QpSolver) -> ca.Function:
-        """The QP solver. Wrapped: a bare one overwrites the pointers that a buffer keeps."""
-        p = self.program
-        options: dict[str, Any] = {"error_on_fail": False, "print_time": False}
-        if solver == "hpipm":
-            options |= {**p.dimensions, "hpipm": HPIPM}
-        conic = ca.conic("qp", solver, {"h": p.h_sparsity, "a": p.a_sparsity}, options)
-        rows = len(p.a_low)
-        h, a = ca.MX.sym("h", p.h_sparsity), ca.MX.sym("a", p.a_sparsity)
-        g, lba, uba, lbx, ubx = (ca.MX.sym("v", n) for n in (p.size, rows, rows, p.size, p.size))
-        out = conic(h=h, g=g, a=a, lba=lba, uba=uba, lbx=lbx, ubx=ubx)
-        # HPIPM's interface writes its multipliers even where nobody asks for them
-        results = [out["x"], out["lam_a"], out["lam_x"]]
-        return ca.Function("step", [h, g, a, lba, uba, lbx, ubx], results)
 
     def solve(self, iterations: int, work: float = np.inf) -> Outcome:
         """At most so many steps from ``point.unknowns``, which is left at the solution.

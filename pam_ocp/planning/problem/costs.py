@@ -36,6 +36,7 @@ class RunningCost:
         beside other terms.
     from_supply : it counts air of the supply, so that pressures at the first stop are no gift.
     slower_is_less : a slower motion always takes less, so the term alone wants a fixed duration.
+    economical : its optimum is flat and depends on the mesh: meshes grow until it settles.
     """
 
     integrand: Integrand
@@ -43,6 +44,7 @@ class RunningCost:
     title: str
     from_supply: bool = False
     slower_is_less: bool = False
+    economical: bool = False
 
     def expression(self, plant: Plant, symbols: Symbols) -> ca.SX:
         """The integrand for this plant; InputError where it is no scalar."""
@@ -60,16 +62,17 @@ def running_cost(
     nominal: float = 1.0,
     from_supply: bool = False,
     slower_is_less: bool = False,
+    economical: bool = False,
 ) -> Callable[[Integrand], Integrand]:
     """Decorator that registers a function (plant, symbols) -> integrand [SI] as a running cost.
 
-    unit, nominal : of the integral. from_supply, slower_is_less : see :class:`RunningCost`.
+    unit, nominal : of the integral. The others: see :class:`RunningCost`.
     """
 
     def entered(integrand: Integrand) -> Integrand:
         title = " ".join((integrand.__doc__ or "").partition("\n\n")[0].split()).rstrip(".")
         total = Variable(name, "output", unit=unit, nominal=nominal)
-        cost = RunningCost(integrand, total, title, from_supply, slower_is_less)
+        cost = RunningCost(integrand, total, title, from_supply, slower_is_less, economical)
         COSTS.register(name, home=integrand)(cost)
         return integrand
 

@@ -53,8 +53,12 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
     _require_an_end(statement, legs)
     goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
     budgets = [
-        budget(plant, term, value, symbols) for term, value in (statement.budgets or {}).items()
+        each
+        for term, value in (statement.budgets or {}).items()
+        for each in budget(plant, term, value, symbols)
     ]
+    spent = ca.vertcat(goal.integrand, *(b.integrand for b in budgets))
+    used = [a for a in symbols.auxiliaries.values() if ca.depends_on(spent, a.symbol)]
     r, q, m = (ca.vertcat(*s) if s else ca.SX(0, 1) for s in (symbols.r, symbols.q, symbols.m))
     problem = Problem(
         plant,
@@ -70,7 +74,7 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
         r,
         q,
         m,
-        dict(symbols.widths),
+        tuple(used),
     )
     return with_given_pressures(problem, statement, stops[0], holding.positions)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 
@@ -21,12 +21,8 @@ __all__ = ["FORMS", "Symbols", "budget", "objective"]
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
 
-WIDEST_POWER, POWER_WIDTH = 10.0, 1e-5
-"""Half width [W] of the smooth max(power, 0) where planning begins, and where it ends.
-
-Work put back into a muscle is not counted. The rounding adds at most half its width per muscle:
-less than 5 uJ per second.
-"""
+POWER = 10.0
+"""A typical power of a muscle [W]."""
 
 
 @running_cost("time", unit="s")
@@ -41,13 +37,13 @@ def _effort(plant: Plant, symbols: Symbols) -> ca.SX:
     return ca.sumsqr(plant.u / plant.vector("input", attribute="nominal"))
 
 
-@running_cost("air", unit="kg", nominal=1e-3, from_supply=True)
+@running_cost("air", unit="kg", nominal=1e-3, from_supply=True, economical=True)
 def _air(plant: Plant, symbols: Symbols) -> ca.SX:
     """Air drawn from the supply, of muscles fed by valves."""
     return _total(plant, "supply_flow", "air")
 
 
-@running_cost("exergy", unit="J", nominal=10.0, from_supply=True)
+@running_cost("exergy", unit="J", nominal=10.0, from_supply=True, economical=True)
 def _exergy(plant: Plant, symbols: Symbols) -> ca.SX:
     """Work that the air drawn from the supply could do."""
     return _total(plant, "exergy_flow", "exergy")
@@ -65,24 +61,27 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
     return ca.sum1(ca.vertcat(*(plant.expression(name) for name in found)))
 
 
-@running_cost("work", unit="J")
+@running_cost("work", unit="J", economical=True)
 def _work(plant: Plant, symbols: Symbols) -> ca.SX:
     """Mechanical work out of the muscles, each counted where its power is positive."""
-    width = symbols.width(WIDEST_POWER, POWER_WIDTH)
     outputs = {v.name for v in plant.outputs}
-    names = [n.removesuffix(".power") for n in outputs if n.endswith(".power")]
-    muscles = [n for n in sorted(names) if {f"{n}.force", f"{n}.contraction"} <= outputs]
+    names = [v.name.removesuffix(".power") for v in plant.outputs if v.name.endswith(".power")]
+    muscles = [n for n in names if {f"{n}.force", f"{n}.contraction"} <= outputs]
     if not muscles:
         raise InputError(f"'work': plant {plant.name!r} has no muscle with force and contraction")
     total = ca.SX(0)
     for name in muscles:
         power = plant.expression(f"{name}.power")
-        total += (power + ca.sqrt(power**2 + width**2)) / 2  # a slope and a curvature everywhere
+        variable = Variable(f"{name}.power", "output", unit="W", nominal=POWER)
+        total += symbols.positive(variable, power)
     return total
 
 
-def _running(plant: Plant, symbols: Symbols, term: str) -> tuple[ca.SX, Variable]:
+def _running(
+    plant: Plant, symbols: Symbols, term: str, wanted: Literal["small", "large"] = "small"
+) -> tuple[ca.SX, Variable]:
     """(integrand in SI, variable that names the unit of its integral) of a running term."""
+    symbols.wanted = wanted
     if term in COSTS:
         return COSTS[term].expression(plant, symbols), COSTS[term].total
     form = _FORM.match(term)
@@ -134,6 +133,7 @@ def objective(
         running + (0 if integrand is None else integrand),
         last + (0 if final is None else final),
         tuple(weight for weight, _ in symbols.peaks),
+        any(weights.get(name, 0.0) for name in COSTS if COSTS[name].economical),
     )
 
 
@@ -149,11 +149,14 @@ def _tracking(plant: Plant, symbols: Symbols, track: Mapping[str, Any]) -> ca.SX
     return total
 
 
-def budget(plant: Plant, term: str, value: Any, symbols: Symbols | None = None) -> Budget:
+def budget(
+    plant: Plant, term: str, value: Any, symbols: Symbols | None = None
+) -> tuple[Budget, ...]:
     """Bounds of the integral of a running term, in its own unit; "time" is that of the whole
-    motion.
+    motion. Two where the least and the most are not stated alike.
     """
-    integrand, variable = _running(plant, symbols or Symbols(), term)
+    symbols = symbols or Symbols()
+    integrand, variable = _running(plant, symbols, term)
     pair = value if isinstance(value, tuple | list) else (None, value)
     if len(pair) != 2 or (pair[0] is None and pair[1] is None):
         raise InputError(f"budgets[{term!r}] = {value!r}: give the most, or (least, most)")
@@ -163,4 +166,9 @@ def budget(plant: Plant, term: str, value: Any, symbols: Symbols | None = None) 
     )
     if low > high:
         raise InputError(f"budgets[{term!r}] = ({low:g}, {high:g}): the bounds are crossed")
-    return Budget(f"budget of {term}", integrand, low, high, variable.nominal, variable)
+    label, nominal, inf = f"budget of {term}", variable.nominal, float("inf")
+    counted = integrand if low == -inf else _running(plant, symbols, term, "large")[0]
+    if low == -inf or not symbols.differ(integrand, counted):
+        return (Budget(label, integrand, low, high, nominal, variable),)
+    least = Budget(label, counted, low, inf, nominal, variable)
+    return (least, *([Budget(label, integrand, -inf, high, nominal, variable)] * (high < inf)))

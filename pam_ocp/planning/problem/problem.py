@@ -14,7 +14,17 @@ from ...core.variables import Variable
 from ...plants.plant import Plant
 from .profile import Profile
 
-__all__ = ["TIME", "Budget", "Condition", "Leg", "Objective", "Problem", "Range", "limits"]
+__all__ = [
+    "TIME",
+    "Auxiliary",
+    "Budget",
+    "Condition",
+    "Leg",
+    "Objective",
+    "Problem",
+    "Range",
+    "limits",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 Range: TypeAlias = tuple[float, float]
@@ -34,6 +44,8 @@ class Condition:
     nominal: float
     shown: Variable
     """The variable whose unit the value is shown in."""
+    defining: bool = False
+    """Whether it says what an auxiliary is, rather than limits the motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +72,23 @@ class Budget:
     shown: Variable
 
 
+@dataclass(frozen=True, eq=False)
+class Auxiliary:
+    """An unknown wherever costs and budgets are evaluated, so that their kinks are stated exactly.
+
+    The integral of max(P, 0) is the least integral of s with s >= P and s >= 0, and the largest of
+    c P with 0 <= c <= 1: smooth for a solver, and exact.
+    """
+
+    symbol: ca.SX
+    value: ca.SX
+    """What it is at the optimum: an expression of x, u, p, ... with kinks."""
+    low: float
+    high: float
+    conditions: tuple[Condition, ...] = ()
+    """What holds wherever it stands."""
+
+
 @dataclass(frozen=True)
 class Objective:
     """What is minimised: a weighted sum."""
@@ -75,6 +104,8 @@ class Objective:
     peaks: tuple[float, ...]
     """Weight of each further unknown: of peaks; 0 for inputs that would hold the plant at a stop.
     """
+    economical: bool = False
+    """Whether work, air or exergy counts."""
 
     @property
     def only_time(self) -> bool:
@@ -97,9 +128,9 @@ class Problem:
     closing : None, or {state: (sign, image)}: the last node's image is the first node.
     design : {parameter: (low, high)} to be chosen with the motion.
     profiles, aims : what the symbols ``r`` and ``q`` stand for: values of time profiles, constant
-        aims. widths : {place among the aims: widest} of roundings of costs, for which a solver
-        begins wide. ``m`` are further unknowns, in units of nominal: largest values along the
-        motion, inputs that would hold the plant at a stop.
+        aims. ``m`` are further unknowns, in units of nominal: largest values along the motion,
+        inputs that would hold the plant at a stop.
+    auxiliaries : unknowns of costs and budgets, wherever these are evaluated.
     """
 
     plant: Plant
@@ -115,7 +146,7 @@ class Problem:
     r: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     q: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     m: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
-    widths: dict[int, float] = field(default_factory=dict)
+    auxiliaries: tuple[Auxiliary, ...] = ()
 
     def function(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
         """CasADi function (x, u, p, time, r, q, m) -> one column of the expressions."""
@@ -124,6 +155,22 @@ class Problem:
         return ca.Function(
             name, arguments, [ca.vertcat(*expressions) if expressions else ca.SX(0, 1)]
         )
+
+    def running(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
+        """The same of running costs: (x, u, p, time, r, q, m, auxiliaries) -> one column."""
+        plant, a = self.plant, ca.vertcat(ca.SX(0, 1), *(a.symbol for a in self.auxiliaries))
+        arguments = [plant.x, plant.u, plant.p, TIME, self.r, self.q, self.m, a]
+        return ca.Function(
+            name, arguments, [ca.vertcat(*expressions) if expressions else ca.SX(0, 1)]
+        )
+
+    def explicit(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
+        """Running costs with the auxiliaries' values in their place."""
+        if not self.auxiliaries:
+            return list(expressions)
+        symbols, values = zip(*((a.symbol, a.value) for a in self.auxiliaries), strict=True)
+        found: list[ca.SX] = ca.substitute(list(expressions), list(symbols), list(values))
+        return found
 
     def conditions(self, name: str, conditions: Sequence[Condition]) -> ca.Function:
         """The same of the conditions' values, in units of their nominals."""

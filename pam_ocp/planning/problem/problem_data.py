@@ -15,7 +15,7 @@ import casadi as ca
 from ...core.errors import InputError
 from ...core.variables import Variable
 from ...plants.plant import Plant
-from .problem import TIME, Budget, Condition, Leg, Objective, Problem
+from .problem import TIME, Auxiliary, Budget, Condition, Leg, Objective, Problem
 from .profile import Profile
 
 __all__ = ["data_of", "problem_of"]
@@ -58,11 +58,12 @@ class _Writer:
             "high": c.high,
             "nominal": c.nominal,
             "shown": asdict(c.shown),
+            "defining": isinstance(c, Condition) and c.defining,
         }
 
     def operations(self) -> list[Any]:
         """The formulas' operations in order: [name, result, arguments or number]."""
-        function = self.problem.function("formulas", self.formulas)
+        function = self.problem.running("formulas", self.formulas)
         found: list[Any] = []
         for k in range(function.n_instructions()):
             code = _CODES.get(function.instruction_id(k), "?")
@@ -105,6 +106,14 @@ def data_of(problem: Problem) -> dict[str, Any]:
         ],
         "aims": problem.aims,
         "peaks": problem.m.numel(),
+        "auxiliaries": [
+            {
+                "value": writer.formula(a.value),
+                "range": (a.low, a.high),
+                "conditions": [writer.limited(c) for c in a.conditions],
+            }
+            for a in problem.auxiliaries
+        ],
     }
     return {**said, "formulas": len(writer.formulas), "operations": writer.operations()}
 
@@ -115,12 +124,17 @@ class _Reader:
 
     def __init__(self, plant: Plant, said: Mapping[str, Any]) -> None:
         self.plant = plant
-        sizes = (len(said["profiles"]), len(said["aims"]), said["peaks"])
-        self.r, self.q, self.m = (
+        sizes = [
+            len(said["profiles"]),
+            len(said["aims"]),
+            said["peaks"],
+            len(said.get("auxiliaries", ())),
+        ]
+        self.r, self.q, self.m, self.a = (
             ca.SX.sym(name, size) if size else ca.SX(0, 1)
-            for name, size in zip(("profile", "aim", "peak"), sizes, strict=True)
+            for name, size in zip(("profile", "aim", "peak", "auxiliary"), sizes, strict=True)
         )
-        arguments = [plant.x, plant.u, plant.p, TIME, self.r, self.q, self.m]
+        arguments = [plant.x, plant.u, plant.p, TIME, self.r, self.q, self.m, self.a]
         self.formulas = _replayed(said["operations"], arguments, said["formulas"])
 
     def formula(self, given: str | int) -> ca.SX:
@@ -136,6 +150,7 @@ class _Reader:
             float(said["high"]),
             float(said["nominal"]),
             Variable(**said["shown"]),
+            bool(said.get("defining")),
         )
 
     def budget(self, said: Mapping[str, Any]) -> Budget:
@@ -201,4 +216,14 @@ def problem_of(plant: Plant, said: Mapping[str, Any]) -> Problem:
         reader.r,
         reader.q,
         reader.m,
+        tuple(
+            Auxiliary(
+                symbol,
+                reader.formula(a["value"]),
+                float(a["range"][0]),
+                float(a["range"][1]),
+                tuple(reader.condition(c) for c in a["conditions"]),
+            )
+            for symbol, a in zip(ca.vertsplit(reader.a), said.get("auxiliaries", ()), strict=True)
+        ),
     )

@@ -245,7 +245,7 @@ def _aim(plant: Plant, name: str, where: str, value: Any) -> Any:
 def _budgets(plant: Plant, where: str, value: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for term, most in table(where, value).items():
-        unit = budget(plant, term, 0.0).shown.unit
+        unit = budget(plant, term, 0.0)[0].shown.unit
         at = f"{where}.{term}"
         listed = isinstance(most, list | Mapping)
         found[term] = pair(at, most, unit) if listed else quantity(at, most, unit)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 
 from ...core.errors import require_finite
 from ...core.variables import Variable
-from .problem import Condition
+from .problem import Auxiliary, Condition
 from .profile import Profile
 
 __all__ = ["Symbols"]
@@ -25,7 +25,9 @@ class Symbols:
     r: list[ca.SX] = field(default_factory=list)
     q: list[ca.SX] = field(default_factory=list)
     m: list[ca.SX] = field(default_factory=list)
-    widths: dict[int, float] = field(default_factory=dict)
+    auxiliaries: dict[str, Auxiliary] = field(default_factory=dict)
+    wanted: Literal["small", "large"] = "small"
+    """How the integral that is being stated is wanted."""
 
     def aim(self, name: str, value: Any) -> ca.SX:
         """The symbol of a constant aim, or of a Profile's value."""
@@ -37,12 +39,35 @@ class Symbols:
         self.q.append(ca.SX.sym(f"aim_{len(self.q)}"))
         return self.q[-1]
 
-    def width(self, widest: float, own: float) -> ca.SX:
-        """The symbol of a rounding that goes from the widest to its own width while it is solved
-        for.
-        """
-        self.widths[len(self.aims)] = widest
-        return self.aim("width", own)
+    def positive(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        """max(expression, 0), stated smoothly for an integral that is ``wanted`` small or large."""
+        small = self.wanted == "small"
+        return (self._at_least_positive if small else self._at_most_positive)(variable, expression)
+
+    def differ(self, one: ca.SX, other: ca.SX) -> bool:
+        """Whether two integrands have not the same auxiliaries: one is wanted small, one large."""
+        both = [ca.depends_on(e, a.symbol) for a in self.auxiliaries.values() for e in (one, other)]
+        return both[::2] != both[1::2]
+
+    def _at_least_positive(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        """What is max(expression, 0) where its integral is wanted small."""
+        name = f"positive {variable.name}"
+        if name not in self.auxiliaries:
+            symbol = ca.SX.sym(name)
+            missed = expression - variable.nominal * symbol
+            inf, nominal = float("inf"), variable.nominal
+            held = Condition(name, missed, -inf, 0.0, nominal, variable, defining=True)
+            value = ca.fmax(expression / nominal, 0)
+            self.auxiliaries[name] = Auxiliary(symbol, value, 0.0, inf, (held,))
+        return variable.nominal * self.auxiliaries[name].symbol
+
+    def _at_most_positive(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        """What is max(expression, 0) where its integral is wanted large."""
+        name = f"counted {variable.name}"
+        if name not in self.auxiliaries:
+            counted = Auxiliary(ca.SX.sym(name), expression > 0, 0.0, 1.0)
+            self.auxiliaries[name] = counted
+        return expression * self.auxiliaries[name].symbol
 
     def unknown(self) -> ca.SX:
         """The symbol of a further unknown of the motion, of order one."""

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ..problem.problem import Budget, Condition
 from ..transcription.transcription import Program
 from .interrupt import watched_call
-from .solver import DEFAULTS, Outcome
+from .solver import DEFAULTS, Outcome, limit
 
-__all__ = ["Conflict", "elastic", "explanation"]
+__all__ = ["Conflict", "Elastic", "elastic", "explanation"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -44,18 +44,32 @@ class Conflict:
         return f"{self.label} ({bounds}), by {shown(self.excess * self.condition.nominal)}{where}"
 
 
-def elastic(
-    program: Program, guess: Array, options: Mapping[str, Any] | None
-) -> tuple[tuple[Conflict, ...], Array]:
+@dataclass(frozen=True)
+class Elastic:
+    """Where an elastic re-solve ended. Only one that converged tells anything."""
+
+    converged: bool
+    conflicts: tuple[Conflict, ...]
+    """The constraints that are violated, the worst of each name, largest first."""
+    w: Array
+    """The (scaled) unknowns found."""
+
+    @property
+    def feasible(self) -> bool:
+        """Whether these unknowns meet all constraints."""
+        return self.converged and not self.conflicts
+
+    @property
+    def conflicting(self) -> bool:
+        """Whether nothing near these unknowns meets all constraints."""
+        return self.converged and bool(self.conflicts)
+
+
+def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -> Elastic:
     """Least total violation of stops, path and budgets; the dynamics and a cycle's closing are
     kept.
-
-    Returns the constraints that are violated, the worst of each name, largest first, and the
-    (scaled) unknowns found: a feasible point when there are none.
     """
-    soft = np.concatenate(
-        [np.full(r.size, r.kind not in ("defect", "closing")) for r in program.rows]
-    )
+    soft = np.concatenate([r.soft() for r in program.rows])
     chosen = np.flatnonzero(soft)
     g = program.nlp["g"]
     above, below = ca.MX.sym("above", len(chosen)), ca.MX.sym("below", len(chosen))
@@ -69,22 +83,23 @@ def elastic(
         "g": g + ca.mtimes(pick, below - above),
     }
     ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": 1000}
+    ipopt["max_cpu_time"] = 2 * limit(program)
     ipopt.update(options or {})
     zero = np.zeros(2 * len(chosen))
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
     arguments = {
-        "x0": np.concatenate([np.clip(guess, lbx, ubx), zero + 0.1]),
+        "x0": np.concatenate([np.clip(program.completed(guess), lbx, ubx), zero + 0.1]),
         "p": program.parameters(),
         "lbx": np.concatenate([lbx, zero]),
         "ubx": np.concatenate([ubx, zero + np.inf]),
         "lbg": lbg,
         "ubg": ubg,
     }
-    result, _ = watched_call("elastic", nlp, {"print_time": False, "ipopt": ipopt}, arguments)
+    result, stats = watched_call("elastic", nlp, {"print_time": False, "ipopt": ipopt}, arguments)
     found = np.asarray(result["x"], float).ravel()
     slack = np.zeros(g.numel())
     slack[chosen] = found[len(lbx) :].reshape(2, -1).max(axis=0)
-    return _conflicts(program, slack), found[: len(lbx)]
+    return Elastic(bool(stats["success"]), _conflicts(program, slack), found[: len(lbx)])
 
 
 def _conflicts(program: Program, slack: Array) -> tuple[Conflict, ...]:
@@ -102,17 +117,28 @@ def _conflicts(program: Program, slack: Array) -> tuple[Conflict, ...]:
     return tuple(sorted(worst.values(), key=lambda c: -c.excess))
 
 
-def explanation(plant: str, outcome: Outcome, conflicts: tuple[Conflict, ...]) -> str:
-    """The message of a plan that was not found."""
+def explanation(
+    plant: str, outcome: Outcome, conflicts: tuple[Conflict, ...], feasible: bool
+) -> str:
+    """The message of a plan that was not found.
+
+    feasible : whether an elastic re-solve met all constraints.
+    """
     if outcome.stopped:
         return f"the solver was stopped before it found a plan for {plant} ({outcome.status})"
     opening = f"no plan found for {plant} ({outcome.status}). "
     if not conflicts:
-        return opening + (
-            "A motion that meets all constraints seems to exist, but the solver did not converge; "
-            "try another method=Collocation(...), other bounds of duration, or more "
+        known = (
+            "A motion that meets all constraints seems to exist, but the solver did not converge"
+            if feasible
+            else f"The solver did not converge in {outcome.iterations} iterations from the first "
+            "guess, nor from others; this does not prove that there is no plan"
+        )
+        remedy = (
+            "; try another method=Collocation(...), other bounds of duration, a guess=..., or more "
             "options={'max_iter': ...}"
         )
+        return opening + known + remedy
     more = "; ".join(str(c) for c in conflicts[1:NAMED])
     also = f" In conflict with it: {more}." if more else ""
     return (

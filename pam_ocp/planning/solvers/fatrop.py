@@ -77,7 +77,7 @@ class Fatrop:
         stages, parameters = self.stages, program.parameters()
         lbx, ubx = stages.bounds(program)
         lbg, ubg = stages.limits(program)
-        z = stages.lifted(np.clip(guess, *program.bounds()), parameters)
+        z = stages.lifted(np.clip(program.completed(guess), *program.bounds()), parameters)
         arguments = {"x0": z, "p": parameters, "lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
         answer, status = self._asked(arguments)
         seconds = time.perf_counter() - begin

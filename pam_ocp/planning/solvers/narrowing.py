@@ -1,9 +1,9 @@
 """Kinks that are rounded off: a motion is planned with wide roundings first, then with narrower
 ones.
 
-The parameters of a plant that have a ``widest`` value (of hysteresis), and the roundings of costs,
-go from there to their own along a path, evenly in their logarithms; each solution starts the next.
-The last one is the problem itself.
+The parameters of a plant that have a ``widest`` value (of hysteresis) go from there to their own
+along a path, evenly in their logarithms; each solution starts the next. The last one is the problem
+itself.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ LATE = 0.6
 
 
 def has_kinks(problem: Problem) -> bool:
-    """Whether the plant or the costs have roundings to narrow."""
-    return bool(_roundings(problem.plant) or problem.widths)
+    """Whether the plant has roundings to narrow."""
+    return bool(_roundings(problem.plant))
 
 
 def _roundings(plant: Plant) -> list[Variable]:
@@ -48,11 +48,7 @@ def rounded(plant: Plant, part: float) -> Plant:
 
 def _at(program: Program, part: float) -> Program:
     """The program with the roundings of a place on the path."""
-    plant = program.problem.plant
-    aims = list(program.problem.aims)
-    for i, widest in program.problem.widths.items():
-        aims[i] = widest ** (1 - part) * aims[i] ** part
-    problem = replace(program.problem, plant=rounded(plant, part), aims=tuple(aims))
+    problem = replace(program.problem, plant=rounded(program.problem.plant, part))
     return replace(program, problem=problem)
 
 
@@ -84,9 +80,7 @@ def narrowing(
         if direct.ended:
             return total(direct)
         here = LATE
-    last = solved(here, guess, "near" if start == "near" else start)
-    if not last.ended and start != "near":
-        last = solved(here, guess, "cold" if start == "adaptive" else "adaptive")
+    last = solved(here, guess, "near" if start == "step" else start)
     step = FIRST
     failed = last
     while last.success and here < 1.0:
@@ -95,7 +89,7 @@ def narrowing(
         if outcome.success:
             last, here, step = outcome, there, 1.5 * step
             continue
-        failed, step = outcome, step / 2.5
+        failed, step = outcome, (there - here) / 2.5
         if outcome.stopped or step < LEAST:
             return total(failed)
     return total(last)

@@ -20,7 +20,7 @@ from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
 from .interrupt import Watch
 
-__all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start"]
+__all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start", "limit"]
 
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
@@ -61,6 +61,12 @@ Where the linear algebra gets stuck in fill-in another start is the better use o
 """
 PATIENCE = 6.0
 """Times as much for all but the first start."""
+
+
+def limit(program: Program) -> float:
+    """Processor seconds of one solve from the first guess."""
+    return max(SHORTEST_LIMIT, LIMIT * program.nlp["x"].numel())
+
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
@@ -206,9 +212,9 @@ class Ipopt:
 
     def _options(self, name: Start) -> dict[str, Any]:
         """Of the solver of this name, but for its functions."""
-        time = max(SHORTEST_LIMIT, LIMIT * self.program.nlp["x"].numel())
-        limit = {"max_cpu_time": time if name == "cold" else PATIENCE * time}
-        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], **limit, **self._given}
+        time = limit(self.program) * (1.0 if name == "cold" else PATIENCE)
+        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], "max_cpu_time": time}
+        chosen |= self._given
         goal = self.program.problem.objective
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
             chosen["mu_init"] = BARRIER_OF_TIME * goal.time
@@ -277,7 +283,11 @@ class Ipopt:
         """Of a solve without multipliers."""
         (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
         bounds = {"lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
-        return {"x0": np.clip(guess, lbx, ubx), "p": program.parameters(), **bounds}
+        return {
+            "x0": np.clip(program.completed(guess), lbx, ubx),
+            "p": program.parameters(),
+            **bounds,
+        }
 
     def portable(self, starts: Iterable[Start]) -> tuple[ca.Function, dict[str, dict[str, Any]]]:
         """(the problem, options by start) for another process; all of it can be pickled."""

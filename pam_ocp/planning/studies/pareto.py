@@ -174,7 +174,7 @@ class _Term:
             self.variable = Variable("final", "output", unit=of.unit, nominal=of.nominal)
             self.bounded = False
         else:
-            self.variable = budget(plant, name, 0.0).shown
+            self.variable = budget(plant, name, 0.0)[0].shown
 
     def limit(self, most: float | None) -> dict[str, Any]:
         """The arguments of plan that bound it; None for no bound, in the same form."""

@@ -48,7 +48,8 @@ def derivatives(program: Program) -> dict[str, ca.Function]:
 class _Local:
     """A stage's values as functions of its own unknowns.
 
-    y = (start, states, inputs, durations, design, peaks); given = (y, lengths, starts, p, q), where
+    y = (start, states, inputs, auxiliaries, durations, design, peaks);
+    given = (y, lengths, starts, p, q), where
     lengths and starts weigh the durations in the interval's length and start; rows: of defects,
     path, budgets.
     """
@@ -65,6 +66,7 @@ class _Local:
             "start": nx,
             "states": nx * len(form.state_taus(d)),
             "inputs": nu * len(form.input_taus(d)),
+            "auxiliaries": len(problem.auxiliaries) * form.cost_points(d),
             "durations": len(problem.legs),
             "design": len(problem.design),
             "peaks": problem.m.numel(),
@@ -84,6 +86,7 @@ class _Local:
             ca.SX(0, 1),
             q,
             parts["peaks"],
+            parts["auxiliaries"],
         )
         y = ca.vertcat(*parts.values())
         return cls([y, lengths, starts, p, q], ca.veccat(defects, path, budgets), cost)
@@ -120,7 +123,9 @@ def _blocks(program: Program) -> list[_Block]:
     problem, mesh = program.problem, program.mesh
     nx, nu = len(problem.plant.states), len(problem.plant.inputs)
     own = [
-        nx * len(mesh.form.state_taus(i.degree)) + nu * len(mesh.form.input_taus(i.degree))
+        nx * len(mesh.form.state_taus(i.degree))
+        + nu * len(mesh.form.input_taus(i.degree))
+        + len(problem.auxiliaries) * mesh.form.cost_points(i.degree)
         for i in mesh.intervals
     ]
     begins = nx + np.concatenate([[0], np.cumsum(own)]).astype(np.intp)

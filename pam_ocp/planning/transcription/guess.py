@@ -10,8 +10,9 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
-from ...core.errors import InputError
+from ...core.errors import InputError, PamError
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows
 from ..problem.problem import Problem, limits
@@ -21,7 +22,7 @@ from .mesh import Mesh
 from .solution import Solution
 from .stage import nominals
 
-__all__ = ["by_stops", "from_solution", "rest_point", "wants_balance"]
+__all__ = ["by_rests", "by_stops", "from_solution", "rest_point", "wants_balance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Signal: TypeAlias = Callable[[Array], Array]
@@ -29,6 +30,8 @@ Signal: TypeAlias = Callable[[Array], Array]
 IDLE = 1e-6
 """Least change of a state's rate, in nominals per second and nominal of an input, to be influence.
 """
+PLACES = 8
+"""Parts of a way between two stops whose ends are points of rest."""
 LEVELS = 12
 """Of an input that are tried, to either side of its middle."""
 
@@ -75,6 +78,50 @@ def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: floa
     )
 
 
+def by_rests(problem: Problem, mesh: Mesh) -> Array:
+    """Scaled unknowns along points of rest between the stops, in the usual durations.
+
+    A slow motion is nearly one of these; where parts are stiff, the states between the stops' own
+    would meet large forces instead.
+    """
+    durations = problem.time_nominals
+    path = _Path(problem, _rests(problem), durations, PLACES)
+    return _sampled(
+        problem,
+        mesh,
+        durations,
+        path.states,
+        path.driving_inputs(),
+        _design(problem),
+        np.ones(problem.m.numel()),
+    )
+
+
+def _rests(problem: Problem) -> list[tuple[Array, Array]]:
+    """(states, inputs) at each stop and at the places between; where none rests, on a line."""
+    nodes = [_node(problem, stop, balanced=True) for stop in problem.stops]
+    found = nodes[:1]
+    for (a, b), (one, other) in zip(pairwise(problem.stops), pairwise(nodes), strict=True):
+        ends = {n: (_middle(a[n]), _middle(b[n])) for n in a if n in b}
+        known = {n: (x, y) for n, (x, y) in ends.items() if x is not None and y is not None}
+        for s in np.arange(1, PLACES) / PLACES:
+            line = tuple((1 - s) * x + s * y for x, y in zip(one, other, strict=True))
+            rest = _rest(problem.plant, {n: (1 - s) * x + s * y for n, (x, y) in known.items()})
+            found.append(rest or (line[0], line[1]))
+        found.append(other)
+    return found
+
+
+def _rest(plant: Plant, known: dict[str, float]) -> tuple[Array, Array] | None:
+    """(states, inputs) of a point of rest with these values; None when there is none."""
+    try:
+        point = plant.equilibrium(**known)
+    except PamError:
+        return None
+    x, u = ([point[v.name] for v in kind] for kind in (plant.states, plant.inputs))
+    return np.array(x), np.array(u)
+
+
 def wants_balance(problem: Problem) -> bool:
     """Whether the plant's start values are no place to begin at.
 
@@ -110,22 +157,31 @@ def _idle_inputs(plant: Plant) -> bool:
 
 @dataclass(frozen=True)
 class _Path:
-    """Minimum-jerk motion between nodes (states, inputs)."""
+    """Minimum-jerk motion between nodes (states, inputs), ``parts`` of them from stop to stop."""
 
     problem: Problem
     nodes: list[tuple[Array, Array]]
     durations: Array
+    parts: int = 1
 
     def _between(self, t: Array, column: int) -> tuple[Array, Array]:
         """(values, slopes) of states (0) or inputs (1)."""
         ends = np.concatenate([[0.0], np.cumsum(self.durations)])
         value = np.empty((len(t), len(self.nodes[0][column])))
         slope = np.zeros_like(value)
-        for i, (a, b) in enumerate(pairwise(node[column] for node in self.nodes)):
+        nodes = np.array([node[column] for node in self.nodes])
+        for i, duration in enumerate(self.durations):
             inside = (t >= ends[i]) & (t <= ends[i + 1] * (1 + 1e-12))
-            s = np.clip((t[inside] - ends[i]) / self.durations[i], 0.0, 1.0)[:, None]
-            value[inside] = a + (b - a) * s**3 * (10 - 15 * s + 6 * s**2)
-            slope[inside] = (b - a) * 30 * s**2 * (1 - s) ** 2 / self.durations[i]
+            s = np.clip((t[inside] - ends[i]) / duration, 0.0, 1.0)[:, None]
+            gone, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / duration
+            own = nodes[i * self.parts : (i + 1) * self.parts + 1]
+            if self.parts == 1:
+                value[inside], slope[inside] = own[0] + (own[1] - own[0]) * gone, rate
+                slope[inside] *= own[1] - own[0]
+            else:
+                line = CubicSpline(np.linspace(0.0, 1.0, len(own)), own)
+                value[inside] = line(gone[:, 0])
+                slope[inside] = line(gone[:, 0], 1) * rate
         return value, slope
 
     def states(self, t: Array) -> Array:
@@ -213,6 +269,8 @@ def _sampled(
         # this side of a jump
         nodes = np.clip(mesh.form.input_taus(interval.degree), 1e-6, 1 - 1e-6)
         parts.append((inputs(begin + h * nodes) / u_nominal).ravel())
+        # a program completes them
+        parts.append(np.zeros(len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)))
         begin += h
     scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
     return np.concatenate([*parts, *scaled])
@@ -272,7 +330,8 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> t
         ubg=np.concatenate([still, aims, high]),
     )
     if not solver.stats()["success"]:
-        return x, u
+        # from start values behind a clamp (a slack tendon) this finds nothing
+        return _rest(plant, known) or (x, u)
     point = np.asarray(found["x"], float).ravel() * scale
     return point[: len(x)], point[len(x) :]
 

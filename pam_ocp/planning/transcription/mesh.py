@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Literal, TypeAlias
 
 import casadi as ca
@@ -21,8 +22,11 @@ __all__ = [
     "Mesh",
     "Method",
     "Shooting",
+    "coarsened",
+    "doubled",
     "halved",
     "held",
+    "merged",
     "refined",
     "watched",
 ]
@@ -94,6 +98,10 @@ class Form:
         if self.scheme == "shooting":
             return np.linspace(0.0, 1.0, 2 * degree + 1)
         return np.insert(self.state_taus(degree), 0, 0.0)
+
+    def cost_points(self, degree: int) -> int:
+        """At how many points running costs are evaluated."""
+        return 4 * degree if self.scheme == "shooting" else degree
 
     def input_taus(self, degree: int) -> Array:
         """Where the values of an input stand."""
@@ -264,6 +272,23 @@ def watched(mesh: Mesh, beyond: Sequence[Mapping[str, float]], tolerance: float)
     return Mesh(tuple(intervals), mesh.form)
 
 
+def doubled(mesh: Mesh) -> Mesh:
+    """The mesh with all intervals split in two."""
+    parts = (p for i in mesh.intervals for p in replace(i, watched=()).split(2, i.degree))
+    return Mesh(tuple(parts), mesh.form)
+
+
+def coarsened(mesh: Mesh) -> Mesh:
+    """The mesh with each two neighbours on a leg made one."""
+    found: list[Interval] = []
+    for leg in range(1 + mesh.intervals[-1].leg):
+        own = [i for i in mesh.intervals if i.leg == leg]
+        for k in range(0, len(own), 2):
+            fraction = sum(i.fraction for i in own[k : k + 2])
+            found.append(replace(own[k], fraction=fraction, watched=()))
+    return Mesh(tuple(found), mesh.form)
+
+
 def halved(mesh: Mesh) -> Mesh:
     """The mesh with all intervals split, of a high degree where inputs are simple."""
     shooting, simple = mesh.form.scheme == "shooting", mesh.form.control != "polynomial"
@@ -273,6 +298,20 @@ def halved(mesh: Mesh) -> Mesh:
         if simple and not shooting:
             degree = max(degree, HELD_SPLIT_DEGREE)
         intervals += replace(interval, watched=()).split(2, degree)
+    return Mesh(tuple(intervals), mesh.form)
+
+
+def merged(mesh: Mesh, count: int) -> Mesh:
+    """A coarser mesh: ``count`` neighbours in one, as many as there are at the end of a leg."""
+    intervals: list[Interval] = []
+    for _, group in groupby(mesh.intervals, key=lambda interval: interval.leg):
+        own = list(group)
+        for i in range(0, len(own), count):
+            part = own[i : i + count]
+            degrees = [interval.degree for interval in part]
+            degree = sum(degrees) if mesh.form.scheme == "shooting" else max(degrees)
+            fraction = sum(interval.fraction for interval in part)
+            intervals.append(Interval(part[0].leg, fraction, degree))
     return Mesh(tuple(intervals), mesh.form)
 
 

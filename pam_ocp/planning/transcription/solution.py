@@ -51,7 +51,7 @@ def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
         at += points.size
         columns = len(mesh.form.input_taus(interval.degree))
         values = w[at : at + nu * columns].reshape(columns, nu) * u_nominal
-        at += values.size
+        at += values.size + len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
         t += list(begin + h * taus)
         states += list(points)
         powers = mesh.form.input_powers(interval.degree)
@@ -73,7 +73,7 @@ def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
 
 def pack(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
     """The scaled unknowns of a program on the mesh that a solution stands on; undoes
-    :func:`unpack`.
+    :func:`unpack`, but for auxiliaries, which are zero (Program.completed knows them).
     """
     x_nominal, u_nominal = nominals(problem)
     states, inputs = solution.states / x_nominal, solution.inputs
@@ -85,7 +85,8 @@ def pack(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
             :, None
         ]
         values = powers.T @ inputs.coefficients[k] / u_nominal
-        parts += [states[at : at + points].ravel(), values.ravel()]
+        auxiliaries = len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
+        parts += [states[at : at + points].ravel(), values.ravel(), np.zeros(auxiliaries)]
         at += points
     scaled = solution.durations / problem.time_nominals, solution.design / problem.design_nominals
     return np.concatenate([*parts, *scaled, solution.peaks])

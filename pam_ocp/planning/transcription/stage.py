@@ -7,7 +7,6 @@ States, inputs and defects are in units of nominal.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -45,6 +44,37 @@ def _held_back(condition: Condition, margin: float) -> Condition:
     return replace(condition, low=condition.low + by, high=condition.high - by)
 
 
+class _Costs:
+    """Running cost and budgets, the latter in units of nominal, each time at a new point.
+
+    rows : the auxiliaries' conditions at the points so far; values : what they should be there.
+    """
+
+    def __init__(self, problem: Problem, a: ca.SX) -> None:
+        budgets = [b.integrand / b.nominal for b in problem.budgets]
+        running = [problem.objective.integrand, *budgets]
+        self._free = not budgets and running[0].is_zero()
+        self._integrands = problem.running("integrands", running)
+        conditions = [c for each in problem.auxiliaries for c in each.conditions]
+        self._held = problem.running("held", [c.expression / c.nominal for c in conditions])
+        self._value = problem.function("value", [each.value for each in problem.auxiliaries])
+        self._points = iter(ca.horzsplit(a))
+        self._some = bool(problem.auxiliaries)
+        self.rows: list[ca.SX] = []
+        self.values: list[ca.SX] = []
+
+    def __call__(self, *at: ca.SX) -> ca.SX:
+        if self._free:
+            return ca.SX(1, 1)
+        auxiliaries = ca.SX(0, 1)
+        if self._some:
+            auxiliaries = next(self._points)
+            self.rows.append(self._held(*at, auxiliaries))
+            self.values.append(self._value(*at))
+        found: ca.SX = self._integrands(*at, auxiliaries)
+        return found
+
+
 @dataclass(frozen=True)
 class Stage:
     """An interval of ``degree`` on a leg, for :attr:`function`."""
@@ -58,10 +88,19 @@ class Stage:
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
-        """Of the rows of path values: at each point, at the start, then between the points."""
+        """Of the rows of path values: at each point, at the start, between the points, then those
+        of
+        auxiliaries."""
         points = len(self.form.state_taus(self.degree))
         between = (c for conditions, taus in self._between for c in conditions * len(taus))
-        return (*self.leg.path * points, *self.problem.depends_on_inputs(self.leg), *between)
+        jumping = self.problem.depends_on_inputs(self.leg)
+        auxiliary = self._auxiliary * self.form.cost_points(self.degree)
+        return (*self.leg.path * points, *jumping, *between, *auxiliary)
+
+    @property
+    def _auxiliary(self) -> tuple[Condition, ...]:
+        """What holds wherever costs are evaluated."""
+        return tuple(c for a in self.problem.auxiliaries for c in a.conditions)
 
     @property
     def profile_taus(self) -> Array:
@@ -107,11 +146,21 @@ class Stage:
 
     @cached_property
     def function(self) -> ca.Function:
-        """(start, states, inputs, h, t, p, r, q, m) -> (defects, path, cost, budgets).
+        """(start, states, inputs, h, t, p, r, q, m, a) -> (defects, path, cost, budgets).
 
         start (nx), states (nx x points) and inputs (nu x columns), the latter two as columns;
-        h, t : length and start [s]; r : values of profiles (as many columns as profile_taus).
+        h, t : length and start [s]; r : values of profiles (as many columns as profile_taus);
+        a : auxiliaries (as many columns as the form's cost_points).
         """
+        return self._functions[0]
+
+    @property
+    def completing(self) -> ca.Function:
+        """The same, without the auxiliaries, -> their values as a column."""
+        return self._functions[1]
+
+    @cached_property
+    def _functions(self) -> tuple[ca.Function, ca.Function]:
         f, problem, d = self.form, self.problem, self.degree
         nx, nu = len(problem.plant.states), len(problem.plant.inputs)
         start = ca.SX.sym("start", nx)
@@ -121,6 +170,8 @@ class Stage:
         p = ca.SX.sym("p", len(problem.plant.parameters))
         r = ca.SX.sym("r", problem.r.numel(), len(self.profile_taus))
         q, m = ca.SX.sym("q", problem.q.numel()), ca.SX.sym("m", problem.m.numel())
+        count = len(problem.auxiliaries)
+        a = ca.SX.sym("a", count, f.cost_points(d))
         x_nominal, u_nominal = nominals(problem)
 
         driven: dict[float, ca.SX] = {}
@@ -132,7 +183,8 @@ class Stage:
 
         rates = self._rates(inputs, h)
         method = self._shooting if f.scheme == "shooting" else self._collocation
-        defects, integrals = method(start, states, h, point)
+        costs = _Costs(problem, a)
+        defects, integrals = method(start, states, h, point, costs)
         path = problem.conditions("path", self.leg.path)
         column = (len(f.profile_taus(d)) - 1) // states.shape[1]  # profile columns per state column
         values = [
@@ -150,34 +202,28 @@ class Stage:
                 state = through @ f.state_weights(d, tau)
                 values.append(between(*point(tau, state, profile)))
                 profile += 1
-        return ca.Function(
+        values += costs.rows
+        arguments = [start, ca.vec(states), ca.vec(inputs), h, t, p, ca.vec(r), q, m]
+        names = ["start", "states", "inputs", "h", "t", "p", "r", "q", "m"]
+        function = ca.Function(
             "stage",
-            [start, ca.vec(states), ca.vec(inputs), h, t, p, ca.vec(r), q, m],
+            [*arguments, ca.vec(a)],
             [defects, ca.vertcat(*values), integrals[0] + rates, integrals[1:]],
-            ["start", "states", "inputs", "h", "t", "p", "r", "q", "m"],
+            [*names, "a"],
             ["defects", "path", "cost", "budgets"],
         )
-
-    def _integrands(self) -> Callable[..., ca.SX]:
-        """Running cost and budgets, the latter in units of nominal."""
-        problem = self.problem
-        budgets = [b.integrand / b.nominal for b in problem.budgets]
-        if not budgets and problem.objective.integrand.is_zero():
-            return lambda *_: ca.SX(1, 1)
-        function: Callable[..., ca.SX] = problem.function(
-            "integrands", [problem.objective.integrand, *budgets]
-        )
-        return function
+        completing = ca.Function("completing", arguments, [ca.vertcat(*costs.values)], names, ["a"])
+        return function, completing
 
     def _collocation(
-        self, start: ca.SX, states: ca.SX, h: ca.SX, point: object
+        self, start: ca.SX, states: ca.SX, h: ca.SX, point: object, integrands: _Costs
     ) -> tuple[ca.SX, ca.SX]:
         """(defects, integrals): the polynomial's slope is the plant's, and its end is the end."""
         taus = self.form.collocated(self.degree)
         derivative, ends, quadrature = collocation_matrices(taus)
         through = ca.horzcat(start, states[:, : len(taus)])
         slope = through @ ca.DM(derivative)  # scaled dx/dtau at the points
-        integrands, x_nominal = self._integrands(), nominals(self.problem)[0]
+        x_nominal = nominals(self.problem)[0]
         defects, integrals = [], ca.SX.zeros(1 + len(self.problem.budgets))
         for j, tau in enumerate(taus):
             x, u, p, *rest = point(tau, states[:, j], j + 1)  # type: ignore[operator]
@@ -188,10 +234,10 @@ class Stage:
         return ca.veccat(*defects), integrals
 
     def _shooting(
-        self, start: ca.SX, states: ca.SX, h: ca.SX, point: object
+        self, start: ca.SX, states: ca.SX, h: ca.SX, point: object, integrands: _Costs
     ) -> tuple[ca.SX, ca.SX]:
         """(defect, integrals) of the classical Runge-Kutta method in ``degree`` steps."""
-        integrands, (x_nominal, _) = self._integrands(), nominals(self.problem)
+        x_nominal, _ = nominals(self.problem)
         steps, nx = self.degree, len(x_nominal)
 
         def slope(both: ca.SX, at: float) -> ca.SX:

@@ -41,6 +41,7 @@ class _Symbols:
     start: ca.MX
     states: ca.MX
     inputs: ca.MX
+    auxiliaries: ca.MX
 
 
 @dataclass
@@ -97,7 +98,9 @@ class _Builder:
         degrees = [i.degree for i in self.mesh.intervals]
         points = [nx * len(form.state_taus(d)) for d in degrees]
         columns = [self.nu * len(form.input_taus(d)) for d in degrees]
-        begins = nx + np.concatenate([[0], np.cumsum(np.add(points, columns))]).astype(np.intp)
+        costs = [len(problem.auxiliaries) * form.cost_points(d) for d in degrees]
+        own = np.add(np.add(points, columns), costs)
+        begins = nx + np.concatenate([[0], np.cumsum(own)]).astype(np.intp)
         tail = [self.legs, len(problem.design), problem.m.numel()]
         ends = np.cumsum([int(begins[-1]), *tail])
         nothing = np.zeros(0, dtype=np.intp)
@@ -116,10 +119,11 @@ class _Builder:
                     np.arange(nx) if k and problem.closing is not None else nothing,
                     nothing if self.shooting else np.array(after, dtype=np.intp),
                     np.arange(after.stop, after.stop + columns[k]) if inside else nothing,
+                    np.arange(begins[k + 1] - costs[k], begins[k + 1]) if inside else nothing,
                 ]
             )
-        self.nxs = [sum(len(part) for part in each[:-2]) for each in parts]
-        self.nus = [sum(len(part) for part in each[-2:]) for each in parts]
+        self.nxs = [sum(len(part) for part in each[:-3]) for each in parts]
+        self.nus = [sum(len(part) for part in each[-3:]) for each in parts]
         self.parts, flat = parts, [part for each in parts for part in each]
         self.unknown = np.concatenate(flat)
         self.z = ca.MX.sym("z", len(self.unknown))
@@ -199,10 +203,11 @@ class _Builder:
                 sampled(self.profiles, h, t, taus),
                 self.q,
                 self._columns(members, lambda s: s.peaks),
+                self._columns(members, lambda s: s.auxiliaries),
             )
             self.cost += ca.sum2(cost)
-            jumping = len(self.problem.depends_on_inputs(stage.leg))
-            held = path[path.shape[0] - jumping :, :] if self.shooting else path
+            # by shooting, the path at the end is the next stage's
+            held = path[len(stage.leg.path) :, :] if self.shooting else path
             first = group.first_row + group.rows * n
             for j, k in enumerate(members):
                 own = group.first_row + group.rows * j + np.arange(group.rows)

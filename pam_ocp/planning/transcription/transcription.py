@@ -20,6 +20,7 @@ from .stage import Stage, nominals
 __all__ = ["Group", "Program", "Row", "sampled", "transcribe", "with_design"]
 
 Array: TypeAlias = NDArray[np.float64]
+Index: TypeAlias = NDArray[np.intp]
 Symbol = TypeVar("Symbol", ca.SX, ca.MX)
 
 
@@ -44,6 +45,13 @@ class Row:
         if not self.members:
             return ""
         return f"in interval {self.members[index // len(self.conditions)] + 1}"
+
+    def soft(self) -> NDArray[np.bool_]:
+        """Which rows a user could relax: not dynamics, a closing cycle, or auxiliaries."""
+        if not self.conditions:
+            return np.zeros(self.size, dtype=bool)
+        own = [not (isinstance(c, Condition) and c.defining) for c in self.conditions]
+        return np.tile(own, self.size // len(own))
 
     def limits(self) -> tuple[Array, Array]:
         """(low, high) of all rows."""
@@ -75,6 +83,10 @@ class Program:
     groups: tuple[Group, ...]
     other: dict[str, ca.MX]
     """The part of "f", and the rows of "g" behind the groups', that no stage gives (no budgets)."""
+    completing: ca.Function | None
+    """(w, p) -> the auxiliary unknowns' values; None where there are none."""
+    auxiliary: Index
+    """Where these stand among the unknowns."""
 
     def limits(self) -> tuple[Array, Array]:
         """(low, high) of all constraints."""
@@ -89,6 +101,15 @@ class Program:
         """Values of the NLP's parameters."""
         return np.concatenate([self.problem.plant.vector("parameter"), self.problem.aims])
 
+    def completed(self, w: Array) -> Array:
+        """The unknowns, those that are auxiliary at their values."""
+        if self.completing is None:
+            return w
+        full = np.array(w, float)
+        values = np.asarray(self.completing(full, self.parameters()), float).ravel()
+        full[self.auxiliary] = np.where(np.isfinite(values), values, 0.0)
+        return full
+
 
 @dataclass(frozen=True)
 class _Unknowns:
@@ -99,6 +120,8 @@ class _Unknowns:
     """nx x points each; the last column is the interval's end."""
     inputs: list[ca.MX]
     """nu x columns each."""
+    auxiliaries: list[ca.MX]
+    """As many columns each as costs have points."""
     durations: ca.MX
     design: ca.MX
     peaks: ca.MX
@@ -109,7 +132,8 @@ class _Unknowns:
 
     @property
     def w(self) -> ca.MX:
-        along = (part for pair in zip(self.states, self.inputs, strict=True) for part in pair)
+        every = zip(self.states, self.inputs, self.auxiliaries, strict=True)
+        along = (part for parts in every for part in parts)
         return ca.veccat(self.start, *along, self.durations, self.design, self.peaks)
 
 
@@ -124,6 +148,10 @@ def _unknowns(problem: Problem, mesh: Mesh) -> _Unknowns:
         ],
         [
             ca.MX.sym(f"u{k}", nu, len(form.input_taus(i.degree)))
+            for k, i in enumerate(mesh.intervals)
+        ],
+        [
+            ca.MX.sym(f"a{k}", len(problem.auxiliaries), form.cost_points(i.degree))
             for k, i in enumerate(mesh.intervals)
         ],
         ca.MX.sym("T", len(problem.legs)),
@@ -178,7 +206,24 @@ def transcribe(problem: Problem, mesh: Mesh) -> Program:
         "g": ca.veccat(*made.constraints, *(piece for piece, _ in rest)),
     }
     rows = (*made.rows, *(row for _, row in rest))
-    return Program(problem, mesh, nlp, rows, tuple(made.groups), other)
+    completing = None
+    if problem.auxiliaries:
+        completing = ca.Function("completing", [z.w, nlp["p"]], [ca.veccat(*made.completed)])
+    auxiliary = _auxiliary(problem, mesh)
+    return Program(problem, mesh, nlp, rows, tuple(made.groups), other, completing, auxiliary)
+
+
+def _auxiliary(problem: Problem, mesh: Mesh) -> Index:
+    """Where the auxiliary unknowns stand among all."""
+    form, at = mesh.form, len(problem.plant.states)
+    found = [np.zeros(0, dtype=np.intp)]
+    for interval in mesh.intervals:
+        at += len(problem.plant.states) * len(form.state_taus(interval.degree))
+        at += len(problem.plant.inputs) * len(form.input_taus(interval.degree))
+        count = len(problem.auxiliaries) * form.cost_points(interval.degree)
+        found.append(np.arange(at, at + count))
+        at += count
+    return np.concatenate(found)
 
 
 def with_design(problem: Problem, p: Symbol, design: Symbol) -> Symbol:
@@ -201,20 +246,23 @@ class _Made:
     groups: list[Group]
     cost: ca.MX
     budgets: ca.MX
+    completed: list[ca.MX]
+    """Values of the auxiliaries, interval by interval."""
 
 
 def _stages(
     problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
 ) -> _Made:
     """Defects and path conditions of all intervals, mapped over those that are alike."""
-    made = _Made([], [], [], ca.MX(0), ca.MX(len(problem.budgets), 1))
+    made = _Made([], [], [], ca.MX(0), ca.MX(len(problem.budgets), 1), [])
+    completed: dict[int, ca.MX] = {}
     profiles = [profile.function() for profile in problem.profiles]
     at = 0
     for stage, members in _alike(problem, mesh):
         mapped = stage.function.map(len(members))
         taus = stage.profile_taus
         h, t = (ca.horzcat(*(each[k] for k in members)) for each in (clock.lengths, clock.starts))
-        defects, path, cost, budgets = mapped(
+        arguments = [
             ca.horzcat(*(z.begin(k) for k in members)),
             ca.horzcat(*(ca.vec(z.states[k]) for k in members)),
             ca.horzcat(*(ca.vec(z.inputs[k]) for k in members)),
@@ -224,7 +272,12 @@ def _stages(
             sampled(profiles, h, t, taus),
             given[1],
             z.peaks,
-        )
+        ]
+        auxiliaries = ca.horzcat(*(ca.vec(z.auxiliaries[k]) for k in members))
+        defects, path, cost, budgets = mapped(*arguments, auxiliaries)
+        if problem.auxiliaries:
+            values = stage.completing.map(len(members))(*arguments)
+            completed |= {k: values[:, j] for j, k in enumerate(members)}
         made.constraints.append(defects)
         made.rows.append(Row("dynamics", "defect", defects.numel()))
         made.groups.append(Group(tuple(members), at, defects.shape[0], stage))
@@ -235,6 +288,7 @@ def _stages(
         made.cost += ca.sum2(cost)
         if problem.budgets:
             made.budgets += ca.sum2(budgets)
+    made.completed = [completed[k] for k in sorted(completed)]
     return made
 
 
@@ -375,12 +429,14 @@ def _bounds(problem: Problem, mesh: Mesh) -> tuple[Array, Array]:
     x = [box(i, plant.states, x_nominal) for i in range(len(problem.legs))]
     u = [box(i, plant.inputs, u_nominal) for i in range(len(problem.legs))]
     parts = [x[0]]
+    auxiliary = np.array([[a.low, a.high] for a in problem.auxiliaries]).reshape(-1, 2)
     following: list[Interval | None] = [*mesh.intervals[1:], None]
     for interval, after in zip(mesh.intervals, following, strict=True):
         leg = interval.leg
         end = x[leg] if after is None or after.leg == leg else both(x[leg], x[after.leg])
         parts += [x[leg]] * (len(mesh.form.state_taus(interval.degree)) - 1) + [end]
         parts += [u[leg]] * len(mesh.form.input_taus(interval.degree))
+        parts += [auxiliary] * mesh.form.cost_points(interval.degree)
     durations = np.array([leg.duration for leg in problem.legs])
     parts.append(durations / problem.time_nominals[:, None])
     design = np.array(list(problem.design.values())).reshape(-1, 2)

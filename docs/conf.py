@@ -1,0 +1,63 @@
+"""Sphinx: the pages of this folder and the public names, room by room.
+
+pip install -e '.[docs]' && sphinx-build -W -b html docs docs/_build
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+import pam_ocp  # noqa: E402
+
+project = "pam_ocp"
+author = "The pam_ocp developers"
+copyright = f"2026, {author}"
+version = release = pam_ocp.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"pam_ocp {release}"
+myst_heading_anchors = 3
+autosummary_generate = True
+autodoc_typehints = "none"  # the signatures have them
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+
+
+def write_reference() -> None:
+    """api.rst: the table of public names, by the room in which each is at home."""
+    homes = sorted((home.split(".")[0], name) for name, home in pam_ocp._HOMES.items())
+    lines = ["Public names by room", "=" * 20, "", ".. currentmodule:: pam_ocp", ""]
+    for room, entries in groupby(homes, key=lambda entry: entry[0]):
+        lines += [room, "-" * len(room), "", ".. autosummary::", "   :toctree: generated", ""]
+        lines += [f"   {name}" for _, name in entries] + [""]
+    target, text = HERE / "api.rst", "\n".join(lines)
+    if not target.is_file() or target.read_text("utf-8") != text:
+        target.write_text(text, "utf-8")
+
+
+write_reference()
+
+
+ROLE = re.compile(r":[a-z]+:`~?([^`]+)`|``([^`]+)``")
+
+
+def plain(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Docstrings are plain text, with formulas: a first paragraph, the rest as it is written."""
+    text = ROLE.sub(lambda found: found[1] or found[2], "\n".join(lines)).strip()
+    first, _, rest = text.partition("\n\n")
+    lines[:] = [re.sub(r"([\\*|`_])", r"\\\1", " ".join(first.split()))]
+    if rest.strip() and what != "data":  # those of a value are its class's
+        lines += ["", "::", "", *(f"   {line}" for line in rest.splitlines())]
+    lines.append("")
+
+
+def setup(app: Any) -> None:
+    app.connect("autodoc-process-docstring", plain)

@@ -1,0 +1,2 @@
+/* The runtime plays; motion_data.h beside this file says what. */
+#include "motion.c"

@@ -1,0 +1,10 @@
+/* The whole FMU as one translation unit: compile this file. */
+#include "instance.h"
+#include "solver.c"
+#include "model.c"
+#include "instance.c"
+#include "values.c"
+#include "derivatives.c"
+#include "step.c"
+#include "state.c"
+#include "fmi2.c"

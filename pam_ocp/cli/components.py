@@ -1,0 +1,133 @@
+"""The command ``pam-ocp components``: what there is to build with, read from the registries."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from ..core.registry import Argument, Registry
+
+__all__ = ["add_components", "page"]
+
+
+def add_components(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    components = commands.add_parser(
+        "components",
+        help="list what plants and problems can be built of",
+        description="Plants, loads, feeds, losses, laws, costs, solvers, ...: their names as "
+        "problem files take them, with arguments, units and defaults.",
+    )
+    components.add_argument("noun", nargs="?", metavar="NOUN", help="only these, such as 'load'")
+    components.add_argument(
+        "--markdown", action="store_true", help="as the page docs/components.md"
+    )
+    components.set_defaults(run=_components)
+
+
+def _components(options: argparse.Namespace) -> int:
+    from ..core.errors import UnknownNameError
+
+    if options.markdown:
+        print(page(), end="")
+        return 0
+    nouns = [_plain(registry.noun) for registry, _ in groups()]
+    if options.noun not in (None, *nouns):
+        raise UnknownNameError("kind of component", options.noun, nouns)
+    for registry, _ in groups():
+        if options.noun in (None, _plain(registry.noun)):
+            print(f"{registry.noun}")
+            for name in registry:
+                print(f"  {name}: {registry.words(name)}")
+                for argument in _arguments(registry, name):
+                    print(f"    {argument}")
+    return 0
+
+
+def _plain(noun: str) -> str:
+    return noun.replace(" ", "-").lower()
+
+
+def groups() -> tuple[tuple[Registry[Any], str], ...]:
+    """(registry, where its names are given), in the order of the page."""
+    from ..control.kinds import CONTROLLERS, ESTIMATORS
+    from ..control.mpc.sqp import QP_SOLVERS
+    from ..muscles.gas import GASES, VOLUMES
+    from ..muscles.law import LAWS
+    from ..planning.problem.costs import COSTS
+    from ..planning.solvers.solver import SOLVERS
+    from ..plants.kinds import DAMPINGS, FEEDS, LOADS, LOSSES, PLANTS, TUBES
+
+    return (
+        (PLANTS, "`arrangement` of a `[plant]`, or named on the command line"),
+        (LOADS, "of plants: `loads = [{ kind = ... }]`"),
+        (FEEDS, "of plants: `feed = { kind = ... }`"),
+        (LOSSES, "of plants: `losses = [{ kind = ... }]`"),
+        (DAMPINGS, "of plants: `damping = { kind = ... }`"),
+        (TUBES, "of valves: `tube = { ... }`"),
+        (GASES, "of valves: `gas = { ... }`"),
+        (VOLUMES, "of a gas: `volume = { kind = ... }`"),
+        (LAWS, "`law` of a muscle file, of `fit_force` and `pam-ocp fit`"),
+        (COSTS, "terms of `minimise` and `budgets`"),
+        (SOLVERS, "`solver` of a plan"),
+        (CONTROLLERS, "`kind` of a `[controller]` of `pam-ocp mpc`"),
+        (ESTIMATORS, "`kind` of an `[estimator]` of `pam-ocp mpc`"),
+        (QP_SOLVERS, "`solver` of a `[controller]`, besides ipopt"),
+    )
+
+
+def page() -> str:
+    """docs/components.md."""
+    lines = [
+        "# Components",
+        "",
+        "What plants, muscles and problems can be built of, by the names that problem files take.",
+        "Arguments stand with their SI units and defaults; in files a text with a unit will do,",
+        'such as `"40 ms"`. This page is what `pam-ocp components --markdown` reads from what',
+        "registers itself; CONTRIBUTING.md says how to add to it.",
+        "",
+    ]
+    for registry, where in groups():
+        lines += [f"## {registry.noun}", "", f"{where[0].upper()}{where[1:]}.", ""]
+        lines += ["| name | what it is | arguments |", "|---|---|---|"]
+        for name in registry:
+            arguments = ", ".join(f"`{a}`" for a in _arguments(registry, name))
+            lines.append(f"| `{name}` | {_cell(registry.words(name))} | {_cell(arguments)} |")
+        lines.append("")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("``", "`")
+
+
+def _arguments(registry: Registry[Any], name: str) -> list[str]:
+    """As "mass = 2 [kg]"; of costs the unit of their integral, of laws the coefficients."""
+    made = registry[name]
+    if hasattr(made, "coefficient_variables"):
+        return [f"{v.name} [{v.unit}]" for v in made.coefficient_variables()]
+    if hasattr(made, "total"):
+        return [f"[{made.total.unit}]"]
+    passed = ("muscle", "plant", "program", "self")
+    return [
+        _shown(made, a)
+        for a in registry.arguments(name).values()
+        if a.name not in passed and not (a.name == "name" and registry.noun == "plant")
+    ]
+
+
+def _shown(made: Any, argument: Argument) -> str:
+    default = argument.default
+    if is_dataclass(made):  # of what is made anew each time
+        factories: dict[str, Any] = {f.name: f.default_factory for f in fields(made)}
+        own = factories.get(argument.name)
+        if callable(own):
+            default = own()
+    text = argument.name
+    if default is not inspect.Parameter.empty:
+        shown = f"{default:.4g}" if isinstance(default, float) else repr(default)
+        text += f" = {shown if len(shown) <= 40 else type(default).__name__ + '(...)'}"
+    units = [u for u in argument.units if u != "1"]
+    return f"{text} [{' or '.join(units)}]" if units else text

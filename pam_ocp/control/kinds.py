@@ -1,0 +1,16 @@
+"""Controllers and estimators by the name that a problem file gives as their ``kind``.
+
+Each is called with the model (a Plant) and its own arguments by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..core.registry import Registry
+
+__all__ = ["CONTROLLERS", "ESTIMATORS"]
+
+CONTROLLERS: Registry[Callable[..., Any]] = Registry("controller", __package__)
+ESTIMATORS: Registry[Callable[..., Any]] = Registry("estimator", f"{__package__}.estimators")

@@ -1,0 +1,201 @@
+"""Arrows between rooms run down only; one module is the door upwards, and its use is narrow."""
+
+import ast
+import importlib.util
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "pam_ocp"
+
+
+def _loaded(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@cache
+def _trees() -> dict[str, ast.Module]:
+    """{file below pam_ocp: its syntax}."""
+    return {
+        path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8"))
+        for path in PACKAGE.rglob("*.py")
+    }
+
+
+drawing = _loaded(ROOT / "docs" / "rooms.py")
+GRAPH = drawing.arrows(PACKAGE)
+BEHIND = drawing.behind_the_door(GRAPH)
+
+
+def test_the_contracts_of_pyproject_are_kept():
+    linter = (
+        "from importlinter.cli import lint_imports as run; raise SystemExit(run(no_cache=True))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", linter], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_no_module_leads_back_to_itself_but_through_the_door():
+    assert drawing.circles(BEHIND) == []
+
+
+def test_no_room_leads_back_to_itself():
+    assert drawing.circles(drawing.rooms(BEHIND)) == []
+
+
+@pytest.mark.parametrize(
+    "back",
+    [
+        "import house.low.one",
+        "from house.low import one",
+        "from ..low.one import name",
+        "from .. import low",
+        "def late():\n    from ..low import one",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from ..low.one import Name",
+    ],
+)
+def test_a_circle_is_seen_however_it_is_written(tmp_path, back):
+    for name, text in {
+        "__init__": "",
+        "low/__init__": "from .one import name",
+        "low/one": "from ..high import two",
+        "high/__init__": "",
+        "high/two": back,
+    }.items():
+        path = tmp_path / "house" / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
+    (circle,) = drawing.circles(drawing.arrows(tmp_path / "house"))
+    assert {"house.low.one", "house.high.two"} <= set(circle)
+
+
+def test_all_that_two_circles_share_is_one_group():
+    assert drawing.circles({"a": {"b"}, "b": {"c", "d"}, "c": {"a"}, "d": {"b"}, "e": {"a"}}) == [
+        ["a", "b", "c", "d"]
+    ]
+
+
+def test_the_picture_of_the_rooms_is_drawn_from_the_imports():
+    text = drawing.PAGE.read_text("utf-8")
+    drawn = drawing.drawn(drawing.rooms(BEHIND))
+    assert drawing.page(text, drawn) == text, "run `python docs/rooms.py`"
+
+
+def test_modules_are_named_in_strings_only_where_names_load_lazily_and_by_what_serves_others():
+    """Such arrows are not seen: a name that is loaded lazily, a registry's room, a child's work."""
+    named = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in PACKAGE.rglob("*.py")
+        if re.search(r"\b(import_module|__import__)\(", path.read_text("utf-8"))
+    }
+    assert named <= {"core/lazy.py", "core/registry.py", "export/isolation.py"}
+
+
+# ---- the door ------------------------------------------------------------------------------------
+def _doors_names() -> dict[str, str]:
+    """{name: module below pam_ocp} of what the door imports for types."""
+    return {
+        alias.name: node.module
+        for node in ast.walk(_trees()["courtesy.py"])
+        if isinstance(node, ast.ImportFrom) and node.level and node.module != "core.lazy"
+        for alias in node.names
+    }
+
+
+@cache
+def _uses() -> list[tuple[str, str, bool]]:
+    """(module, name, whether a method's last statement returns a call of it) of courtesy.NAME."""
+    found = []
+    for file, tree in _trees().items():
+        forwarded = set()
+        for owner in (n for n in ast.walk(tree) if isinstance(n, ast.ClassDef)):
+            for method in (n for n in owner.body if isinstance(n, ast.FunctionDef)):
+                if isinstance(last := method.body[-1], ast.Return):
+                    forwarded |= {id(getattr(last.value, "func", None))}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "courtesy":
+                found.append((file, node.attr, id(node) in forwarded))
+    return found
+
+
+def test_only_methods_go_through_the_door_and_only_to_return_what_is_found_there():
+    assert [use for use in _uses() if not use[2]] == []
+
+
+def test_the_door_leads_to_what_its_types_say_and_to_nothing_that_is_not_used():
+    from pam_ocp import courtesy
+
+    used = {name for _, name, _ in _uses()}
+    assert {n: m for n, m in _doors_names().items() if n in used} == courtesy._HOMES
+    for name, home in courtesy._HOMES.items():
+        assert getattr(courtesy, name).__module__ == f"pam_ocp.{home}"
+
+
+def test_what_else_the_door_names_is_named_in_annotations_only():
+    types = set(_doors_names()) - {name for _, name, _ in _uses()}
+    for_types, imported = [], []
+    for tree in _trees().values():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.module == "courtesy":
+                imported += [a.name for a in node.names]
+            if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+                inside = (n for n in node.body if isinstance(n, ast.ImportFrom))
+                for_types += [a.name for n in inside if n.module == "courtesy" for a in n.names]
+    assert sorted(imported) == sorted(for_types)
+    assert types == set(imported)
+
+
+# ---- what an import loads ------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "name",
+    ["pam_ocp", "pam_ocp.courtesy", "pam_ocp.export", "pam_ocp.fitting", "pam_ocp.vibration"],
+)
+def test_an_import_loads_names_only_when_they_are_used(name):
+    """No stopwatch: what is not loaded takes no time."""
+    code = (
+        f"import sys; before = set(sys.modules); import {name};"
+        "print(*sorted(m for m in set(sys.modules) - before if m.split('.')[0] in"
+        " {'pam_ocp', 'casadi', 'numpy', 'scipy', 'matplotlib', 'control', 'fmpy', 'pandas'}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) == {"pam_ocp", "pam_ocp.core", "pam_ocp.core.lazy", name}
+
+
+def test_a_name_that_a_module_does_not_have_is_an_attribute_error():
+    import pam_ocp.fitting
+
+    with pytest.raises(AttributeError, match=r"'pam_ocp\.fitting' has no attribute 'fit_frce'"):
+        _ = pam_ocp.fitting.fit_frce
+    assert {"fit_force", "ForceTable"} <= set(dir(pam_ocp.fitting))
+
+
+def test_the_stub_names_what_the_package_loads_lazily_from_where_it_stands():
+    import pam_ocp
+
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text("utf-8"))
+    said = {
+        alias.asname: node.module
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom) and node.level
+        for alias in node.names
+    }
+    assert said == pam_ocp._HOMES
+    assert set(pam_ocp.__all__) == set(said)
+    for name in said:
+        assert getattr(pam_ocp, name) is not None
