@@ -110,7 +110,7 @@ _HOMES: dict[str, str] = {
     "ValidityWarning": "muscles.validity",
     "Variable": "core.variables",
     "Verdict": "planning.verdict",
-    "VibrationError": "numerics.newton",
+    "VibrationError": "core.errors",
     "Wall": "plants.loads",
     "WithEstimate": "control.estimators.stationary",
     "along_stroke": "control.analysis",

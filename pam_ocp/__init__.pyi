@@ -99,6 +99,9 @@ from .core.errors import (
 from .core.errors import (
     UnknownNameError as UnknownNameError,
 )
+from .core.errors import (
+    VibrationError as VibrationError,
+)
 from .core.plausible import (
     UnitWarning as UnitWarning,
 )
@@ -299,9 +302,6 @@ from .muscles.muscle_file import (
 )
 from .muscles.validity import (
     ValidityWarning as ValidityWarning,
-)
-from .numerics.newton import (
-    VibrationError as VibrationError,
 )
 from .operating.allocation import (
     Allocation as Allocation,

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, SimulationError, require_instance
 from ..muscles.muscle import Muscle
+from ..numerics.newton import iterate, least_squares
 from ..operating.equilibrium import OperatingPoint
 from ..operating.linear import chosen_signals, point_of
 from ..plants.plant import Plant, Values, require_plant
@@ -158,9 +159,10 @@ class _Period:
         self, start: Array, amplitude: float, hertz: float
     ) -> tuple[Array, NDArray[np.complex128]]:
         """The state (SI) at the begin of a period of the periodic motion, and its multipliers."""
-        n, x = len(self.nominal), start / self.nominal
-        given = self._given(amplitude, hertz)
-        for _ in range(ITERATIONS):
+        n, given = len(self.nominal), self._given(amplitude, hertz)
+        slopes = np.eye(n)
+
+        def missed(x: Array) -> tuple[Array, Callable[[Array], Array]]:
             try:
                 end = np.asarray(
                     self.map(x0=np.concatenate([x, np.eye(n).ravel()]), p=given)["xf"], dtype=float
@@ -169,12 +171,21 @@ class _Period:
                 raise self._failure(amplitude, hertz, "cannot be integrated") from None
             if not np.all(np.isfinite(end)):
                 raise self._failure(amplitude, hertz, "cannot be integrated")
-            miss, slopes = end[:n] - x, end[n:].reshape(n, n, order="F")
-            step = np.linalg.lstsq(np.eye(n) - slopes, miss, rcond=1e-13)[0]
-            if np.abs(miss).max() < STEADY and np.abs(step).max() < 1e3 * STEADY:
-                return x * self.nominal, np.asarray(np.linalg.eigvals(slopes), complex)
-            x = x + step * min(1.0, MOST / max(np.abs(step).max(), 1e-300))
-        raise self._failure(amplitude, hertz, "does not become periodic")
+            slopes[:] = end[n:].reshape(n, n, order="F")
+            return end[:n] - x, least_squares(slopes - np.eye(n), rcond=1e-13)
+
+        root = iterate(
+            missed,
+            start / self.nominal,
+            tolerance=STEADY,
+            settled=1e3 * STEADY,
+            steps=ITERATIONS,
+            halvings=0,
+            longest=MOST,
+        )
+        if root.reason:
+            raise self._failure(amplitude, hertz, "does not become periodic")
+        return root.w * self.nominal, np.asarray(np.linalg.eigvals(slopes), complex)
 
     def harmonics(
         self, start: Array, amplitude: float, hertz: float

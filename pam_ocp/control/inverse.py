@@ -5,6 +5,7 @@ stiffness).
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import TypeAlias
 
 import casadi as ca
@@ -12,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..numerics.newton import iterate, least_squares
 from ..plants.plant import Plant, require_plant
 
 __all__ = ["InverseDynamics"]
 
 Array: TypeAlias = NDArray[np.float64]
 ITERATIONS = 30
+SETTLED = 1e-4
+"""Change of a pressure that no longer counts [Pa]."""
 MISS = 1e-6
 """Relative miss of acceleration and stiffness that counts as met."""
 
@@ -110,20 +114,24 @@ class InverseDynamics:
         self, pressures: Array, target: Array, equations: list[int], unknown: list[int]
     ) -> tuple[Array, Array]:
         """Newton within the range for some of the pressures, and what is missed (relative)."""
-        pressures, scale = pressures.copy(), np.maximum(np.abs(target), 1.0)
-        for _ in range(ITERATIONS):
+        pressures, miss = pressures.copy(), np.zeros(len(target))
+
+        def missed(w: Array) -> tuple[Array, Callable[[Array], Array]]:
+            pressures[unknown] = w
             self._z[self._place] = pressures
             found, slopes = (np.asarray(m, dtype=float) for m in self._function(self._z, self._p))
-            miss = (found.ravel() - target) / scale
-            chosen = slopes[np.ix_(equations, unknown)]
-            step = np.linalg.lstsq(chosen, (miss * scale)[equations], rcond=None)[0]
-            new = pressures.copy()
-            new[unknown] = np.clip(new[unknown] - step, self.low[unknown], self.high[unknown])
-            moved = float(np.abs(new - pressures).max())
-            pressures = new
-            if moved <= 1e-4:  # Pa
-                break
-        return pressures, miss
+            miss[:] = found.ravel() - target
+            return miss[equations], least_squares(slopes[np.ix_(equations, unknown)])
+
+        iterate(
+            missed,
+            pressures[unknown],
+            settled=SETTLED,
+            steps=ITERATIONS,
+            halvings=0,
+            within=(self.low[unknown], self.high[unknown]),
+        )
+        return pressures, miss / np.maximum(np.abs(target), 1.0)
 
     def _at_a_limit(self, target: Array) -> Array:
         """One muscle at an end of its range, the other one giving the acceleration: the pair with

@@ -18,6 +18,7 @@ from .exceptions import (
     PlanWarning,
     SimulationError,
     UnknownNameError,
+    VibrationError,
 )
 from .quantities import quantity
 
@@ -30,6 +31,7 @@ __all__ = [
     "PlanWarning",
     "SimulationError",
     "UnknownNameError",
+    "VibrationError",
     "require_count",
     "require_finite",
     "require_instance",

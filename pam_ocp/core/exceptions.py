@@ -18,6 +18,7 @@ __all__ = [
     "PlanWarning",
     "SimulationError",
     "UnknownNameError",
+    "VibrationError",
 ]
 
 
@@ -72,6 +73,10 @@ class PlanError(PamError):
 
 class PlanWarning(UserWarning):
     """A plan was found, but not verified: its verdict says which figure failed."""
+
+
+class VibrationError(PamError):
+    """A border, a limit cycle or an oscillation that was asked for and not found; says why."""
 
 
 class ExportError(PamError):

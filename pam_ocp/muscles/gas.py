@@ -25,6 +25,7 @@ __all__ = [
     "Gas",
     "PolynomialVolume",
     "Volume",
+    "air_mass",
     "closed_stiffness",
     "conductance_from_flow",
     "iso6358",
@@ -170,6 +171,11 @@ def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> A
     found = ca.Function("volume", [symbol], [ca.SX(expression)])(values.reshape(1, -1))
     array = np.asarray(found, dtype=float).reshape(values.shape)
     return array if array.ndim else float(array)
+
+
+def air_mass(absolute: Any, volume: Any, temperature: Any = REFERENCE_TEMPERATURE) -> Any:
+    """Mass of the air [kg] at an absolute pressure [Pa] in a volume [m3]: p V/(R T)."""
+    return absolute * volume / (GAS_CONSTANT * temperature)
 
 
 # ---- gas -------------------------------------------------------------------------------------

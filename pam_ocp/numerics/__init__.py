@@ -1,1 +1,1 @@
-"""Methods without physics: Newton, collocation, integrators, events."""
+"""Methods without physics: Newton, continuation, collocation, Runge-Kutta, Rosenbrock."""

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.system import System
-from .newton import Array, VibrationError, newton
+from .collocation import collocation_matrices, collocation_points, lagrange
+from .newton import Array, NewtonError, newton
 
 __all__ = ["Orbit", "Periodic", "Row"]
 
@@ -64,7 +65,8 @@ class Orbit:
         s = np.where(s == 1.0, 1.0, s % 1.0)  # the end belongs to the last interval
         i = np.clip(np.searchsorted(self.mesh, s, side="right") - 1, 0, len(self.z) - 1)
         h = np.diff(self.mesh)[i]
-        basis = _lagrange(self.z.shape[1], (s - self.mesh[i]) / h, order)
+        through = (0.0, *radau(self.z.shape[1]).tolist())
+        basis = np.stack(lagrange(through, (s - self.mesh[i]) / h, order), axis=-1)
         nodes = np.concatenate([self.starts[:, None], self.z], axis=1)
         return np.asarray(np.einsum("sj,sjx->sx", basis, nodes[i])) / h[:, None] ** order
 
@@ -142,7 +144,7 @@ class Periodic(Generic[S]):
         step, lam = ca.SX.sym("step"), ca.SX.sym("lam")
         constants = ca.SX.sym("constants", len(self.constants))
         values = constants + self.place * lam
-        derivative = ca.collocation_coeff(radau(degree).tolist())[0]
+        derivative = collocation_matrices(radau(degree))[0]
         slopes = ca.horzcat(start, points) @ ca.DM(derivative)
         rates = [
             self.plant.function(points[:, j] * self.nominal, values[:nu], values[nu:])[0]
@@ -199,16 +201,16 @@ class Periodic(Generic[S]):
         start = np.concatenate([like.z.ravel(), [1.0, like.lam]])
         try:
             w, _ = newton(equations, start, tolerance=tolerance)
-        except VibrationError as error:
+        except NewtonError as error:
             # towards rest Newton creeps, since there any period will do
             if error.last is not None and unpacked(error.last).swing < SHRUNK * like.swing:
-                raise VibrationError(COLLAPSE) from None
+                raise NewtonError(COLLAPSE) from None
             raise
         if w[-2] <= 0:
-            raise VibrationError("Newton's method ran to a period that is not positive")
+            raise NewtonError("Newton's method ran to a period that is not positive")
         found = unpacked(w)
         if found.swing < 2 * COLLAPSED:
-            raise VibrationError(COLLAPSE)
+            raise NewtonError(COLLAPSE)
         return found
 
     def tangent(self, orbit: Orbit, row: Row) -> Row:
@@ -348,23 +350,9 @@ def fractions(mesh: Array, inside: Array) -> Array:
 
 def radau(degree: int) -> Array:
     """The Radau points in (0, 1], the last is 1."""
-    return np.array(ca.collocation_points(degree, "radau"))
+    return collocation_points("radau", degree)
 
 
 def _weights(mesh: Array, degree: int) -> Array:
     """Quadrature weights of the mean over the period, (n, degree)."""
-    inside = np.asarray(ca.collocation_coeff(radau(degree).tolist())[2]).ravel()
-    return np.outer(np.diff(mesh), inside)
-
-
-def _lagrange(degree: int, s: Array, order: int) -> Array:
-    """Values (or slopes) at s of the Lagrange polynomials of 0 and the Radau points, (len(s),
-    d+1).
-    """
-    nodes = np.concatenate([[0.0], radau(degree)])
-    columns = []
-    for j, node in enumerate(nodes):
-        others = np.delete(nodes, j)
-        polynomial = np.poly1d(others, r=True) / np.prod(node - others)
-        columns.append((polynomial.deriv() if order else polynomial)(s))
-    return np.stack(columns, axis=-1)
+    return np.outer(np.diff(mesh), collocation_matrices(radau(degree))[2])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, PamError
+from ..numerics.newton import iterate
 from ..plants.plant import Plant
 
 __all__ = ["Allocation", "AllocationError", "common_and_difference", "pressures_of"]
@@ -17,6 +18,10 @@ __all__ = ["Allocation", "AllocationError", "common_and_difference", "pressures_
 Array: TypeAlias = NDArray[np.float64]
 
 ITERATIONS = 50
+BAR = 1e5
+"""Size of a pressure [Pa]: unknowns are of order one."""
+SETTLED = 1e-13
+"""Change of a pressure that no longer counts, in bar."""
 
 
 class AllocationError(PamError):
@@ -97,19 +102,20 @@ class Allocation:
         """
         wanted = np.broadcast_arrays(*(np.asarray(a, float) for a in (position, effort, stiffness)))
         z, target = wanted[0].ravel(), np.array([wanted[1].ravel(), wanted[2].ravel()])
-        p = np.array([np.full(z.shape, (v.min + v.max) / 2) for v in self._pressures])
-        scale = np.maximum(np.abs(target), 1.0)
-        for _ in range(ITERATIONS):
-            asked, jacobian, _ = self._call(z, p)
-            miss = asked - target
-            step = np.linalg.solve(jacobian, miss.T[:, :, None])[:, :, 0].T
-            p = p - step
-            if np.all(np.abs(step) <= 1e-14 * np.abs(p) + 1e-12) or np.all(
-                np.abs(miss) <= 1e-14 * scale
-            ):
-                break
+        start = np.array([np.full(z.shape, (v.min + v.max) / 2) for v in self._pressures])
+
+        def missed(w: Array) -> tuple[Array, Callable[[Array], Array]]:
+            asked, jacobian, _ = self._call(z, w * BAR)
+            return (
+                asked - target,
+                lambda right: np.linalg.solve(jacobian, right.T[:, :, None])[:, :, 0].T / BAR,
+            )
+
+        # each place is a pair of equations of its own; their steps are taken together
+        root = iterate(missed, start / BAR, settled=SETTLED, steps=ITERATIONS, halvings=0)
+        p = root.w * BAR
         asked, _, _ = self._call(z, p)
-        worst = np.abs(asked - target) / scale
+        worst = np.abs(asked - target) / np.maximum(np.abs(target), 1.0)
         if not np.all(worst < 1e-9):
             i = int(np.argmax(worst.max(axis=0)))
             raise AllocationError(
@@ -183,14 +189,13 @@ class Allocation:
         """
 
         def partner(p1: float) -> float:
-            p2 = (box[1][0] + box[1][1]) / 2
-            for _ in range(ITERATIONS):
-                asked, jacobian, _ = self._call(np.array([z]), np.array([[p1], [p2]]))
-                step = (asked[0, 0] - effort) / jacobian[0, 0, 1]
-                p2 -= step
-                if abs(step) <= 1e-12 * (1 + abs(p2)):
-                    break
-            return p2
+            def missed(w: Array) -> tuple[Array, Callable[[Array], Array]]:
+                asked, jacobian, _ = self._call(np.array([z]), np.array([[p1], w * BAR]))
+                return asked[0] - effort, lambda right: right / jacobian[0, 0, 1] / BAR
+
+            start = np.array([(box[1][0] + box[1][1]) / 2])
+            root = iterate(missed, start / BAR, settled=SETTLED, steps=ITERATIONS, halvings=0)
+            return float(root.w[0]) * BAR
 
         def excess(p1: float) -> tuple[float, float]:
             """How far (p1, partner) lies beyond the lower and the upper limits (<= 0 inside)."""

@@ -1,171 +1,26 @@
-"""Points of rest along a varying value, their eigenvalues, and what a border needs of them."""
+"""Points of rest along a varying value, and their eigenvalues."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from ..core.errors import InputError
-from ..numerics.newton import Array, VibrationError, casadi_equations, newton
-from ..plants.plant import Plant, Values
+from ..numerics.newton import Array, NewtonError, casadi_equations, newton
+from ..plants.plant import Plant
 from .equilibrium import EquilibriumError, OperatingPoint, equilibrium
-from .held import Memory, held
+from .held import Memory
+from .rest import VariedRest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Rest", "StabilityPath", "stability_path"]
-
-
-class Rest:
-    """The equations of rest of a plant under conditions, with one value left to vary.
-
-    The varying value is a parameter, or an input (or anything else that may be a condition).
-    Everything is scaled by nominals: z = (x, u)/nominal, lam = value/nominal.
-    """
-
-    def __init__(
-        self, plant: Plant, parameter: str, conditions: Values, memory: Memory = "virgin"
-    ) -> None:
-        self.variable = plant.variable(parameter)
-        given = {plant.variable(n).name: float(v) for n, v in conditions.items()}
-        given.pop(self.variable.name, None)
-        constants = {n: v for n, v in given.items() if plant.variable(n).causality == "parameter"}
-        self.plant = plant.with_values(constants)
-        self.pinned = held(self.plant, memory)
-        self.pinned.update({n: v for n, v in given.items() if n in self.pinned})
-        kept = {*constants, *self.pinned}
-        self.targets = {n: v for n, v in given.items() if n not in kept}
-        varies = self.variable.causality != "parameter"
-        named = {*self.targets, self.variable.name}
-        outside = {v.name: v.start or 0.0 for v in plant.inputs if v.disturbance}
-        outside = {n: start for n, start in outside.items() if n not in named}
-        needed = len(plant.inputs) - varies
-        if len(self.targets) + len(outside) == needed:
-            self.targets.update(outside)  # as pam_ocp.operating.equilibrium does
-        if len(self.targets) != needed:
-            raise InputError(
-                f"{plant.name!r} has {len(plant.inputs) - len(outside)} input(s) to choose, so "
-                "with "
-                f"{self.variable.name} varied {needed - len(outside)} condition(s) are needed for "
-                "its "
-                f"points of rest; {len(self.targets)} given: {', '.join(self.targets) or 'none'}"
-            )
-        self.nx = len(plant.states)
-        self.nominal = np.concatenate(
-            [plant.vector(c, attribute="nominal") for c in ("state", "input")]
-        )
-        self.names = (*self.targets, *((self.variable.name,) if varies else ()))
-        self.row = None if varies else self.plant.parameters.index(self.variable)
-
-    @property
-    def constants(self) -> Array:
-        """What the functions take behind z and lam: parameters, then the conditions' values."""
-        return np.concatenate([self.plant.vector("parameter"), list(self.targets.values())])
-
-    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, dict[str, ca.SX]]:
-        """(z, lam, constants, expressions): scaled "rates", and in "rest" what vanishes at rest.
-
-        "slopes" are the Jacobian of the rates over the states, without the fading of held memories.
-        """
-        plant, nx = self.plant, self.nx
-        z, lam = ca.SX.sym("z", len(self.nominal)), ca.SX.sym("lam")
-        constants = ca.SX.sym("constants", len(self.constants))
-        p, targets = constants[: len(plant.parameters)], constants[len(plant.parameters) :]
-        value = lam * self.variable.nominal
-        if self.row is not None:
-            p = ca.vertcat(p[: self.row], value, p[self.row + 1 :])
-        else:
-            targets = ca.vertcat(targets, value)
-        scaled = z * self.nominal
-        missed = ca.vertcat(
-            ca.SX(0, 1),
-            *(
-                (plant.expression(n) - t) / plant.variable(n).nominal
-                for n, t in zip(self.names, ca.vertsplit(targets), strict=True)
-            ),
-        )
-        rates = plant.function(scaled[:nx], scaled[nx:], p)[0] / self.nominal[:nx]
-        conditions = ca.substitute(
-            missed, ca.vertcat(plant.x, plant.u, plant.p), ca.vertcat(scaled, p)
-        )
-        index = [i for i, v in enumerate(plant.states) if v.name in self.pinned]
-        vanish, slopes = ca.SX(rates), ca.jacobian(rates, z)[:, :nx]
-        for i, pin in zip(index, self.pinned.values(), strict=True):
-            vanish[i] = z[i] - pin / self.nominal[i]
-            for j in index:
-                slopes[i, j] = 0.0
-        found = {"rates": rates, "rest": ca.vertcat(vanish, conditions), "slopes": slopes}
-        return z, lam, constants, found
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """(z, lam, constants) -> (residual, Jacobian in z)."""
-        z, lam, constants, found = self.symbols()
-        residual = found["rest"]
-        return ca.Function("rest", [z, lam, constants], [residual, ca.jacobian(residual, z)])
-
-    @cached_property
-    def stability(self) -> ca.Function:
-        """(z, lam, constants) -> the scaled Jacobian of the rates; eigenvalues are the plant's."""
-        z, lam, constants, found = self.symbols()
-        return ca.Function("stability", [z, lam, constants], [ca.densify(found["slopes"])])
-
-    def given(self, value: float) -> dict[str, float]:
-        """All conditions with the varying value put in, as :func:`equilibrium` takes them."""
-        return {**self.targets, **self.pinned, self.variable.name: value}
-
-    def first(self, value: float) -> Array:
-        """Scaled point of rest at a value, from nothing. Raises EquilibriumError."""
-        point = equilibrium(self.plant, self.given(value))
-        return np.asarray(np.concatenate([point.x, point.u]) / self.nominal)
-
-    def next(self, z: Array, value: float) -> Array:
-        """Point of rest at a value, continued from a near one; from nothing where that fails."""
-        try:
-            lam = value / self.variable.nominal
-            found, _ = newton(casadi_equations(self.function, lam, self.constants), z)
-        except VibrationError:
-            return self.first(value)
-        low, high = (
-            np.concatenate([self.plant.vector(c, attribute=a) for c in ("state", "input")])
-            / self.nominal
-            for a in ("min", "max")
-        )
-        inside = np.all(found >= low - 1e-9) and np.all(found <= high + 1e-9)
-        return found if inside else self.first(value)
-
-    def at(self, z: Array, value: float) -> OperatingPoint:
-        """The OperatingPoint of a scaled solution; its plant holds all values as start values."""
-        values = z * self.nominal
-        names = [v.name for v in (*self.plant.states, *self.plant.inputs)]
-        fixed: dict[str, float] = {
-            n: float(np.clip(x, self.plant.variable(n).min, self.plant.variable(n).max))
-            for n, x in zip(names, values, strict=True)
-        }
-        if self.row is not None:
-            fixed[self.variable.name] = value
-        residual = self.function(z, value / self.variable.nominal, self.constants)[0]
-        return OperatingPoint(
-            self.plant.with_values(fixed),
-            values[: self.nx],
-            values[self.nx :],
-            float(np.max(np.abs(np.asarray(residual)))),
-        )
-
-    def eigenvalues(self, z: Array, value: float) -> NDArray[np.complex128]:
-        """Eigenvalues of the plant at rest [1/s], unsorted; held memories stick and have none."""
-        if self.pinned:
-            return self.at(z, value).poles
-        a = self.stability(z, value / self.variable.nominal, self.constants)
-        return np.asarray(np.linalg.eigvals(np.asarray(a)), dtype=complex)
+__all__ = ["StabilityPath", "stability_path"]
 
 
 @dataclass(frozen=True)
@@ -224,7 +79,7 @@ def stability_path(
     Raises UnknownNameError, InputError for values out of range, EquilibriumError where no point of
     rest exists (with the value at which the path ended).
     """
-    rest = Rest(plant, parameter, {**(conditions or {}), **more}, memory)
+    rest = VariedRest(plant, parameter, {**(conditions or {}), **more}, memory)
     numbers = np.atleast_1d(np.asarray(values, dtype=float))
     if numbers.ndim != 1 or not numbers.size:
         raise InputError("values must be a row of at least one number")
@@ -234,7 +89,7 @@ def stability_path(
     eigenvalues: list[NDArray[np.complex128]] = []
     for value in map(float, numbers):
         try:
-            path.append(rest.next(path[-1], value) if path else rest.first(value))
+            path.append(_next(rest, path[-1], value) if path else _first(rest, value))
         except EquilibriumError as error:
             shown = rest.variable.shown(value)
             raise EquilibriumError(
@@ -250,6 +105,22 @@ def stability_path(
         np.array(eigenvalues),
         np.array(path),
     )
+
+
+def _first(rest: VariedRest, value: float) -> Array:
+    """Scaled point of rest at a value, from nothing. Raises EquilibriumError."""
+    point = equilibrium(rest.plant, rest.given(value))
+    return np.asarray(np.concatenate([point.x, point.u]) / rest.nominal)
+
+
+def _next(rest: VariedRest, z: Array, value: float) -> Array:
+    """Point of rest at a value, continued from a near one; from nothing where that fails."""
+    try:
+        lam = value / rest.variable.nominal
+        found, _ = newton(casadi_equations(rest.function, lam, rest.constants), z)
+    except NewtonError:
+        return _first(rest, value)
+    return found if rest.inside(found) else _first(rest, value)
 
 
 def _followed(

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, PamError, require_finite, require_instance
+from ..core.errors import PamError, require_instance
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
-from .held import Memory, held
+from .held import Memory
 from .operating_point import OperatingPoint
-from .rest_search import ROUGH, TOLERANCE, Search
+from .rest import TOLERANCE, Expressions, posed
+from .rest_search import ROUGH, Search
 
 __all__ = [
     "TOLERANCE",
@@ -24,7 +24,6 @@ __all__ = [
 ]
 
 Array: TypeAlias = NDArray[np.float64]
-Expressions: TypeAlias = Mapping[str, tuple[ca.SX, float]]
 
 
 class EquilibriumError(PamError):
@@ -78,68 +77,11 @@ def equilibrium(
             inversion.inner, wanted, free=free, expressions=expressions, guess=near, memory=memory
         )
         return inversion.left(inner)
-    search = posed(plant, wanted, free, expressions, memory)
+    search = posed(Search, plant, wanted, free, expressions, memory)
     point, nearest = search.solve(guess)
     if point is None:
         raise EquilibriumError(why_not(search, nearest))
     return point
-
-
-def posed(
-    plant: Plant,
-    conditions: Values,
-    free: Sequence[str] = (),
-    expressions: Expressions | None = None,
-    memory: Memory = "virgin",
-) -> Search:
-    """The search that conditions, free variables and a memory stand for."""
-    require_plant(plant)
-    given = {plant.variable(n).name: v for n, v in conditions.items()}
-    free = [plant.variable(n).name for n in ([free] if isinstance(free, str) else free)]
-    for name in free:
-        _require_free(plant, name, given)
-    constants = {n: v for n, v in given.items() if plant.variable(n).causality == "parameter"}
-    plant = plant.with_values(constants)
-    pinned = held(plant, memory)
-    targets: dict[str, float] = {}
-    for name, value in ((n, v) for n, v in given.items() if n not in constants):
-        number = plant.variable(name).check(value, "the condition")
-        (pinned if name in pinned else targets)[name] = number
-    more = {n: (ca.SX(x), require_finite(n, v)) for n, (x, v) in (expressions or {}).items()}
-    targets.update({n: v for n, (_, v) in more.items()})
-    disturbances = {
-        v.name: v.start or 0.0
-        for v in plant.inputs
-        if v.disturbance and v.name not in targets and v.name not in free
-    }
-    loose = [n for n in free if plant.variable(n).causality == "parameter"]
-    kept = [n for n in free if n in pinned]
-    needed = len(plant.inputs) + len(loose) + len(kept)
-    if len(targets) + len(disturbances) == needed:
-        targets.update(disturbances)
-    if len(targets) != needed:
-        controls = [v.name for v in plant.inputs if v.name not in disturbances] + loose + kept
-        raise InputError(
-            f"equilibrium of {plant.name!r} needs {len(controls)} condition(s), one for each of "
-            "its "
-            f"inputs{' and free variables' if free else ''} ({', '.join(controls)}); "
-            f"{len(targets)} given: {', '.join(targets) or 'none'}"
-        )
-    pins = {n: v for n, v in pinned.items() if n not in free}
-    return Search(plant, targets, loose, {n: x for n, (x, _) in more.items()}, pins)
-
-
-def _require_free(plant: Plant, name: str, given: Values) -> None:
-    variable = plant.variable(name)
-    allowed = variable.causality == "parameter" or variable.disturbance or variable.memory == "held"
-    if not allowed:
-        raise InputError(
-            f"free: {name} is a {variable.causality}; name parameters, disturbances or held "
-            "memories "
-            "(other states and inputs are unknown anyway)"
-        )
-    if name in given:
-        raise InputError(f"{name} cannot be free and given (= {given[name]}) at once")
 
 
 # ---- when there is none -------------------------------------------------------------------------

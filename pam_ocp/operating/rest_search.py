@@ -1,9 +1,7 @@
-"""The equations of rest and conditions, and the search for their solution within the bounds."""
+"""The search for points of rest within the bounds, from nothing: IPOPT from several starts."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -11,115 +9,32 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..plants.plant import Plant
 from .operating_point import OperatingPoint
+from .rest import Rest
 
-__all__ = ["TOLERANCE", "Search"]
+__all__ = ["Search"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-TOLERANCE = 1e-9
-"""Largest residual of an equilibrium, in units of nominal (per second)."""
 TAUT = 3
 """Starts under high pressures."""
 ROUGH = 1e-6
 """Largest residual from which Newton's method is asked for the rest."""
 
 
-class Search:
-    """The residual of rest and conditions, scaled by nominals, and its solution by IPOPT.
-
-    Unknown are z = (states, inputs, free parameters). Held memories that are ``pinned`` have a
-    value in place of their equation; those that are not have neither, and need a condition more.
-    """
-
-    def __init__(
-        self,
-        plant: Plant,
-        targets: Mapping[str, float],
-        free: Sequence[str] = (),
-        more: Mapping[str, ca.SX] | None = None,
-        pinned: Mapping[str, float] | None = None,
-    ) -> None:
-        more, pinned = more or {}, pinned or {}
-        self.plant, self.targets, self.free = plant, list(targets), list(free)
-        self.more, self.pinned = dict(more), dict(pinned)
-        rates = [v for v in plant.states if v.memory != "held"]
-        given = {**pinned, **targets}
-        self.names = [f"der({v.name})" for v in rates] + list(given)
-        # an expression has no nominal: its value says its size
-        sizes = [
-            abs(v) or 1.0 if n in more else plant.variable(n).nominal for n, v in given.items()
-        ]
-        rows = [more[n] if n in more else plant.expression(n) for n in self.names]
-        values = ca.SX.sym("values", len(given))
-        scale = np.array([v.nominal for v in rates] + sizes)
-        symbols = [plant.expression(n) for n in free]
-        loose = ca.SX.sym("free", len(free))
-        z = ca.vertcat(plant.x, plant.u, loose)
-        residual = (ca.vertcat(*rows) - ca.vertcat(ca.SX.zeros(len(rates)), values)) / scale
-        if free:
-            residual = ca.substitute(residual, ca.vertcat(*symbols), loose)
-        p = ca.vertcat(plant.p, values)
-        self.function = ca.Function("rest", [z, p], [residual, ca.jacobian(residual, z)])
-        self.p = np.concatenate([plant.vector("parameter"), list(given.values())])
-        unknown = (*plant.states, *plant.inputs, *(plant.variable(n) for n in free))
-        self.nominal, self.low, self.high, self.start = (
-            np.array([getattr(v, a) for v in unknown], dtype=float)
-            for a in ("nominal", "min", "max", "start")
-        )
-        self._relaxed: dict[tuple[str, bool], Array | None] = {}
-        for name, value in pinned.items():
-            i = [v.name for v in unknown].index(name)
-            self.low[i] = self.high[i] = self.start[i] = value
-
-    def along(self, name: str) -> Search:
-        """The same search without the condition on a variable: one unknown more than equations."""
-        loose = list(self.free)
-        if self.plant.variable(name).causality == "parameter" and name not in loose:
-            loose.append(name)
-        kept = {n: v for n, v in self.values.items() if n != name}
-        return Search(self.plant, kept, loose, self.more, self.pinned)
+class Search(Rest):
+    """The equations of rest and their solution within the bounds."""
 
     def moved(self, name: str, value: float) -> Search:
         """The same search with another value of one condition."""
-        other = copy.copy(self)
-        other._relaxed = {}
-        other.p = self.p.copy()
-        other.p[len(self.p) - len(self.targets) + self.targets.index(name)] = value
+        other = super().moved(name, value)
+        other.__dict__.pop("_relaxed", None)
         return other
 
-    @property
-    def values(self) -> dict[str, float]:
-        """The conditions."""
-        numbers = self.p[len(self.p) - len(self.targets) :].tolist()
-        return dict(zip(self.targets, numbers, strict=True))
-
-    def vector(self, point: OperatingPoint) -> Array:
-        """The unknowns at a point."""
-        return np.concatenate([point.x, point.u, [point[n] for n in self.free]])
-
-    def point(self, z: Array) -> OperatingPoint:
-        """The point of given unknowns; its plant has the free parameters' values."""
-        n, m = len(self.plant.states), len(self.plant.inputs)
-        plant = self.plant
-        if self.free:
-            plant = plant.with_values(dict(zip(self.free, z[n + m :], strict=True)))
-        error = float(np.abs(self.residual(z)).max())
-        return OperatingPoint(plant, z[:n], z[n : n + m], error)
-
-    def polished(self, z: Array, high: Array | None = None) -> Array | None:
-        """The equilibrium that Newton's method reaches from z, None when outside or none."""
-        high = self.high if high is None else high
-        point = self.newton(z)
-        error = np.abs(self.residual(point)).max()
-        margin = 1e-9 * self.nominal
-        inside = np.all((point >= self.low - margin) & (point <= high + margin))
-        return np.clip(point, self.low, high) if error < TOLERANCE and inside else None
-
-    def residual(self, point: Array) -> Array:
-        value: Array = np.asarray(self.function(point, self.p)[0], dtype=float)
-        return value.ravel()
+    @cached_property
+    def _relaxed(self) -> dict[tuple[str, bool], Array | None]:
+        """What :meth:`relaxed` has found."""
+        return {}
 
     @property
     def _open(self) -> list[int]:
@@ -236,21 +151,3 @@ class Search:
             if variable.name in self.targets:
                 found[:, i] = self.values[variable.name]
         return list(found)
-
-    def newton(self, point: Array, steps: int = 4, inside: bool = False) -> Array:
-        """A few Newton steps to rounding; least squares where the Jacobian is singular.
-
-        inside : each step ends within the bounds.
-        """
-        for _ in range(steps):
-            residual, jacobian = (np.asarray(m, dtype=float) for m in self.function(point, self.p))
-            if not np.all(np.isfinite(jacobian)):
-                break
-            # in units of nominal: else pressures alone would decide what is singular
-            step = np.linalg.lstsq(jacobian * self.nominal, residual.ravel(), rcond=None)[0]
-            point = point - step * self.nominal
-            if inside:
-                point = np.clip(point, self.low, self.high)
-            if np.abs(step).max() < 1e-15:
-                break
-        return point

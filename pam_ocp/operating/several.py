@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
 from ..plants.plant import Plant, Values
-from .equilibrium import EquilibriumError, OperatingPoint, equilibrium, posed, why_not
+from .equilibrium import EquilibriumError, OperatingPoint, equilibrium, why_not
 from .held import Memory, held
+from .rest import Rest, posed
 from .rest_search import Search
 
 __all__ = ["Band", "Equilibria", "EquilibriumPath", "equilibria", "equilibrium_path"]
@@ -49,7 +50,7 @@ def equilibria(
     conditions, EquilibriumError when there is none.
     """
     given = {**(conditions or {}), **more}
-    search = posed(plant, given, free, memory=memory or "virgin")
+    search = posed(Search, plant, given, free, memory=memory or "virgin")
     require_count("starts", starts, 1)
     found: list[Array] = []
     for guess in search.starts(starts, seed, reach=5.0):
@@ -74,15 +75,13 @@ def equilibria(
     )
 
 
-def _end(
-    search: Search, point: OperatingPoint, memory: Mapping[str, float]
-) -> OperatingPoint | None:
+def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> OperatingPoint | None:
     """The point of rest with another memory, on the way there from a point; None outside bounds."""
-    z = search.vector(point)
-    other = search
+    z = rest.vector(point)
+    other = rest
     for share in np.linspace(0, 1, STEPS + 1)[1:]:
-        pinned = {n: v + share * (memory[n] - v) for n, v in search.pinned.items()}
-        other = Search(search.plant, search.values, search.free, search.more, pinned)
+        pinned = {n: v + share * (memory[n] - v) for n, v in rest.pinned.items()}
+        other = Rest(rest.plant, rest.values, rest.free, rest.more, pinned)
         found = other.polished(other.newton(z, steps=30))
         if found is None:
             return None
@@ -174,15 +173,15 @@ def equilibrium_path(
             points.append(equilibrium(plant, given, free=free, memory=memory))
         else:
             try:
-                search = posed(plant, given, free, memory=memory)
+                rest = posed(Rest, plant, given, free, memory=memory)
             except InputError as error:  # the value itself leaves its range
                 end = str(error)
                 break
-            point = search.polished(search.newton(search.vector(points[-1]), steps=30))
+            point = rest.polished(rest.newton(rest.vector(points[-1]), steps=30))
             if point is None:
                 shown = plant.variable(name).shown
                 end = f"no neighbour within the bounds from {shown(done[-1])} to {shown(value)}"
                 break
-            points.append(search.point(point))
+            points.append(rest.point(point))
         done.append(float(value))
     return EquilibriumPath(plant.variable(name).name, np.array(done), tuple(points), end)

@@ -7,7 +7,7 @@ or a velocity is this: where its rate vanishes, the rate stays zero whatever the
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..core import units
 from ..core.system import System
+from ..numerics.newton import iterate, least_squares
 
 __all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "totals"]
 
@@ -24,6 +25,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 POINTS = 3
 """Points of rest at which slopes are looked at: what vanishes at all of them vanishes."""
+STEPS = 30
+"""Of Newton's method towards such a point."""
 NONE = 1e-7
 """Slopes below this part of the largest of their row count as zero."""
 
@@ -78,17 +81,20 @@ class _Rates:
         x = np.array([_somewhere(v, draw) for v in states])
         u = np.array([v.start if v.disturbance else _somewhere(v, draw) for v in controls], float)
         typical = np.zeros(len(x))
-        rates, slopes = self.at(x, u)
-        for _ in range(30):
-            if not np.isfinite(slopes).all():
-                break
-            typical = np.maximum(typical, np.abs(slopes).max(axis=1, initial=0.0))
-            if np.abs(rates[chosen]).max(initial=0.0) < 1e-12:
-                break
-            step = np.linalg.lstsq(slopes[chosen], -rates[chosen], rcond=1e-10)[0]
-            x = x + step[: len(x)] * nominal
-            u = u + step[len(x) :] * inputs
-            rates, slopes = self.at(x, u)
+
+        def equations(w: Array) -> tuple[Array, Callable[[Array], Array]]:
+            nonlocal typical
+            rates, slopes = self.at(*place(w))
+            if np.isfinite(slopes).all():
+                typical = np.maximum(typical, np.abs(slopes).max(axis=1, initial=0.0))
+            return rates[chosen], least_squares(slopes[chosen], rcond=1e-10)
+
+        def place(w: Array) -> tuple[Array, Array]:
+            return x + w[: len(x)] * nominal, u + w[len(x) :] * inputs
+
+        start = np.zeros(len(x) + len(u))
+        root = iterate(equations, start, tolerance=1e-12, steps=STEPS, halvings=0)
+        rates, slopes = self.at(*place(root.w))
         return slopes, typical, rates
 
 
@@ -228,13 +234,17 @@ def _independent(plant: System, slopes: ca.Function, nominal: Array) -> set[int]
     z = np.array([_somewhere(v, draw) for v in (*plant.states, *plant.inputs)])
     jacobian = np.zeros((0, len(z)))
     typical = np.zeros(1)
-    for _ in range(30):
-        value, slope = (np.asarray(e, float) for e in slopes(z, p))
+
+    def equations(w: Array) -> tuple[Array, Callable[[Array], Array]]:
+        nonlocal jacobian, typical
+        value, slope = (np.asarray(e, float) for e in slopes(z + w * nominal, p))
         jacobian = slope * nominal
-        if not np.isfinite(jacobian).all():
-            return set(range(len(value)))
         typical = np.maximum(typical, np.abs(jacobian).max(axis=1))
-        z = z + np.linalg.lstsq(jacobian, -value.ravel(), rcond=1e-10)[0] * nominal
+        return value.ravel(), least_squares(jacobian, rcond=1e-10)
+
+    iterate(equations, np.zeros(len(z)), settled=1e-14, steps=STEPS, halvings=0)
+    if not np.isfinite(jacobian).all():
+        return set(range(len(jacobian)))
     kept: set[int] = set()
     basis = np.zeros((0, len(z)))
     for i, row in enumerate(jacobian / np.maximum(typical, 1e-300)[:, None]):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..core.files import atomic_path
 from ..core.plausible import doubt
-from ..muscles.gas import AMBIENT_PRESSURE, GAS_CONSTANT, REFERENCE_TEMPERATURE, muscle_volume
+from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
 from ..muscles.muscle import Muscle
 from ..operating.equilibrium import EquilibriumError, OperatingPoint
 from ..operating.held import Memory
@@ -221,9 +221,10 @@ def _step(before: OperatingPoint, rest: OperatingPoint, duration: float) -> dict
 def _cost(muscle: Muscle, before: OperatingPoint, rest: OperatingPoint) -> dict[str, float]:
     """Lifting work, and air that the muscle holds more."""
     air = [
-        (point["muscle.pressure"] + AMBIENT_PRESSURE)
-        * float(muscle_volume(muscle, point["muscle.contraction"]))
-        / (GAS_CONSTANT * REFERENCE_TEMPERATURE)
+        air_mass(
+            point["muscle.pressure"] + AMBIENT_PRESSURE,
+            float(muscle_volume(muscle, point["muscle.contraction"])),
+        )
         for point in (before, rest)
     ]
     mass, gravity = (rest.plant.variable(n).start or 0.0 for n in ("mass", "gravity"))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from ..core.lazy import lazily
 
 if TYPE_CHECKING:
-    from ..numerics.newton import VibrationError as VibrationError
+    from ..core.errors import VibrationError as VibrationError
     from ..operating.along import StabilityPath as StabilityPath
     from ..operating.along import stability_path as stability_path
     from .cycle import LimitCycle as LimitCycle
@@ -66,7 +66,7 @@ _HOMES = {
     "HopfPoint": "vibration.hopf_bifurcation",
     "LimitCycle": "vibration.cycle",
     "StabilityPath": "operating.along",
-    "VibrationError": "numerics.newton",
+    "VibrationError": "core.errors",
     "backbone": "vibration.free",
     "continue_cycle": "vibration.cycle_branch",
     "energy": "vibration.energy_balance",

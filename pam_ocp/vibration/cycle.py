@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, require_count, require_positive
+from ..core.errors import InputError, VibrationError, require_count, require_positive
 from ..core.signals import signals
 from ..core.trajectory import Trajectory
-from ..numerics.newton import Array, VibrationError, smooth
+from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulate import evaluated, simulate
 from .hopf_bifurcation import HopfPoint
+from .passages import smooth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -268,7 +269,10 @@ def converged(periodic: Periodic[Plant], orbit: Orbit, row: Row, settings: Setti
     """The closed motion that meets ``row``, on a mesh fine enough for states and multipliers."""
     tolerance = settings.tolerance
     for _ in range(16):
-        orbit = periodic.solve(orbit, row)
+        try:
+            orbit = periodic.solve(orbit, row)
+        except NewtonError as error:
+            raise VibrationError(str(error)) from None
         errors = periodic.errors(orbit)
         if errors.max() <= tolerance:
             if periodic.trivial_error(orbit) <= settings.multiplier_tolerance:

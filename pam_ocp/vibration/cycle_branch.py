@@ -1,6 +1,6 @@
-"""Continuation of a limit cycle in one parameter, through folds, by pseudo-arclength.
+"""Continuation of a limit cycle in one parameter, through folds, by its arc length.
 
-Source: Keller 1977; as in Doedel, Keller, Kernevez, Int. J. Bifurcation and Chaos 1 (1991) 745-772.
+Source: Doedel, Keller, Kernevez, Int. J. Bifurcation and Chaos 1 (1991) 745-772.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, VibrationError, require_positive
 from ..core.variables import Variable
-from ..numerics.newton import Array, VibrationError
+from ..numerics.continuation import Walk
+from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import Orbit, Periodic, Row
 from ..plants.plant import Plant
 from .cycle import LimitCycle, Settings, converged, finished, pin
@@ -31,6 +32,12 @@ SMALLEST_STEP = 1e-4
 
 MULTIPLIER_TOLERANCE = 1e-4
 """Largest error of the multiplier that must be 1 along a branch: its mesh follows the states."""
+
+GROWTH = 1.5
+"""By what steps grow again."""
+
+HALVINGS = 4
+"""Of the step that passes an end of the range, towards the cycle at it."""
 
 LEAST_COSINE = 0.9
 """Of the angle between neighbouring tangents; steps are shortened where the branch bends more."""
@@ -141,31 +148,41 @@ def continue_cycle(
         tolerance=require_positive("tolerance", tolerance),
         multiplier_tolerance=MULTIPLIER_TOLERANCE,
     )
-    walk = _Walk(periodic, settings, replace(cycle.orbit, lam=periodic.lam), direction)
+    start, curve = replace(cycle.orbit, lam=periodic.lam), _Cycles(periodic, settings)
+    walk = Walk(
+        curve,
+        start,
+        curve.tangent(start, direction),
+        length=step,
+        longest=step,
+        shortest=SMALLEST_STEP * step,
+        growth=GROWTH,
+        least_cosine=LEAST_COSINE,
+    )
     cycles, ended = [cycle], f"{most} cycles were found"
     while len(cycles) < most:
-        before = walk.orbit
+        before, tangent = walk.place, walk.tangent
         try:
-            walk.advance(step)
-        except VibrationError as error:
+            length = walk.advance()
+        except NewtonError as error:
             ended = f"the branch cannot be followed further: {error}"
             break
-        value = walk.orbit.lam * variable.nominal
+        value = walk.place.lam * variable.nominal
         if not low < value < high:
             bound = low if value <= low else high
             ended = f"{variable.name} reaches {variable.shown(bound)}"
             try:
-                cycles.append(_pinned(periodic, before, walk.orbit, bound, settings))
+                cycles.append(_reached(curve, before, tangent, length, walk.place, bound))
             except VibrationError as error:
                 ended += f", where the cycle is not found: {error}"
             break
-        if _mirrored(before, walk.orbit):
+        if _mirrored(before, walk.place):
             shown = variable.shown(value)
             ended = (
                 f"the cycle shrinks to a point of rest (Hopf point) near {variable.name} = {shown}"
             )
             break
-        cycles.append(finished(periodic, walk.orbit, settings))
+        cycles.append(finished(periodic, walk.place, settings))
     return CycleBranch(variable.name, tuple(cycles), ended)
 
 
@@ -188,54 +205,67 @@ def _range(
     return variable, low, high
 
 
-class _Walk:
-    """Steps along a branch: an orbit and the tangent there."""
+@dataclass(frozen=True)
+class _Cycles:
+    """The curve of closed motions, for :class:`pam_ocp.numerics.continuation.Walk`."""
 
-    def __init__(
-        self, periodic: Periodic[Plant], settings: Settings, orbit: Orbit, direction: Direction
-    ) -> None:
-        self.periodic, self.settings, self.orbit = periodic, settings, orbit
+    periodic: Periodic[Plant]
+    settings: Settings
+
+    def tangent(self, orbit: Orbit, direction: Direction) -> Row:
+        """The way to set out."""
         swing = Row(orbit.z - orbit.z.mean(axis=(0, 1)), 0.0, 0.0, 0.0)
-        tangent = periodic.tangent(orbit, swing)
+        tangent = self.periodic.tangent(orbit, swing)
         ahead = {"larger": 1.0, "smaller": -1.0}.get(direction, 0.0)
         if not ahead:
             ahead = float(np.sign(tangent.lam)) * (1.0 if direction == "up" else -1.0)
-        self.tangent = tangent.times(ahead)
-        self.length = np.inf
+        return tangent.times(ahead)
 
-    def advance(self, step: float) -> None:
-        """One step along the branch; shortened until it converges without a sharp turn."""
-        length = min(1.5 * self.length, step)
-        reason = ""
-        while length > SMALLEST_STEP * step:
-            try:
-                orbit, row = self._step(length)
-                tangent = self.periodic.tangent(orbit, row)
-            except (VibrationError, np.linalg.LinAlgError) as error:
-                reason = str(error)
-                length /= 2
-                continue
-            if row.dot(tangent, orbit) > LEAST_COSINE:
-                self.orbit, self.tangent, self.length = orbit, tangent, length
-                return
-            reason = "it bends too sharply"
-            length /= 2
-        raise VibrationError(f"even steps of {length:.1e} fail: {reason}")
+    def step(self, place: Orbit, tangent: Row, length: float) -> tuple[Orbit, Row, float]:
+        """The orbit a length away along the tangent, on a mesh of its own, and the tangent there.
 
-    def _step(self, length: float) -> tuple[Orbit, Row]:
-        """The orbit a length away along the tangent, and that tangent on its mesh."""
-        periodic, old = self.periodic, self.orbit
-        mesh = periodic.coarsened(old, self.settings.tolerance, self.settings.intervals)
-        row = self.tangent.on(old.mesh, mesh)
-        start = old.on(mesh)
+        Raises NewtonError.
+        """
+        periodic, settings = self.periodic, self.settings
+        mesh = periodic.coarsened(place, settings.tolerance, settings.intervals)
+        row = tangent.on(place.mesh, mesh)
+        start = place.on(mesh)
         guess = replace(
             start,
             z=start.z + length * row.z,
             lam=start.lam + length * row.lam,
             period=start.period * (1 + length * row.period * start.period),
         )
-        found = converged(periodic, guess, row.through(guess), self.settings)
-        return found, row.on(mesh, found.mesh)
+        try:
+            found = converged(periodic, guess, row.through(guess), settings)
+            row = row.on(mesh, found.mesh)
+            ahead = periodic.tangent(found, row)
+        except (VibrationError, np.linalg.LinAlgError) as error:
+            raise NewtonError(str(error)) from None
+        return found, ahead, row.dot(ahead, found)
+
+
+def _reached(
+    curve: _Cycles, before: Orbit, tangent: Row, length: float, after: Orbit, value: float
+) -> LimitCycle:
+    """The cycle at exactly this value within a step; from nearer neighbours where Newton fails."""
+    periodic = curve.periodic
+    assert periodic.variable is not None
+    lam = value / periodic.variable.nominal
+    for _ in range(HALVINGS):
+        try:
+            return _pinned(periodic, before, after, value, curve.settings)
+        except VibrationError:
+            length /= 2
+        try:
+            middle, ahead, _ = curve.step(before, tangent, length)
+        except NewtonError as error:
+            raise VibrationError(str(error)) from None
+        if (middle.lam - lam) * (before.lam - lam) > 0:
+            before, tangent = middle, ahead
+        else:
+            after = middle
+    return _pinned(periodic, before, after, value, curve.settings)
 
 
 def _pinned(

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import courtesy
-from ..core.errors import InputError, require_finite, require_positive
+from ..core.errors import InputError, VibrationError, require_finite, require_positive
 from ..core.trajectory import Trajectory
-from ..numerics.newton import Array, Smooth, VibrationError, smooth
+from ..numerics.newton import Array
 from ..operating.equilibrium import OperatingPoint, equilibrium
 from ..operating.held import Memory, carried
 from ..plants.plant import Plant, Values
 from ..simulation.simulate import simulate
+from .passages import Smooth, smooth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

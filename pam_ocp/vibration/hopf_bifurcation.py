@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, PamError
-from ..numerics.newton import Array, VibrationError, casadi_equations, newton
-from ..operating.along import Rest, StabilityPath, stability_path
+from ..core.errors import InputError, PamError, VibrationError
+from ..numerics.newton import Array, NewtonError, casadi_equations, newton
+from ..operating.along import StabilityPath, stability_path
 from ..operating.equilibrium import OperatingPoint
 from ..operating.held import Memory
+from ..operating.rest import VariedRest
 from ..plants.plant import Plant, Values
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def hopf(
     given = {**(conditions or {}), **more}
     low, high = (plant.variable(parameter).check(b, "bracket") for b in bracket)
     path = stability_path(plant, parameter, np.linspace(low, high, points), given, memory=memory)
-    rest = Rest(plant, parameter, given, memory)
+    rest = VariedRest(plant, parameter, given, memory)
     return _solved(rest, _augmented(rest), _crossing(path))
 
 
@@ -169,7 +170,7 @@ def _crossing(path: StabilityPath) -> Array:
     return np.concatenate([z, [value / variable.nominal, omega], q.real, q.imag])
 
 
-def _augmented(rest: Rest) -> ca.Function:
+def _augmented(rest: VariedRest) -> ca.Function:
     """(w, constants, c) -> (residual, Jacobian); w as in :func:`_crossing`,
     c fixes the phase of q.
     """
@@ -193,10 +194,14 @@ def _augmented(rest: Rest) -> ca.Function:
     )
 
 
-def _solved(rest: Rest, augmented: ca.Function, start: Array) -> HopfPoint:
+def _solved(rest: VariedRest, augmented: ca.Function, start: Array) -> HopfPoint:
     n, nx = len(rest.nominal), rest.nx
     q0 = start[n + 2 :]
-    w, residual = newton(casadi_equations(augmented, rest.constants, q0 / (q0 @ q0)), start)
+    equations = casadi_equations(augmented, rest.constants, q0 / (q0 @ q0))
+    try:
+        w, residual = newton(equations, start)
+    except NewtonError as error:
+        raise VibrationError(str(error)) from None
     omega = float(w[n + 1])
     if not omega > 0:
         raise VibrationError(
@@ -220,15 +225,15 @@ def _solved(rest: Rest, augmented: ca.Function, start: Array) -> HopfPoint:
 
 
 def _direction(
-    rest: Rest, z: Array, lam: float, omega: float, q: NDArray[np.complex128]
+    rest: VariedRest, z: Array, lam: float, omega: float, q: NDArray[np.complex128]
 ) -> tuple[float, float]:
     """d Re(s)/d(parameter) along the path of rest, and the first Lyapunov coefficient."""
     nx = rest.nx
     a, turned, b, c = (
         np.asarray(m)
-        for m in rest.plant.cached(
-            ("hopf", rest.variable.name, rest.names), lambda: _derivatives(rest)
-        )(z, lam, rest.constants)
+        for m in rest.plant.cached(("hopf", *rest.key), lambda: _derivatives(rest))(
+            z, lam, rest.constants
+        )
     )
     poles, left = np.linalg.eig(a.T)
     p = left[:, np.argmin(np.abs(poles - 1j * omega))]
@@ -251,7 +256,7 @@ def _direction(
     return crossing, float((p @ sum_).real / (2 * omega))
 
 
-def _derivatives(rest: Rest) -> ca.Function:
+def _derivatives(rest: VariedRest) -> ca.Function:
     """(z, lam, constants) -> A, dA/dlam along the path of rest, second and third derivatives."""
     z, lam, constants, found = rest.symbols()
     nx = rest.nx
@@ -335,7 +340,7 @@ def _near(
     else a search of the bracket.
     """
     if last is not None:
-        rest = Rest(plant, parameter, given, memory)
+        rest = VariedRest(plant, parameter, given, memory)
         q = last.mode / rest.nominal[: rest.nx]
         start = np.concatenate(
             [

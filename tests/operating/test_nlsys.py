@@ -212,10 +212,9 @@ def test_a_sampled_plant_and_a_sampled_controller_are_closed_loops_closed_loop(s
         start={v.name: x for v, x in zip(slide.states, start, strict=True)},
     )
     n = slide.vector("state", attribute="nominal")
-    assert np.abs(run["x"] - point.x[0]).max() > 5e-4
-    difference = (
-        np.asarray(found.states).T - run.trajectory.array([v.name for v in slide.states])
-    ) / n
+    motion = run.trajectory
+    assert np.abs(motion["x"] - point.x[0]).max() > 5e-4
+    difference = (np.asarray(found.states).T - motion.array([v.name for v in slide.states])) / n
     assert np.abs(difference).max() < 1e-6
 
 

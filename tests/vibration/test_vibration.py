@@ -364,7 +364,7 @@ def _gain(value: float) -> str:
 def test_unknown_names_are_answered_with_near_ones():
     with pytest.raises(UnknownNameError, match=r"muscle\.gian.*muscle\.gain"):
         vibration.hopf(regulated(), "muscle.gian", (1e5, 1e7), LOW)
-    with pytest.raises(InputError, match=r"2 condition\(s\) are needed.*1 given: x"):
+    with pytest.raises(InputError, match=r"needs 2 condition\(s\).*1 given: x"):
         vibration.stability_path(regulated(), "muscle.gain", [1e6], x=0.04)
 
 

@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias
 import casadi as ca
 import numpy as np
 
+from ...numerics.collocation import collocation_matrices, collocation_points, lagrange
 from ...numerics.runge_kutta import rk4
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -296,16 +297,15 @@ def _collocation(
     """Defects of one interval, and what is measured inside of it (Lagrange polynomial)."""
     begin, h, u, p = _symbols(plant, x_nominal, mesh)
     points, since = ca.SX.sym("points", len(x_nominal), degree), ca.SX.sym("since")
-    tau = np.array(ca.collocation_points(degree, "radau"))
-    derivative, _, _ = ca.collocation_coeff(tau.tolist())
+    tau = collocation_points("radau", degree)
+    derivative, _, _ = collocation_matrices(tau)
     slope = ca.horzcat(begin, points) @ ca.DM(derivative)
     defects = [
         h * plant.function(points[:, j] * x_nominal, _input(u, h * tau[j]), p)[0] / x_nominal
         - slope[:, j]
         for j in range(degree)
     ]
-    nodes, place = np.concatenate([[0.0], tau]), since / h
-    basis = [_product([(place - b) / (a - b) for b in nodes if b != a]) for a in nodes]
+    basis = lagrange((0.0, *tau.tolist()), since / h)
     x = ca.horzcat(begin, points) @ ca.vertcat(*basis) * x_nominal
     arguments = [begin, ca.vec(points)]
     return (
@@ -316,13 +316,6 @@ def _collocation(
             [_outputs(plant, names)(x, _input(u, since), p)],
         ),
     )
-
-
-def _product(factors: Sequence[ca.SX]) -> ca.SX:
-    result = ca.SX(1)
-    for factor in factors:
-        result *= factor
-    return result
 
 
 def _shooting(
@@ -393,11 +386,7 @@ def _guess(
     x0 = np.clip(x0, lows[-1], highs[-1])
     states = []
     if method != "single-shooting":
-        tau = (
-            np.array(ca.collocation_points(degree, "radau"))
-            if method == "collocation"
-            else np.ones(1)
-        )
+        tau = collocation_points("radau", degree) if method == "collocation" else np.ones(1)
         for e in experiments:
             times = (e.mesh[:-1, None] + np.diff(e.mesh)[:, None] * tau).ravel()
             columns = [np.interp(times, e.mesh, e.states[:, i]) for i in range(len(x_nominal))]

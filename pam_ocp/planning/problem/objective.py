@@ -64,16 +64,14 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
 @running_cost("work", unit="J", economical=True)
 def _work(plant: Plant, symbols: Symbols) -> ca.SX:
     """Mechanical work out of the muscles, each counted where its power is positive."""
-    names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
-    muscles = [n for n in names if any(v.name == f"{n}.contraction" for v in plant.outputs)]
+    outputs = {v.name for v in plant.outputs}
+    names = [v.name.removesuffix(".power") for v in plant.outputs if v.name.endswith(".power")]
+    muscles = [n for n in names if {f"{n}.force", f"{n}.contraction"} <= outputs]
     if not muscles:
         raise InputError(f"'work': plant {plant.name!r} has no muscle with force and contraction")
-    xdot = plant.function(plant.x, plant.u, plant.p)[0]
     total = ca.SX(0)
     for name in muscles:
-        rate = ca.jtimes(plant.expression(f"{name}.contraction"), plant.x, xdot)
-        length = plant.expression(f"{name}.rest_length")
-        power = plant.expression(f"{name}.force") * rate * length
+        power = plant.expression(f"{name}.power")
         variable = Variable(f"{name}.power", "output", unit="W", nominal=POWER)
         total += symbols.positive(variable, power)
     return total

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...numerics.collocation import collocation_matrices
 from ..transcription.mesh import Form
 from ..transcription.solution import unpack
 from ..transcription.stage import nominals
@@ -47,8 +48,7 @@ def _shares(form: Form, degree: int) -> Array:
     """By what the multipliers of an interval's defects exceed the costates."""
     if form.scheme == "shooting":
         return np.ones(1)
-    weights = ca.collocation_coeff(form.collocated(degree).tolist())[2]
-    shares = np.asarray(weights, float).ravel()
+    shares = collocation_matrices(form.collocated(degree))[2]
     return np.append(shares, 1.0) if form.scheme == "gauss" else shares
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, PamError, SimulationError
 from ...core.trajectory import Trajectory
+from ...numerics.newton import NewtonError, casadi_equations, iterate, newton
 from ...plants.plant import Plant
+from ...plants.stillness import rest_rows
 from ...simulation.simulate import simulate
 
 __all__ = ["Draw", "Spread", "drawn", "spread_of"]
@@ -137,7 +139,7 @@ def _begin(plant: Plant, motion: Trajectory, rest: bool) -> dict[str, float]:
     """Where a plant starts: in the motion's first state, its positions at rest."""
     first = motion.row(0)
     start = _inside(plant, [first[v.name] for v in plant.states])
-    if rest and plant.positions:
+    if rest:
         start.update(_resting(plant, start, [first[v.name] for v in plant.inputs]))
     return start
 
@@ -177,13 +179,18 @@ class _Closing:
 
     def __call__(self, plant: Plant) -> Trajectory:
         """The cycle of a plant; SimulationError when it is not found."""
-        x = self.first
-        for _ in range(ITERATIONS):
-            run, end = self._end(plant, x)
+        runs: list[Trajectory] = []
+
+        def open_by(w: Array) -> tuple[Array, Callable[[Array], Array]]:
+            run, end = self._end(plant, w * self.nominal)
+            runs.append(run)
             gap = (end - run.array(self.names)[0]) / self.nominal
-            if np.max(np.abs(gap)) < SETTLED:
-                return run
-            x = x - self.inverse @ gap * self.nominal
+            return gap, lambda right: np.asarray(self.inverse @ right)
+
+        start = self.first / self.nominal
+        root = iterate(open_by, start, tolerance=SETTLED, steps=ITERATIONS, halvings=0)
+        if not root.reason and root.size <= SETTLED:
+            return runs[-1]
         raise SimulationError(
             f"{plant.name} with these parameters has no steady cycle near the planned one"
         )
@@ -191,36 +198,31 @@ class _Closing:
 
 def _resting(plant: Plant, start: Mapping[str, float], inputs: Sequence[float]) -> dict[str, float]:
     """Positions at which the forces balance, all other states as given."""
-    names = list(plant.positions)
+    positions = [q for q in plant.resting() if not q.driven]
+    names = [q.name for q in positions]
+    if not names:
+        return {}
+    scale = np.array([plant.variable(n).nominal for n in names])
 
     def build() -> ca.Function:
-        symbols = [plant.expression(n) for n in names]
-        scale = np.array([plant.variable(n).nominal for n in names])
-        z = ca.SX.sym("z", len(names))
-        residual = ca.vertcat(
-            *(
-                plant.expression(f"der({v})") / plant.variable(v).nominal
-                for v in plant.positions.values()
-            )
-        )
-        residual = ca.substitute(residual, ca.vertcat(*symbols), z * scale)
-        given = ca.vertcat(plant.x, plant.u, plant.p)
-        solver = ca.rootfinder(
-            "rest",
-            "newton",
-            {"x": z, "p": given, "g": residual},
-            {"error_on_fail": True, "max_iter": 100},
-        )
-        return solver
+        rows = [
+            expression / plant.variable(position.velocities[0]).nominal
+            for position, order, expression in rest_rows(plant, tuple(positions))
+            if order == 2
+        ]
+        z, symbols = ca.SX.sym("z", len(names)), [plant.expression(n) for n in names]
+        balance = ca.substitute(ca.vertcat(*rows), ca.vertcat(*symbols), z * scale)
+        given = [plant.x, plant.u, plant.p]
+        return ca.Function("balance", [z, *given], [balance, ca.jacobian(balance, z)])
 
-    x = np.array([start[v.name] for v in plant.states])
-    scale = np.array([plant.variable(n).nominal for n in names])
-    given = np.concatenate([x, inputs, plant.vector("parameter")])
-    solver = plant.cached("resting positions", build)
+    balance = plant.cached(("balance", *names), build)
+    x = [start[v.name] for v in plant.states]
+    equations = casadi_equations(balance, x, list(inputs), plant.vector("parameter"))
     try:
-        z = solver(x0=np.array([start[n] for n in names]) / scale, p=given)["x"]
-    except RuntimeError:
+        z, _ = newton(equations, np.array([start[n] for n in names]) / scale, steps=100)
+    except NewtonError as error:
         raise SimulationError(
-            f"{plant.name} with these parameters has no point of rest at the start's pressures"
+            f"{plant.name} with these parameters has no point of rest at the start's pressures: "
+            f"{error}"
         ) from None
-    return dict(zip(names, np.asarray(z, float).ravel() * scale, strict=True))
+    return dict(zip(names, (z * scale).tolist(), strict=True))

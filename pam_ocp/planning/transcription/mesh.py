@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import groupby
 from typing import Literal, TypeAlias
 
@@ -14,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count
+from ...numerics.collocation import HIGHEST_DEGREE, collocation_points, lagrange
 
 __all__ = [
     "Collocation",
@@ -36,8 +35,6 @@ Array: TypeAlias = NDArray[np.float64]
 Control: TypeAlias = Literal["constant", "linear", "polynomial"]
 Scheme: TypeAlias = Literal["radau", "gauss", "shooting"]
 
-HIGHEST_DEGREE = 9
-"""CasADi's collocation points end here."""
 SPLIT_DEGREE = 5
 """Degree of the parts of an interval that was split."""
 HELD_SPLIT_DEGREE = 7
@@ -60,21 +57,6 @@ MOST_MARGIN = 0.05
 HELD_DEGREE = 3
 """Degree of the states where inputs are held constant in place of polynomials."""
 CONTROLS = ("constant", "linear", "polynomial")
-
-
-@cache
-def _collocation_points(scheme: str, degree: int) -> tuple[float, ...]:
-    kind = "radau" if scheme == "radau" else "legendre"
-    points = list(ca.collocation_points(degree, kind))
-    if scheme == "radau":
-        points[-1] = 1.0  # CasADi's is off by rounding
-    return tuple(points)
-
-
-@cache
-def _lagrange(nodes: tuple[float, ...], tau: float) -> tuple[float, ...]:
-    """Weights of values at ``nodes`` that give their polynomial at ``tau``."""
-    return tuple(math.prod((tau - b) / (a - b) for b in nodes if b != a) for a in nodes)
 
 
 def _weights(values: Sequence[float]) -> ca.DM:
@@ -103,7 +85,7 @@ class Form:
         """Where the equation of motion is met; none for shooting."""
         if self.scheme == "shooting":
             return np.zeros(0)
-        return np.array(_collocation_points(self.scheme, degree))
+        return collocation_points(self.scheme, degree)
 
     def state_taus(self, degree: int) -> Array:
         """Where states are unknowns; the last is the interval's end, tau = 1."""
@@ -141,11 +123,11 @@ class Form:
 
     def weights(self, degree: int, tau: float) -> ca.DM:
         """Weights of these values that give the input at ``tau`` (Lagrange)."""
-        return _weights(_lagrange(tuple(self.input_taus(degree).tolist()), float(tau)))
+        return _weights(lagrange(self.input_taus(degree).tolist(), float(tau)))
 
     def state_weights(self, degree: int, tau: float) -> ca.DM:
         """Weights of the start and the states at their points that give the state at ``tau``."""
-        through = _lagrange((0.0, *self.collocated(degree).tolist()), float(tau))
+        through = lagrange((0.0, *self.collocated(degree).tolist()), float(tau))
         ends = 1 + len(self.state_taus(degree)) - len(through)  # Gauss: the end is no node
         return _weights((*through, *(0.0,) * ends))
 

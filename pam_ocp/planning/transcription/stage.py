@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.variables import Variable
+from ...numerics.collocation import collocation_matrices
 from ...numerics.runge_kutta import rk4
 from ..problem.problem import Condition, Leg, Problem
 from .mesh import Form
@@ -219,7 +220,7 @@ class Stage:
     ) -> tuple[ca.SX, ca.SX]:
         """(defects, integrals): the polynomial's slope is the plant's, and its end is the end."""
         taus = self.form.collocated(self.degree)
-        derivative, ends, quadrature = ca.collocation_coeff(taus.tolist())
+        derivative, ends, quadrature = collocation_matrices(taus)
         through = ca.horzcat(start, states[:, : len(taus)])
         slope = through @ ca.DM(derivative)  # scaled dx/dtau at the points
         x_nominal = nominals(self.problem)[0]
