@@ -52,7 +52,7 @@ C_TESTS = tuple(
 )
 """Tests of the C runtime, the quickest first: no coverage is known of them."""
 BUDGET = 45.0
-"""Seconds of tests (as they take without a fault) spent on one fault."""
+"""Seconds of tests (as they take without a fault) spent on one fault, unless told otherwise."""
 
 
 LENT = ("pam_ocp/plants/ensemble.py", "pam_ocp/plants/plant_file.py")
@@ -88,14 +88,16 @@ def drawn(tree: Path, faults: list[Fault], count: int, rng: random.Random) -> li
     return found
 
 
-def asked(scratch: Scratch, fault: Fault, known: CoverageMap | None) -> Answer:
+def asked(
+    scratch: Scratch, fault: Fault, known: CoverageMap | None, budget: float = BUDGET
+) -> Answer:
     """What the tests say of a fault."""
     with scratch.with_fault(fault):
         if known is None:
             return scratch.ask(C_TESTS, expected=150.0)
         order, seconds = [], 0.0
         for test in known.tests(fault.file, fault.line):
-            if seconds and seconds + known.seconds[test] > BUDGET:
+            if seconds and seconds + known.seconds[test] > budget:
                 continue
             order.append(test)
             seconds += known.seconds[test]
@@ -126,6 +128,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="one line of JSON for each fault is added here")
     parser.add_argument("--again", type=Path, help="ask again about the survivors in this file")
     parser.add_argument("--keep", type=Path, help="folder of the coverage, used again if there")
+    parser.add_argument("--budget", type=float, default=BUDGET, help="seconds of tests a fault")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         scratch = Scratch(Path(temporary) / "tree")
@@ -156,7 +159,9 @@ def main() -> int:
                 known[room] = None if room == "c" else CoverageMap(scratch.folder, tests, keep)
             fault = still_there(scratch, drawn_fault)
             answer = (
-                Answer("STALE", "", 0.0) if fault is None else asked(scratch, fault, known[room])
+                Answer("STALE", "", 0.0)
+                if fault is None
+                else asked(scratch, fault, known[room], given.budget)
             )
             tally[room][answer.word.split()[0]] += 1
             print(f"{answer.word:<28}{answer.seconds:6.1f} s  {fault or drawn_fault}", flush=True)
