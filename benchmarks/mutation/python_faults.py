@@ -39,7 +39,7 @@ QUIET = {
 }  # fmt: skip
 UNSWAPPED = {
     "isinstance", "getattr", "field", "coefficient", "__setattr__", "min", "max", "fmin", "fmax",
-    "minimum", "maximum", "isclose", "is_equal",
+    "minimum", "maximum", "isclose", "is_equal", "add", "multiply",
 }  # fmt: skip
 PRINTED = {"__str__", "__repr__", "_repr_html_", "summary", "describe", "plot", "__dir__"}
 SILENT = (ast.Raise, ast.JoinedStr, ast.Import, ast.ImportFrom, ast.Global, ast.Nonlocal)

@@ -247,3 +247,19 @@ def test_a_poor_table_borrows_from_a_rich_one() -> None:
     for name in ("a5[poor]", "a6[poor]"):
         low, high = fit.interval(name, 0.999)
         assert low <= float(getattr(TWENTY, name[:2])) <= high
+
+
+def test_bounds_of_a_shared_unknown_are_the_narrowest_of_its_tables() -> None:
+    from types import SimpleNamespace
+
+    from pam_ocp.fitting.static.shared_problem import JointProblem
+
+    def part(*bounds: tuple[float, float]) -> Any:
+        variables = [SimpleNamespace(min=low, max=high) for low, high in ((-9.0, 9.0), *bounds)]
+        return SimpleNamespace(free=(1, 2), variables=variables)
+
+    parts = part((-1.0, 2.0), (0.0, np.inf)), part((-3.0, 1.5), (-7.0, 8.0))
+    problem = JointProblem(parts, (np.array([0, 1]), np.array([0, 2])))
+    low, high = problem.bounds()
+    assert list(low) == [-1.0, 0.0, -7.0]
+    assert list(high) == [1.5, np.inf, 8.0]

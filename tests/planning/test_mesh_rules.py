@@ -167,3 +167,10 @@ def test_a_kink_is_split_after_one_rise_whatever_the_inputs():
 def test_meshes_that_cannot_be_are_refused(make):
     with pytest.raises(InputError):
         make()
+
+
+def test_the_smallest_and_the_largest_meshes_are_meshes():
+    assert shape(Collocation(1, 1).mesh(1)) == [(0, 1.0, 1)]
+    assert shape(Collocation(1, 9, points="gauss").mesh(1)) == [(0, 1.0, 9)]
+    assert shape(Shooting(1, 1).mesh(1)) == [(0, 1.0, 1)]
+    assert shape(Shooting(1, 64).mesh(1)) == [(0, 1.0, 64)]

@@ -17,9 +17,9 @@ STOPS = [{"x": -0.015}, {"x": 0.015}]
 def cart(limit: float = 10.0) -> pam.Plant:
     """A mass on a spring, pushed by a force."""
     plant = pam.Plant("cart")
-    x = plant.state("x", unit="m")
-    v = plant.state("v", unit="m/s")
-    u = plant.input("u", unit="N", min=-limit, max=limit)
+    x = plant.state("x", unit="m", nominal=0.4)
+    v = plant.state("v", unit="m/s", nominal=2.5)
+    u = plant.input("u", unit="N", min=-limit, max=limit, nominal=3.0)
     m = plant.parameter("mass", 1.5, unit="kg", min=0.1)
     k = plant.parameter("stiffness", 0.7, unit="N/m", min=0.0)
     plant.der(x, v)

@@ -195,7 +195,8 @@ def test_a_motion_that_runs_away_is_no_plan():
     form = Form("radau", "constant")
     replay, mesh, solution = along(plant, wish, t, np.array([[1.0], [3.0]]), [0.0], form, 1)
     assert (replay.error, replay.violation) == (np.inf, np.inf)
-    assert re.match(r"the replay stops at t = (0\.9|1)", replay.state)
+    (stopped,) = re.findall(r"the replay stops at t = ([\d.]+) s", replay.state)
+    assert 0.7 < float(stopped) <= 1.0
     assert replay.constraint == "everything behind"
     assert interval_errors(plant, mesh, solution) == [np.inf]
 

@@ -288,3 +288,18 @@ def test_what_is_moved_may_change_during_a_simulation_and_the_muscle_may_not(bui
         *of_loads.split(),
         "wall.position",
     }
+
+
+@pytest.mark.parametrize(
+    ("build", "stiffness", "coulomb", "gap"),
+    [
+        (pam.HangingLoad, "N/m", "N", "m"),
+        (pam.AntagonisticSlide, "N/m", "N", "m"),
+        (pam.AntagonisticJoint, "N.m/rad", "N.m", "rad"),
+    ],
+)
+def test_loads_are_measured_along_the_way_or_round_the_joint(build, stiffness, coulomb, gap):
+    loads = [pam.Spring(1.0), pam.DryFriction(1.0), pam.Wall(0.05)]
+    plant = build(pam.muscle("DMSP-20-400N"), loads=loads)
+    units = [plant.variable(n).unit for n in ("spring.stiffness", "friction.coulomb", "wall.gap")]
+    assert units == [stiffness, coulomb, gap]
