@@ -116,7 +116,7 @@ def _rests(problem: Problem) -> list[tuple[Array, Array]]:
 def _rest(plant: Plant, known: dict[str, float]) -> tuple[Array, Array] | None:
     """(states, inputs) of a point of rest with these values; None when there is none."""
     try:
-        point = plant.equilibrium(**known)  # type: ignore[arg-type]
+        point = plant.equilibrium(**known)
     except PamError:
         return None
     x, u = ([point[v.name] for v in kind] for kind in (plant.states, plant.inputs))
