@@ -18,6 +18,7 @@ from ..plants.plant import Plant
 from ..simulation.integrate import Integration
 from ..simulation.simulate import simulate
 from .problem.problem import Budget, Condition, Leg, Problem
+from .solvers.interrupt import deferred
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.stage import nominals
@@ -63,6 +64,7 @@ class Replay:
     """Largest violation of what is no bound: at the stops, of the closing, of a budget."""
 
 
+@deferred()  # an integrator would take Ctrl-C for a failure of its own
 def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]:
     """For each interval: how far a tight integration from its start leaves its planned points."""
     states, breaks = solution.states, solution.inputs.breaks
@@ -82,6 +84,7 @@ def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]
     return errors
 
 
+@deferred()
 def replayed(
     problem: Problem, plant: Plant, mesh: Mesh, samples: Trajectory, solution: Solution
 ) -> Replay:

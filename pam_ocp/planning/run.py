@@ -148,7 +148,7 @@ class Run:
 
     def _diagnosed(self) -> Array | None:
         """A point that meets all constraints; None where none was found. Conflicts are those that
-        two elastic re-solves ended at, from different guesses.
+        an elastic re-solve converged to, where another guess does not lead to such a point.
         """
         problem, mesh, options = self.program.problem, self.program.mesh, self.backend.ipopt_options
         ends = []
@@ -158,9 +158,7 @@ class Run:
             if ends[-1].feasible:
                 self.feasible = True
                 return ends[-1].w
-            if not ends[-1].converged:
-                return None
-        self.conflicts = ends[0].conflicts
+        self.conflicts = next((end.conflicts for end in ends if end.conflicting), ())
         return None
 
     def from_another(self, previous: Solved) -> Solved:

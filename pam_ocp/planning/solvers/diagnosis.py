@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..problem.problem import Budget, Condition
 from ..transcription.transcription import Program
 from .interrupt import watched_call
-from .solver import DEFAULTS, Outcome, limit
+from .solver import DEFAULTS, PATIENCE, Outcome, limit
 
 __all__ = ["Conflict", "Elastic", "elastic", "explanation"]
 
@@ -83,7 +83,7 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
         "g": g + ca.mtimes(pick, below - above),
     }
     ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": 1000}
-    ipopt["max_cpu_time"] = 2 * limit(program)
+    ipopt["max_cpu_time"] = PATIENCE * limit(program)
     ipopt.update(options or {})
     zero = np.zeros(2 * len(chosen))
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()

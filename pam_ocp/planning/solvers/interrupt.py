@@ -12,11 +12,42 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
-__all__ = ["Watch", "watched_call"]
+__all__ = ["Interrupt", "Watch", "deferred", "watched_call"]
+
+
+@dataclass
+class Interrupt:
+    """Whether Ctrl-C was pressed."""
+
+    seen: bool = False
+
+
+@contextmanager
+def deferred() -> Iterator[Interrupt]:
+    """Ctrl-C only sets a flag meanwhile, and is raised behind (in the main thread)."""
+    interrupt = Interrupt()
+    before = signal.getsignal(signal.SIGINT)
+    mine = threading.current_thread() is threading.main_thread() and callable(before)
+
+    def pressed(*_: Any) -> None:
+        interrupt.seen = True
+
+    if mine:
+        signal.signal(signal.SIGINT, pressed)
+    try:
+        yield interrupt
+    finally:
+        if mine:
+            signal.signal(signal.SIGINT, before)
+    if interrupt.seen:
+        assert callable(before)
+        before(signal.SIGINT, None)  # Python's own raises KeyboardInterrupt
+        raise KeyboardInterrupt
 
 
 class Watch(ca.Callback):
@@ -36,7 +67,7 @@ class Watch(ca.Callback):
         ca.Callback.__init__(self)
         self._sizes = {"x": nx, "f": 1, "g": ng, "lam_x": nx, "lam_g": ng, "lam_p": parameters}
         self._report = report
-        self._interrupted = False
+        self._interrupt = Interrupt()
         self._error: BaseException | None = None
         self.construct("watch", {})
 
@@ -53,36 +84,21 @@ class Watch(ca.Callback):
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
     def eval(self, arguments: Any) -> list[int]:
-        if self._report is not None and not self._interrupted:
+        if self._report is not None and not self._interrupt.seen:
             try:
                 self._report(*arguments[:3])
             except BaseException as error:
                 self._error = error
-        return [int(self._interrupted or self._error is not None)]
+        return [int(self._interrupt.seen or self._error is not None)]
 
     @contextmanager
     def during(self) -> Iterator[None]:
         """For the time of a solve: Ctrl-C ends it, and is raised behind it (in the main thread)."""
-        self._interrupted, self._error = False, None
-        before = signal.getsignal(signal.SIGINT)
-        mine = threading.current_thread() is threading.main_thread() and callable(before)
-
-        def interrupted(*_: Any) -> None:
-            self._interrupted = True
-
-        if mine:
-            signal.signal(signal.SIGINT, interrupted)
-        try:
+        self._error = None
+        with deferred() as self._interrupt:
             yield
-        finally:
-            if mine:
-                signal.signal(signal.SIGINT, before)
-        if self._error is not None:
-            raise self._error
-        if self._interrupted:
-            assert callable(before)
-            before(signal.SIGINT, None)  # Python's own raises KeyboardInterrupt
-            raise KeyboardInterrupt
+            if self._error is not None:
+                raise self._error
 
 
 def watched_call(

@@ -1,0 +1,131 @@
+"""Where a plan's first guess fails: coarser meshes, points of rest, and what may be said then."""
+
+import os
+import signal
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.planning import replay
+from pam_ocp.planning.planner import Planner
+from pam_ocp.planning.run import Run
+from pam_ocp.planning.solvers import narrowing
+from pam_ocp.planning.solvers.backend import Backend
+from pam_ocp.planning.solvers.diagnosis import elastic, explanation
+from pam_ocp.planning.transcription.guess import by_rests, by_stops, rest_point
+from pam_ocp.planning.transcription.mesh import Collocation, Shooting, merged
+
+
+def cart():
+    plant = pam.Plant("cart")
+    x, v = plant.state("x"), plant.state("v")
+    u = plant.input("u", min=-10.0, max=10.0)
+    plant.der(x, v)
+    plant.der(v, u)
+    return plant
+
+
+def program(**wish):
+    return Planner(cart(), [{"x": 0.0}, {"x": 1.0}], method=Collocation(8), **wish)._program
+
+
+def test_a_merged_mesh_has_the_legs_of_the_fine_one():
+    fine = Collocation(10, 3).mesh(2)
+    coarse = merged(fine, 4)
+    assert [i.leg for i in coarse.intervals] == [0] * 3 + [1] * 3
+    assert [i.fraction for i in coarse.intervals] == pytest.approx([0.4, 0.4, 0.2] * 2)
+    assert {i.degree for i in merged(Shooting(8, 3).mesh(1), 4).intervals} == {12}
+
+
+def test_coarser_meshes_lead_to_the_optimum_on_the_mesh_that_was_asked_for():
+    run = Run(program(), Backend())
+    found = run._from_coarser()
+    assert found.program is run.program
+    # bang-bang from rest to rest: T = 2 sqrt(distance / acceleration)
+    assert found.outcome.objective == pytest.approx(2 * np.sqrt(0.1), rel=1e-6)
+
+
+def test_a_guess_along_points_of_rest_rests_between_the_stops():
+    muscle = pam.muscle("DMSP-20-300")
+    plant = pam.SeriesLoad(muscle, 8.0, 1.5e5)
+    wish = {"duration": 60.0, "minimise": "effort"}
+    planner = Planner(plant, [{"x": 0.01}, {"x": 0.04}], method=Collocation(8), **wish)
+    problem, mesh = planner._program.problem, planner._program.mesh
+
+    def unbalanced(guess):
+        names = [v.name for v in plant.states]
+        scale = np.array([v.nominal for v in plant.states])
+        k = len(names) + 4 * (3 * len(names) + len(plant.inputs))  # in the middle of the way
+        end = slice(k - len(names) - len(plant.inputs), k - len(plant.inputs))
+        x = dict(zip(names, guess[end] * scale, strict=True))
+        pull = muscle.tension(x["muscle.pressure"], x["muscle.shortening"] / 0.3)
+        return abs(float(pull) - 8.0 * 9.80665)
+
+    assert unbalanced(by_rests(problem, mesh)) < 0.05
+    assert 5 * unbalanced(by_rests(problem, mesh)) < unbalanced(by_stops(problem, mesh, True))
+
+
+def test_a_slack_tendon_in_the_start_values_does_not_hide_the_point_of_rest():
+    plant = pam.SeriesLoad(pam.muscle("DMSP-20-300"), 8.5, 1.5e5, feed=pam.OnOffValves())
+    problem = Planner(plant, [{"x": 0.024}, {"x": 0.031}], method=Collocation(4))._program.problem
+    x = rest_point(problem, problem.stops[0])
+    stretch = x[[v.name for v in plant.states].index("muscle.shortening")] - 0.024
+    assert stretch * 1.5e5 == pytest.approx(8.5 * 9.80665, rel=1e-2)
+
+
+# ---- what may be said ----------------------------------------------------------------------------
+def test_an_elastic_solve_that_was_cut_off_proves_nothing():
+    asked = program(duration=0.1)
+    end = elastic(asked, by_stops(asked.problem, asked.mesh), {"max_iter": 1})
+    assert not end.converged
+    assert not end.conflicting
+    assert not end.feasible
+
+
+def test_an_elastic_solve_that_converged_names_what_is_missing():
+    asked = program(duration=0.1)
+    end = elastic(asked, by_stops(asked.problem, asked.mesh), None)
+    assert end.conflicting
+    # 0.1 s at 10 m/s2 to and fro: a T^2 / 4 = 0.025 m, of 1 m
+    assert sum(c.excess for c in end.conflicts) > 0.4
+
+
+def test_a_solver_at_its_limit_is_no_conflict():
+    with pytest.raises(pam.PlanError, match="does not prove that there is no plan") as caught:
+        pam.plan(cart(), [{"x": 0.0}, {"x": 1.0}], options={"max_iter": 1})
+    assert caught.value.plan.conflicts == ()
+    outcome = SimpleNamespace(stopped=False, status="s", iterations=3)
+    assert "seems to exist" in explanation("cart", outcome, (), feasible=True)
+
+
+def test_no_place_of_the_path_is_tried_twice_with_the_same_guess(monkeypatch):
+    tried = []
+    monkeypatch.setattr(narrowing, "_at", lambda program, part: part)
+
+    def solver(program, guess, start):
+        part = program if isinstance(program, float) else 1.0
+        tried.append((part, guess))
+        good = part < 0.8
+        return narrowing.Outcome(part, 0.0, "s", good, 1, 0.0, None, None)
+
+    narrowing.narrowing(solver, "own", -1.0, "cold")
+    assert len(tried) == len(set(tried))
+
+
+# ---- Ctrl-C --------------------------------------------------------------------------------------
+def test_ctrl_c_in_a_replay_waits_for_its_end_and_is_raised_then(monkeypatch):
+    simulate, done = replay.simulate, []
+
+    def pressed(*arguments, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append(simulate(*arguments, **options))
+        return done[-1]
+
+    monkeypatch.setattr(replay, "simulate", pressed)
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        pam.plan(cart(), [{"x": 0.0}, {"x": 1.0}], method=Collocation(8))
+    assert len(done) == 1
+    assert signal.getsignal(signal.SIGINT) is before
