@@ -1,4 +1,4 @@
-"""Economical motions, from coarse meshes to fine ones, until the objective does not change any more.
+"""Economical motions, from coarse meshes to fine ones, until their objective settles.
 
 What costs work or air is spent on short arcs along the limits of muscles (slack tendons, closed
 valves): from a rough guess a fine mesh takes hundreds of iterations or fails, from the solution
@@ -34,7 +34,7 @@ FLOOR = 1e-2
 
 def ladder(mesh: Mesh) -> list[Mesh]:
     """Meshes from the coarsest to one half as fine as this."""
-    found = []
+    found: list[Mesh] = []
     coarse = coarsened(mesh)
     while coarse != mesh and len(coarse.intervals) >= FEWEST * _legs(coarse):
         found.insert(0, coarse)

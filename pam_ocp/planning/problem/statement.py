@@ -125,7 +125,12 @@ class _Reader:
 
     def __init__(self, plant: Plant, said: Mapping[str, Any]) -> None:
         self.plant = plant
-        sizes = [len(said["profiles"]), len(said["aims"]), said["peaks"], len(said.get("auxiliaries", ()))]
+        sizes = [
+            len(said["profiles"]),
+            len(said["aims"]),
+            said["peaks"],
+            len(said.get("auxiliaries", ())),
+        ]
         self.r, self.q, self.m, self.a = (
             ca.SX.sym(name, size) if size else ca.SX(0, 1)
             for name, size in zip(("profile", "aim", "peak", "auxiliary"), sizes, strict=True)

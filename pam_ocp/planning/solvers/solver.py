@@ -247,7 +247,11 @@ class Ipopt:
         """Of a solve without multipliers."""
         (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
         bounds = {"lbx": lbx, "ubx": ubx, "lbg": lbg, "ubg": ubg}
-        return {"x0": np.clip(program.completed(guess), lbx, ubx), "p": program.parameters(), **bounds}
+        return {
+            "x0": np.clip(program.completed(guess), lbx, ubx),
+            "p": program.parameters(),
+            **bounds,
+        }
 
     def portable(self, starts: Iterable[Start]) -> tuple[ca.Function, dict[str, dict[str, Any]]]:
         """(the problem, options by start) for another process; all of it can be pickled."""

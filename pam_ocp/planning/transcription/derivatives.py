@@ -48,7 +48,8 @@ def derivatives(program: Program) -> dict[str, ca.Function]:
 class _Local:
     """A stage's values as functions of its own unknowns.
 
-    y = (start, states, inputs, auxiliaries, durations, design, peaks); given = (y, lengths, starts, p, q), where
+    y = (start, states, inputs, auxiliaries, durations, design, peaks);
+    given = (y, lengths, starts, p, q), where
     lengths and starts weigh the durations in the interval's length and start; rows: of defects,
     path,
     budgets.
