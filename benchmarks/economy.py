@@ -97,7 +97,7 @@ def main(seed=1, fine=False):
                 except pam.PamError as error:
                     print(f"{words}, {term}, cyclic {cyclic}: {error}", flush=True)
                     continue
-                seconds = time.process_time() - begin
+                seconds = time.process_time() - begin  # without those of other processes
                 found += plan.verified
                 line = f"{words:20s} {term:6s} {'cyclic' if cyclic else '      '} "
                 line += f"{'verified' if plan.verified else 'UNVERIFIED'} {plan.objective:10.5g} "

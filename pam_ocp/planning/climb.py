@@ -1,4 +1,4 @@
-"""Economical motions, from coarse meshes to fine ones, until the objective settles.
+"""Economical motions, from coarse meshes to fine ones, until their objective settles.
 
 What costs work or air is spent on short arcs along the limits of muscles (slack tendons, closed
 valves): from a rough guess a fine mesh takes hundreds of iterations or fails, from the solution

@@ -47,7 +47,7 @@ class Row:
         return f"in interval {self.members[index // len(self.conditions)] + 1}"
 
     def soft(self) -> NDArray[np.bool_]:
-        """Which rows a user could relax: not dynamics, a closing cycle, or auxiliaries."""
+        """Which rows a user could relax: no dynamics, no closing of a cycle, no auxiliaries."""
         if not self.conditions:
             return np.zeros(self.size, dtype=bool)
         own = [not (isinstance(c, Condition) and c.defining) for c in self.conditions]

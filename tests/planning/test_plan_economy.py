@@ -1,0 +1,130 @@
+"""Economical motions: work is counted exactly where it is positive, and its least is found."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import trapezoid
+
+import pam_ocp as pam
+from pam_ocp.core.signals import signals
+
+MUSCLE = pam.muscle("DMSP-20-200N")
+
+
+def positive_work(plant, plan, samples=20001):
+    """Integral of the positive powers out of the muscles, by hand, along the plan's replay [J]."""
+    motion = pam.simulate(
+        plant, plan.trajectory, t=np.linspace(0.0, plan.duration, samples), rtol=1e-10
+    )
+    names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
+    total = np.zeros(samples)
+    for name in names:
+        kappa, length = motion[f"{name}.contraction"], MUSCLE.rest_length
+        total += np.maximum(motion[f"{name}.force"] * np.gradient(kappa * length, motion.t), 0.0)
+    return trapezoid(total, motion.t)
+
+
+def slider(force=50.0):
+    """A block of 2 kg with a muscle's outputs: force is the input, contraction the position."""
+    plant = pam.Plant("block")
+    x, v = plant.state("x", unit="m", nominal=0.1), plant.state("v", unit="m/s", nominal=0.1)
+    pull = plant.input("pull", unit="N", min=-force, max=force, nominal=force)
+    plant.der(x, v)
+    plant.der(v, pull / 2.0)
+    plant.output("block.force", pull, unit="N")
+    plant.output("block.contraction", x)
+    plant.output("block.rest_length", ca.SX(1.0), unit="m")
+    return plant
+
+
+def least_work_of_the_block(distance, duration, force=50.0, mass=2.0):
+    """m v^2 / 2 of the slowest trapezoid: accelerated and braked with all force, by hand [J]."""
+    a = force / mass
+    v = (a * duration - np.sqrt((a * duration) ** 2 - 4 * a * distance)) / 2
+    return mass * v**2 / 2
+
+
+def test_the_least_work_of_a_block_is_that_of_the_slowest_trapezoid():
+    plan = pam.plan(slider(), [{"x": 0.0}, {"x": 0.1}], rest=True, duration=0.4, minimise="work")
+    assert plan.verified
+    assert plan.objective == pytest.approx(least_work_of_the_block(0.1, 0.4), rel=1e-3)
+
+
+def test_the_work_of_an_antagonistic_pair_is_that_along_its_motion_and_settles():
+    plant = pam.AntagonisticSlide(MUSCLE, 2.0)
+    wanted = {"duration": 0.3, "minimise": "work"}
+    plan = pam.plan(plant, [{"x": -0.01}, {"x": 0.01}], **wanted)
+    assert plan.verified
+    assert plan.objective == pytest.approx(positive_work(plant, plan), rel=1e-3)
+    assert plan.statistics["objective_change"] < 1e-3
+
+
+@pytest.mark.parametrize("method", [pam.Shooting(30, 4), pam.Collocation(20, 3, points="gauss")])
+def test_work_is_stated_in_all_forms_of_the_program(method):
+    plant = pam.HangingLoad(MUSCLE, 10.0)
+    plan = pam.plan(
+        plant,
+        [{"x": 0.01}, {"x": 0.03}],
+        duration=0.4,
+        minimise="work",
+        method=method,
+        tolerance=None,
+        cyclic=True,
+    )
+    assert plan.objective == pytest.approx(positive_work(plant, plan), rel=1e-3)
+    assert plan.replay.objective == pytest.approx(positive_work(plant, plan), rel=1e-5)
+
+
+def test_budgets_bound_the_work_from_both_sides():
+    plant = pam.AntagonisticJoint(MUSCLE)
+    stops, spent = [{"theta": -0.2}, {"theta": 0.2}], {}
+    for name, budget in {"least": (2.0, None), "most": (None, 0.5), "both": (0.7, 0.71)}.items():
+        plan = pam.plan(
+            plant,
+            stops,
+            duration=0.5,
+            minimise="effort",
+            budgets={"work": budget},
+            method=pam.Collocation(20, 3),
+            tolerance=None,
+        )
+        spent[name] = positive_work(plant, plan)
+    assert spent["least"] > 2.0 - 5e-3
+    assert spent["most"] < 0.5 + 5e-3
+    assert 0.7 - 5e-3 < spent["both"] < 0.71 + 5e-3
+
+
+def test_a_saved_plan_of_least_work_is_loaded_with_its_objective(tmp_path):
+    plant = pam.HangingLoad(MUSCLE, 10.0)
+    for method in (pam.Collocation(10, 3), pam.Shooting(20, 4)):
+        plan = pam.plan(
+            plant, [{"x": 0.01}, {"x": 0.03}], duration=0.5, minimise="work", method=method
+        )
+        again = pam.load_plan(plan.save(tmp_path / "plan.npz"), plant)
+        assert again.objective == pytest.approx(plan.objective, rel=1e-6)
+        assert again.verified
+
+
+def test_fatrop_finds_the_same_least_work():
+    if not ca.has_nlpsol("fatrop"):
+        pytest.skip("this CasADi has no fatrop")
+    plant, stops = pam.HangingLoad(MUSCLE, 10.0), [{"x": 0.01}, {"x": 0.03}]
+    wanted = {"duration": 0.5, "minimise": "work", "tolerance": None}
+    wanted["method"] = pam.Collocation(15, 3)
+    found = [pam.plan(plant, stops, solver=s, **wanted) for s in ("ipopt", "fatrop")]
+    assert found[0].objective == pytest.approx(found[1].objective, rel=1e-6)
+
+
+def test_the_least_air_is_what_the_supply_gives_along_the_motion():
+    plant = pam.HangingLoad(MUSCLE, 10.0, feed=pam.SpoolValve())
+    plan = pam.plan(
+        plant, [{"x": 0.01}, {"x": 0.03}], duration=0.5, minimise="air", cyclic=True, starts=1
+    )
+    assert plan.verified
+    t = np.linspace(0.0, plan.duration, 20001)
+    motion = pam.simulate(plant, plan.trajectory, t=t, rtol=1e-10)
+    u = signals(plant, plan.trajectory, t)(t)
+    x = motion.array([v.name for v in plant.states])
+    y = np.asarray(plant.function(x.T, u.T, plant.vector("parameter"))[1], float)
+    flow = y[[v.name for v in plant.outputs].index("muscle.supply_flow")]
+    assert 1e3 * trapezoid(flow, t) == pytest.approx(plan.objective, rel=1e-3)
