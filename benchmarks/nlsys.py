@@ -9,7 +9,7 @@ Four arrangements, each measured in one run with the same inputs, start, output 
 of
    the time is Python's (SciPy's stepper, python-control's interpolation of the inputs), which both
    sides pay;
-3. a whole response that agrees with ``pam_ocp.simulation.simulate`` to 1e-6 of nominal:
+3. a whole response that agrees with ``pam_ocp.simulation.simulator`` to 1e-6 of nominal:
 ``PlantSystem.response``
    against ``input_output_response`` of the NumPy system, with the loosest tolerance that suffices;
 4. the same with inputs held over samples: ``input_output_response`` of ``as_nlsys(..., dt=)``

@@ -14,7 +14,7 @@ import pam_ocp as pam
 from pam_ocp.control.analysis import margins
 from pam_ocp.control.estimators.stationary import WithEstimate, kalman
 from pam_ocp.control.loop import closed_loop
-from pam_ocp.control.lqr import lqr
+from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.figures.control import plot_loop, plot_tracking
 
 DT = 1e-3

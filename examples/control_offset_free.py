@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import pam_ocp as pam
 from pam_ocp.control.estimators.stationary import WithEstimate, kalman
-from pam_ocp.control.lqr import lqr
+from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.offset_free import OffsetFree
 
 DT = 2e-3

@@ -15,7 +15,7 @@ import numpy as np
 
 import pam_ocp as pam
 from pam_ocp.control.loop import closed_loop
-from pam_ocp.control.tvlqr import OpenLoop, tvlqr
+from pam_ocp.control.along_motion import OpenLoop, tvlqr
 from pam_ocp.figures.control import plot_tracking
 
 BAR = 1e5

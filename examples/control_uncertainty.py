@@ -17,7 +17,7 @@ import numpy as np
 
 import pam_ocp as pam
 from pam_ocp.control.analysis import bode_cloud, margins_over
-from pam_ocp.control.lqr import lqr
+from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.figures.control import plot_bode_cloud
 
 BAR = 1e5

@@ -48,7 +48,7 @@ from .control.inverse import (
 from .control.loop import (
     closed_loop as closed_loop,
 )
-from .control.lqr import (
+from .control.linear_quadratic import (
     lqr as lqr,
 )
 from .control.mpc.mpc import (
@@ -69,10 +69,10 @@ from .control.pid import (
 from .control.schedule import (
     scheduled_lqr as scheduled_lqr,
 )
-from .control.tvlqr import (
+from .control.along_motion import (
     OpenLoop as OpenLoop,
 )
-from .control.tvlqr import (
+from .control.along_motion import (
     tvlqr as tvlqr,
 )
 from .core.errors import (
@@ -138,16 +138,16 @@ from .figures.plan import (
 from .fitting.dynamic.dynamic import (
     fit_plant as fit_plant,
 )
-from .fitting.dynamic.free_run import (
+from .fitting.dynamic.free_run_fit import (
     FreeRun as FreeRun,
 )
-from .fitting.dynamic.free_run import (
+from .fitting.dynamic.free_run_fit import (
     FreeRunFit as FreeRunFit,
 )
-from .fitting.dynamic.free_run import (
+from .fitting.dynamic.free_run_fit import (
     fit_free_run as fit_free_run,
 )
-from .fitting.dynamic.free_run import (
+from .fitting.dynamic.free_run_fit import (
     free_run as free_run,
 )
 from .fitting.dynamic.plant_fit import (
@@ -291,7 +291,7 @@ from .muscles.laws.user_defined import (
 from .muscles.laws.user_defined import (
     spline_law as spline_law,
 )
-from .muscles.muscle import (
+from .muscles.pneumatic_muscle import (
     Muscle as Muscle,
 )
 from .muscles.muscle_file import (
@@ -321,13 +321,13 @@ from .operating.along import (
 from .operating.branch import (
     equilibrium_branch as equilibrium_branch,
 )
-from .operating.equilibrium import (
+from .operating.resting_point import (
     EquilibriumError as EquilibriumError,
 )
-from .operating.equilibrium import (
+from .operating.resting_point import (
     OperatingPoint as OperatingPoint,
 )
-from .operating.equilibrium import (
+from .operating.resting_point import (
     equilibrium as equilibrium,
 )
 from .operating.linear import (
@@ -384,10 +384,10 @@ from .planning.result import (
 from .planning.saved_plan import (
     load_plan as load_plan,
 )
-from .planning.studies.pareto import (
+from .planning.studies.front import (
     Pareto as Pareto,
 )
-from .planning.studies.pareto import (
+from .planning.studies.front import (
     pareto as pareto,
 )
 from .planning.studies.robust import (
@@ -447,16 +447,16 @@ from .plants.loads import (
 from .plants.loads import (
     Wall as Wall,
 )
-from .plants.losses import (
+from .plants.damping import (
     ConstantDamping as ConstantDamping,
 )
-from .plants.losses import (
+from .plants.damping import (
     CoulombFriction as CoulombFriction,
 )
-from .plants.losses import (
+from .plants.damping import (
     DirectionalDamping as DirectionalDamping,
 )
-from .plants.losses import (
+from .plants.damping import (
     StiffnessDamping as StiffnessDamping,
 )
 from .plants.memory import (
@@ -507,7 +507,7 @@ from .simulation.many import (
 from .simulation.many import (
     sweep as sweep,
 )
-from .simulation.simulate import (
+from .simulation.simulator import (
     simulate as simulate,
 )
 from .simulation.work import (

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_positive
-from ..operating.equilibrium import EquilibriumError, OperatingPoint
+from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.linear import linearize, modes
 from ..operating.several import equilibrium_path
 from ..plants.plant import Plant, Values
-from .lqr import StateFeedback
+from .linear_quadratic import StateFeedback
 
 if TYPE_CHECKING:
     import control

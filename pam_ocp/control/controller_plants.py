@@ -14,7 +14,7 @@ from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.opening import Opening
 from ..plants.plant import Plant
-from .lqr import StateFeedback
+from .linear_quadratic import StateFeedback
 
 __all__ = ["pid_controller", "state_feedback_controller"]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, SimulationError, require_instance
-from ..muscles.muscle import Muscle
+from ..muscles.pneumatic_muscle import Muscle
 from ..numerics.newton import iterate, least_squares
-from ..operating.equilibrium import OperatingPoint
+from ..operating.resting_point import OperatingPoint
 from ..operating.linear import chosen_signals, point_of
 from ..plants.plant import Plant, Values, require_plant
 

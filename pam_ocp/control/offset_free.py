@@ -13,7 +13,7 @@ from ..core.errors import InputError, require_instance
 from ..operating.linear import chosen_signals, linearize
 from .controller import Measured
 from .estimators.stationary import StationaryFilter
-from .lqr import StateFeedback, sent
+from .linear_quadratic import StateFeedback, sent
 
 __all__ = ["OffsetFree"]
 

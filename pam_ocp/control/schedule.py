@@ -14,7 +14,7 @@ from ..operating.linear import LinearGrid, linearize_grid
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
-from .lqr import Integrals, lqr, saturated, sent
+from .linear_quadratic import Integrals, lqr, saturated, sent
 
 __all__ = ["ScheduledFeedback", "scheduled_lqr"]
 

@@ -21,7 +21,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Causality, Variable
 from ..plants.plant import Given, Plant, Values, by_name
 from ..simulation.sampled import SampledPlant
-from ..simulation.simulate import evaluated
+from ..simulation.simulator import evaluated
 
 __all__ = ["FmuSide", "PlantSide", "Side", "side_of"]
 

@@ -17,7 +17,8 @@ from ..core.signals import PiecewisePolynomial
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from . import package, source
+from . import package
+from . import source
 from .package import FmiVersion
 from .runtime import c_text
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..planning.active import Limit
-    from ..planning.studies.pareto import Pareto
+    from ..planning.studies.front import Pareto
     from ..planning.studies.robust import RobustPlan
 
 __all__ = ["colours_of", "panels_of", "plot_costates", "plot_pareto", "plot_plan", "plot_robust"]

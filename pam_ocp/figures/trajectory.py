@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..fitting.static.static import ForceFit
-    from ..muscles.muscle import Muscle
+    from ..muscles.pneumatic_muscle import Muscle
     from ..simulation.compare import RecordComparison
 
 __all__ = [

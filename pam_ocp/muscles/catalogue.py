@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from ..core.errors import InputError, UnknownNameError
 from .law import LAWS, ForceLaw, SixParameterLaw
-from .muscle import Muscle
+from .pneumatic_muscle import Muscle
 
 if sys.version_info >= (3, 11):
     import tomllib

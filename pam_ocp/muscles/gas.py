@@ -16,7 +16,7 @@ import numpy as np
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.registry import Registry
 from .law import FloatOrSX
-from .muscle import Muscle
+from .pneumatic_muscle import Muscle
 
 __all__ = [
     "AMBIENT_PRESSURE",

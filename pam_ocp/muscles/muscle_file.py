@@ -14,7 +14,7 @@ from ..core.errors import InputError, UnknownNameError, require_finite, require_
 from ..core.files import atomic_path, read_json, require_format, write_json
 from ..core.quantities import read_toml, table
 from .laws.user_defined import law_named
-from .muscle import Muscle
+from .pneumatic_muscle import Muscle
 
 __all__ = ["ENDINGS", "load_muscle", "save_muscle"]
 

@@ -12,7 +12,7 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..numerics.continuation import ImplicitCurve, Walk
 from ..numerics.newton import NewtonError
 from ..plants.plant import Plant, Values
-from .equilibrium import OperatingPoint, equilibrium
+from .resting_point import OperatingPoint, equilibrium
 from .held import Memory
 from .rest import TOLERANCE, Rest, posed
 from .several import EquilibriumPath

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..core.errors import require_positive
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values
-from .equilibrium import OperatingPoint
+from .resting_point import OperatingPoint
 from .linear import chosen_signals, point_of
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..plants.plant import Plant
 from ..simulation.sampled import SampledPlant
-from ..simulation.simulate import simulate
+from ..simulation.simulator import simulate
 
 __all__ = ["PlantSystem"]
 
@@ -154,7 +154,7 @@ class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         rtol: float = 1e-10,
     ) -> control.TimeResponseData:
         """``control.input_output_response`` by the plant's own integrator
-        (:func:`pam_ocp.simulation.simulate`).
+        (:func:`pam_ocp.simulation.simulator`).
 
         T : output times [s]; U : (inputs, times) or one value per input, joined by straight lines
         (held, when the system is sampled), by default ``u0``; X0 : by default ``x0``. Quicker and

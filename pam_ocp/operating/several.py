@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
 from ..plants.plant import Plant, Values
-from .equilibrium import EquilibriumError, OperatingPoint, equilibrium, why_not
+from .resting_point import EquilibriumError, OperatingPoint, equilibrium, why_not
 from .held import Memory, held
 from .rest import Rest, posed
 from .rest_search import Search

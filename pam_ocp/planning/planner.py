@@ -23,7 +23,7 @@ from ..core.errors import (
 )
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from ..simulation.simulate import evaluated
+from ..simulation.simulator import evaluated
 from .climb import Climb, ladder
 from .opened import guess_in_openings
 from .problem.formulation import formulate

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from ..simulation.simulate import evaluated
+from ..simulation.simulator import evaluated
 from .replay import Replay, interval_errors, replayed
 from .result import Solved
 from .run import Run

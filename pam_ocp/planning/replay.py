@@ -16,7 +16,7 @@ from ..core.errors import SimulationError
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.integrate import Integration
-from ..simulation.simulate import simulate
+from ..simulation.simulator import simulate
 from .problem.problem import Budget, Condition, Leg, Problem
 from .solvers.interrupt import deferred
 from .transcription.mesh import Mesh

@@ -15,7 +15,7 @@ from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.files import read_npz, require_format, write_npz
 from ..core.signals import PiecewisePolynomial
 from ..plants.plant import Plant, require_plant
-from ..simulation.simulate import evaluated
+from ..simulation.simulator import evaluated
 from .problem.problem import Problem
 from .problem.problem_data import data_of, problem_of
 from .replay import replayed

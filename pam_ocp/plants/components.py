@@ -10,8 +10,8 @@ from typing import Any, cast
 
 from ..core.errors import InputError
 from ..muscles.catalogue import muscle as catalogued
-from ..muscles.muscle import Muscle
-from .losses import ConstantDamping, Damping, Loss
+from ..muscles.pneumatic_muscle import Muscle
+from .damping import ConstantDamping, Damping, Loss
 
 __all__ = ["as_damping", "as_losses", "as_muscle", "component", "components"]
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from ..core.errors import require_finite, require_positive
 from ..muscles.law import SLACK_WIDTH, clamp
-from ..muscles.muscle import Muscle
+from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
 from .feeds import Feed
 from .hanging import hanging_sketch, moved_mass, weight
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
-from .losses import ConstantDamping, Damping, Loss, StiffnessDamping
+from .damping import ConstantDamping, Damping, Loss, StiffnessDamping
 from .plant import Plant
 from .sketch import Sketch
 

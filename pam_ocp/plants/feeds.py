@@ -12,14 +12,24 @@ import casadi as ca
 from ..core.errors import require_positive
 from ..core.system import Declares
 from ..muscles.law import clamp
-from ..muscles.muscle import Muscle
+from ..muscles.pneumatic_muscle import Muscle
 from .components import as_losses, as_muscle, component
 from .kinds import FEEDS
-from .losses import Loss, Motion
+from .damping import Loss, Motion
 from .meters import meter_pneumatics, meter_work
-from .valves import GasFeed
+from .valves import GasFeed, OnOffValves, SpoolValve, Tube
 
-__all__ = ["AttachedMuscle", "Feed", "IdealPressure", "Regulator", "as_feed", "attach"]
+__all__ = [
+    "AttachedMuscle",
+    "Feed",
+    "IdealPressure",
+    "OnOffValves",
+    "Regulator",
+    "SpoolValve",
+    "Tube",
+    "as_feed",
+    "attach",
+]
 
 
 @dataclass(frozen=True)

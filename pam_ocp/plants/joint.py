@@ -11,13 +11,13 @@ import numpy as np
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.expressions import expression_of
 from ..core.plausible import meant_within
-from ..muscles.muscle import Muscle
+from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
 from .feeds import Feed
 from .hanging import GRAVITY
 from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied, as_loads
-from .losses import ConstantDamping, Damping, Loss
+from .damping import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box

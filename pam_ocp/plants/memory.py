@@ -15,7 +15,7 @@ import casadi as ca
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from .kinds import LOSSES
-from .losses import Motion
+from .damping import Motion
 
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..core.errors import InputError
 from ..core.plausible import meant_within
-from ..muscles.muscle import Muscle
+from ..muscles.pneumatic_muscle import Muscle
 from .plant import Plant
 
 __all__ = ["mirrored_pair", "reach"]

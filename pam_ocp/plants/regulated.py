@@ -11,10 +11,10 @@ import casadi as ca
 from ..core.errors import require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.law import clamp
-from ..muscles.muscle import Muscle
+from ..muscles.pneumatic_muscle import Muscle
 from .hanging import HangingLoad
 from .kinds import FEEDS, PLANTS
-from .losses import Damping, Loss
+from .damping import Damping, Loss
 
 __all__ = ["PositionFeedback", "RegulatedLoad"]
 

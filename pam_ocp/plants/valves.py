@@ -12,7 +12,7 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse, two_ways
 from ..muscles.gas import Chamber, Gas, conductance_from_flow, iso6358, specific_exergy
-from ..muscles.muscle import Muscle
+from ..muscles.pneumatic_muscle import Muscle
 from .kinds import FEEDS, TUBES
 
 __all__ = ["Air", "GasFeed", "OnOffValves", "SpoolValve", "Tube"]

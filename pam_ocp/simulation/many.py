@@ -16,7 +16,7 @@ import numpy as np
 from ..core.errors import InputError, PamError
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from .simulate import simulate
+from .simulator import simulate
 
 __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
 

@@ -136,7 +136,7 @@ class _Tour:
         """replay the planned motion in Python and in the FMUs (fmpy), and compare"""
         from ..export import check_fmu
         from ..figures.trajectory import plot_comparison
-        from ..simulation.simulate import simulate
+        from ..simulation.simulator import simulate
 
         reference = simulate(self.slide, self.motion.trajectory)
         self.summary["fmu"] = {}

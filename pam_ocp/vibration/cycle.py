@@ -17,7 +17,7 @@ from ..core.trajectory import Trajectory
 from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
 from ..plants.plant import Plant, require_plant
-from ..simulation.simulate import evaluated, simulate
+from ..simulation.simulator import evaluated, simulate
 from .hopf_bifurcation import HopfPoint
 from .passages import smooth
 
@@ -90,7 +90,7 @@ class LimitCycle:
 
     @cached_property
     def closing_error(self) -> float:
-        """How far :func:`pam_ocp.simulation.simulate` (rtol 1e-12) misses its start after one
+        """How far :func:`pam_ocp.simulation.simulator` (rtol 1e-12) misses its start after one
         period, / nominal.
 
         The true accuracy of the collocation; an unstable cycle's multiplier enlarges it.

@@ -71,7 +71,7 @@ def energy(
     ----------
     plant : with one position whose velocity is a state, as ``HangingLoad(...,
     feed=IdealPressure())``.
-    trajectory : a motion of it, as :func:`pam_ocp.simulation.simulate` returns.
+    trajectory : a motion of it, as :func:`pam_ocp.simulation.simulator` returns.
     position : the position's name. mass : name of the parameter, or the inertia itself [kg, kg m2].
 
     R is mass times the plant's acceleration at zero velocity. Its integral is exact to rounding:

@@ -14,10 +14,10 @@ from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_finite, require_positive
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
-from ..operating.equilibrium import OperatingPoint, equilibrium
+from ..operating.resting_point import OperatingPoint, equilibrium
 from ..operating.held import Memory, carried
 from ..plants.plant import Plant, Values
-from ..simulation.simulate import simulate
+from ..simulation.simulator import simulate
 from .passages import Smooth, smooth
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def free_vibration(
     state : the state that is displaced and watched.
     cycles : length of the record, in periods of the plant linearised at rest.
     samples : per such period. rtol : of the integrator.
-    memory : what hysteresis keeps at rest, see :func:`pam_ocp.operating.equilibrium`; on the way
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.operating.resting_point`; on the way
     from rest to the
         offset it has followed the motion. The swing is measured about the place where it ends.
 

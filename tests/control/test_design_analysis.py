@@ -18,7 +18,7 @@ from pam_ocp.control.analysis import (
     mode_map,
 )
 from pam_ocp.control.loop import closed_loop
-from pam_ocp.control.lqr import lqr
+from pam_ocp.control.linear_quadratic import lqr
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control.inverse import InverseDynamics
 from pam_ocp.control.loop import closed_loop
-from pam_ocp.control.lqr import lqr
+from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.pid import PID, PositionController, PressureLoop
 from pam_ocp.control.references import hold, moves, sine
 from pam_ocp.plants.valves import OnOffValves, SpoolValve

@@ -7,7 +7,7 @@ from conftest import BAR
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control.estimators.stationary import kalman
-from pam_ocp.control.lqr import lqr
+from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.offset_free import OffsetFree
 
 

@@ -10,7 +10,7 @@ import pam_ocp as pam
 from pam_ocp.muscles.catalogue import catalogue_entry
 from pam_ocp.muscles.law import coefficient
 from pam_ocp.muscles.laws.user_defined import own_law, polynomial_law, spline_law
-from pam_ocp.plants.losses import CoulombFriction, DirectionalDamping
+from pam_ocp.plants.damping import CoulombFriction, DirectionalDamping
 from pam_ocp.plants.memory import BoucWen, Creep, MaxwellSlip
 from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
 

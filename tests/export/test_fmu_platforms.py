@@ -24,7 +24,7 @@ from pam_ocp.export import PLATFORMS, check_fmu, export_fmu
 from pam_ocp.export.compile import compile_library, native, platforms_named
 from pam_ocp.export.runtime import c_sources, c_text
 from pam_ocp.export.symbols import exported_symbols
-from pam_ocp.plants.losses import CoulombFriction
+from pam_ocp.plants.damping import CoulombFriction
 
 PROGRAMS = Path(__file__).parents[2] / "fmu" / "tests"
 ARM_ROOT = Path("/usr/aarch64-linux-gnu")

@@ -9,7 +9,7 @@ from pam_ocp import Collocation, InputError, PlanError, Profile, Stop
 from pam_ocp.figures.film import _film, animate_plan
 from pam_ocp.figures.plan import panels_of, plot_costates
 from pam_ocp.planning.active import limits_along
-from pam_ocp.planning.studies.pareto import pareto
+from pam_ocp.planning.studies.front import pareto
 from pam_ocp.planning.studies.robust import robust_plan
 
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fitting.dynamic.experiment import groups
-from pam_ocp.fitting.dynamic.free_run import fit_free_run, free_run
+from pam_ocp.fitting.dynamic.free_run_fit import fit_free_run, free_run
 from pam_ocp.fitting.dynamic.rollout import Rollout
 from pam_ocp.fitting.dynamic.runs import runs_of
 

@@ -132,7 +132,7 @@ def test_a_free_run_that_diverges_says_so() -> None:
 def test_discarded_sensitivities_are_not_called_no_influence() -> None:
     from types import SimpleNamespace
 
-    from pam_ocp.fitting.dynamic.free_run import _require_sense
+    from pam_ocp.fitting.dynamic.free_run_fit import _require_sense
 
     groups = [SimpleNamespace(name="stiffness")]
     for wild, words in ((True, "cannot be told"), (False, "no influence")):

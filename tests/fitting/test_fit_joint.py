@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.fitting.dynamic.free_run import free_run
+from pam_ocp.fitting.dynamic.free_run_fit import free_run
 
 
 def example() -> Any:

@@ -11,7 +11,7 @@ import pytest
 from pam_ocp.core.errors import InputError
 from pam_ocp.muscles.catalogue import muscle
 from pam_ocp.muscles.law import LAWS, SixParameterLaw, clamp
-from pam_ocp.muscles.muscle import Muscle
+from pam_ocp.muscles.pneumatic_muscle import Muscle
 
 # Published set of the DMSP-20-400N: p in bar, kappa in percent, F in N.
 A1, A2, A3, A4, A5, A6 = -4.35573, 281.22370, -0.32866, -9.27035, 302.20107, -263.69185

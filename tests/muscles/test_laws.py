@@ -27,7 +27,7 @@ from pam_ocp.muscles.laws.empirical import (
 )
 from pam_ocp.muscles.laws.thick_wall import ThickWallLaw
 from pam_ocp.muscles.laws.user_defined import own_law, polynomial_law, spline_law
-from pam_ocp.muscles.muscle import Muscle
+from pam_ocp.muscles.pneumatic_muscle import Muscle
 from pam_ocp.muscles.validity import Validity, ValidityWarning, forget_warnings
 from pam_ocp.plants.hanging import HangingLoad
 

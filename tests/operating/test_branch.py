@@ -7,7 +7,7 @@ from conftest import BAR
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.operating.branch import equilibrium_branch
-from pam_ocp.operating.equilibrium import EquilibriumError
+from pam_ocp.operating.resting_point import EquilibriumError
 
 
 def cusp(**bounds):

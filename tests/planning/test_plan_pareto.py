@@ -7,7 +7,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
-from pam_ocp.planning.studies.pareto import pareto
+from pam_ocp.planning.studies.front import pareto
 
 METHOD = Collocation(6, 6, "polynomial")
 LIMIT, DISTANCE = 100.0, 1.0

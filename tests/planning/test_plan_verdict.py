@@ -25,7 +25,7 @@ from pam_ocp.planning.problem.statement import Statement
 from pam_ocp.planning.replay import interval_errors, replayed
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh
 from pam_ocp.planning.transcription.solution import Solution
-from pam_ocp.simulation.simulate import evaluated
+from pam_ocp.simulation.simulator import evaluated
 
 MOVE = [{"x": 0.0}, {"x": 1.0}]
 

@@ -234,7 +234,7 @@ def test_beside_the_border_simulations_decay_and_grow():
 
 
 def test_a_path_of_rest_finds_the_equilibria_of_each_pressure():
-    """The input itself varies; every point agrees with pam_ocp.operating.equilibrium."""
+    """The input itself varies; every point agrees with pam_ocp.operating.resting_point."""
     path = vibration.stability_path(
         load(pam.StiffnessDamping(0.1)), "muscle.pressure", np.array([2, 4, 6]) * BAR
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_positive
-from ...operating.equilibrium import OperatingPoint
+from ...operating.resting_point import OperatingPoint
 from ...operating.linear import inside, linearize
 from ...operating.stuck import Stuck
 from ...plants.inversion import Inversion

@@ -28,7 +28,7 @@ from ...core.variables import Variable
 from ...planning.solvers.narrowing import rounded
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
-from ...simulation.simulate import evaluated
+from ...simulation.simulator import evaluated
 from ..kinds import CONTROLLERS
 from ..mpc_statistics import MpcStatistics, MpcStep
 from ..references import Source

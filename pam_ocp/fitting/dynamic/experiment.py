@@ -13,7 +13,7 @@ from ...core.errors import FitError, InputError, PamError, UnknownNameError
 from ...core.signals import merged, signals
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
-from ...simulation.simulate import simulate
+from ...simulation.simulator import simulate
 from ..statistics import Array
 
 __all__ = ["Experiment", "InputErrors", "ParameterGroup", "groups", "measured_names", "prepare"]

@@ -11,7 +11,7 @@ from ...core.signals import PiecewisePolynomial
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
-from ...simulation.simulate import simulate
+from ...simulation.simulator import simulate
 from ..statistics import Array, Linearisation
 from .estimation import FitTask, PlantEstimate, head_names
 from .experiment import Experiment, measured_names, prepare

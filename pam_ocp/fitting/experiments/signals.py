@@ -18,7 +18,7 @@ import numpy as np
 from ...core.errors import FitError, InputError, SimulationError, UnknownNameError, require_positive
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, Values, require_plant
-from ...simulation.simulate import simulate
+from ...simulation.simulator import simulate
 from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
 from ..statistics import Array

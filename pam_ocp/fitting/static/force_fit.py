@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ... import courtesy
 from ...core.errors import InputError, UnknownNameError
 from ...muscles.law import ForceLaw
-from ...muscles.muscle import Muscle
+from ...muscles.pneumatic_muscle import Muscle
 from ..statistics import (
     Array,
     Coefficient,

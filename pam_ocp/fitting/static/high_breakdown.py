@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...core.errors import FitError
 from ..statistics import Array
 from .least_squares import LeastSquares, least_squares, sizes
-from .polish import polish
+from .local_optimum import polish
 from .scales import BISQUARE
 
 __all__ = ["SUBSETS", "robust_start", "trimmed_start"]

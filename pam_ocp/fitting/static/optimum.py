@@ -20,7 +20,7 @@ from ..statistics import (
 from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
 from .least_squares import PLAIN, LeastSquares, Terms
-from .polish import SLACK_TOLERANCE
+from .local_optimum import SLACK_TOLERANCE
 from .scales import BISQUARE, HUBER, robust_scale, spread
 
 __all__ = ["Optimum"]

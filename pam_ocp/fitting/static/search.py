@@ -15,7 +15,7 @@ from ..statistics import Array
 from .descent import descend
 from .high_breakdown import SUBSETS, robust_start
 from .least_squares import LeastSquares, sizes
-from .polish import Optimum, polish
+from .local_optimum import Optimum, polish
 
 __all__ = ["minimise"]
 

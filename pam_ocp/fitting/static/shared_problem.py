@@ -15,7 +15,7 @@ from ...core.errors import FitError
 from ...core.variables import Variable
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, least_squares, sizes
-from .polish import cosine
+from .local_optimum import cosine
 from .search import STATIONARY
 
 __all__ = ["JointOptimum", "JointProblem"]

@@ -22,7 +22,7 @@ from ...core.errors import (
 from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
-from ...simulation.simulate import evaluated
+from ...simulation.simulator import evaluated
 from ..planner import SolveKeywords, plan
 from ..problem.wording import Stop
 from ..result import Plan, Solved

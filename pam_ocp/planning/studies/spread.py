@@ -15,7 +15,7 @@ from ...core.trajectory import Trajectory
 from ...numerics.newton import NewtonError, casadi_equations, iterate, newton
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows
-from ...simulation.simulate import simulate
+from ...simulation.simulator import simulate
 
 __all__ = ["Draw", "Spread", "drawn", "spread_of"]
 

@@ -16,7 +16,7 @@ from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
 from .controller import Measured
-from .lqr import Integrals, Weighting, saturated, sent, stationary
+from .linear_quadratic import Integrals, Weighting, saturated, sent, stationary
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
 

@@ -1,0 +1,260 @@
+"""Losses without memory: what takes energy out of a muscle's motion.
+
+Two kinds of component. A :class:`Damping` belongs to a plant (``damping=``) and gives its viscous
+coefficient. A :class:`Loss` belongs to a muscle (``losses=(...)``): it adds its parameters, its
+states if it has a memory (see ``memory.py``), and a force against the contraction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
+from ..muscles.law import clamp
+from ..muscles.pneumatic_muscle import Muscle
+from .kinds import DAMPINGS, LOSSES
+
+__all__ = [
+    "ConstantDamping",
+    "CoulombFriction",
+    "Damping",
+    "DirectionalDamping",
+    "Loss",
+    "Motion",
+    "StiffnessDamping",
+]
+
+WIDEST_SPEED = 0.1
+"""Speed [m/s] below which dry friction is rounded off where planning a motion begins."""
+STIFFNESS_FLOOR = 1.0
+"""Below about this stiffness [N/m] the square root of StiffnessDamping is rounded off."""
+
+
+class Damping(Protocol):
+    """A viscous damping c [N.s/m] that may depend on the state."""
+
+    def coefficient(
+        self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
+    ) -> ca.SX:
+        """c [N.s/m] for a moving ``mass`` [kg] on ``stiffness`` [N/m]; adds its parameters."""
+
+
+@DAMPINGS.register(units={"value": ("N.s/m", "N.m.s/rad")})
+@dataclass(frozen=True)
+class ConstantDamping:
+    """c = constant [N.s/m]."""
+
+    value: float = 20.0
+
+    def __post_init__(self) -> None:
+        require_positive("ConstantDamping.value", self.value, "N.s/m", zero=True)
+
+    def coefficient(
+        self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
+    ) -> ca.SX:
+        return plant.parameter(
+            "damping",
+            self.value,
+            unit=unit,
+            min=0.0,
+            nominal=10.0,
+            tunable=True,
+            description="viscous damping coefficient",
+        )
+
+
+@DAMPINGS.register()
+@dataclass(frozen=True)
+class StiffnessDamping:
+    """c = 2 zeta sqrt(m k): a constant damping ratio, so c is a nonlinear function of displacement.
+
+    Our reconstruction of the source paper's damping "as nonlinear function of displacement"; k is
+    the stiffness at the present pressure and contraction. Where it falls to zero (slack) the root
+    is rounded off below STIFFNESS_FLOOR, so that its slope stays finite.
+    """
+
+    ratio: float = 0.1
+
+    def __post_init__(self) -> None:
+        require_positive("StiffnessDamping.ratio", self.ratio, zero=True)
+
+    def coefficient(
+        self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
+    ) -> ca.SX:
+        ratio = plant.parameter(
+            "damping_ratio",
+            self.ratio,
+            min=0.0,
+            nominal=0.1,
+            tunable=True,
+            description="damping ratio zeta of c = 2 zeta sqrt(m k)",
+        )
+        rounded = (stiffness + ca.sqrt(stiffness**2 + STIFFNESS_FLOOR**2)) / 2
+        return 2 * ratio * ca.sqrt(mass * rounded)
+
+
+# ---- losses of a muscle ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a loss may look at: expressions of an attached muscle."""
+
+    muscle: Muscle
+    pressure: ca.SX
+    contraction: ca.SX
+    rate: ca.SX
+    """d(contraction)/dt [1/s]."""
+
+    @property
+    def velocity(self) -> ca.SX:
+        """Speed of shortening [m/s], positive while the muscle contracts."""
+        return ca.SX(self.rate * self.muscle.rest_length)
+
+
+class Loss(Protocol):
+    """A force against the contraction of a muscle."""
+
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
+        """Declare what is needed under ``name``; force [N],
+        positive where it hinders shortening.
+        """
+
+
+Line = tuple[float, float]
+"""Constant [N.s/m] and slope over pressure [N.s/(m.Pa)]."""
+
+
+@LOSSES.register(units={"speed": "m/s", "rounding": "N.s/m"})
+@dataclass(frozen=True)
+class DirectionalDamping:
+    """F = B(p) v, with one B while the muscle contracts and another while it relaxes.
+
+    contracting, relaxing : lines (constant [N.s/m], per pressure [N.s/(m.Pa)]); B is the largest
+        of them, and never negative.
+    speed : below about this speed [m/s] the two B go over into each other (tanh).
+    rounding : half width [N.s/m] of the rounded kinks between lines; beyond it B is exact.
+    """
+
+    contracting: Sequence[Line]
+    relaxing: Sequence[Line]
+    speed: float = 1e-3
+    rounding: float = 5.0
+
+    def __post_init__(self) -> None:
+        for argument in ("contracting", "relaxing"):
+            lines = tuple(
+                (require_finite(argument, a), require_finite(argument, b))
+                for a, b in getattr(self, argument)
+            )
+            if not lines:
+                raise InputError(f"DirectionalDamping.{argument}: give at least one line (B0, B1)")
+            object.__setattr__(self, argument, lines)
+        require_positive("DirectionalDamping.speed", self.speed, "m/s")
+        require_positive("DirectionalDamping.rounding", self.rounding, "N.s/m")
+
+    @classmethod
+    def reynolds(cls) -> DirectionalDamping:
+        """B = 1.01 + 0.00691 P inflating, 0.6 - 0.000803 P deflating (N.s/mm, P in kPa, 207-621).
+
+        Source: Reynolds et al., Annals of Biomedical Engineering 31 (2003) 310-317. Inflating is
+        read as contracting, deflating as relaxing.
+        """
+        return cls([(1.01e3, 6.91e-3)], [(0.6e3, -0.803e-3)])
+
+    @classmethod
+    def festo(cls) -> DirectionalDamping:
+        """B = 2.90 contracting; relaxing 1.57 to 372 kPa, then 0.311 + 0.00338 P (N.s/mm, kPa).
+
+        Source: a published set for a Festo muscle, 150-550 kPa (attribution unconfirmed).
+        """
+        return cls([(2.90e3, 0.0)], [(1.57e3, 0.0), (0.311e3, 3.38e-3)])
+
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        contracting, relaxing = (self._damping(plant, name, way, motion.pressure) for way in _WAYS)
+        v = motion.velocity
+        share = (1 + ca.tanh(v / self.speed)) / 2
+        return ca.SX((relaxing + (contracting - relaxing) * share) * v)
+
+    def _damping(self, plant: Declares, name: str, way: str, pressure: ca.SX) -> ca.SX:
+        largest = ca.SX(0)
+        for i, (constant, slope) in enumerate(getattr(self, way), start=1):
+            b0 = plant.parameter(
+                f"{name}.{way}{i}",
+                constant,
+                unit="N.s/m",
+                nominal=1e3,
+                description=f"damping of {name} while {way}, line {i}",
+            )
+            b1 = plant.parameter(
+                f"{name}.{way}{i}_per_pressure",
+                slope,
+                unit="N.s/(m.Pa)",
+                nominal=1e-3,
+                description=f"damping of {name} while {way}, line {i}, per pressure",
+            )
+            largest = largest + clamp(b0 + b1 * pressure - largest, self.rounding)
+        return largest
+
+
+_WAYS = ("contracting", "relaxing")
+
+
+@LOSSES.register(
+    units={"constant": "N", "per_pressure": "N/Pa", "speed": "m/s", "stribeck_speed": "m/s"}
+)
+@dataclass(frozen=True)
+class CoulombFriction:
+    """F = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v/v0), Fc = constant + per_pressure p.
+
+    Dry friction, rounded off below the speed v0, so a muscle at rest creeps instead of sticking.
+    With ``excess`` = (Fs - Fc)/Fc > 0 it falls with speed (Stribeck), which can sustain vibration.
+
+    constant : [N]. per_pressure : [N/Pa]. excess : static over kinetic friction, less 1.
+    speed : v0 [m/s]. stribeck_speed : vs [m/s], to be well above v0.
+    """
+
+    constant: float = 20.0
+    per_pressure: float = 0.0
+    excess: float = 0.0
+    speed: float = 1e-3
+    stribeck_speed: float = 0.02
+
+    def __post_init__(self) -> None:
+        for argument, unit in (("constant", "N"), ("per_pressure", "N/Pa"), ("excess", "")):
+            require_positive(
+                f"CoulombFriction.{argument}", getattr(self, argument), unit, zero=True
+            )
+        for argument in ("speed", "stribeck_speed"):
+            require_positive(f"CoulombFriction.{argument}", getattr(self, argument), "m/s")
+
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        constant, slope, excess, speed, stribeck = (
+            plant.parameter(
+                f"{name}.friction_{key}",
+                getattr(self, key),
+                unit=unit,
+                min=low,
+                nominal=nominal,
+                tunable=True,
+                description=f"{words} ({name})",
+                widest=WIDEST_SPEED if key == "speed" else 0.0,
+            )
+            for key, unit, low, nominal, words in (
+                ("constant", "N", 0.0, 10.0, "dry friction"),
+                ("per_pressure", "N/Pa", 0.0, 1e-4, "dry friction per pressure"),
+                ("excess", "1", 0.0, 1.0, "static over kinetic friction, less 1"),
+                ("speed", "m/s", 1e-9, 1e-3, "speed below which dry friction is rounded off"),
+                ("stribeck_speed", "m/s", 1e-9, 1e-2, "speed over which static friction falls"),
+            )
+        )
+        v = motion.velocity
+        kinetic = constant + slope * motion.pressure
+        return ca.SX(kinetic * (1 + excess * ca.exp(-((v / stribeck) ** 2))) * ca.tanh(v / speed))
