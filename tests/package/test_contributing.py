@@ -550,7 +550,7 @@ def test_a_qp_solver_is_one_function():
         state = {v.name: rest[v.name] for v in plant.states}
         asked = {
             "horizon": 8,
-            "step": 5e-3,
+            "sample_time": 5e-3,
             "track": {"x": 1.0, "stiffness": 0.05},
             "rate": {v.name: 0.05 for v in plant.inputs},
         }
