@@ -29,10 +29,10 @@ def plants(rng):
     muscle = pam.muscle("DMSP-20-200N")
     reach = rng.uniform(0.006, 0.012)
     feeds = {
-        "regulator": lambda: pam.Regulator(),
-        "spool": lambda: pam.SpoolValve(),
-        "on-off": lambda: pam.OnOffValves(),
-        "ideal": lambda: pam.IdealPressure(),
+        "regulator": lambda: pam.feeds.Regulator(),
+        "spool": lambda: pam.feeds.SpoolValve(),
+        "on-off": lambda: pam.feeds.OnOffValves(),
+        "ideal": lambda: pam.feeds.IdealPressure(),
     }
     makers = {
         "hanging": lambda f: (

@@ -268,7 +268,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first table")
     parser.add_argument("--out", type=Path, help="write all results as JSON")
     options = parser.parse_args()
-    warnings.simplefilter("ignore", pam.ValidityWarning)
+    warnings.simplefilter("ignore", pam.muscles.ValidityWarning)
     results = study(options.count, options.seed, options.first)
     if options.out:
         options.out.write_text(json.dumps(results))

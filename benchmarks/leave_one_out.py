@@ -193,5 +193,5 @@ def main() -> None:
 
 if __name__ == "__main__":
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pam.ValidityWarning)
+        warnings.simplefilter("ignore", pam.muscles.ValidityWarning)
         main()

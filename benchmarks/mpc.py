@@ -36,8 +36,8 @@ def benchmark_plant() -> pam.Plant:
         mass=2.0,
         pre_contraction=0.10,
         stroke=0.016,
-        damping=pam.ConstantDamping(20.0),
-        feed=pam.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
+        damping=pam.losses.ConstantDamping(20.0),
+        feed=pam.feeds.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
     )
 
 

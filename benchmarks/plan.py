@@ -35,8 +35,8 @@ def slide() -> pam.Plant:
         2.0,
         0.10,
         stroke=0.016,
-        damping=pam.ConstantDamping(20.0),
-        feed=pam.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
+        damping=pam.losses.ConstantDamping(20.0),
+        feed=pam.feeds.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
     )
 
 

@@ -64,9 +64,9 @@ def pairs_balance(first, second, kappa1, kappa2, ratio=1.0):
 def feed(rng, muscle):
     """A pressure regulator, or now and then a spool valve with its gas."""
     if muscle.diameter is not None and rng.random() < 0.15:
-        return pam.SpoolValve()
+        return pam.feeds.SpoolValve()
     limit = None if rng.random() < 0.6 else rng.uniform(1e6, 6e6)
-    return pam.Regulator(lag=rng.uniform(0.03, 0.15), max_rate=limit)
+    return pam.feeds.Regulator(lag=rng.uniform(0.03, 0.15), max_rate=limit)
 
 
 def way(a, b):

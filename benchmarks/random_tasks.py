@@ -72,15 +72,15 @@ def feed(rng, muscle):
         kind = "regulator"
     if kind == "regulator":
         limit = None if rng.random() < 0.6 else rng.uniform(1e6, 6e6)
-        return pam.Regulator(lag=rng.uniform(0.03, 0.15), max_rate=limit), kind
+        return pam.feeds.Regulator(lag=rng.uniform(0.03, 0.15), max_rate=limit), kind
     if kind == "ideal":
-        return pam.IdealPressure(), kind
+        return pam.feeds.IdealPressure(), kind
     options = {
-        "conductance": pam.conductance_from_flow(rng.uniform(100.0, 700.0)),
+        "conductance": pam.gas.conductance_from_flow(rng.uniform(100.0, 700.0)),
         "supply": 1.1e5 + muscle.pressure_range[1],
-        "tube": pam.Tube() if rng.random() < 0.3 else None,
+        "tube": pam.feeds.Tube() if rng.random() < 0.3 else None,
     }
-    valve = pam.SpoolValve if kind == "spool" else pam.OnOffValves
+    valve = pam.feeds.SpoolValve if kind == "spool" else pam.feeds.OnOffValves
     return valve(**options), kind + (" with tube" if options["tube"] else "")
 
 
@@ -90,14 +90,18 @@ def losses(rng, stroke):
         ["none", "coulomb", "bouc-wen", "slip", "creep", "slip and creep"],
         p=[0.4, 0.12, 0.12, 0.12, 0.12, 0.12],
     )
-    creep = pam.Creep((rng.uniform(100, 600),), (rng.uniform(0.2, 3.0),))
+    creep = pam.losses.Creep((rng.uniform(100, 600),), (rng.uniform(0.2, 3.0),))
     friction = rng.uniform(5, 25)
-    slip = pam.MaxwellSlip(tuple(friction * np.array([0.3, 0.3, 0.2, 0.2])))
+    slip = pam.losses.MaxwellSlip(tuple(friction * np.array([0.3, 0.3, 0.2, 0.2])))
     crept = creep.stiffness[0] * abs(stroke)
     return {
         "none": ((), 0.0, ""),
-        "coulomb": ((pam.CoulombFriction(friction),), friction, "coulomb"),
-        "bouc-wen": ((pam.BoucWen(friction, rng.uniform(0.003, 0.01)),), friction, "bouc-wen"),
+        "coulomb": ((pam.losses.CoulombFriction(friction),), friction, "coulomb"),
+        "bouc-wen": (
+            (pam.losses.BoucWen(friction, rng.uniform(0.003, 0.01)),),
+            friction,
+            "bouc-wen",
+        ),
         "slip": ((slip,), friction, "maxwell-slip"),
         "creep": ((creep,), crept, "creep"),
         "slip and creep": ((slip, creep), friction + crept, "maxwell-slip, creep"),
@@ -119,12 +123,12 @@ def loads(rng, scale, a, b):
     none = lambda s: 0.0  # noqa: E731
     made = {
         "none": ((), none, 0.0),
-        "spring": ((pam.Spring(stiffness),), lambda s: stiffness * s, 0.0),
-        "damper": ((pam.Damper(rng.uniform(2, 30) * scale**2),), none, 0.0),
-        "friction": ((pam.DryFriction(dry, 1e-2 / max(scale, 1e-9) * 0.1),), none, dry),
-        "inertia": ((pam.Inertia(rng.uniform(0.2, 2.0) * scale**2),), none, 0.0),
-        "force": ((pam.ExternalForce(start=constant),), lambda s: -constant, 0.0),
-        "wall": ((pam.Wall(gap, 2e4 * scale, 20.0 * scale**2, 1, 0.5 * scale),), none, 0.0),
+        "spring": ((pam.loads.Spring(stiffness),), lambda s: stiffness * s, 0.0),
+        "damper": ((pam.loads.Damper(rng.uniform(2, 30) * scale**2),), none, 0.0),
+        "friction": ((pam.loads.DryFriction(dry, 1e-2 / max(scale, 1e-9) * 0.1),), none, dry),
+        "inertia": ((pam.loads.Inertia(rng.uniform(0.2, 2.0) * scale**2),), none, 0.0),
+        "force": ((pam.loads.ExternalForce(start=constant),), lambda s: -constant, 0.0),
+        "wall": ((pam.loads.Wall(gap, 2e4 * scale, 20.0 * scale**2, 1, 0.5 * scale),), none, 0.0),
     }[str(kind)]
     return (*made, "" if kind == "none" else str(kind))
 

@@ -81,7 +81,12 @@ class RateOfCommand:
 def commanded() -> pam.Plant:
     muscle = replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2)
     return pam.AntagonisticSlide(
-        muscle, 2.0, 0.10, stroke=0.016, damping=pam.ConstantDamping(20.0), feed=RateOfCommand()
+        muscle,
+        2.0,
+        0.10,
+        stroke=0.016,
+        damping=pam.losses.ConstantDamping(20.0),
+        feed=RateOfCommand(),
     )
 
 

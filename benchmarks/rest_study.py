@@ -24,22 +24,22 @@ import pam_ocp as pam
 GRAVITY = 9.80665
 MUSCLES = ("DMSP-20-200N", "DMSP-20-400N", "DMSP-20-300", "DMSP-10-250")
 FEEDS = {
-    "ideal": pam.IdealPressure(),
-    "regulator": pam.Regulator(0.06),
-    "spool": pam.SpoolValve(),
-    "spool and tube": pam.SpoolValve(tube=pam.Tube(), leak=1e-10),
-    "on-off": pam.OnOffValves(),
+    "ideal": pam.feeds.IdealPressure(),
+    "regulator": pam.feeds.Regulator(0.06),
+    "spool": pam.feeds.SpoolValve(),
+    "spool and tube": pam.feeds.SpoolValve(tube=pam.feeds.Tube(), leak=1e-10),
+    "on-off": pam.feeds.OnOffValves(),
 }
 LOSSES = {
     "none": (),
-    "creep": (pam.Creep(),),
-    "dry friction": (pam.CoulombFriction(12.0),),
-    "bouc-wen": (pam.BoucWen(),),
-    "maxwell-slip": (pam.MaxwellSlip(),),
+    "creep": (pam.losses.Creep(),),
+    "dry friction": (pam.losses.CoulombFriction(12.0),),
+    "bouc-wen": (pam.losses.BoucWen(),),
+    "maxwell-slip": (pam.losses.MaxwellSlip(),),
     "all memories": (
-        pam.BoucWen(8.0, 0.01),
-        pam.MaxwellSlip((5.0, 3.0), (0.002, 0.01)),
-        pam.Creep(),
+        pam.losses.BoucWen(8.0, 0.01),
+        pam.losses.MaxwellSlip((5.0, 3.0), (0.002, 0.01)),
+        pam.losses.Creep(),
     ),
 }
 MEMORIES = ("virgin", "above", "below", "given")
@@ -90,7 +90,7 @@ class Case:
                 self.mass,
                 more["before"],
                 muscle2=last,
-                damping=pam.ConstantDamping(60.0),
+                damping=pam.losses.ConstantDamping(60.0),
                 **common,
             )
         return pam.AntagonisticJoint(
@@ -102,7 +102,7 @@ class Case:
             moment_arm2=more["arm2"],
             link_mass=self.mass,
             link_length=0.2,
-            damping=pam.ConstantDamping(1.0),
+            damping=pam.losses.ConstantDamping(1.0),
             **common,
         )
 
@@ -188,9 +188,9 @@ class Case:
             name = f"muscle{i}" if self.pair else "muscle"
             total = 0.0
             for loss in losses:
-                if isinstance(loss, pam.BoucWen):
+                if isinstance(loss, pam.losses.BoucWen):
                     parts = {f"{name}.hysteresis": loss.friction}
-                elif isinstance(loss, pam.MaxwellSlip):
+                elif isinstance(loss, pam.losses.MaxwellSlip):
                     parts = {f"{name}.slip{j}": f for j, f in enumerate(loss.friction, start=1)}
                 else:
                     continue
@@ -315,7 +315,7 @@ def asked(case: Case, losses: tuple[Any, ...], memory: str, rng: np.random.Gener
             arm * np.sum(loss.friction)
             for arm in case.arms
             for loss in losses
-            if isinstance(loss, (pam.BoucWen, pam.MaxwellSlip))
+            if isinstance(loss, (pam.losses.BoucWen, pam.losses.MaxwellSlip))
         )
         if any(abs(z) > 0.98 for z in point.memory.values())
         else 0.0
@@ -344,7 +344,7 @@ def controlled(case: Case, losses: tuple[Any, ...], memory: str) -> tuple[float,
     x = plant.variable(case.named)
     stroke = x.max - x.min
     feedback = pam.lqr(plant, point, integral={case.named: 30.0})
-    pam.kalman(plant, point, measured={case.named: 1e-5})
+    pam.control.kalman(plant, point, measured={case.named: 1e-5})
     goal = point[case.named]
     away = float(np.clip(goal + 0.02 * stroke, x.min, x.max))
     start = {v.name: float(value) for v, value in zip(plant.states, point.x, strict=True)}

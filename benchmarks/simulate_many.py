@@ -13,7 +13,10 @@ import pam_ocp as pam
 
 def main() -> None:
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"))
-    cases = [*pam.sweep(mass=list(np.linspace(5, 100, 999))), {"parameters": {"mass": -1.0}}]
+    cases = [
+        *pam.simulation.sweep(mass=list(np.linspace(5, 100, 999))),
+        {"parameters": {"mass": -1.0}},
+    ]
     common = {
         "inputs": {"muscle.command": wave()},
         "t": np.linspace(0.0, 2.5, 251),

@@ -5,9 +5,9 @@ pip install -e '.[docs]' && sphinx-build -W -b html docs docs/_build
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +33,18 @@ autodoc_default_options = {"members": True, "member-order": "bysource"}
 
 def write_reference() -> None:
     """api.rst: the table of public names, by the room in which each is at home."""
-    homes = sorted((home.split(".")[0], name) for name, home in pam_ocp._HOMES.items())
-    lines = ["Public names by room", "=" * 20, "", ".. currentmodule:: pam_ocp", ""]
-    for room, entries in groupby(homes, key=lambda entry: entry[0]):
-        lines += [room, "-" * len(room), "", ".. autosummary::", "   :toctree: generated", ""]
-        lines += [f"   {name}" for _, name in entries] + [""]
+    rooms = {
+        n: getattr(pam_ocp, n) for n in pam_ocp.__all__ if inspect.ismodule(getattr(pam_ocp, n))
+    }
+    face = [n for n in pam_ocp.__all__ if n not in rooms]
+    lines = ["Public names by room", "=" * 20, ""]
+    entries = [("pam_ocp", pam_ocp, face)]
+    for short, room in rooms.items():
+        own = [n for n in room.__all__ if not inspect.ismodule(getattr(room, n))]
+        entries.append((f"pam_ocp.{short}", room, [n for n in own if n not in face]))
+    for title, module, names in entries:
+        lines += [title, "-" * len(title), "", f".. currentmodule:: {module.__name__}", ""]
+        lines += [".. autosummary::", "   :toctree: generated", "", *(f"   {n}" for n in names), ""]
     target, text = HERE / "api.rst", "\n".join(lines)
     if not target.is_file() or target.read_text("utf-8") != text:
         target.write_text(text, "utf-8")

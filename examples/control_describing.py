@@ -64,8 +64,8 @@ def main(folder: Path) -> None:
     plant = pam.HangingLoad(
         pam.muscle("DMSP-20-400N"),
         20.0,
-        damping=pam.ConstantDamping(150.0),
-        losses=[pam.CoulombFriction(8.0)],
+        damping=pam.losses.ConstantDamping(150.0),
+        losses=[pam.losses.CoulombFriction(8.0)],
     )
     point = plant.equilibrium(x=0.05)
     amplitudes, hertz = np.array([0.02, 0.1, 0.4, 1.2]) * BAR, np.geomspace(0.3, 12.0, 40)

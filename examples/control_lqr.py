@@ -13,8 +13,8 @@ from pathlib import Path
 import pam_ocp as pam
 from pam_ocp.control.analysis import margins
 from pam_ocp.control.estimators.stationary import WithEstimate, kalman
-from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.linear_quadratic import lqr
+from pam_ocp.control.loop import closed_loop
 from pam_ocp.figures.control import plot_loop, plot_tracking
 
 DT = 1e-3
@@ -29,7 +29,7 @@ def weakened(plant: pam.Plant, share: float) -> dict[str, float]:
 
 def main(folder: Path) -> None:
     muscle = pam.muscle("DMSP-20-200N")
-    plant = pam.AntagonisticSlide(muscle, mass=2.0, feed=pam.Regulator(0.05))
+    plant = pam.AntagonisticSlide(muscle, mass=2.0, feed=pam.feeds.Regulator(0.05))
     point = plant.equilibrium(x=STOP, stiffness=2.3e4)
     weights = {"x": 10.0, "v": 0.5}
     regulator = lqr(plant, point, weights=weights, sample_time=DT)

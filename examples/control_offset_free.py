@@ -30,7 +30,7 @@ def main(folder: Path) -> None:
         inertia=0.05,
         link_mass=1.0,
         link_length=0.2,
-        loads=[pam.ExternalForce()],
+        loads=[pam.loads.ExternalForce()],
     )
     point = plant.equilibrium(theta=0.2, stiffness=25.0)
     plain = lqr(plant, point, sample_time=DT)

@@ -23,14 +23,14 @@ from pam_ocp.plants.valves import SpoolValve
 DT = 2e-3
 
 
-def joint(feed: pam.Regulator | SpoolValve) -> pam.Plant:
+def joint(feed: pam.feeds.Regulator | SpoolValve) -> pam.Plant:
     muscle = pam.muscle("DMSP-20-400N")
     return pam.AntagonisticJoint(muscle, inertia=0.05, link_mass=1.0, link_length=0.2, feed=feed)
 
 
 def main(folder: Path) -> None:
     reference = moves([0.0, 0.5, -0.3, 0.0], [0.1, 0.9, 1.7], duration=0.5)
-    regulated, valves = joint(pam.Regulator(0.05)), joint(SpoolValve())
+    regulated, valves = joint(pam.feeds.Regulator(0.05)), joint(SpoolValve())
     kinds = {
         "PID alone": (regulated, False, None),
         "with feed-forward": (regulated, True, None),

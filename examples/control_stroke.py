@@ -20,14 +20,14 @@ def main(folder: Path) -> None:
     muscle = pam.muscle("DMSP-20-400N")
     strokes = {}
     for mass in (10.0, 20.0, 40.0):
-        plant = pam.HangingLoad(muscle, mass, damping=pam.ConstantDamping(100.0))
+        plant = pam.HangingLoad(muscle, mass, damping=pam.losses.ConstantDamping(100.0))
         strokes[f"{mass:g} kg"] = along_stroke(plant, "x", np.linspace(0.002, 0.095, 60))
     plot_stroke(strokes, "A load on one muscle, along its stroke").savefig(
         folder / "control_stroke.png", dpi=120
     )
 
     # the mass stays 20 kg; a constant force (here as another gravity) holds it at every place
-    plant = pam.HangingLoad(muscle, 20.0, damping=pam.ConstantDamping(100.0))
+    plant = pam.HangingLoad(muscle, 20.0, damping=pam.losses.ConstantDamping(100.0))
     found = mode_map(
         plant,
         {"muscle.command": np.linspace(1 * BAR, 6 * BAR, 21), "x": np.linspace(0, 0.1, 31)},

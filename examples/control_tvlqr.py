@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.along_motion import OpenLoop, tvlqr
+from pam_ocp.control.loop import closed_loop
 from pam_ocp.figures.control import plot_tracking
 
 BAR = 1e5
@@ -26,7 +26,7 @@ def planned() -> tuple[pam.Plant, pam.Trajectory]:
     """The plant as believed, and its quickest motion within 1.2 .. 4.5 bar."""
     muscle = pam.muscle("DMSP-20-200N")
     plant = pam.AntagonisticSlide(
-        muscle, mass=2.0, stroke=0.02, feed=pam.Regulator(0.05, max_pressure=6 * BAR)
+        muscle, mass=2.0, stroke=0.02, feed=pam.feeds.Regulator(0.05, max_pressure=6 * BAR)
     )
     pressures = [f"muscle{i}.{n}" for i in (1, 2) for n in ("pressure", "command")]
     plan = pam.plan(

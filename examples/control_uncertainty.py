@@ -24,7 +24,7 @@ BAR = 1e5
 DRAWS = 60
 
 
-def cases(fit: pam.ForceFit, scatter: float) -> list[dict[str, dict[str, float]]]:
+def cases(fit: pam.fitting.ForceFit, scatter: float) -> list[dict[str, dict[str, float]]]:
     """Parameters of both muscles: one draw of the law for both, a factor of force for each."""
     values = {n: float(v) for n, v in fit.law.values.items()}
     factors = 1 + scatter * np.random.default_rng(1).standard_normal((DRAWS, 2))
@@ -37,7 +37,9 @@ def cases(fit: pam.ForceFit, scatter: float) -> list[dict[str, dict[str, float]]
                 for n, v in case["parameters"].items()
             }
         }
-        for case, both in zip(pam.draws(values, fit.covariance, DRAWS), factors, strict=True)
+        for case, both in zip(
+            pam.simulation.draws(values, fit.covariance, DRAWS), factors, strict=True
+        )
     ]
 
 
@@ -46,7 +48,7 @@ def main(folder: Path) -> None:
         table = pam.read_table(path, rest_length=0.300)
     fit = pam.fit_force(table)
     muscle = fit.muscle(rest_length=0.300, diameter=0.020)
-    plant = pam.AntagonisticSlide(muscle, mass=5.0, feed=pam.Regulator(0.05))
+    plant = pam.AntagonisticSlide(muscle, mass=5.0, feed=pam.feeds.Regulator(0.05))
     rest = {"muscle1.command": 2.6 * BAR, "muscle2.command": 2.0 * BAR}
     feedback = lqr(plant, plant.equilibrium(rest), integral={"x": 100.0, "stiffness": 5.0})
     for scatter, name in ((0.0, "fit"), (0.10, "scatter")):

@@ -27,7 +27,7 @@ def main(folder: Path) -> None:
     feedback = pam.lqr(plant, high, sample_time=DT)
     print(f"poles with feedback [1/s]: {feedback.poles.round(1)}")
 
-    inversion = pam.Inversion(plant)
+    inversion = pam.plants.Inversion(plant)
 
     def without_inversion(t: float, measured: Mapping[str, float]) -> dict[str, float]:
         opening = inversion.openings(feedback(t, measured))["muscle.opening"]
@@ -53,7 +53,9 @@ def main(folder: Path) -> None:
     )
     figure.savefig(folder / "control_valve.png", dpi=120)
     path = pam.export_fmu(
-        pam.state_feedback_controller(feedback), folder / "valve_controller.fmu", platforms="native"
+        pam.control.state_feedback_controller(feedback),
+        folder / "valve_controller.fmu",
+        platforms="native",
     )
     print(f"the controller with its inversion: {path}")
 

@@ -46,7 +46,7 @@ def main(folder: Path) -> None:
     raised = plant.equilibrium(theta=1.0)
     system = plant.linearize(raised, outputs=["theta"])
     print("raised at 1 rad by", plant.variable("muscle.command").shown(raised["muscle.command"]))
-    print("natural frequency and damping ratio there:", pam.modes(system))
+    print("natural frequency and damping ratio there:", pam.operating.modes(system))
 
     replay = pam.simulate(plant, inputs=swing.trajectory)
     fmu = pam.export_fmu(plant, folder / "pendulum.fmu", platforms=["native"])

@@ -87,7 +87,7 @@ def main(folder: Path) -> None:
     held = arm.equilibrium(
         {"q1": 0.7, "q2": 0.6, "extensor1.pressure": 2.5e5, "extensor2.pressure": 2.5e5}
     )
-    for frequency, damping in pam.modes(arm.linearize(held)):
+    for frequency, damping in pam.operating.modes(arm.linearize(held)):
         print(f"held there: {frequency:.2f} Hz, damping ratio {damping:.2f}")
 
 

@@ -22,7 +22,7 @@ SCATTER = 0.02
 WIDTH = 3e-4
 
 
-def slides(fit: pam.ForceFit, count: int, seed: int) -> list[dict[str, float]]:
+def slides(fit: pam.fitting.ForceFit, count: int, seed: int) -> list[dict[str, float]]:
     """Coefficients of both muscles: one draw of the law, a factor of strength for each."""
     values = {n: float(v) for n, v in fit.law.values.items()}
     factors = 1 + SCATTER * np.random.default_rng(seed).standard_normal((count, 2))
@@ -34,7 +34,7 @@ def slides(fit: pam.ForceFit, count: int, seed: int) -> list[dict[str, float]]:
             for n, v in case["parameters"].items()
         }
         for case, both in zip(
-            pam.draws(values, fit.covariance, count, seed=seed), factors, strict=True
+            pam.simulation.draws(values, fit.covariance, count, seed=seed), factors, strict=True
         )
     ]
 
@@ -46,7 +46,11 @@ def main(folder: Path) -> None:
     fit = pam.fit_force(table, errors="independent")
     muscle = fit.muscle(rest_length=0.300, diameter=0.020)
     plant = pam.AntagonisticSlide(
-        muscle, 5.0, 0.12, damping=pam.ConstantDamping(60.0), feed=pam.Regulator(0.05, 6e5, 40e5)
+        muscle,
+        5.0,
+        0.12,
+        damping=pam.losses.ConstantDamping(60.0),
+        feed=pam.feeds.Regulator(0.05, 6e5, 40e5),
     )
     found = robust_plan(
         plant,

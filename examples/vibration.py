@@ -19,7 +19,7 @@ BAR = 1e5
 
 def free(muscle: pam.Muscle, folder: Path) -> None:
     """20 kg, let go 30 mm above rest; frequency against amplitude at three pressures."""
-    damped = pam.HangingLoad(muscle, mass=20.0, feed=pam.IdealPressure())
+    damped = pam.HangingLoad(muscle, mass=20.0, feed=pam.feeds.IdealPressure())
     motion = vibration.free_vibration(damped, {"muscle.pressure": 4 * BAR}, 0.03, cycles=10)
     print("free vibration, damping ratio 0.1:", motion)
     motion.plot_envelope().savefig(folder / "free_envelope.png", dpi=120)
@@ -32,7 +32,7 @@ def free(muscle: pam.Muscle, folder: Path) -> None:
     energy.plot().savefig(folder / "energy.png", dpi=120)
 
     undamped = pam.HangingLoad(
-        muscle, mass=20.0, damping=pam.ConstantDamping(0.0), feed=pam.IdealPressure()
+        muscle, mass=20.0, damping=pam.losses.ConstantDamping(0.0), feed=pam.feeds.IdealPressure()
     )
     curves = {}
     for bar, largest_offset in ((2, 0.034), (4, 0.030), (6, 0.014)):

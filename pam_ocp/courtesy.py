@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     from .fitting.static.report import force_report as force_report
     from .fitting.static.saved_force import read_fit as read_fit
     from .fitting.static.saved_force import write_fit as write_fit
+    from .operating.linear import linearize as linearize
     from .operating.resting_point import OperatingPoint as OperatingPoint
     from .operating.resting_point import equilibrium as equilibrium
-    from .operating.linear import linearize as linearize
     from .planning.saved_plan import save_plan as save_plan
 
 _HOMES: dict[str, str] = {

@@ -73,7 +73,7 @@ def posed(**options: Any) -> pam.Planner:
 
 
 def own_law(formula: Call) -> Any:
-    return pam.own_law("mine", formula, {"a": pam.coefficient("N/Pa", 1e-3, "gain")})
+    return pam.laws.own_law("mine", formula, {"a": pam.laws.coefficient("N/Pa", 1e-3, "gain")})
 
 
 class Flywheel:
@@ -104,20 +104,23 @@ CALLS: dict[str, tuple[Call, str]] = {
     "damping='20 N.s/m'": (lambda: pam.HangingLoad(NAME, damping="20 N.s/m"), WORKS),
     "damping=-1": (lambda: pam.HangingLoad(NAME, damping=-1), "must be >= 0"),
     "damping=the class": (
-        lambda: pam.HangingLoad(NAME, damping=pam.ConstantDamping),
+        lambda: pam.HangingLoad(NAME, damping=pam.losses.ConstantDamping),
         "ConstantDamping(...)",
     ),
-    "damping=Spring": (lambda: pam.HangingLoad(NAME, damping=pam.Spring(1e3)), "give components"),
-    "loads=Spring(...)": (lambda: pam.HangingLoad(NAME, loads=pam.Spring(1e3)), WORKS),
-    "loads=[Spring(...)]": (lambda: pam.HangingLoad(NAME, loads=[pam.Spring(1e3)]), WORKS),
+    "damping=Spring": (
+        lambda: pam.HangingLoad(NAME, damping=pam.loads.Spring(1e3)),
+        "give components",
+    ),
+    "loads=Spring(...)": (lambda: pam.HangingLoad(NAME, loads=pam.loads.Spring(1e3)), WORKS),
+    "loads=[Spring(...)]": (lambda: pam.HangingLoad(NAME, loads=[pam.loads.Spring(1e3)]), WORKS),
     "loads=None": (lambda: pam.HangingLoad(NAME, loads=None), WORKS),
-    "loads=Spring": (lambda: pam.HangingLoad(NAME, loads=pam.Spring), "Spring(...)"),
+    "loads=Spring": (lambda: pam.HangingLoad(NAME, loads=pam.loads.Spring), "Spring(...)"),
     "loads='spring'": (lambda: pam.HangingLoad(NAME, loads="spring"), "give components"),
     "loads=(5.0,)": (lambda: pam.AntagonisticSlide(NAME, loads=(5.0,)), "give components"),
     "loads=own with inertia": (lambda: pam.AntagonisticSlide(NAME, loads=Flywheel()), WORKS),
-    "losses=BoucWen()": (lambda: pam.HangingLoad(NAME, losses=pam.BoucWen()), WORKS),
-    "losses=BoucWen": (lambda: pam.HangingLoad(NAME, losses=pam.BoucWen), "BoucWen(...)"),
-    "feed=Regulator": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator), "Regulator(...)"),
+    "losses=BoucWen()": (lambda: pam.HangingLoad(NAME, losses=pam.losses.BoucWen()), WORKS),
+    "losses=BoucWen": (lambda: pam.HangingLoad(NAME, losses=pam.losses.BoucWen), "BoucWen(...)"),
+    "feed=Regulator": (lambda: pam.HangingLoad(NAME, feed=pam.feeds.Regulator), "Regulator(...)"),
     "feed='regulator'": (lambda: pam.HangingLoad(NAME, feed="regulator"), "give components"),
     "feed=0.05": (lambda: pam.HangingLoad(NAME, feed=0.05), "give components"),
     "limits=0.5": (lambda: pam.AntagonisticJoint(NAME, limits=0.5), "give (low, high)"),
@@ -154,25 +157,28 @@ CALLS: dict[str, tuple[Call, str]] = {
         "measures something",
     ),
     "Regulator(max_pressure='6 bar')": (
-        lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_pressure="6 bar")),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.Regulator(max_pressure="6 bar")),
         WORKS,
     ),
-    "Regulator(lag='50 ms')": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator("50 ms")), WORKS),
-    "Regulator(lag=0)": (lambda: pam.Regulator(0), "must be > 0"),
+    "Regulator(lag='50 ms')": (
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.Regulator("50 ms")),
+        WORKS,
+    ),
+    "Regulator(lag=0)": (lambda: pam.feeds.Regulator(0), "must be > 0"),
     # ---- units -----------------------------------------------------------------------------------
     "max_pressure=6 for bar": (
-        lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_pressure=6)),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.Regulator(max_pressure=6)),
         WARNS + "6 bar",
     ),
     "IdealPressure(0.6) for MPa": (
-        lambda: pam.HangingLoad(NAME, feed=pam.IdealPressure(0.6)),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.IdealPressure(0.6)),
         WARNS + "0.6 MPa",
     ),
     "max_rate=40 for bar/s": (
-        lambda: pam.HangingLoad(NAME, feed=pam.Regulator(max_rate=40)),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.Regulator(max_rate=40)),
         WARNS + "40 bar/s",
     ),
-    "lag=50 for ms": (lambda: pam.HangingLoad(NAME, feed=pam.Regulator(50)), WARNS + "50 ms"),
+    "lag=50 for ms": (lambda: pam.HangingLoad(NAME, feed=pam.feeds.Regulator(50)), WARNS + "50 ms"),
     "mass=5000 for g": (lambda: pam.HangingLoad(NAME, 5000), WARNS + "5000 g"),
     "stroke=15 for mm": (lambda: pam.AntagonisticSlide(NAME, stroke=15), "did you mean 15 mm"),
     "moment_arm=40 for mm": (lambda: pam.AntagonisticJoint(NAME, moment_arm=40), WARNS + "40 mm"),
@@ -191,19 +197,19 @@ CALLS: dict[str, tuple[Call, str]] = {
         WARNS + "6 bar",
     ),
     "Gas(temperature=20) for degC": (
-        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(gas=pam.Gas(temperature=20))),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.SpoolValve(gas=pam.gas.Gas(temperature=20))),
         WARNS + "20 degC",
     ),
     "supply=6 for bar": (
-        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(supply=6)),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.SpoolValve(supply=6)),
         WARNS + "6 bar",
     ),
     "conductance=700 l/min": (
-        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(conductance=700)),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.SpoolValve(conductance=700)),
         WARNS + "conductance_from_flow",
     ),
     "Tube(volume=10) for ml": (
-        lambda: pam.HangingLoad(NAME, feed=pam.SpoolValve(tube=pam.Tube(volume=10))),
+        lambda: pam.HangingLoad(NAME, feed=pam.feeds.SpoolValve(tube=pam.feeds.Tube(volume=10))),
         WARNS + "10 cm3",
     ),
     "start pressure 3 for bar": (
@@ -331,9 +337,12 @@ CALLS: dict[str, tuple[Call, str]] = {
         lambda: posed(bounds={"x": ("low", "high")}),
         "give a number with its unit",
     ),
-    "stroke_work(plant)": (lambda: pam.stroke_work(plant()), "give what simulate() returned"),
+    "stroke_work(plant)": (
+        lambda: pam.simulation.stroke_work(plant()),
+        "give what simulate() returned",
+    ),
     "stroke_work(end before begin)": (
-        lambda: pam.stroke_work(motion(), 0.01, 0.005),
+        lambda: pam.simulation.stroke_work(motion(), 0.01, 0.005),
         "give a part of",
     ),
     "plan(stops='20 mm')": (lambda: posed(stops=[{"x": "-10 mm"}, {"x": "10 mm"}]), WORKS),
@@ -344,9 +353,9 @@ CALLS: dict[str, tuple[Call, str]] = {
     "muscle('no-such')": (lambda: pam.muscle("no-such"), "muscle"),
     "muscle(3)": (lambda: pam.muscle(3), "muscle"),
     "linearize(plant, 3)": (lambda: plant().linearize(3), "give an OperatingPoint"),
-    "Spring('stiff')": (lambda: pam.Spring("stiff"), "give a number"),
-    "Spring(-1)": (lambda: pam.Spring(-1), "must be >= 0"),
-    "Wall(side=0)": (lambda: pam.Wall(0.01, side=0), "stops motion"),
+    "Spring('stiff')": (lambda: pam.loads.Spring("stiff"), "give a number"),
+    "Spring(-1)": (lambda: pam.loads.Spring(-1), "must be >= 0"),
+    "Wall(side=0)": (lambda: pam.loads.Wall(0.01, side=0), "stops motion"),
 }
 
 

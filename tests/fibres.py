@@ -15,5 +15,5 @@ LONG, SHORT, THIN = (
 
 def bought(fibre: hand.Fibre) -> pam.Muscle:
     """The same muscle of the library, from the published numbers alone."""
-    law = pam.SixParameterLaw.from_published(hand.SETS[fibre.name])
+    law = pam.laws.SixParameterLaw.from_published(hand.SETS[fibre.name])
     return pam.Muscle(law, fibre.length, fibre.diameter)

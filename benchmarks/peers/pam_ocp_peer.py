@@ -28,8 +28,8 @@ def main():
         e.MASS,
         e.CONTRACTION,
         stroke=e.STROKE,
-        damping=pam.ConstantDamping(e.DAMPING),
-        feed=pam.Regulator(e.LAG, max_pressure=1e5 * e.LARGEST, max_rate=1e5 * e.RATE),
+        damping=pam.losses.ConstantDamping(e.DAMPING),
+        feed=pam.feeds.Regulator(e.LAG, max_pressure=1e5 * e.LARGEST, max_rate=1e5 * e.RATE),
     )
     stops, seconds = [{"x": -e.STOP}, {"x": e.STOP}], []
     for again in range(3):

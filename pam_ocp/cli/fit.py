@@ -131,7 +131,7 @@ def add_fit_plant(commands: Any) -> None:
         "--out",
         type=Path,
         metavar="FILE.json",
-        help="write the fit (pam_ocp.load_plant_fit reads it)",
+        help="write the fit (pam_ocp.fitting.load_plant_fit reads it)",
     )
     fit.set_defaults(run=_fit_plant)
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_positive
-from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.linear import linearize, modes
+from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.several import equilibrium_path
 from ..plants.plant import Plant, Values
 from .linear_quadratic import StateFeedback
@@ -119,7 +119,8 @@ def margins_over(
 ) -> list[tuple[Margins, NDArray[np.complex128]]]:
     """Margins and closed-loop poles of one feedback on plants with other parameters.
 
-    cases : as :func:`pam_ocp.draws` and :func:`pam_ocp.sweep` give them ({"parameters": {...}}).
+    cases : as :func:`pam_ocp.simulation.draws` and :func:`pam_ocp.simulation.sweep` give them
+    ({"parameters": {...}}).
     conditions : of rest for each of them; with integral action the integrated outputs keep theirs.
     """
     results = []
@@ -169,7 +170,8 @@ def bode_cloud(
 ) -> BodeCloud:
     """Responses from an input to a state or output, each case at its own point of rest.
 
-    cases : [{"parameters": {...}}], from :func:`pam_ocp.draws` over a fit's covariance, say.
+    cases : [{"parameters": {...}}], from :func:`pam_ocp.simulation.draws` over a fit's covariance,
+    say.
     conditions : of rest, the same for all. Raises EquilibriumError when a case has none.
     """
     if not cases:

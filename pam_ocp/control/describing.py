@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.errors import InputError, SimulationError, require_instance
 from ..muscles.pneumatic_muscle import Muscle
 from ..numerics.newton import iterate, least_squares
-from ..operating.resting_point import OperatingPoint
 from ..operating.linear import chosen_signals, point_of
+from ..operating.resting_point import OperatingPoint
 from ..plants.plant import Plant, Values, require_plant
 
 __all__ = ["DescribingFunction", "describing_function", "muscle_characteristic"]

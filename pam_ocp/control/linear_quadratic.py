@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_positive
-from ..operating.resting_point import OperatingPoint
 from ..operating.linear import held, inside, linearize, no_influence
+from ..operating.resting_point import OperatingPoint
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import importlib.util
 import sys
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-__all__ = ["lazily"]
+__all__ = ["from_stub", "lazily"]
 
 
 def lazily(
@@ -30,3 +33,36 @@ def lazily(
         return sorted({*vars(sys.modules[module]), *homes})
 
     return __getattr__, __dir__
+
+
+def from_stub(
+    module: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, read from the stub beside
+    ``file``.
+
+    The stub (``__init__.pyi``) is what type checkers and completion see; each of its
+    ``from .place import name as name`` is carried out when the name is first asked for, so that the
+    list of names stands once. ``from . import room as room`` stands for a submodule.
+    """
+    homes: dict[str, tuple[str, bool]] = {}
+    package = sys.modules[module].__package__ or module
+    for node in ast.parse(Path(file).with_suffix(".pyi").read_text("utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            place = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            homes |= {alias.name: (place, node.module is None) for alias in node.names}
+
+    def __getattr__(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        place, submodule = homes[name]
+        if submodule:
+            return importlib.import_module(f"{place}.{name}")
+        value = getattr(importlib.import_module(place), name)
+        vars(sys.modules[module])[name] = value
+        return value
+
+    def __dir__() -> list[str]:
+        return sorted({*vars(sys.modules[module]), *homes})
+
+    return __getattr__, __dir__, sorted(homes)

@@ -17,8 +17,7 @@ from ..core.signals import PiecewisePolynomial
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from . import package
-from . import source
+from . import package, source
 from .package import FmiVersion
 from .runtime import c_text
 

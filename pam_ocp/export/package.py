@@ -17,10 +17,7 @@ from ..core.files import atomic_path
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
 from . import compile as compiler
-from . import description
-from . import documentation
-from . import interface
-from . import source
+from . import description, documentation, interface, source
 from .layout import Layout
 from .runtime import c_text
 

@@ -13,8 +13,7 @@ from ..core.files import atomic_path
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from . import description
-from . import package
+from . import description, package
 from .motion import export_motion, player
 from .package import export_fmu
 

@@ -1,1 +1,5 @@
 """Muscles: force laws, gas, losses, and the catalogue of known ones."""
+
+from ..core.lazy import from_stub
+
+__getattr__, __dir__, __all__ = from_stub(__name__, __file__)

@@ -13,9 +13,9 @@ from .. import courtesy
 from ..core.errors import InputError
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..plants.plant import Plant
-from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 from .held import Memory
 from .rest import VariedRest
+from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,7 +71,7 @@ def stability_path(
     Parameters
     ----------
     parameter : name of the parameter (or the input) that varies. values : (n,) [its unit].
-    conditions, memory : as for :func:`pam_ocp.operating.resting_point`: one condition for each input
+    conditions, memory : as for :func:`pam_ocp.equilibrium`: one condition for each input
     (a varied
         input is one).
 

@@ -12,9 +12,9 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..numerics.continuation import ImplicitCurve, Walk
 from ..numerics.newton import NewtonError
 from ..plants.plant import Plant, Values
-from .resting_point import OperatingPoint, equilibrium
 from .held import Memory
 from .rest import TOLERANCE, Rest, posed
+from .resting_point import OperatingPoint, equilibrium
 from .several import EquilibriumPath
 
 __all__ = ["equilibrium_branch"]

@@ -19,8 +19,8 @@ from ..core.errors import InputError, require_instance, require_positive
 from ..core.trajectory import Trajectory
 from ..plants.inversion import Inversion, in_dead_zone
 from ..plants.plant import Plant, Values, require_plant
-from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 from .held import Memory
+from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 
 if TYPE_CHECKING:
     import control

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from ..core.errors import require_positive
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values
-from .resting_point import OperatingPoint
 from .linear import chosen_signals, point_of
+from .resting_point import OperatingPoint
 
 if TYPE_CHECKING:
     from .plant_system import PlantSystem
@@ -31,7 +31,8 @@ def as_nlsys(
         Inputs left out of ``inputs`` are held at its values.
     inputs, outputs : names to keep; by default all inputs, and all states and outputs. Of a plant
         fed by valves the inputs are the openings (``muscle_opening``), which have a slope through
-        zero, unless commands are named; ``pam.Inversion(plant).commands(...)`` gives the commands.
+        zero, unless commands are named; ``pam.plants.Inversion(plant).commands(...)`` gives the
+        commands.
         ``inputs=[]`` gives an autonomous system, as ``phase_plane_plot`` wants it.
 
     Signals and parameters keep the plant's names with ``_`` for ``.`` (python-control reads a dot

@@ -65,7 +65,7 @@ def _runner(function: ca.Function) -> tuple[Any, Callable[[Array, Array, Array],
 
 
 class PlantSystem(control.NonlinearIOSystem):  # type: ignore[misc]
-    """x' = f(x, u, p), y = g(x, u, p) of a plant; made by :func:`pam_ocp.as_nlsys`.
+    """x' = f(x, u, p), y = g(x, u, p) of a plant; made by :func:`pam_ocp.operating.as_nlsys`.
 
     With ``dt`` in discrete time: x(t + dt) = F(x(t), u(t), p), the inputs held over dt.
     x0, u0 : states and (chosen) inputs of the point that it was made at, for ``X0`` and ``U``.

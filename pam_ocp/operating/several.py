@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
 from ..plants.plant import Plant, Values
-from .resting_point import EquilibriumError, OperatingPoint, equilibrium, why_not
 from .held import Memory, held
 from .rest import Rest, posed
 from .rest_search import Search
+from .resting_point import EquilibriumError, OperatingPoint, equilibrium, why_not
 
 __all__ = ["Band", "Equilibria", "EquilibriumPath", "equilibria", "equilibrium_path"]
 

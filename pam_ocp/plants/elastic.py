@@ -8,11 +8,11 @@ from ..core.errors import require_finite, require_positive
 from ..muscles.law import SLACK_WIDTH, clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
+from .damping import ConstantDamping, Damping, Loss, StiffnessDamping
 from .feeds import Feed
 from .hanging import hanging_sketch, moved_mass, weight
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
-from .damping import ConstantDamping, Damping, Loss, StiffnessDamping
 from .plant import Plant
 from .sketch import Sketch
 

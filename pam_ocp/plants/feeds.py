@@ -14,8 +14,8 @@ from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_losses, as_muscle, component
-from .kinds import FEEDS
 from .damping import Loss, Motion
+from .kinds import FEEDS
 from .meters import meter_pneumatics, meter_work
 from .valves import GasFeed, OnOffValves, SpoolValve, Tube
 

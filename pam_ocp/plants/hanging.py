@@ -9,10 +9,10 @@ import casadi as ca
 from ..core.errors import require_finite, require_positive
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
+from .damping import Damping, Loss, StiffnessDamping
 from .feeds import Feed
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied
-from .damping import Damping, Loss, StiffnessDamping
 from .plant import Plant
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 

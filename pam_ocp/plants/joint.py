@@ -13,11 +13,11 @@ from ..core.expressions import expression_of
 from ..core.plausible import meant_within
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
+from .damping import ConstantDamping, Damping, Loss
 from .feeds import Feed
 from .hanging import GRAVITY
 from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied, as_loads
-from .damping import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box

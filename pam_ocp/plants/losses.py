@@ -1,4 +1,5 @@
-"""Losses of muscles: damping, friction, hysteresis, creep. Each is defined in a file of its kind."""
+"""Losses of muscles: damping, friction, hysteresis, creep. Each is defined in a file of its kind.
+"""
 
 from __future__ import annotations
 

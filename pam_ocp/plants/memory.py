@@ -14,8 +14,8 @@ import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
-from .kinds import LOSSES
 from .damping import Motion
+from .kinds import LOSSES
 
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 

@@ -22,8 +22,8 @@ from ..core.expressions import scalar_expression
 from ..core.variables import Causality, Variable
 from ..muscles.dead_zone import dead_zone, dead_zone_inverse
 from ..muscles.pneumatic_muscle import Muscle
-from .feeds import AttachedMuscle, Feed, attach
 from .damping import Loss
+from .feeds import AttachedMuscle, Feed, attach
 from .opening import Opening, Way, checked_commands
 from .sketch import Sketch
 from .stillness import Position, resting
@@ -391,7 +391,7 @@ class Plant:
     # ---- verbs that read like properties of the plant -------------------------------------------
     def equilibrium(self, conditions: Values | None = None, /, **more: Any) -> OperatingPoint:
         """The point of rest under conditions; see
-        :func:`pam_ocp.operating.resting_point.equilibrium`.
+        :func:`pam_ocp.equilibrium`.
         """
         return courtesy.equilibrium(self, conditions, **more)
 

@@ -11,8 +11,8 @@ from ..core.errors import InputError, UnknownNameError
 from ..core.quantities import known_keys, quantity, table
 from ..core.registry import Registry, registry_of
 from ..muscles.catalogue import muscle as catalogue_muscle
-from ..muscles.pneumatic_muscle import Muscle
 from ..muscles.muscle_file import ENDINGS, load_muscle
+from ..muscles.pneumatic_muscle import Muscle
 from .kinds import PLANTS
 from .plant import Plant
 

@@ -12,9 +12,9 @@ from ..core.errors import require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
+from .damping import Damping, Loss
 from .hanging import HangingLoad
 from .kinds import FEEDS, PLANTS
-from .damping import Damping, Loss
 
 __all__ = ["PositionFeedback", "RegulatedLoad"]
 

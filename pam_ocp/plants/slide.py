@@ -8,10 +8,10 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.plausible import meant_within
 from ..muscles.pneumatic_muscle import Muscle
 from .components import as_damping, as_muscle
+from .damping import ConstantDamping, Damping, Loss
 from .feeds import Feed
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied, as_loads
-from .damping import ConstantDamping, Damping, Loss
 from .pair import mirrored_pair, reach
 from .plant import Plant
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box

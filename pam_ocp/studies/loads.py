@@ -17,13 +17,13 @@ from ..core.files import atomic_path
 from ..core.plausible import doubt
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
 from ..muscles.pneumatic_muscle import Muscle
-from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.held import Memory
 from ..operating.linear import linearize, modes
+from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..plants.components import as_muscle
+from ..plants.damping import Damping, Loss
 from ..plants.feeds import Feed
 from ..plants.hanging import HangingLoad
-from ..plants.damping import Damping, Loss
 from ..plants.plant import Plant
 from ..simulation.simulator import simulate
 
@@ -135,7 +135,7 @@ def load_study(
         commanded pressure where the feed has one. With valves there is no such step: overshoot and
         settling time are NaN, and frequency and damping are those with the valves closed.
     damping, feed, losses : of the HangingLoad; duration : simulated after each step [s].
-    memory : what hysteresis keeps at rest, see :func:`pam_ocp.operating.resting_point`. A step then
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then
     ends where
         friction holds the load: overshoot and settling are about that place.
 

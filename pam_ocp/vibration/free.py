@@ -14,8 +14,8 @@ from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_finite, require_positive
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
-from ..operating.resting_point import OperatingPoint, equilibrium
 from ..operating.held import Memory, carried
+from ..operating.resting_point import OperatingPoint, equilibrium
 from ..plants.plant import Plant, Values
 from ..simulation.simulator import simulate
 from .passages import Smooth, smooth
@@ -144,7 +144,7 @@ def free_vibration(
     state : the state that is displaced and watched.
     cycles : length of the record, in periods of the plant linearised at rest.
     samples : per such period. rtol : of the integrator.
-    memory : what hysteresis keeps at rest, see :func:`pam_ocp.operating.resting_point`; on the way
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`; on the way
     from rest to the
         offset it has followed the motion. The swing is measured about the place where it ends.
 

@@ -18,9 +18,9 @@ from .. import courtesy
 from ..core.errors import InputError, PamError, VibrationError
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..operating.along import StabilityPath, stability_path
-from ..operating.resting_point import OperatingPoint
 from ..operating.held import Memory
 from ..operating.rest import VariedRest
+from ..operating.resting_point import OperatingPoint
 from ..plants.plant import Plant, Values
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def hopf(
     Parameters
     ----------
     parameter : name of the parameter (or input) that varies between the ends of ``bracket``.
-    conditions, memory : of the equilibria, as for :func:`pam_ocp.operating.resting_point`. Hysteresis
+    conditions, memory : of the equilibria, as for :func:`pam_ocp.equilibrium`. Hysteresis
     sticks in
         small motion about rest; larger motion slides, which damps it more than the point says.
     points : how many points of rest are looked at to find a change of sign.

@@ -60,7 +60,7 @@ def test_small_swings_give_the_frequency_response(slide):
 
 
 def test_a_large_swing_is_that_of_a_long_simulation(long_muscle):
-    plant = pam.HangingLoad(long_muscle, 20.0, damping=pam.ConstantDamping(200.0))
+    plant = pam.HangingLoad(long_muscle, 20.0, damping=pam.losses.ConstantDamping(200.0))
     point, hertz, amplitude = plant.equilibrium(x=0.05), 2.0, 1.2 * BAR
     found = describing_function(plant, "muscle.command", "x", [amplitude], [hertz], point)
     t = np.arange(0, 10.0, 1 / (64 * hertz))

@@ -17,8 +17,8 @@ from pam_ocp.control.analysis import (
     margins_over,
     mode_map,
 )
-from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.linear_quadratic import lqr
+from pam_ocp.control.loop import closed_loop
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_the_position_of_a_slide_alone_does_not_show_both_pressures(slide):
 
 
 def test_modes_over_pressure_and_contraction_are_those_of_the_second_order_equation(long_muscle):
-    plant = pam.HangingLoad(long_muscle, mass=20.0, damping=pam.ConstantDamping(100.0))
+    plant = pam.HangingLoad(long_muscle, mass=20.0, damping=pam.losses.ConstantDamping(100.0))
     p, kappa = np.array([2.0, 4.0]) * BAR, np.array([0.05, 0.10, 0.15])
     found = mode_map(plant, {"muscle.command": p, "x": kappa * 0.4}, free=["gravity"])
     k = np.array([[long_muscle.stiffness(a, b) for b in kappa] for a in p])
@@ -138,7 +138,7 @@ def test_every_figure_is_drawn_without_pyplot(slide, hanging):
     cloud = bode_cloud(
         slide,
         {"x": 0.0, "stiffness": 2.2e4},
-        pam.sweep(mass=[1.0, 3.0]),
+        pam.simulation.sweep(mass=[1.0, 3.0]),
         source="muscle1.command",
         output="x",
     )
@@ -160,6 +160,6 @@ def test_what_is_no_system_is_refused_in_a_sentence(slide, tmp_path):
     with pytest.raises(InputError, match=r"margins: loop is a dict, not a control\.StateSpace"):
         margins({})
     with pytest.raises(InputError, match=r"modes: system is a float, not a control\.StateSpace"):
-        pam.modes(1.0)
+        pam.operating.modes(1.0)
     with pytest.raises(InputError, match="guess is a str, not a Trajectory or a HopfPoint"):
-        pam.limit_cycle(slide, "here")
+        pam.vibration.limit_cycle(slide, "here")

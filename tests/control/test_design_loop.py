@@ -8,8 +8,8 @@ from design_tools import Fixed
 import pam_ocp as pam
 from pam_ocp import InputError
 from pam_ocp.control.inverse import InverseDynamics
-from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.linear_quadratic import lqr
+from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.pid import PID, PositionController, PressureLoop
 from pam_ocp.control.references import hold, moves, sine
 from pam_ocp.plants.valves import OnOffValves, SpoolValve
@@ -58,7 +58,7 @@ def test_noise_has_the_deviation_asked_for_and_does_not_move_the_plant(slide):
 
 
 def test_disturbances_act_and_the_true_parameters_stay_hidden(long_muscle):
-    plant = pam.AntagonisticJoint(long_muscle, loads=[pam.ExternalForce()])
+    plant = pam.AntagonisticJoint(long_muscle, loads=[pam.loads.ExternalForce()])
     (external,) = [v.name for v in plant.inputs if v.disturbance]
     run = closed_loop(
         Fixed({}),
@@ -98,7 +98,7 @@ def test_the_fmu_as_the_plant_gives_the_same_closed_loop(slide, tmp_path):
 # ---- exact inverse, PID, cascade
 # -------------------------------------------------------------------
 def test_the_inverse_is_the_allocation_of_a_pair(joint):
-    inverse, allocation = InverseDynamics(joint), pam.Allocation(joint)
+    inverse, allocation = InverseDynamics(joint), pam.operating.Allocation(joint)
     theta, omega, alpha, stiffness = 0.3, 0.7, 5.0, 26.0
     effort = 0.05 * alpha + 0.3 * omega + 1.0 * 9.80665 * 0.2 * np.sin(theta)
     expected = allocation.pressures(theta, effort, stiffness)
@@ -106,7 +106,7 @@ def test_the_inverse_is_the_allocation_of_a_pair(joint):
 
 
 def test_the_inverse_of_one_muscle_is_its_law_turned_round(long_muscle):
-    plant = pam.HangingLoad(long_muscle, mass=20.0, damping=pam.ConstantDamping(50.0))
+    plant = pam.HangingLoad(long_muscle, mass=20.0, damping=pam.losses.ConstantDamping(50.0))
     found = InverseDynamics(plant)(0.05, 0.2, 1.5)
     force = 20.0 * (9.80665 + 1.5) + 50.0 * 0.2
     assert found[0] == pytest.approx(long_muscle.pressure(force, 0.05 / 0.4), rel=1e-10)
@@ -155,7 +155,7 @@ def test_velocity_and_acceleration_of_a_reference_are_its_derivatives(reference)
 def test_feed_forward_by_the_inverse_alone_follows_the_motion_it_was_made_for(long_muscle):
     """Inverse, then plant: the identity, up to inputs held over a sample (error of order dt)."""
     plant = pam.AntagonisticJoint(
-        long_muscle, link_mass=1.0, link_length=0.2, feed=pam.IdealPressure()
+        long_muscle, link_mass=1.0, link_length=0.2, feed=pam.feeds.IdealPressure()
     )
     reference = moves([0.0, 0.4], [0.05], 0.5)
     errors = []
@@ -231,7 +231,7 @@ def test_the_pressure_loop_closes_with_its_time_constant(hanging):
     assert run["muscle.pressure"] == pytest.approx(expected, abs=0.01 * BAR)
 
 
-@pytest.mark.parametrize("feed", [pam.Regulator(0.05), SpoolValve(), OnOffValves()], ids=type)
+@pytest.mark.parametrize("feed", [pam.feeds.Regulator(0.05), SpoolValve(), OnOffValves()], ids=type)
 def test_feed_forward_makes_the_error_a_fifth_of_the_pids_alone(long_muscle, feed):
     plant = pam.AntagonisticJoint(long_muscle, link_mass=1.0, link_length=0.2, feed=feed)
     reference = moves([0.0, 0.5], [0.1], 0.5)

@@ -11,8 +11,8 @@ from pam_ocp.control.analysis import (
     margins,
 )
 from pam_ocp.control.estimators.stationary import WithEstimate, kalman
-from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.linear_quadratic import lqr
+from pam_ocp.control.loop import closed_loop
 from pam_ocp.control.references import moves
 from pam_ocp.control.schedule import scheduled_lqr
 from pam_ocp.plants.valves import SpoolValve

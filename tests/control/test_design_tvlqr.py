@@ -8,9 +8,9 @@ from design_tools import example
 
 import pam_ocp as pam
 from pam_ocp import InputError
-from pam_ocp.control.loop import closed_loop
-from pam_ocp.control.linear_quadratic import lqr
 from pam_ocp.control.along_motion import OpenLoop, tvlqr
+from pam_ocp.control.linear_quadratic import lqr
+from pam_ocp.control.loop import closed_loop
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def test_an_lqr_loop_with_noise_is_its_recursion():
 @pytest.mark.parametrize(("delay", "sigma"), [(0, 0.01), (2, 0.0), (2, 0.01)])
 def test_a_pid_loop_with_noise_and_delay_is_its_recursion(delay, sigma):
     def made():
-        pid = pam.PID(2.0, ki=0.3, kd=1.5, filter_time=0.03)
+        pid = pam.control.PID(2.0, ki=0.3, kd=1.5, filter_time=0.03)
         return lambda x: pid(0.2 - x, H)
 
     acts, acts_by_hand = made(), made()
@@ -96,8 +96,8 @@ def test_a_pid_loop_with_noise_and_delay_is_its_recursion(delay, sigma):
 
 def test_a_position_controller_acts_late_by_the_delay(long_muscle):
     plant = pam.HangingLoad(long_muscle, mass=20.0)
-    made = pam.PositionController(
-        plant, lambda t: (0.06, 0.0, 0.0), pam.PID.placed(1.0), sample_time=5e-3
+    made = pam.control.PositionController(
+        plant, lambda t: (0.06, 0.0, 0.0), pam.control.PID.placed(1.0), sample_time=5e-3
     )
     answers = []
 
@@ -138,9 +138,13 @@ def test_a_disturbance_may_act_from_a_time_on():
 
 # ---- estimators ----------------------------------------------------------------------------------
 def test_the_loops_estimator_is_the_filter_that_a_controller_carries():
-    watch = pam.kalman(cart(), {"x": 0.0}, measured={"x": 1e-3}, process={"v": 0.1}, sample_time=H)
+    watch = pam.control.kalman(
+        cart(), {"x": 0.0}, measured={"x": 1e-3}, process={"v": 0.1}, sample_time=H
+    )
     shared = {"duration": N * H, "start": START, "noise": {"x": 1e-3}, "seed": 2}
-    inside = closed_loop(pam.WithEstimate(regulator(), watch), cart(), sample_time=H, **shared)
+    inside = closed_loop(
+        pam.control.WithEstimate(regulator(), watch), cart(), sample_time=H, **shared
+    )
     outside = closed_loop(regulator(), cart(), estimator=watch, **shared)
     assert moved(outside) == pytest.approx(moved(inside), abs=1e-12)
     assert set(outside.seen.names) == {"x", "v"}
@@ -153,7 +157,7 @@ def test_of_a_linear_plant_all_estimators_end_at_one_covariance():
 
     sigma, drive = 1e-3, 0.1
     q = np.diag([0.0, drive**2 * H])
-    watch = pam.kalman(
+    watch = pam.control.kalman(
         cart(), {"x": 0.0}, measured={"x": sigma}, process={"v": drive}, sample_time=H
     )
     c = np.array([[1.0, 0.0]])
@@ -163,7 +167,7 @@ def test_of_a_linear_plant_all_estimators_end_at_one_covariance():
     assert [deviation["x"], deviation["v"]] == pytest.approx(np.sqrt(np.diag(left)), rel=1e-6)
 
 
-@pytest.mark.parametrize("kind", [pam.KalmanFilter, pam.MovingHorizonEstimator])
+@pytest.mark.parametrize("kind", [pam.KalmanFilter, pam.control.MovingHorizonEstimator])
 def test_an_estimator_tells_an_lqr_loop_the_push_and_serves_twice_alike(kind):
     watch = kind(
         cart(),

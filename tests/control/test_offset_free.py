@@ -15,7 +15,7 @@ from pam_ocp.control.offset_free import OffsetFree
 def pushed(long_muscle):
     """A joint on which a torque acts from outside, and its rest."""
     plant = pam.AntagonisticJoint(
-        long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2, loads=[pam.ExternalForce()]
+        long_muscle, inertia=0.05, link_mass=1.0, link_length=0.2, loads=[pam.loads.ExternalForce()]
     )
     return plant, plant.equilibrium(theta=0.2, stiffness=25.0)
 
@@ -73,7 +73,10 @@ def test_nothing_is_left_of_an_unknown_torque_load_and_weak_muscle(pushed):
     true = {"link_mass": 1.2, "muscle1.a5": 0.95 * plant.variable("muscle1.a5").start}
     about = {"disturbances": {"external_force": 1.0}, "parameters": true, "duration": 3.0}
     plain = run(
-        plant, point, pam.WithEstimate(lqr(plant, point, sample_time=2e-3), filter_), **about
+        plant,
+        point,
+        pam.control.WithEstimate(lqr(plant, point, sample_time=2e-3), filter_),
+        **about,
     )
     free = run(plant, point, OffsetFree(feedback, filter_, ["theta"]), **about)
     assert abs(plain["theta"][-1] - 0.2) > 1e-3

@@ -27,12 +27,12 @@ from pam_ocp.planning.run import Run
 
 OVERLAPS = (0.0, 0.02, 0.1)
 AMBIENT, RHO, B = 1.01325e5, 1.185, 0.3
-C = pam.conductance_from_flow(700.0)
+C = pam.gas.conductance_from_flow(700.0)
 
 
 def hanging(overlap: float = 0.02, **feed: Any) -> pam.Plant:
     return pam.HangingLoad(
-        pam.muscle("DMSP-20-400N"), mass=20.0, feed=pam.SpoolValve(overlap=overlap, **feed)
+        pam.muscle("DMSP-20-400N"), mass=20.0, feed=pam.feeds.SpoolValve(overlap=overlap, **feed)
     )
 
 
@@ -52,7 +52,7 @@ def opening_by_hand(c: float, overlap: float) -> float:
 
 @pytest.mark.parametrize("overlap", [1e-4, 0.02, 0.1, 0.35])
 def test_the_command_gives_exactly_the_opening(overlap):
-    inversion = pam.Inversion(hanging(overlap))
+    inversion = pam.plants.Inversion(hanging(overlap))
     sizes = np.concatenate([np.linspace(0, 1, 201), np.geomspace(1e-12, 1.0, 60)])
     for w in [*sizes, *-sizes]:
         sent = inversion.commands({"muscle.opening": w})["muscle.command"]
@@ -61,7 +61,7 @@ def test_the_command_gives_exactly_the_opening(overlap):
 
 
 def test_a_critically_lapped_valve_is_rounded_over_1e_4_of_its_travel():
-    inversion = pam.Inversion(hanging(0.0))
+    inversion = pam.plants.Inversion(hanging(0.0))
     assert inversion.commands({"muscle.opening": 0.3})["muscle.command"] == pytest.approx(
         0.3 * (1 - 5e-5) + 5e-5, rel=1e-12
     )
@@ -69,7 +69,7 @@ def test_a_critically_lapped_valve_is_rounded_over_1e_4_of_its_travel():
 
 def test_the_overlap_is_a_parameter_of_the_plant():
     plant = hanging(0.02).with_values({"muscle.valve.overlap": 0.2})
-    sent = pam.Inversion(plant).commands({"muscle.opening": -0.5})
+    sent = pam.plants.Inversion(plant).commands({"muscle.opening": -0.5})
     assert sent["muscle.command"] == pytest.approx(-(0.5 * 0.9 + 0.1), rel=1e-12)
 
 
@@ -81,11 +81,11 @@ def flow_by_hand(w: float, p: float) -> float:
 
 
 @pytest.mark.parametrize(
-    "feed", [pam.SpoolValve(overlap=0.1), pam.OnOffValves()], ids=["spool", "on/off"]
+    "feed", [pam.feeds.SpoolValve(overlap=0.1), pam.feeds.OnOffValves()], ids=["spool", "on/off"]
 )
 def test_the_flow_is_that_of_the_opening(feed):
     plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=feed)
-    inversion, names = pam.Inversion(plant), [v.name for v in plant.outputs]
+    inversion, names = pam.plants.Inversion(plant), [v.name for v in plant.outputs]
     x = plant.vector("state", {"x": 0.05, "muscle.pressure": 2.2 * BAR})
     for w in (-1.0, -0.3, -0.002, 0.002, 0.4, 1.0):
         sent = inversion.commands({"muscle.opening": w})
@@ -112,25 +112,25 @@ def test_the_slope_of_a_closed_valve_is_the_mean_of_filling_and_venting():
 
 def test_openings_travel_with_a_plant():
     plant = pickle.loads(
-        pickle.dumps(pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.SpoolValve()))
+        pickle.dumps(pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.feeds.SpoolValve()))
     )
     inner = plant.in_openings()
     assert [v.name for v in inner.inputs] == ["muscle1.opening", "muscle2.opening"]
     assert inner.mirror_map["muscle1.opening"] == (1.0, "muscle2.opening")
     assert plant.in_commands().openings == ()
-    sent = pam.Inversion(plant).commands({"muscle2.opening": 0.5})
+    sent = pam.plants.Inversion(plant).commands({"muscle2.opening": 0.5})
     assert sent == {"muscle2.command": pytest.approx(0.5 * 0.99 + 0.01, rel=1e-12)}
 
 
 def test_rest_with_on_off_valves_asks_one_condition_for_each_muscle():
-    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.OnOffValves())
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.feeds.OnOffValves())
     point = plant.equilibrium(x=0.004, stiffness=2e4)
     assert (point["x"], point["stiffness"]) == (pytest.approx(0.004), pytest.approx(2e4))
     assert np.allclose(point.u, 0.0, atol=1e-9)
 
 
 def test_an_inversion_travels():
-    inversion = pickle.loads(pickle.dumps(pam.Inversion(hanging(0.1))))
+    inversion = pickle.loads(pickle.dumps(pam.plants.Inversion(hanging(0.1))))
     sent = inversion.commands({"muscle.opening": 0.2})
     assert sent["muscle.command"] == pytest.approx(0.2 * 0.95 + 0.05, rel=1e-12)
 
@@ -168,13 +168,15 @@ def missed(run: pam.Trajectory, name: str, start: Any, goal: Any) -> float:
 
 @pytest.mark.parametrize(("kind", "overlap"), FEEDS)
 def test_lqr_and_tvlqr_reach_the_set_point_from_closed_rest(kind, overlap):
-    plant, x, start, goal = case(kind, pam.SpoolValve(overlap=overlap))
+    plant, x, start, goal = case(kind, pam.feeds.SpoolValve(overlap=overlap))
     begin = at_rest(plant, start)
     loop = {"duration": 1.5, "sample_time": 4e-3, "rtol": 1e-6}
     still = pam.lqr(plant, goal, sample_time=4e-3)
     motion = closed_loop(still, plant, start=begin, **loop).trajectory
     assert missed(motion, x, start, goal) < 0.01
-    along = pam.tvlqr(plant, motion, t=np.linspace(0, 1.5, 151), sample_time=4e-3, rtol=1e-5)
+    along = pam.control.tvlqr(
+        plant, motion, t=np.linspace(0, 1.5, 151), sample_time=4e-3, rtol=1e-5
+    )
     begin[x] += 0.1 * (goal[x] - start[x])
     assert missed(closed_loop(along, plant, start=begin, **loop), x, start, goal) < 0.01
 
@@ -182,7 +184,9 @@ def test_lqr_and_tvlqr_reach_the_set_point_from_closed_rest(kind, overlap):
 @pytest.mark.parametrize(("kind", "overlap"), FEEDS)
 def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
     feed = (
-        pam.OnOffValves() if overlap == 0.1 and kind == "joint" else pam.SpoolValve(overlap=overlap)
+        pam.feeds.OnOffValves()
+        if overlap == 0.1 and kind == "joint"
+        else pam.feeds.SpoolValve(overlap=overlap)
     )
     plant, x, start, goal = case(kind, feed)
     track = {x: 1.0} | ({"stiffness": 0.05} if kind in ("slide", "joint") else {})
@@ -196,7 +200,7 @@ def test_mpc_reaches_the_set_point_from_closed_rest(kind, overlap):
 
 @pytest.mark.parametrize("solver", ["hpipm", "piqp", "ipopt"])
 def test_every_solver_moves_the_closed_hanging_load(solver):
-    plant, x, start, goal = case("hanging load", pam.SpoolValve())
+    plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve())
     mpc = pam.Mpc(
         plant,
         horizon=15,
@@ -211,7 +215,7 @@ def test_every_solver_moves_the_closed_hanging_load(solver):
 
 
 def test_mpc_takes_weights_and_bounds_of_commands_and_predicts_in_commands():
-    plant, x, start, goal = case("hanging load", pam.SpoolValve(overlap=0.1))
+    plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve(overlap=0.1))
     mpc = pam.Mpc(
         plant,
         horizon=10,
@@ -228,7 +232,7 @@ def test_mpc_takes_weights_and_bounds_of_commands_and_predicts_in_commands():
 
 
 def test_mpc_against_the_plants_fmu_sends_commands(tmp_path):
-    plant, x, start, goal = case("hanging load", pam.SpoolValve())
+    plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve())
     path = export_fmu(plant, tmp_path / "plant.fmu", platforms="native")
     mpc = pam.Mpc(
         plant, horizon=15, sample_time=0.02, track={x: 1.0}, rate={"muscle.opening": 0.05}
@@ -247,9 +251,9 @@ def test_mpc_against_the_plants_fmu_sends_commands(tmp_path):
 
 def test_a_kalman_filter_follows_the_pressure_from_the_commands():
     """LQG on a noisy position alone: the estimate of the pressure goes with the true one."""
-    plant, x, start, goal = case("hanging load", pam.SpoolValve(overlap=0.1))
+    plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve(overlap=0.1))
     feedback = pam.lqr(plant, goal, integral={x: 5.0}, sample_time=2e-3)
-    watch = pam.kalman(
+    watch = pam.control.kalman(
         plant,
         goal,
         measured={x: 2e-5},
@@ -258,7 +262,7 @@ def test_a_kalman_filter_follows_the_pressure_from_the_commands():
     )
     begin = {**at_rest(plant, goal), x: goal[x]}
     run = closed_loop(
-        pam.WithEstimate(feedback, watch),
+        pam.control.WithEstimate(feedback, watch),
         plant,
         duration=1.0,
         sample_time=2e-3,
@@ -273,20 +277,20 @@ def test_a_kalman_filter_follows_the_pressure_from_the_commands():
 
 
 def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
-    plant, x, start, goal = case("hanging load", pam.SpoolValve())
+    plant, x, start, goal = case("hanging load", pam.feeds.SpoolValve())
     loop = {"duration": 1.2, "sample_time": 4e-3, "rtol": 1e-6, "start": at_rest(plant, start)}
-    grid = pam.scheduled_lqr(
+    grid = pam.control.scheduled_lqr(
         plant, {x: [0.05, goal[x], 0.09]}, lambda t: {x: goal[x]}, sample_time=4e-3
     )
     assert missed(closed_loop(grid, plant, **loop), x, start, goal) < 0.01
-    watch = pam.kalman(
+    watch = pam.control.kalman(
         plant,
         goal,
         measured={x: 1e-5, "muscle.pressure": 500.0},
         disturbances={"muscle.command": 0.1},
         sample_time=4e-3,
     )
-    free = pam.OffsetFree(pam.lqr(plant, goal, sample_time=4e-3), watch, hold=[x])
+    free = pam.control.OffsetFree(pam.lqr(plant, goal, sample_time=4e-3), watch, hold=[x])
     loop["start"] = at_rest(plant, plant.equilibrium(x=goal[x] - 0.004))
     assert (
         missed(
@@ -299,12 +303,14 @@ def test_a_scheduled_feedback_and_an_offset_free_one_move_valves():
 def test_as_nlsys_gives_a_linear_model_that_can_be_controlled():
     plant = hanging()
     point = plant.equilibrium(x=0.05)
-    system = pam.as_nlsys(plant, point)
+    system = pam.operating.as_nlsys(plant, point)
     assert system.input_labels == ["muscle_opening"]
     linear = control.linearize(system, system.x0, system.u0)
     assert np.linalg.matrix_rank(control.ctrb(linear.A, linear.B / 1e8)) >= 2
     assert np.abs(linear.B).max() > 1e6
-    assert pam.as_nlsys(plant, point, inputs=["muscle.command"]).input_labels == ["muscle_command"]
+    assert pam.operating.as_nlsys(plant, point, inputs=["muscle.command"]).input_labels == [
+        "muscle_command"
+    ]
 
 
 def test_the_pressure_loop_leaves_no_error_in_the_dead_zone():
@@ -328,7 +334,7 @@ def test_an_lqr_of_a_pair_is_stable_in_all_its_motions():
     """Closed valves hold any co-contraction: nothing in the default weights would bring it back."""
     for seed in range(4):
         bar = np.random.default_rng(seed).uniform(1.2, 4.5, 2) * BAR
-        plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"), feed=pam.OnOffValves())
+        plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"), feed=pam.feeds.OnOffValves())
         point = plant.equilibrium({"muscle1.pressure": bar[0], "muscle2.pressure": bar[1]})
         for integral in (None, {"x": 5.0}):
             poles = pam.lqr(plant, point, integral=integral).poles
@@ -430,7 +436,7 @@ def test_an_input_without_influence_is_called_so():
 
 # ---- guards --------------------------------------------------------------------------------------
 def test_the_position_controller_does_not_wind_up_while_pressures_are_at_their_end():
-    plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=pam.IdealPressure())
+    plant = pam.HangingLoad(pam.muscle("DMSP-20-400N"), mass=20.0, feed=pam.feeds.IdealPressure())
     sample_time, ki, far = 1e-2, 40.0, 0.05
     controller = PositionController(
         plant, lambda t: (0.06, 0.0, 0.0), PID(1e4, ki=ki), sample_time=sample_time
@@ -453,7 +459,7 @@ def test_the_kalman_filter_finds_the_disturbance_itself_not_its_deviation():
     plant.der(x, v)
     plant.der(v, u + d - 4 * x - v)
     point = pam.OperatingPoint(plant, np.array([1.25, 0.0]), np.array([2.0, 3.0]))
-    watch = pam.kalman(
+    watch = pam.control.kalman(
         plant, point, measured={"x": 1e-3}, process=0.1, disturbances={"d": 1.0}, sample_time=0.02
     )
     for _ in range(3000):

@@ -86,14 +86,20 @@ def test_no_muscle_of_the_catalogue_and_no_arrangement_is_doubted() -> None:
         warnings.simplefilter("error", pam.UnitWarning)
         for name in pam.muscle_names():
             pam.HangingLoad(pam.muscle(name, rest_length=0.25))
-        for feed in (pam.Regulator(), pam.IdealPressure(), pam.OnOffValves(tube=pam.Tube())):
-            pam.AntagonisticJoint(MUSCLE, limits=(-0.2, 0.3), feed=feed, losses=pam.Creep())
-            pam.SeriesLoad(MUSCLE, loads=(pam.Wall(0.05), pam.DryFriction(3.0)), feed=feed)
+        for feed in (
+            pam.feeds.Regulator(),
+            pam.feeds.IdealPressure(),
+            pam.feeds.OnOffValves(tube=pam.feeds.Tube()),
+        ):
+            pam.AntagonisticJoint(MUSCLE, limits=(-0.2, 0.3), feed=feed, losses=pam.losses.Creep())
+            pam.SeriesLoad(
+                MUSCLE, loads=(pam.loads.Wall(0.05), pam.loads.DryFriction(3.0)), feed=feed
+            )
 
 
 def test_the_warning_points_at_the_line_of_the_caller() -> None:
     with pytest.warns(pam.UnitWarning) as caught:
-        pam.HangingLoad(MUSCLE, feed=pam.Regulator(50))
+        pam.HangingLoad(MUSCLE, feed=pam.feeds.Regulator(50))
     assert caught[0].filename == __file__
 
 
@@ -148,7 +154,7 @@ EFFORT = {
 @pytest.mark.parametrize("kind", ARRANGEMENTS)
 def test_the_inertia_of_a_load_of_ones_own_moves_along(kind: str, load: type) -> None:
     """(m + own) x'' = effort of the muscles - weight - 7, written by hand."""
-    plant = ARRANGEMENTS[kind]((load(0.75), pam.Inertia(0.5)))
+    plant = ARRANGEMENTS[kind]((load(0.75), pam.loads.Inertia(0.5)))
     own = {"hanging": 20.0, "slide": 2.0, "joint": 0.05, "spring": 2.0, "series": 20.0}[kind]
     x = plant.vector("state")
     x[0] = 0.004
@@ -212,11 +218,11 @@ def test_a_loop_that_cannot_be_integrated_blames_the_controller_only_where_it_mu
 
 
 FEEDS = {
-    "ideal": pam.IdealPressure(),
-    "regulator": pam.Regulator(0.02),
-    "spool": pam.SpoolValve(),
-    "on-off": pam.OnOffValves(),
-    "tube": pam.SpoolValve(tube=pam.Tube()),
+    "ideal": pam.feeds.IdealPressure(),
+    "regulator": pam.feeds.Regulator(0.02),
+    "spool": pam.feeds.SpoolValve(),
+    "on-off": pam.feeds.OnOffValves(),
+    "tube": pam.feeds.SpoolValve(tube=pam.feeds.Tube()),
 }
 
 
@@ -227,7 +233,7 @@ def test_a_load_study_takes_every_feed_and_rests_where_force_is_weight(feed: str
     assert force == pytest.approx(20.0 * 9.80665, rel=1e-6)
     k = MUSCLE.stiffness(3 * BAR, case.position / MUSCLE.rest_length)
     if feed in ("spool", "on-off"):  # closed valves: the gas is a spring, too
-        k = pam.closed_stiffness(MUSCLE, 3 * BAR, case.position / MUSCLE.rest_length)
+        k = pam.gas.closed_stiffness(MUSCLE, 3 * BAR, case.position / MUSCLE.rest_length)
         assert math.isnan(case.overshoot)
     elif feed != "tube":
         assert case.overshoot > 0.5
@@ -256,22 +262,25 @@ def test_the_work_of_a_stroke_is_what_the_load_gained() -> None:
     accuracy.
     """
     for totals, accuracy in ((False, 1e-4), (True, 1e-8)):
-        plant = pam.HangingLoad(MUSCLE, 20.0, damping=0.0, feed=pam.Regulator(totals=totals))
+        plant = pam.HangingLoad(MUSCLE, 20.0, damping=0.0, feed=pam.feeds.Regulator(totals=totals))
         start = {"x": 0.03, "muscle.pressure": 2 * BAR}
         motion = pam.simulate(plant, {"muscle.command": 4 * BAR}, duration=0.31, start=start)
-        found = pam.stroke_work(motion)["muscle"]
+        found = pam.simulation.stroke_work(motion)["muscle"]
         gained = 20.0 * (9.80665 * (motion["x"][-1] - 0.03) + motion["v"][-1] ** 2 / 2)
         assert found.work == pytest.approx(gained, rel=accuracy)
         assert found.delivered - found.absorbed == pytest.approx(gained, rel=1e-3)
         assert found.peak_power == pytest.approx(motion["muscle.power"].max(), rel=1e-3)
-        halves = [pam.stroke_work(motion, *part)["muscle"].work for part in ((0, 0.1), (0.1, 0.31))]
+        halves = [
+            pam.simulation.stroke_work(motion, *part)["muscle"].work
+            for part in ((0, 0.1), (0.1, 0.31))
+        ]
         assert sum(halves) == pytest.approx(found.work, rel=2e-3)
 
 
-@pytest.mark.parametrize("losses", [(), pam.CoulombFriction(40.0)])
+@pytest.mark.parametrize("losses", [(), pam.losses.CoulombFriction(40.0)])
 def test_over_a_cycle_the_muscle_gives_what_the_gas_gave_less_its_friction(losses) -> None:
     """The passive part of the law takes and gives back: W = p dV - friction dx (dV/dl = -dF/dp)."""
-    plant = pam.HangingLoad(MUSCLE, 20.0, losses=losses, feed=pam.IdealPressure(totals=True))
+    plant = pam.HangingLoad(MUSCLE, 20.0, losses=losses, feed=pam.feeds.IdealPressure(totals=True))
     swing = lambda t: (3 + np.sin(2 * np.pi * t)) * BAR  # noqa: E731
     motion = pam.simulate(plant, {"muscle.pressure": swing}, t=np.linspace(0, 12, 4801))
     last = motion.t >= 11.0
@@ -281,16 +290,16 @@ def test_over_a_cycle_the_muscle_gives_what_the_gas_gave_less_its_friction(losse
         lost = float(np.sum((power[1:] + power[:-1])[last[1:] & last[:-1]]) / 2 * 0.0025)
         assert lost > 1.0
     put_in = np.ptp(motion["muscle.pneumatic_work"][[np.argmax(last), -1]])
-    share = pam.stroke_work(motion, 11.0, 12.0)["muscle"].efficiency
+    share = pam.simulation.stroke_work(motion, 11.0, 12.0)["muscle"].efficiency
     assert share == pytest.approx(1 - lost / put_in, abs=1e-5)
 
 
 def test_per_mass_and_efficiency_come_with_every_feed() -> None:
     heavy = pam.Muscle(MUSCLE.law, MUSCLE.rest_length, MUSCLE.diameter, mass=0.5)
-    for feed in (pam.Regulator(totals=True), pam.SpoolValve(totals=True)):
+    for feed in (pam.feeds.Regulator(totals=True), pam.feeds.SpoolValve(totals=True)):
         plant = pam.HangingLoad(heavy, 20.0, feed=feed)
         names = {v.name for v in plant.outputs}
         assert {"muscle.power_per_mass", "muscle.work_per_mass", "muscle.efficiency"} <= names
     motion = pam.simulate(pam.HangingLoad(heavy, 20.0), {"muscle.command": 4 * BAR}, duration=0.3)
-    found = pam.stroke_work(motion)["muscle"]
+    found = pam.simulation.stroke_work(motion)["muscle"]
     assert found.work_per_mass == pytest.approx(found.work / 0.5, rel=1e-12)

@@ -71,7 +71,7 @@ def wave(t):
 
 @pytest.mark.parametrize("name", sorted(laws()))
 def test_every_force_law_agrees(name, tmp_path):
-    plant = pam.HangingLoad(laws()[name], 12.0, damping=pam.ConstantDamping(200.0))
+    plant = pam.HangingLoad(laws()[name], 12.0, damping=pam.losses.ConstantDamping(200.0))
     agreement(plant, {"muscle.command": wave}, tmp_path)
 
 
@@ -90,7 +90,7 @@ def test_every_force_law_agrees(name, tmp_path):
 )
 def test_every_loss_agrees(losses, tmp_path):
     plant = pam.HangingLoad(
-        pam.muscle("DMSP-20-300"), 10.0, damping=pam.ConstantDamping(40.0), losses=losses
+        pam.muscle("DMSP-20-300"), 10.0, damping=pam.losses.ConstantDamping(40.0), losses=losses
     )
     agreement(plant, {"muscle.command": wave}, tmp_path)
 
@@ -122,11 +122,11 @@ def test_every_feed_agrees(feed, inputs, tmp_path):
     "plant",
     [
         pam.SpringOverMuscle(
-            pam.muscle("DMSP-20-300"), loads=(pam.Wall(0.04), pam.ExternalForce())
+            pam.muscle("DMSP-20-300"), loads=(pam.loads.Wall(0.04), pam.loads.ExternalForce())
         ),
-        pam.SeriesLoad(pam.muscle("DMSP-20-300"), 10.0, loads=(pam.DryFriction(3.0),)),
+        pam.SeriesLoad(pam.muscle("DMSP-20-300"), 10.0, loads=(pam.loads.DryFriction(3.0),)),
         pam.HangingLoad(
-            pam.muscle("DMSP-20-300"), 10.0, inclination=0.6, loads=(pam.Spring(300.0),)
+            pam.muscle("DMSP-20-300"), 10.0, inclination=0.6, loads=(pam.loads.Spring(300.0),)
         ),
     ],
     ids=lambda p: p.name,

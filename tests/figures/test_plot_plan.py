@@ -34,7 +34,7 @@ def quickest():
 @pytest.fixture(scope="module")
 def slide_plan():
     slide = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"), stroke=0.016, feed=pam.Regulator(0.05, 6e5, 40e5)
+        pam.muscle("DMSP-20-200N"), stroke=0.016, feed=pam.feeds.Regulator(0.05, 6e5, 40e5)
     )
     stops = [{"x": -0.010}, Stop({"x": 0.010}, dwell=0.05)]
     return pam.plan(slide, stops, cyclic=True, method=Collocation(8), minimise="time")

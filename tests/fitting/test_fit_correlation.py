@@ -226,7 +226,7 @@ def test_random_tables_of_all_laws_are_fitted_and_cover() -> None:
     import fit_study
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pam.ValidityWarning)
+        warnings.simplefilter("ignore", pam.muscles.ValidityWarning)
         results = fit_study.study(20, seed=11)
     assert not [r["error"] for r in results if "error" in r]
     for key in ("coefficients", "band"):

@@ -74,7 +74,7 @@ def assert_within(fit: PlantFit, plant: pam.Plant, level: float = 0.99) -> None:
 
 @pytest.fixture(scope="module")
 def rig() -> pam.Plant:
-    return benchmark_slide(pam.Regulator(0.05, max_pressure=6 * BAR))
+    return benchmark_slide(pam.feeds.Regulator(0.05, max_pressure=6 * BAR))
 
 
 @pytest.fixture(scope="module")
@@ -187,8 +187,8 @@ def test_hysteresis_comes_back_from_a_record_with_noise_and_delay() -> None:
         2.0,
         0.10,
         stroke=0.016,
-        damping=pam.ConstantDamping(20.0),
-        feed=pam.Regulator(0.05, max_pressure=6 * BAR),
+        damping=pam.losses.ConstantDamping(20.0),
+        feed=pam.feeds.Regulator(0.05, max_pressure=6 * BAR),
         losses=(BoucWen(friction=15.0, yield_contraction=0.004),),
     )
     free = ("damping", "muscle*.lag", "muscle*.a4", "muscle*.hysteresis_force")

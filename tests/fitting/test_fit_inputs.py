@@ -19,7 +19,7 @@ T = np.arange(0, 1.2, 0.01)
 
 @pytest.fixture(scope="module")
 def rig() -> pam.Plant:
-    return benchmark_slide(pam.Regulator(0.05, max_pressure=6 * BAR))
+    return benchmark_slide(pam.feeds.Regulator(0.05, max_pressure=6 * BAR))
 
 
 def run(rig: pam.Plant, seed: int, way: str = "previous") -> pam.Trajectory:

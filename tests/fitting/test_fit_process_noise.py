@@ -80,13 +80,13 @@ def run() -> pam.Trajectory:
 
 
 @pytest.fixture(scope="module")
-def fit(run: pam.Trajectory) -> pam.PlantFit:
+def fit(run: pam.Trajectory) -> pam.fitting.PlantFit:
     return fit_plant(
         oscillator(35.0, 1.0), run, FREE, noise={"x": NOISE}, process_noise={"v": INTENSITY}
     )
 
 
-def test_the_fit_is_that_of_a_kalman_filter(fit: pam.PlantFit, run: pam.Trajectory) -> None:
+def test_the_fit_is_that_of_a_kalman_filter(fit: pam.fitting.PlantFit, run: pam.Trajectory) -> None:
     """A linear plant: the optimum over parameters and motion is that over the innovations."""
     best = minimize(
         innovations,
@@ -114,7 +114,7 @@ def test_the_fit_is_that_of_a_kalman_filter(fit: pam.PlantFit, run: pam.Trajecto
     assert [c.stderr for c in fit.coefficients.values()] == pytest.approx(expected, rel=0.12)
 
 
-def test_multiple_shooting_finds_the_same(fit: pam.PlantFit, run: pam.Trajectory) -> None:
+def test_multiple_shooting_finds_the_same(fit: pam.fitting.PlantFit, run: pam.Trajectory) -> None:
     other = fit_plant(
         oscillator(35.0, 1.0),
         run,
@@ -129,7 +129,7 @@ def test_multiple_shooting_finds_the_same(fit: pam.PlantFit, run: pam.Trajectory
         assert other.interval(name) == pytest.approx((low, high), rel=1e-3)
 
 
-def test_the_report_says_so(fit: pam.PlantFit) -> None:
+def test_the_report_says_so(fit: pam.fitting.PlantFit) -> None:
     assert fit.process_noise == {"v": INTENSITY}
     text = fit.report()
     assert "[[Fit]] of the smoothed motion" in text

@@ -28,7 +28,7 @@ def cart(extra: bool = False) -> pam.Plant:
 
 
 @pytest.fixture(scope="module")
-def fit() -> pam.PlantFit:
+def fit() -> pam.fitting.PlantFit:
     plant, records = cart(), []
     for seed in range(2):
         random = np.random.default_rng(seed)
@@ -41,7 +41,7 @@ def fit() -> pam.PlantFit:
     return fit_plant(plant.with_values(mass=1.5), records, ["mass", "damper"])
 
 
-def test_a_saved_fit_comes_back(fit: pam.PlantFit, tmp_path: Path) -> None:
+def test_a_saved_fit_comes_back(fit: pam.fitting.PlantFit, tmp_path: Path) -> None:
     again = load_plant_fit(fit.save(tmp_path / "fit.json"), cart())
     assert again.values == fit.values
     assert again.plant.variable("mass").start == fit.plant.variable("mass").start
@@ -54,13 +54,13 @@ def test_a_saved_fit_comes_back(fit: pam.PlantFit, tmp_path: Path) -> None:
     assert [c.tolist() for c in again.residuals] == [c.tolist() for c in fit.residuals]
 
 
-def test_a_fit_that_was_read_validates(fit: pam.PlantFit, tmp_path: Path) -> None:
+def test_a_fit_that_was_read_validates(fit: pam.fitting.PlantFit, tmp_path: Path) -> None:
     again = load_plant_fit(fit.save(tmp_path / "fit.json"), cart())
     one, other = fit.validate(fit.records[1])[0], again.validate(fit.records[1])[0]
     assert other["x"].fit_percent == pytest.approx(one["x"].fit_percent, rel=1e-9)
 
 
-def test_files_that_hold_no_such_fit_are_refused(fit: pam.PlantFit, tmp_path: Path) -> None:
+def test_files_that_hold_no_such_fit_are_refused(fit: pam.fitting.PlantFit, tmp_path: Path) -> None:
     path = fit.save(tmp_path / "fit.json")
     with pytest.raises(
         InputError, match="whose parameters are others: only the plant has friction"

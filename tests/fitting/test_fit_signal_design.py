@@ -43,7 +43,7 @@ def oscillator() -> pam.Plant:
 
 @pytest.fixture(scope="module")
 def rig() -> pam.Plant:
-    return benchmark_slide(pam.Regulator(0.05, max_pressure=6 * BAR))
+    return benchmark_slide(pam.feeds.Regulator(0.05, max_pressure=6 * BAR))
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def test_a_designed_record_beats_random_ones_when_it_is_fitted(
         assert np.linalg.det(correlation_free(best)) < np.linalg.det(correlation_free(other)) / 4
 
 
-def correlation_free(fit: pam.PlantFit) -> np.ndarray:
+def correlation_free(fit: pam.fitting.PlantFit) -> np.ndarray:
     """Covariance relative to the values."""
     values = np.array([c.value for c in fit.coefficients.values()])
     return np.asarray(fit.covariance / np.outer(values, values))

@@ -10,8 +10,8 @@ from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.muscles.catalogue import catalogue_entry, muscle, muscle_names, summary, transfer_note
 from pam_ocp.muscles.law import coefficient
 from pam_ocp.muscles.laws.user_defined import law_named, own_law, polynomial_law, spline_law
-from pam_ocp.muscles.pneumatic_muscle import Muscle
 from pam_ocp.muscles.muscle_file import load_muscle, save_muscle
+from pam_ocp.muscles.pneumatic_muscle import Muscle
 
 HEAD = 'format = "pam_ocp muscle 1"\nrest_length = 0.3\n'
 PLANE = 'law = "polynomial-0-0"\n[coefficients]\ng0 = 1e-3\nh0 = 0.0\n'

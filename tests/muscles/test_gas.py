@@ -25,8 +25,8 @@ from pam_ocp.muscles.gas import (
 from pam_ocp.muscles.laws.braid import CorrectedLaw, GeometricLaw
 from pam_ocp.muscles.laws.thick_wall import ThickWallLaw
 from pam_ocp.muscles.pneumatic_muscle import Muscle
-from pam_ocp.plants.hanging import HangingLoad
 from pam_ocp.plants.damping import ConstantDamping, StiffnessDamping
+from pam_ocp.plants.hanging import HangingLoad
 from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
 
 R, T, RHO0 = 287.05, 293.15, 1.185

@@ -5,7 +5,8 @@ import pytest
 from conftest import BAR, flat
 
 import pam_ocp as pam
-from pam_ocp import Allocation, AllocationError, InputError
+from pam_ocp import InputError
+from pam_ocp.operating import Allocation, AllocationError
 
 RANGE = (0.5 * BAR, 6 * BAR)
 
@@ -73,7 +74,9 @@ def test_the_taut_ends_of_the_stiffness_are_where_a_muscle_goes_slack_or_full(jo
 
 def test_co_contraction_coordinates_go_there_and_back():
     p = np.random.default_rng(2).uniform(0, 6 * BAR, size=(2, 50))
-    assert np.allclose(pam.pressures_of(*pam.common_and_difference(*p)), p, rtol=1e-14)
+    assert np.allclose(
+        pam.operating.pressures_of(*pam.operating.common_and_difference(*p)), p, rtol=1e-14
+    )
 
 
 def test_what_is_out_of_reach_says_how_far_one_can_go(joint):

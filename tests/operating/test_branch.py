@@ -56,7 +56,9 @@ def test_along_a_parameter_and_along_an_output():
 
 def test_without_a_fold_it_is_the_path(hanging):
     branch = equilibrium_branch(hanging, "mass", 5.0, 40.0, {"muscle.command": 3 * BAR})
-    path = pam.equilibrium_path(hanging, "mass", branch.values, {"muscle.command": 3 * BAR})
+    path = pam.operating.equilibrium_path(
+        hanging, "mass", branch.values, {"muscle.command": 3 * BAR}
+    )
     assert branch.end == ""
     assert branch["x"] == pytest.approx(path["x"], abs=1e-9)
     assert branch.points[-1].plant.variable("mass").start == pytest.approx(40.0)

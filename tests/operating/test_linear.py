@@ -33,7 +33,7 @@ def test_the_hanging_load_rests_and_swings_where_the_reference_says(
 ):
     point = hanging.equilibrium({"mass": mass, "muscle.command": bar * BAR})
     assert point["x"] * 1e3 == pytest.approx(position, abs=0.05)
-    ((found, damping),) = pam.modes(hanging.linearize(point))
+    ((found, damping),) = pam.operating.modes(hanging.linearize(point))
     assert found == pytest.approx(frequency, abs=0.005)
     assert damping == pytest.approx(0.1, rel=1e-6)
 
@@ -54,8 +54,8 @@ def test_poles_are_those_of_the_second_order_equation(hanging):
 
 
 FEEDS = {
-    "ideal": pam.IdealPressure(),
-    "regulator": pam.Regulator(0.08),
+    "ideal": pam.feeds.IdealPressure(),
+    "regulator": pam.feeds.Regulator(0.08),
     "spool": SpoolValve(),
     "spool and tube": SpoolValve(tube=Tube(), leak=1e-10),
     "spool with totals": SpoolValve(totals=True),
@@ -270,7 +270,7 @@ def test_torque_and_co_contraction_fix_the_angle_of_a_joint(long_muscle):
     point = joint.equilibrium(torque=2.0, expressions=mean)
     assert np.sin(point["theta"]) == pytest.approx(2.0 / (2.0 * 9.80665 * 0.3), rel=1e-9)
     both = point["muscle1.pressure"], point["muscle2.pressure"]
-    assert pam.common_and_difference(*both)[0] == pytest.approx(3 * BAR, rel=1e-9)
+    assert pam.operating.common_and_difference(*both)[0] == pytest.approx(3 * BAR, rel=1e-9)
     with pytest.raises(EquilibriumError, match=r"torque = 2 N\.m, co-contraction = 900000 within"):
         joint.equilibrium(
             torque=2.0, expressions={"co-contraction": (mean["co-contraction"][0], 9e5)}
@@ -278,7 +278,7 @@ def test_torque_and_co_contraction_fix_the_angle_of_a_joint(long_muscle):
 
 
 def test_a_disturbance_can_be_the_unknown(long_muscle):
-    joint = pam.AntagonisticJoint(long_muscle, loads=[pam.ExternalForce()])
+    joint = pam.AntagonisticJoint(long_muscle, loads=[pam.loads.ExternalForce()])
     (external,) = [v.name for v in joint.inputs if v.disturbance]
     given = {"theta": 0.2, "muscle1.command": 3 * BAR, "muscle2.command": 3 * BAR}
     point = joint.equilibrium(given, free=[external])

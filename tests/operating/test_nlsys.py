@@ -129,7 +129,7 @@ def test_interconnected_with_a_controller_it_is_the_closed_loop_of_linear_theory
 
 
 def test_a_phase_plane_is_drawn_of_an_autonomous_plant(long_muscle):
-    plant = pam.HangingLoad(long_muscle, feed=pam.IdealPressure())
+    plant = pam.HangingLoad(long_muscle, feed=pam.feeds.IdealPressure())
     point = plant.equilibrium(x=0.06)
     system = as_nlsys(plant, point, inputs=[])
     assert (system.ninputs, system.nstates) == (0, 2)

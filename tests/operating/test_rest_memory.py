@@ -27,7 +27,9 @@ MUSCLE = pam.muscle("DMSP-20-400N")
 
 
 def hanging(*losses, **more):
-    return pam.HangingLoad(MUSCLE, 20.0, losses=losses or (pam.BoucWen(FRICTION, YIELD),), **more)
+    return pam.HangingLoad(
+        MUSCLE, 20.0, losses=losses or (pam.losses.BoucWen(FRICTION, YIELD),), **more
+    )
 
 
 def rest_by_hand(pressure, friction):
@@ -82,7 +84,7 @@ def odd(kind):
     w = plant.state("w", nominal=1.0)
     speed = {"gear": w / 2, "backwards": -3 * w, "momentum": w / 20.0}[kind]
     part = plant.add_muscle(
-        "muscle", MUSCLE, shortening=x, rate=speed, losses=(pam.BoucWen(FRICTION, YIELD),)
+        "muscle", MUSCLE, shortening=x, rate=speed, losses=(pam.losses.BoucWen(FRICTION, YIELD),)
     )
     pull = part.force - WEIGHT - 200 * speed
     plant.der(x, speed)
@@ -99,10 +101,10 @@ def test_sides_are_those_of_the_position_in_any_coordinates(kind):
 
 
 def test_of_a_pair_one_muscle_has_slid_each_way():
-    losses = (pam.MaxwellSlip((5.0,), (0.01,)),)
+    losses = (pam.losses.MaxwellSlip((5.0,), (0.01,)),)
     other = pam.muscle("DMSP-20-300")
     for plant in (
-        pam.AntagonisticSlide(MUSCLE, muscle2=other, losses=losses, feed=pam.SpoolValve()),
+        pam.AntagonisticSlide(MUSCLE, muscle2=other, losses=losses, feed=pam.feeds.SpoolValve()),
         pam.AntagonisticJoint(MUSCLE, muscle2=other, moment_arm2=0.03, losses=losses),
     ):
         assert held(plant, "above") == {"muscle1.slip1": -1.0, "muscle2.slip1": 1.0}
@@ -123,18 +125,21 @@ def test_sides_that_cannot_be_meant_are_refused():
 IMPOSSIBLE = [
     (hanging, {"mass": 70.0, "muscle.command": 2 * BAR}),
     (hanging, {"mass": 20.0, "x": 0.110}),
-    (lambda: hanging(pam.MaxwellSlip(), pam.Creep()), {"mass": 70.0, "muscle.command": 2 * BAR}),
     (
-        lambda: hanging(pam.MaxwellSlip(), feed=pam.SpoolValve()),
+        lambda: hanging(pam.losses.MaxwellSlip(), pam.losses.Creep()),
+        {"mass": 70.0, "muscle.command": 2 * BAR},
+    ),
+    (
+        lambda: hanging(pam.losses.MaxwellSlip(), feed=pam.feeds.SpoolValve()),
         {"mass": 70.0, "muscle.pressure": 2 * BAR},
     ),
     (
-        lambda: pam.AntagonisticSlide(MUSCLE, losses=(pam.MaxwellSlip(),)),
+        lambda: pam.AntagonisticSlide(MUSCLE, losses=(pam.losses.MaxwellSlip(),)),
         {"x": 0.0, "stiffness": 1e5},
     ),
     (
         lambda: pam.AntagonisticJoint(
-            MUSCLE, link_mass=3.0, link_length=0.3, losses=(pam.BoucWen(),)
+            MUSCLE, link_mass=3.0, link_length=0.3, losses=(pam.losses.BoucWen(),)
         ),
         {"muscle1.command": 0.0, "theta": 0.3},
     ),
@@ -160,7 +165,9 @@ def test_what_is_said_to_do_does(make, conditions):
 # ---- bands ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("loss", [pam.BoucWen(12.0), pam.MaxwellSlip((7.0, 5.0), (0.002, 0.01))])
+@pytest.mark.parametrize(
+    "loss", [pam.losses.BoucWen(12.0), pam.losses.MaxwellSlip((7.0, 5.0), (0.002, 0.01))]
+)
 def test_the_points_of_rest_are_one_band_with_its_ends(loss):
     found = equilibria(hanging(loss), {"muscle.command": 3 * BAR})
     assert len(found) == len(found.bands) == 1
@@ -206,7 +213,9 @@ def test_bouc_wen_stays_in_its_range_however_slow_the_motion(rate):
     plant = pam.Plant("drawn")
     x = plant.state("x", unit="m")
     plant.der(x, rate * LENGTH)
-    plant.add_muscle("muscle", MUSCLE, shortening=x, rate=rate * LENGTH, losses=(pam.BoucWen(),))
+    plant.add_muscle(
+        "muscle", MUSCLE, shortening=x, rate=rate * LENGTH, losses=(pam.losses.BoucWen(),)
+    )
     run = pam.simulate(plant, duration=0.05 / rate)
     assert run["muscle.hysteresis"].max() <= 1 + 1e-9
     assert run["muscle.hysteresis"][-1] > 0.98
@@ -234,7 +243,7 @@ def spring_of(point):
 
 
 def test_an_element_that_sticks_is_a_spring():
-    plant = hanging(feed=pam.IdealPressure(), damping=pam.ConstantDamping(60.0))
+    plant = hanging(feed=pam.feeds.IdealPressure(), damping=pam.losses.ConstantDamping(60.0))
     for z, share in ((0.0, 1.0), (0.9, 1.0), (-1.0, 0.5)):
         memory = {"muscle.hysteresis": z}
         point = plant.equilibrium({"muscle.pressure": 3 * BAR}, memory=memory)
@@ -245,7 +254,7 @@ def test_an_element_that_sticks_is_a_spring():
 
 
 def test_the_stuck_system_answers_as_the_whole_one_and_as_the_plant():
-    plant = hanging(damping=pam.ConstantDamping(60.0))
+    plant = hanging(damping=pam.losses.ConstantDamping(60.0))
     point = plant.equilibrium({"muscle.command": 3 * BAR}, memory={"muscle.hysteresis": 0.5})
     whole = plant.linearize(point, inputs=["muscle.command"], outputs=["x", "muscle.hysteresis"])
     stuck = plant.linearize(
@@ -264,18 +273,18 @@ def test_the_stuck_system_answers_as_the_whole_one_and_as_the_plant():
 
 @pytest.mark.parametrize(
     "losses",
-    [(pam.BoucWen(),), (pam.MaxwellSlip(), pam.Creep())],
+    [(pam.losses.BoucWen(),), (pam.losses.MaxwellSlip(), pam.losses.Creep())],
     ids=["bouc-wen", "slip and creep"],
 )
 def test_lqr_and_kalman_hold_a_joint_with_hysteresis(losses):
-    plant = pam.AntagonisticJoint(MUSCLE, losses=losses, damping=pam.ConstantDamping(1.0))
+    plant = pam.AntagonisticJoint(MUSCLE, losses=losses, damping=pam.losses.ConstantDamping(1.0))
     point = plant.equilibrium({"theta": 0.1, "muscle2.command": 2 * BAR}, memory="above")
     feedback = pam.lqr(plant, point, integral={"theta": 30.0})
     columns = [v.memory == "held" for v in plant.states]
     assert np.all(feedback.K[:, columns] == 0)
     assert feedback.poles.real.max() < -0.1
-    filtered = pam.kalman(plant, point, measured={"theta": 1e-4}, sample_time=2e-3)
-    controller = pam.WithEstimate(feedback, filtered)
+    filtered = pam.control.kalman(plant, point, measured={"theta": 1e-4}, sample_time=2e-3)
+    controller = pam.control.WithEstimate(feedback, filtered)
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)} | {"theta": 0.13}
     for used in (feedback, controller):
         run = pam.closed_loop(used, plant, duration=2.0, sample_time=2e-3, start=start)
@@ -288,12 +297,14 @@ def test_tvlqr_ends_as_lqr_holds():
     point = plant.equilibrium({"muscle.command": 3 * BAR}, memory=memory)
     start = {v.name: x for v, x in zip(plant.states, point.x, strict=True)}
     still = pam.simulate(plant, {"muscle.command": 3 * BAR}, duration=0.2, start=start)
-    along = pam.tvlqr(plant, still)
+    along = pam.control.tvlqr(plant, still)
     assert along.K[-1] == pytest.approx(pam.lqr(plant, point).K, rel=1e-5, abs=1e-9)
 
 
 def test_mpc_moves_a_slide_whose_muscles_have_slid():
-    plant = pam.AntagonisticSlide(MUSCLE, losses=(pam.MaxwellSlip((6.0, 6.0), (0.003, 0.02)),))
+    plant = pam.AntagonisticSlide(
+        MUSCLE, losses=(pam.losses.MaxwellSlip((6.0, 6.0), (0.003, 0.02)),)
+    )
     point = plant.equilibrium({"x": 0.0, "muscle1.command": 3 * BAR}, memory="above")
     rate = {v.name: 0.02 for v in plant.inputs}
     mpc = pam.Mpc(
@@ -314,8 +325,8 @@ def test_the_hopf_border_is_that_of_the_stuck_spring():
         MUSCLE,
         mass,
         lag=lag,
-        damping=pam.ConstantDamping(c),
-        losses=(pam.BoucWen(FRICTION, YIELD),),
+        damping=pam.losses.ConstantDamping(c),
+        losses=(pam.losses.BoucWen(FRICTION, YIELD),),
     )
     found = vibration.hopf(
         plant, "muscle.gain", (1e5, 2e7), {"x": 0.04, "muscle.reference": 0.04}, memory="virgin"
@@ -332,7 +343,7 @@ def test_the_hopf_border_is_that_of_the_stuck_spring():
 
 
 def test_a_muscle_drawn_to_an_offset_has_carried_its_memory_along():
-    plant = hanging(pam.BoucWen(FRICTION, YIELD, order=1.0), feed=pam.IdealPressure())
+    plant = hanging(pam.losses.BoucWen(FRICTION, YIELD, order=1.0), feed=pam.feeds.IdealPressure())
     point = plant.equilibrium({"muscle.pressure": 3 * BAR})
     for offset in (0.003, -0.002):
         z = carried(plant, point.x, point.u, "x", offset)["muscle.hysteresis"]
@@ -341,8 +352,8 @@ def test_a_muscle_drawn_to_an_offset_has_carried_its_memory_along():
 
 
 def test_small_free_vibration_has_the_frequency_of_the_stuck_spring():
-    slip = pam.MaxwellSlip((FRICTION,), (YIELD,))
-    plant = hanging(slip, feed=pam.IdealPressure(), damping=pam.ConstantDamping(10.0))
+    slip = pam.losses.MaxwellSlip((FRICTION,), (YIELD,))
+    plant = hanging(slip, feed=pam.feeds.IdealPressure(), damping=pam.losses.ConstantDamping(10.0))
     found = vibration.free_vibration(plant, {"muscle.pressure": 3 * BAR}, 1e-4, cycles=4, rtol=1e-9)
     expected = np.sqrt(sum(spring_of(found.point)) / 20.0) / (2 * np.pi)
     assert found.frequency == pytest.approx(expected, rel=1e-3)
@@ -350,7 +361,7 @@ def test_small_free_vibration_has_the_frequency_of_the_stuck_spring():
 
 @pytest.mark.parametrize("memory", ["above", "below"])
 def test_from_the_end_of_a_band_a_load_swings_about_where_friction_leaves_it(memory):
-    plant = hanging(feed=pam.IdealPressure(), damping=pam.ConstantDamping(20.0))
+    plant = hanging(feed=pam.feeds.IdealPressure(), damping=pam.losses.ConstantDamping(20.0))
     at = {"muscle.pressure": 3 * BAR}
     found = vibration.free_vibration(plant, at, 0.004, cycles=12, rtol=1e-9, memory=memory)
     ends = [plant.equilibrium(at, memory=side)["x"] for side in ("below", "above")]
@@ -363,7 +374,11 @@ def test_from_the_end_of_a_band_a_load_swings_about_where_friction_leaves_it(mem
 def test_a_load_study_takes_losses_and_a_side():
     found = {
         memory: pam.load_study(
-            MUSCLE, (20.0,), (3 * BAR,), losses=(pam.BoucWen(FRICTION, YIELD),), memory=memory
+            MUSCLE,
+            (20.0,),
+            (3 * BAR,),
+            losses=(pam.losses.BoucWen(FRICTION, YIELD),),
+            memory=memory,
         ).cases[0]
         for memory in ("virgin", "above", "below")
     }

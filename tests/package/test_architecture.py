@@ -1,6 +1,7 @@
 """Arrows between rooms run down only; one module is the door upwards, and its use is narrow."""
 
 import ast
+import importlib
 import importlib.util
 import re
 import subprocess
@@ -10,6 +11,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+import pam_ocp
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "pam_ocp"
@@ -185,17 +188,40 @@ def test_a_name_that_a_module_does_not_have_is_an_attribute_error():
     assert {"fit_force", "ForceTable"} <= set(dir(pam_ocp.fitting))
 
 
-def test_the_stub_names_what_the_package_loads_lazily_from_where_it_stands():
-    import pam_ocp
+FACES = sorted(p.parent.relative_to(ROOT).as_posix() for p in PACKAGE.rglob("__init__.pyi"))
 
-    stub = ast.parse((PACKAGE / "__init__.pyi").read_text("utf-8"))
-    said = {
-        alias.asname: node.module
-        for node in stub.body
-        if isinstance(node, ast.ImportFrom) and node.level
-        for alias in node.names
-    }
-    assert said == pam_ocp._HOMES
-    assert set(pam_ocp.__all__) == set(said)
-    for name in said:
-        assert getattr(pam_ocp, name) is not None
+
+@pytest.mark.parametrize("folder", FACES)
+def test_a_stub_names_what_its_package_loads_and_where_each_is_defined(folder):
+    package = importlib.import_module(folder.replace("/", "."))
+    named = set(package.__all__)
+    for node in ast.parse((ROOT / folder / "__init__.pyi").read_text("utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            assert all(alias.asname == alias.name for alias in node.names)
+            for alias in node.names:
+                value = getattr(package, alias.name)
+                home = getattr(value, "__module__", None)
+                stands = importlib.util.resolve_name(
+                    "." * node.level + (node.module or ""), package.__name__
+                )
+                assert home in (None, stands) or not home.startswith("pam_ocp"), alias.name
+                named.discard(alias.name)
+    assert not named
+
+
+def test_the_face_has_about_sixty_names_and_each_of_them_stands_in_no_second_room():
+    rooms = {name for name in pam_ocp.__all__ if isinstance(getattr(pam_ocp, name), ModuleType)}
+    assert 50 <= len(set(pam_ocp.__all__) - rooms) <= 70
+    for name in set(pam_ocp.__all__) - rooms:
+        for room in rooms:
+            own = getattr(pam_ocp, room)
+            if name in getattr(own, "__all__", ()):
+                assert getattr(own, name) is getattr(pam_ocp, name)
+
+
+def test_a_name_of_version_01_that_moved_to_a_room_still_works_and_says_where_it_is():
+    with pytest.warns(DeprecationWarning, match=r"pam_ocp\.losses\.Creep since version 0\.2"):
+        old = pam_ocp.Creep
+    assert old is pam_ocp.losses.Creep
+    for name, room in pam_ocp._MOVED.items():
+        assert hasattr(getattr(pam_ocp, room), name), name

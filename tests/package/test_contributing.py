@@ -80,7 +80,7 @@ def is_taken_by_every_verb(plant: pam.Plant, tmp_path, **at: float) -> None:
 def test_a_law_is_one_class(tmp_path):
     @register
     @dataclass(frozen=True)
-    class CubicLaw(pam.ForceLaw):
+    class CubicLaw(pam.laws.ForceLaw):
         """F = (g0 + g1 kappa + g3 kappa^3) p - h0."""
 
         g0: float = coefficient("N/Pa", 3e-3, "gain at rest length")

@@ -116,7 +116,7 @@ def test_fatrop_finds_the_same_least_work():
 
 
 def test_the_least_air_is_what_the_supply_gives_along_the_motion():
-    plant = pam.HangingLoad(MUSCLE, 10.0, feed=pam.SpoolValve())
+    plant = pam.HangingLoad(MUSCLE, 10.0, feed=pam.feeds.SpoolValve())
     plan = pam.plan(
         plant, [{"x": 0.01}, {"x": 0.03}], duration=0.5, minimise="air", cyclic=True, starts=1
     )

@@ -30,7 +30,7 @@ def densely(plan, points=4001):
 def test_the_work_of_lifting_a_load_is_its_weight_times_the_way():
     """No damping, x rising throughout: every motion from rest to rest takes m g h."""
     plant = pam.HangingLoad(
-        bought(LONG), 20.0, damping=pam.ConstantDamping(0.0), feed=pam.Regulator(0.05)
+        bought(LONG), 20.0, damping=pam.losses.ConstantDamping(0.0), feed=pam.feeds.Regulator(0.05)
     )
     stops = [{"x": 0.05}, {"x": 0.065}]
     plan = pam.plan(
@@ -65,7 +65,7 @@ def test_work_is_counted_of_each_muscle_where_it_is_given():
 @pytest.mark.parametrize("term", ["air", "exergy"])
 def test_air_and_exergy_are_what_the_supply_gives(term):
     """Up and down again: what was let out is paid for all the same. Air in g, exergy in 10 J."""
-    feed = pam.OnOffValves(conductance=3e-8, exhaust_conductance=2e-8, supply=6.5e5)
+    feed = pam.feeds.OnOffValves(conductance=3e-8, exhaust_conductance=2e-8, supply=6.5e5)
     plant = pam.HangingLoad(bought(LONG), 20.0, feed=feed)
     stops = [{"x": 0.05}, {"x": 0.06}, {"x": 0.05}]
     plan = pam.plan(

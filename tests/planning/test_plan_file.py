@@ -49,8 +49,8 @@ def test_the_example_says_what_python_says():
         2.0,
         0.10,
         stroke=0.016,
-        damping=pam.ConstantDamping(20.0),
-        feed=pam.Regulator(0.05, max_pressure=6e5, max_rate=40e5),
+        damping=pam.losses.ConstantDamping(20.0),
+        feed=pam.feeds.Regulator(0.05, max_pressure=6e5, max_rate=40e5),
     )
     for one, two in zip(plant.variables, own.variables, strict=True):
         assert (one.name, one.start) == (two.name, pytest.approx(two.start))

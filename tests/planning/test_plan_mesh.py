@@ -18,7 +18,7 @@ METHOD = Collocation(7, 8, "polynomial")
 @pytest.fixture(scope="module")
 def by_valve() -> pam.Plant:
     """A valve that switches from one end to the other: its polynomial swings."""
-    return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.9, feed=pam.SpoolValve())
+    return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.9, feed=pam.feeds.SpoolValve())
 
 
 def test_inputs_end_within_their_bounds_between_the_points_too(by_valve):

@@ -137,9 +137,13 @@ def test_a_sum_of_states_stands_still_where_no_state_is_a_position():
 @pytest.mark.parametrize(
     "plant",
     [
-        pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), losses=(pam.MaxwellSlip(), pam.Creep())),
-        pam.HangingLoad(pam.muscle("DMSP-20-200N"), feed=pam.SpoolValve(tube=pam.Tube())),
-        pam.RegulatedLoad(pam.muscle("DMSP-20-200N"), losses=(pam.BoucWen(),)),
+        pam.AntagonisticSlide(
+            pam.muscle("DMSP-20-200N"), losses=(pam.losses.MaxwellSlip(), pam.losses.Creep())
+        ),
+        pam.HangingLoad(
+            pam.muscle("DMSP-20-200N"), feed=pam.feeds.SpoolValve(tube=pam.feeds.Tube())
+        ),
+        pam.RegulatedLoad(pam.muscle("DMSP-20-200N"), losses=(pam.losses.BoucWen(),)),
     ],
     ids=lambda plant: plant.name,
 )
@@ -148,7 +152,7 @@ def test_pressures_and_memories_are_no_positions(plant):
 
 
 # ---- memory ----------------------------------------------------------------------------------
-LOSSES = (pam.MaxwellSlip(), pam.Creep())
+LOSSES = (pam.losses.MaxwellSlip(), pam.losses.Creep())
 MEMORIES = [f"muscle.slip{i}" for i in (1, 2, 3, 4)]
 
 
@@ -228,7 +232,7 @@ def test_least_work_of_a_slide_is_found_and_is_what_its_replay_gives():
 
 
 def test_air_is_not_saved_by_venting_what_was_given():
-    load = pam.HangingLoad(pam.muscle("DMSP-20-200N"), mass=10.0, feed=pam.SpoolValve())
+    load = pam.HangingLoad(pam.muscle("DMSP-20-200N"), mass=10.0, feed=pam.feeds.SpoolValve())
     with pytest.warns(pam.PlanWarning, match="at rest with muscle.pressure"):
         plan = pam.plan(
             load,

@@ -342,7 +342,7 @@ def test_more_starts_keep_the_best(slide):
         pam.muscle("DMSP-20-400N"),
         8.5,
         0.10,
-        feed=pam.SpoolValve(),
+        feed=pam.feeds.SpoolValve(),
     )
     task = {"stops": [{"x": -0.01}, {"x": 0.012}], "method": pam.Collocation(20, 3)}
     own = pam.plan(plant, **task, starts=1)

@@ -15,7 +15,7 @@ import plan_study as study
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.filterwarnings("ignore::pam_ocp.ValidityWarning")
+@pytest.mark.filterwarnings("ignore::pam_ocp.muscles.ValidityWarning")
 @pytest.mark.parametrize("seed", range(8))
 def test_a_random_feasible_task_is_solved_and_verified(seed):
     task = study.random_task(np.random.default_rng([5, seed]))
@@ -24,7 +24,7 @@ def test_a_random_feasible_task_is_solved_and_verified(seed):
     assert plan.verified, plan.verdict
 
 
-@pytest.mark.filterwarnings("ignore::pam_ocp.ValidityWarning")
+@pytest.mark.filterwarnings("ignore::pam_ocp.muscles.ValidityWarning")
 @pytest.mark.parametrize(
     ("kind", "seed"), [("no time", 1), ("no pressure", 1), ("place taken", 7), ("no budget", 4)]
 )

@@ -246,7 +246,7 @@ def test_by_default_the_mesh_is_refined_until_the_plan_is_verified(recwarn):
 
 
 def test_a_verdict_names_each_figure_that_failed():
-    good = pam.Verdict("Solve_Succeeded", True, 1e-4, "x", 2e-4, "force", 1e-3)
+    good = pam.planning.Verdict("Solve_Succeeded", True, 1e-4, "x", 2e-4, "force", 1e-3)
     assert good.verified
     assert "violates force by 0.02" in str(replace(good, violation=0.02))
     assert "did not converge (Restoration_Failed)" in str(
@@ -435,7 +435,7 @@ def test_an_unverified_plan_is_unverified_from_a_file_too(tmp_path):
 # -----------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def by_valve():
-    return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.0, feed=pam.SpoolValve())
+    return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.0, feed=pam.feeds.SpoolValve())
 
 
 UP = {"stops": [{"x": 0.02}, {"x": 0.04}], "method": Collocation(10, 3)}
@@ -493,13 +493,13 @@ def test_several_starts_are_for_valves_and_tendons_only():
 
     muscle = pam.muscle("DMSP-20-400N")
     several = [
-        pam.HangingLoad(muscle, 10.0, feed=pam.OnOffValves()),
-        pam.AntagonisticSlide(muscle, 5.0, feed=pam.SpoolValve(tube=pam.Tube())),
+        pam.HangingLoad(muscle, 10.0, feed=pam.feeds.OnOffValves()),
+        pam.AntagonisticSlide(muscle, 5.0, feed=pam.feeds.SpoolValve(tube=pam.feeds.Tube())),
         pam.SeriesLoad(muscle, 10.0),
     ]
     one = [
-        pam.HangingLoad(muscle, 10.0, losses=[pam.BoucWen()]),
-        pam.AntagonisticSlide(muscle, 5.0, feed=pam.Regulator(0.05, max_rate=4e6)),
+        pam.HangingLoad(muscle, 10.0, losses=[pam.losses.BoucWen()]),
+        pam.AntagonisticSlide(muscle, 5.0, feed=pam.feeds.Regulator(0.05, max_rate=4e6)),
         pam.SpringOverMuscle(muscle, 1.0, 1e3, 50.0),
         cart(),
     ]

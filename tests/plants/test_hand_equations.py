@@ -17,14 +17,14 @@ GAS = {"dead_volume": 3e-5, "exponent": 1.3, "temperature": 305.0, "ambient": 0.
 
 def by_valves(tube=None):
     """(feed of the library, the same by hand): unequal ways, a leak, warm air, thin air outside."""
-    feed = pam.OnOffValves(
+    feed = pam.feeds.OnOffValves(
         conductance=CHOKED,
         exhaust_conductance=1.7e-8,
         critical_ratio=0.25,
         supply=6.5e5,
         leak=2e-9,
-        tube=pam.Tube(*tube) if tube else None,
-        gas=pam.Gas(**GAS),
+        tube=pam.feeds.Tube(*tube) if tube else None,
+        gas=pam.gas.Gas(**GAS),
     )
     flow = lambda u: (u["fill"], u["vent"])  # noqa: E731
     gas = (GAS["dead_volume"], GAS["exponent"], GAS["temperature"], GAS["ambient"])
@@ -32,8 +32,8 @@ def by_valves(tube=None):
 
 
 FEEDS = {
-    "ideal": (pam.IdealPressure(), hand.ideal),
-    "regulator": (pam.Regulator(0.07), hand.Lag(0.07)),
+    "ideal": (pam.feeds.IdealPressure(), hand.ideal),
+    "regulator": (pam.feeds.Regulator(0.07), hand.Lag(0.07)),
     "valves": by_valves(),
     "tube": by_valves((1.5e-5, 8e-3)),
 }
@@ -41,15 +41,15 @@ FEEDS = {
 LOSSES = {
     "none": ((), ()),
     "coulomb": (
-        (pam.CoulombFriction(15.0, 3e-5, 0.4, 2e-3, 0.3),),
+        (pam.losses.CoulombFriction(15.0, 3e-5, 0.4, 2e-3, 0.3),),
         (hand.coulomb(15.0, 3e-5, 0.4, 2e-3, 0.3),),
     ),
     "memory": (
-        (pam.BoucWen(25.0, 0.008, 0.7, 1.5), pam.Creep((400.0,), (0.6,))),
+        (pam.losses.BoucWen(25.0, 0.008, 0.7, 1.5), pam.losses.Creep((400.0,), (0.6,))),
         (hand.bouc_wen(25.0, 0.008, 0.7, 1.5), hand.creep(400.0, 0.6)),
     ),
     "slip": (
-        (pam.MaxwellSlip((6.0, 9.0), (0.004, 0.02), 0.3),),
+        (pam.losses.MaxwellSlip((6.0, 9.0), (0.004, 0.02), 0.3),),
         (hand.maxwell((6.0, 9.0), (0.004, 0.02), 0.3),),
     ),
 }
@@ -67,19 +67,19 @@ def loads(wall):
     """Every load of the library at once, and by hand."""
     where, stiffness, damping, side = wall
     given = (
-        pam.Spring(700.0, 0.004),
-        pam.Damper(4.0),
-        pam.DryFriction(6.0, 0.05),
-        pam.Inertia(0.7),
-        pam.ExternalForce(),
-        pam.Wall(where, stiffness, damping, side),
+        pam.loads.Spring(700.0, 0.004),
+        pam.loads.Damper(4.0),
+        pam.loads.DryFriction(6.0, 0.05),
+        pam.loads.Inertia(0.7),
+        pam.loads.ExternalForce(),
+        pam.loads.Wall(where, stiffness, damping, side),
     )
     return given, hand.Loads(**SHARED, wall=wall)
 
 
 VISCOUS = {
-    "constant": (pam.ConstantDamping(23.0), hand.Viscous(23.0)),
-    "stiffness": (pam.StiffnessDamping(0.15), hand.Viscous(ratio=0.15)),
+    "constant": (pam.losses.ConstantDamping(23.0), hand.Viscous(23.0)),
+    "stiffness": (pam.losses.StiffnessDamping(0.15), hand.Viscous(ratio=0.15)),
 }
 
 ARMS = (  # s and r = s': unequal, neither even nor constant
@@ -270,7 +270,7 @@ def test_a_load_fed_back_from_its_position_moves_as_its_equations_say():
         derivative_gain=3e5,
         lag=0.12,
         max_pressure=5e5,
-        damping=pam.ConstantDamping(30.0),
+        damping=pam.losses.ConstantDamping(30.0),
     )
     feed = hand.Regulated(2e6, 3e5, 0.12, 5e5)
     equations = hand.Hanging(15.0, hand.Viscous(30.0), one(LONG, feed, ()))
@@ -295,7 +295,9 @@ def test_a_load_fed_back_from_its_position_moves_as_its_equations_say():
 
 
 def test_a_fully_open_spool_is_an_open_valve():
-    feed = pam.SpoolValve(conductance=CHOKED, exhaust_conductance=1.7e-8, gas=pam.Gas(**GAS))
+    feed = pam.feeds.SpoolValve(
+        conductance=CHOKED, exhaust_conductance=1.7e-8, gas=pam.gas.Gas(**GAS)
+    )
     plant = pam.HangingLoad(bought(LONG), 12.0, feed=feed)
     rates = [v.name for v in plant.states].index("muscle.pressure")
     for command, fill, vent in ((1.0, 1.0, 0.0), (-1.0, 0.0, 1.0)):
@@ -327,7 +329,7 @@ def test_the_stroke_of_a_pair_ends_where_the_first_muscle_leaves_its_range():
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_wall_pushes_back_but_never_holds(side):
     """Deep in the wall, leaving it ever quicker: its force falls to nothing, never below."""
-    wall = pam.Wall(0.05, 4e4, 300.0, side)
+    wall = pam.loads.Wall(0.05, 4e4, 300.0, side)
     plant, bare = (pam.HangingLoad(bought(LONG), 12.0, loads=some) for some in ((wall,), ()))
 
     def pushed(v):
@@ -347,7 +349,7 @@ def test_a_wall_pushes_back_but_never_holds(side):
 def test_the_stops_of_a_joint_stand_at_its_limits(theta, omega):
     """2000 N m/rad and 5 N m s/rad beyond -0.4 and 0.5 rad."""
     held, free = (
-        pam.AntagonisticJoint(bought(LONG), 0.06, limits=limits, feed=pam.IdealPressure())
+        pam.AntagonisticJoint(bought(LONG), 0.06, limits=limits, feed=pam.feeds.IdealPressure())
         for limits in ((-0.4, 0.5), None)
     )
     torque = [
@@ -365,7 +367,7 @@ def test_the_stops_of_a_joint_stand_at_its_limits(theta, omega):
 def test_allocation_of_unequal_muscles_and_arms(name):
     """Random taut pressures come back from the effort and the stiffness written out by hand."""
     plant, equations = BUILT[name](*FEEDS["ideal"], *LOSSES["none"], *VISCOUS["constant"])
-    pair, rng, found = pam.Allocation(plant), np.random.default_rng(8), 0
+    pair, rng, found = pam.operating.Allocation(plant), np.random.default_rng(8), 0
     position = "x" if name == "slide" else "theta"
     for _ in range(200):
         at, p = rng.uniform(-0.01, 0.01), rng.uniform(1e5, 5.5e5, 2)

@@ -15,14 +15,14 @@ from pam_ocp.muscles.catalogue import muscle
 from pam_ocp.muscles.law import coefficient
 from pam_ocp.muscles.laws.user_defined import own_law
 from pam_ocp.muscles.pneumatic_muscle import Muscle
-from pam_ocp.plants.feeds import IdealPressure, attach
-from pam_ocp.plants.hanging import HangingLoad
 from pam_ocp.plants.damping import (
     ConstantDamping,
     CoulombFriction,
     DirectionalDamping,
     StiffnessDamping,
 )
+from pam_ocp.plants.feeds import IdealPressure, attach
+from pam_ocp.plants.hanging import HangingLoad
 from pam_ocp.plants.memory import BoucWen, Creep, MaxwellSlip
 from pam_ocp.plants.plant import Plant
 from pam_ocp.plants.slide import AntagonisticSlide

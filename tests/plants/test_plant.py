@@ -109,7 +109,7 @@ def test_a_slide_that_cannot_be_is_refused(arguments, message):
 
 def test_a_regulator_needs_a_positive_lag():
     with pytest.raises(InputError, match=r"Regulator\.lag = 0 s must be > 0"):
-        pam.Regulator(0.0)
+        pam.feeds.Regulator(0.0)
 
 
 def by_hand(p, kappa):
@@ -287,7 +287,9 @@ def test_a_plant_travels_with_values_names_and_mirror(slide):
 # ---- meters -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("feed", [pam.IdealPressure(totals=True), pam.Regulator(0.07, totals=True)])
+@pytest.mark.parametrize(
+    "feed", [pam.feeds.IdealPressure(totals=True), pam.feeds.Regulator(0.07, totals=True)]
+)
 def test_power_work_and_pneumatic_work_are_integrals_of_force_and_pressure(feed, long_muscle):
     """F v of the muscle; p dV with dV/dt = (dF/dp) v, for F = G p + H."""
     from dataclasses import replace
@@ -325,8 +327,8 @@ def test_power_work_and_pneumatic_work_are_integrals_of_force_and_pressure(feed,
 
 def test_a_valves_totals_are_the_air_drawn_and_its_exergy(long_muscle):
     """Exergy of compressed air per mass: R T ln(p / ambient)."""
-    gas = pam.Gas(temperature=305.0, ambient=0.95e5)
-    feed = pam.OnOffValves(conductance=3e-8, supply=6.5e5, gas=gas, totals=True)
+    gas = pam.gas.Gas(temperature=305.0, ambient=0.95e5)
+    feed = pam.feeds.OnOffValves(conductance=3e-8, supply=6.5e5, gas=gas, totals=True)
     plant = pam.HangingLoad(long_muscle, mass=15.0, feed=feed)
     values = {"x": 0.05, "muscle.pressure": 2e5, "muscle.air_drawn": 2e-3, "muscle.work": 40.0}
     x = [values.get(v.name, 0.0) for v in plant.states]
@@ -342,7 +344,7 @@ def test_a_valves_totals_are_the_air_drawn_and_its_exergy(long_muscle):
     assert out["muscle.efficiency"] == pytest.approx(40.0 / (2e-3 * specific), rel=1e-6)
 
 
-@pytest.mark.parametrize("cls", [pam.IdealPressure, pam.Regulator])
+@pytest.mark.parametrize("cls", [pam.feeds.IdealPressure, pam.feeds.Regulator])
 def test_without_totals_there_are_no_sums(cls, long_muscle):
     plant = pam.HangingLoad(long_muscle, mass=15.0, feed=cls())
     names = {v.name for v in plant.variables}

@@ -49,7 +49,7 @@ def work_of_the_law(p, kappa, length):
     )
 
 
-UNDAMPED = {"damping": pam.ConstantDamping(0.0), "feed": pam.IdealPressure()}
+UNDAMPED = {"damping": pam.losses.ConstantDamping(0.0), "feed": pam.feeds.IdealPressure()}
 
 
 @pytest.mark.slow
@@ -169,10 +169,10 @@ def test_a_stiff_tendon_hangs_the_load_where_the_muscle_alone_would():
 
 def test_loads_add_their_forces():
     loads = (
-        pam.Spring(200.0, 0.01),
-        pam.Damper(3.0),
-        pam.Inertia(1.5),
-        pam.ExternalForce(start=7.0),
+        pam.loads.Spring(200.0, 0.01),
+        pam.loads.Damper(3.0),
+        pam.loads.Inertia(1.5),
+        pam.loads.ExternalForce(start=7.0),
     )
     bare, loaded = pam.SpringOverMuscle(MUSCLE, 2.0), pam.SpringOverMuscle(MUSCLE, 2.0, loads=loads)
     x = [0.05, 0.4, 3 * BAR]
@@ -182,8 +182,8 @@ def test_loads_add_their_forces():
 
 
 def test_a_wall_stops_the_load_and_takes_energy_never_pulling():
-    wall = pam.Wall(0.07, stiffness=1e5, damping=100.0)
-    plant = pam.SpringOverMuscle(MUSCLE, 2.0, loads=(wall,), feed=pam.IdealPressure())
+    wall = pam.loads.Wall(0.07, stiffness=1e5, damping=100.0)
+    plant = pam.SpringOverMuscle(MUSCLE, 2.0, loads=(wall,), feed=pam.feeds.IdealPressure())
     motion = pam.simulate(
         plant, {"muscle.pressure": 6 * BAR}, t=np.linspace(0, 0.5, 501), events=["wall.gap"]
     )
@@ -194,7 +194,7 @@ def test_a_wall_stops_the_load_and_takes_energy_never_pulling():
     assert motion["x"].max() - 0.07 < into * np.sqrt(2.0 / 1e5) + motion["muscle.force"].max() / 1e5
     assert 0 < -out < into
     free = motion["wall.gap"] > 1e-4
-    other = pam.SpringOverMuscle(MUSCLE, 2.0, feed=pam.IdealPressure())
+    other = pam.SpringOverMuscle(MUSCLE, 2.0, feed=pam.feeds.IdealPressure())
     for i in np.flatnonzero(free)[::25]:
         state = [motion["x"][i], motion["v"][i]]
         a, b = (
@@ -232,8 +232,8 @@ def test_the_weight_on_an_incline_is_its_component():
         (lambda: pam.SpringOverMuscle(MUSCLE, spring_stiffness=0.0), "spring_stiffness = 0 N/m"),
         (lambda: pam.SeriesLoad(MUSCLE, fitting_mass=-1.0), "fitting_mass = -1 kg"),
         (lambda: pam.SpringOverMuscle(MUSCLE, loads=(3.0,)), "give components, such as Spring"),
-        (lambda: pam.Wall(0.1, side=2), r"Wall\.side = 2"),
-        (lambda: pam.Spring(-1.0), r"Spring\.stiffness = -1 must be >= 0"),
+        (lambda: pam.loads.Wall(0.1, side=2), r"Wall\.side = 2"),
+        (lambda: pam.loads.Spring(-1.0), r"Spring\.stiffness = -1 must be >= 0"),
     ],
 )
 def test_what_cannot_be_built_is_refused(build, message):
@@ -257,7 +257,9 @@ def test_a_muscle_measured_away_from_rest_length_starts_where_it_was_measured():
 def test_a_joint_has_no_link_unless_one_is_given():
     """Equal pressures balance at the middle; aside, both muscles pull back and nothing else."""
     muscle = pam.muscle("DMSP-20-400N")
-    joint = pam.AntagonisticJoint(muscle, 0.05, 0.04, 0.125, damping=0.0, feed=pam.IdealPressure())
+    joint = pam.AntagonisticJoint(
+        muscle, 0.05, 0.04, 0.125, damping=0.0, feed=pam.feeds.IdealPressure()
+    )
     values, angle = {v.name: 0.0 for v in joint.states}, 0.2
     values["theta"] = angle
     x, u = list(values.values()), [4e5, 4e5]
@@ -280,8 +282,13 @@ def test_a_joint_has_no_link_unless_one_is_given():
     ],
 )
 def test_what_is_moved_may_change_during_a_simulation_and_the_muscle_may_not(build, own):
-    loads = [pam.Spring(1.0), pam.Damper(1.0), pam.DryFriction(1.0), pam.Inertia(1.0)]
-    plant = build(pam.muscle("DMSP-20-400N"), loads=[*loads, pam.Wall(0.05)])
+    loads = [
+        pam.loads.Spring(1.0),
+        pam.loads.Damper(1.0),
+        pam.loads.DryFriction(1.0),
+        pam.loads.Inertia(1.0),
+    ]
+    plant = build(pam.muscle("DMSP-20-400N"), loads=[*loads, pam.loads.Wall(0.05)])
     of_loads = "spring.stiffness spring.rest damper.coefficient friction.coulomb load_inertia"
     assert {v.name for v in plant.parameters if v.tunable} == {
         *own,
@@ -299,7 +306,7 @@ def test_what_is_moved_may_change_during_a_simulation_and_the_muscle_may_not(bui
     ],
 )
 def test_loads_are_measured_along_the_way_or_round_the_joint(build, stiffness, coulomb, gap):
-    loads = [pam.Spring(1.0), pam.DryFriction(1.0), pam.Wall(0.05)]
+    loads = [pam.loads.Spring(1.0), pam.loads.DryFriction(1.0), pam.loads.Wall(0.05)]
     plant = build(pam.muscle("DMSP-20-400N"), loads=loads)
     units = [plant.variable(n).unit for n in ("spring.stiffness", "friction.coulomb", "wall.gap")]
     assert units == [stiffness, coulomb, gap]

@@ -9,8 +9,8 @@ from pam_ocp import InputError
 
 NAN = math.nan
 TOO_SMALL = {  # the least value that is refused, at the edge
-    pam.Tube: {"volume": 0.0, "lag": 0.0},
-    pam.SpoolValve: {
+    pam.feeds.Tube: {"volume": 0.0, "lag": 0.0},
+    pam.feeds.SpoolValve: {
         "conductance": 0.0,
         "exhaust_conductance": 0.0,
         "max_pressure": 0.0,
@@ -19,41 +19,41 @@ TOO_SMALL = {  # the least value that is refused, at the edge
         "critical_ratio": -0.01,
         "overlap": -0.01,
     },
-    pam.OnOffValves: {"conductance": 0.0, "leak": -1e-12},
-    pam.Regulator: {"lag": 0.0, "max_pressure": 0.0, "max_rate": 0.0},
-    pam.ConstantDamping: {"value": -0.01},
-    pam.StiffnessDamping: {"ratio": -0.01},
-    pam.CoulombFriction: {
+    pam.feeds.OnOffValves: {"conductance": 0.0, "leak": -1e-12},
+    pam.feeds.Regulator: {"lag": 0.0, "max_pressure": 0.0, "max_rate": 0.0},
+    pam.losses.ConstantDamping: {"value": -0.01},
+    pam.losses.StiffnessDamping: {"ratio": -0.01},
+    pam.losses.CoulombFriction: {
         "constant": -1.0,
         "per_pressure": -1e-6,
         "excess": -0.1,
         "speed": 0.0,
         "stribeck_speed": 0.0,
     },
-    pam.BoucWen: {"friction": -1.0, "yield_contraction": 0.0, "beta": 0.49, "order": 0.99},
-    pam.MaxwellSlip: {"friction": (-1.0,), "yield_contraction": (0.0,), "edge": 0.0},
-    pam.Creep: {"stiffness": (-1.0,), "time": (0.0,)},
-    pam.Spring: {"stiffness": -1.0},
-    pam.Damper: {"coefficient": -1.0},
-    pam.DryFriction: {"coulomb": -1.0, "speed": 0.0},
-    pam.Inertia: {"value": -0.1},
-    pam.Wall: {"stiffness": 0.0, "damping": -1.0, "width": 0.0, "side": 0},
+    pam.losses.BoucWen: {"friction": -1.0, "yield_contraction": 0.0, "beta": 0.49, "order": 0.99},
+    pam.losses.MaxwellSlip: {"friction": (-1.0,), "yield_contraction": (0.0,), "edge": 0.0},
+    pam.losses.Creep: {"stiffness": (-1.0,), "time": (0.0,)},
+    pam.loads.Spring: {"stiffness": -1.0},
+    pam.loads.Damper: {"coefficient": -1.0},
+    pam.loads.DryFriction: {"coulomb": -1.0, "speed": 0.0},
+    pam.loads.Inertia: {"value": -0.1},
+    pam.loads.Wall: {"stiffness": 0.0, "damping": -1.0, "width": 0.0, "side": 0},
 }
 TOO_LARGE = {
-    pam.SpoolValve: {"critical_ratio": 1.0, "overlap": 0.5},
-    pam.BoucWen: {"beta": 1.01},
-    pam.MaxwellSlip: {"edge": 1.01},
+    pam.feeds.SpoolValve: {"critical_ratio": 1.0, "overlap": 0.5},
+    pam.losses.BoucWen: {"beta": 1.01},
+    pam.losses.MaxwellSlip: {"edge": 1.01},
 }
 GIVEN = {
-    pam.Tube: {"volume": 1e-5, "lag": 1e-2},
-    pam.ConstantDamping: {"value": 1.0},
-    pam.MaxwellSlip: {"friction": (1.0,), "yield_contraction": (0.01,)},
-    pam.Creep: {"stiffness": (1.0,), "time": (1.0,)},
-    pam.Spring: {"stiffness": 1.0},
-    pam.Damper: {"coefficient": 1.0},
-    pam.DryFriction: {"coulomb": 1.0},
-    pam.Inertia: {"value": 1.0},
-    pam.Wall: {"position": 0.1},
+    pam.feeds.Tube: {"volume": 1e-5, "lag": 1e-2},
+    pam.losses.ConstantDamping: {"value": 1.0},
+    pam.losses.MaxwellSlip: {"friction": (1.0,), "yield_contraction": (0.01,)},
+    pam.losses.Creep: {"stiffness": (1.0,), "time": (1.0,)},
+    pam.loads.Spring: {"stiffness": 1.0},
+    pam.loads.Damper: {"coefficient": 1.0},
+    pam.loads.DryFriction: {"coulomb": 1.0},
+    pam.loads.Inertia: {"value": 1.0},
+    pam.loads.Wall: {"position": 0.1},
 }
 CASES = [
     (kind, argument, value)

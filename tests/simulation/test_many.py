@@ -14,7 +14,7 @@ COMMON = {"inputs": {"muscle.command": 4 * BAR}, "duration": 0.2}
 
 def test_a_sweep_is_the_single_simulations(hanging):
     many = pam.simulate_many(
-        hanging, pam.sweep(mass=[10.0, 20.0], muscle_lag=[0.05, 0.1]), **COMMON
+        hanging, pam.simulation.sweep(mass=[10.0, 20.0], muscle_lag=[0.05, 0.1]), **COMMON
     )
     assert [c["parameters"] for c in many.cases][2] == {"mass": 20.0, "muscle_lag": 0.05}
     for i, case in enumerate(many.cases):
@@ -24,7 +24,10 @@ def test_a_sweep_is_the_single_simulations(hanging):
 
 @pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
 def test_an_executor_gives_the_same_results_and_a_failing_case_is_reported(hanging, pool):
-    cases = [*pam.sweep(mass=list(np.linspace(5, 50, 9))), {"parameters": {"mass": -1.0}}]
+    cases = [
+        *pam.simulation.sweep(mass=list(np.linspace(5, 50, 9))),
+        {"parameters": {"mass": -1.0}},
+    ]
     seen = []
     with pool(2) as executor:
         many = pam.simulate_many(
@@ -63,7 +66,7 @@ def test_a_pickled_plant_moves_as_before(slide):
 
 def test_draws_have_the_covariance_asked_for():
     covariance = np.array([[4.0, 1e-6], [1e-6, 1e-12]])
-    cases = pam.draws({"a": 1.0, "b": 2e-6}, covariance, 20000, prefix="m.", seed=3)
+    cases = pam.simulation.draws({"a": 1.0, "b": 2e-6}, covariance, 20000, prefix="m.", seed=3)
     samples = np.array([list(c["parameters"].values()) for c in cases])
     assert list(cases[0]["parameters"]) == ["m.a", "m.b"]
     assert samples.mean(axis=0) == pytest.approx([1.0, 2e-6], abs=0.05, rel=0.02)
@@ -86,7 +89,7 @@ def test_a_dask_cluster_serves_as_executor(hanging):
     ):
         many = pam.simulate_many(
             hanging,
-            pam.sweep(mass=[10.0, 20.0, 30.0]),
+            pam.simulation.sweep(mass=[10.0, 20.0, 30.0]),
             executor=client.get_executor(),
             chunk=1,
             **COMMON,

@@ -50,7 +50,7 @@ def test_without_damping_energy_is_conserved():
     """E = m v^2/2 - integral of (F - m g) dx stays, with constant pressure and c = 0."""
     muscle = pam.muscle("DMSP-20-400N")
     plant = pam.HangingLoad(
-        muscle, 20.0, damping=pam.ConstantDamping(0.0), feed=pam.IdealPressure()
+        muscle, 20.0, damping=pam.losses.ConstantDamping(0.0), feed=pam.feeds.IdealPressure()
     )
     motion = pam.simulate(
         plant,
@@ -149,7 +149,7 @@ def test_slack_begins_and_ends_where_scipy_finds_it():
 
     muscle = replace(pam.muscle("DMSP-20-400N"), slack_width=1e-5)
     plant = pam.HangingLoad(
-        muscle, 20.0, damping=pam.ConstantDamping(0.0), feed=pam.IdealPressure()
+        muscle, 20.0, damping=pam.losses.ConstantDamping(0.0), feed=pam.feeds.IdealPressure()
     )
     t = np.linspace(0.0, 0.4, 81)
     start = {"x": 0.06, "v": 0.8}

@@ -11,7 +11,7 @@ MUSCLE = pam.muscle("DMSP-20-400N")
 
 
 def test_the_study_holds_what_the_reference_says_and_what_simulation_shows(tmp_path):
-    study = pam.load_study(MUSCLE, [20.0], [2 * BAR, 4 * BAR], feed=pam.Regulator(1e-3))
+    study = pam.load_study(MUSCLE, [20.0], [2 * BAR, 4 * BAR], feed=pam.feeds.Regulator(1e-3))
     low, high = study.cases
     assert (low.position * 1e3, high.position * 1e3) == pytest.approx((34.6, 80.8), abs=0.05)
     assert (low.frequency, high.frequency) == pytest.approx((2.74, 3.43), abs=0.005)

@@ -20,10 +20,10 @@ LOW = {"x": 0.04, "muscle.reference": 0.04}
 HIGH = {"x": 0.0808, "muscle.reference": 0.0808}
 
 
-def load(damping: pam.ConstantDamping | pam.StiffnessDamping) -> pam.Plant:
+def load(damping: pam.losses.ConstantDamping | pam.losses.StiffnessDamping) -> pam.Plant:
     """20 kg on the DMSP-20-400N at constant pressure."""
     return pam.HangingLoad(
-        pam.muscle("DMSP-20-400N"), mass=20.0, damping=damping, feed=pam.IdealPressure()
+        pam.muscle("DMSP-20-400N"), mass=20.0, damping=damping, feed=pam.feeds.IdealPressure()
     )
 
 
@@ -99,7 +99,7 @@ def period_integral(force, offset: float) -> float:
 @pytest.mark.filterwarnings("ignore::pam_ocp.muscles.validity.ValidityWarning")
 def test_free_vibration_has_the_frequency_of_the_period_integral(clamp, offset, reference):
     muscle = pam.muscle("DMSP-20-400N")
-    plant = load(pam.ConstantDamping(0.0)) if clamp else unclamped()
+    plant = load(pam.losses.ConstantDamping(0.0)) if clamp else unclamped()
     motion = vibration.free_vibration(plant, FOUR_BAR, offset, cycles=6)
     if reference is not None:  # REFERENCE: let go above the rest position
         digits = 2 if reference == 3.26 else 3
@@ -110,15 +110,17 @@ def test_free_vibration_has_the_frequency_of_the_period_integral(clamp, offset, 
 
 
 def test_small_damped_vibration_decays_as_the_linear_oscillator():
-    motion = vibration.free_vibration(load(pam.StiffnessDamping(0.1)), FOUR_BAR, 1e-4, cycles=8)
-    ((natural, ratio),) = pam.modes(motion.point.plant.linearize(motion.point))
+    motion = vibration.free_vibration(
+        load(pam.losses.StiffnessDamping(0.1)), FOUR_BAR, 1e-4, cycles=8
+    )
+    ((natural, ratio),) = pam.operating.modes(motion.point.plant.linearize(motion.point))
     assert motion.damping_ratio == pytest.approx(ratio, rel=1e-4)
     assert motion.frequency == pytest.approx(natural * np.sqrt(1 - ratio**2), rel=1e-6)
     assert motion.rest * 1e3 == pytest.approx(80.8, abs=0.05)
 
 
 def test_frequency_falls_with_amplitude_once_the_muscle_goes_slack():
-    plant = load(pam.ConstantDamping(0.0))
+    plant = load(pam.losses.ConstantDamping(0.0))
     curve = vibration.backbone(plant, FOUR_BAR, [0.002, 0.015, 0.025, 0.030])
     assert curve.frequencies[1] > curve.frequencies[0]  # taut: slightly stiffening
     assert np.all(np.diff(curve.frequencies[1:]) < -0.05)
@@ -127,16 +129,16 @@ def test_frequency_falls_with_amplitude_once_the_muscle_goes_slack():
 
 def test_without_oscillation_there_is_nothing_to_measure():
     with pytest.raises(VibrationError, match="does not oscillate about this point"):
-        vibration.free_vibration(load(pam.ConstantDamping(5e3)), FOUR_BAR, 0.01)
+        vibration.free_vibration(load(pam.losses.ConstantDamping(5e3)), FOUR_BAR, 0.01)
     with pytest.raises(InputError, match="offset = 0"):
-        vibration.free_vibration(load(pam.ConstantDamping(0.0)), FOUR_BAR, 0.0)
+        vibration.free_vibration(load(pam.losses.ConstantDamping(0.0)), FOUR_BAR, 0.0)
 
 
 # ---- energy: no self-excited vibration at constant pressure ----------------------------------
 
 
 def test_energy_falls_along_every_motion_at_constant_pressure():
-    plant = load(pam.StiffnessDamping(0.1))
+    plant = load(pam.losses.StiffnessDamping(0.1))
     for start in (0.03, -0.06):  # slack at the top; overstretched at no time
         motion = vibration.free_vibration(plant, FOUR_BAR, start, cycles=5).trajectory
         found = vibration.energy(plant, motion)
@@ -149,7 +151,7 @@ def test_energy_falls_along_every_motion_at_constant_pressure():
 
 def test_energy_is_the_one_of_the_reference():
     """E = m v^2/2 + m g x - int F dx, the integral by SciPy; its slope is the rate."""
-    plant = load(pam.ConstantDamping(30.0))
+    plant = load(pam.losses.ConstantDamping(30.0))
     motion = vibration.free_vibration(plant, FOUR_BAR, 0.03, cycles=2, samples=200).trajectory
     found = vibration.energy(plant, motion)
     muscle, x, v = pam.muscle("DMSP-20-400N"), motion["x"], motion["v"]
@@ -164,7 +166,7 @@ def test_energy_is_the_one_of_the_reference():
 
 
 def test_undamped_energy_is_conserved():
-    plant = load(pam.ConstantDamping(0.0))
+    plant = load(pam.losses.ConstantDamping(0.0))
     motion = vibration.free_vibration(plant, FOUR_BAR, 0.03, cycles=20)
     found = vibration.energy(plant, motion.trajectory)
     assert np.ptp(found.total) < 1e-8 * found.kinetic.max()
@@ -234,9 +236,9 @@ def test_beside_the_border_simulations_decay_and_grow():
 
 
 def test_a_path_of_rest_finds_the_equilibria_of_each_pressure():
-    """The input itself varies; every point agrees with pam_ocp.operating.resting_point."""
+    """The input itself varies; every point agrees with pam_ocp.equilibrium."""
     path = vibration.stability_path(
-        load(pam.StiffnessDamping(0.1)), "muscle.pressure", np.array([2, 4, 6]) * BAR
+        load(pam.losses.StiffnessDamping(0.1)), "muscle.pressure", np.array([2, 4, 6]) * BAR
     )
     assert path.column("x") * 1e3 == pytest.approx([34.6, 80.8, 97.3], abs=0.05)  # REFERENCE
     frequency = np.abs(path.eigenvalues).max(axis=1) / (2 * np.pi)
@@ -375,7 +377,7 @@ def test_a_bracket_without_a_crossing_is_said_to_have_none():
 
 def test_a_path_says_where_it_ends():
     with pytest.raises(EquilibriumError, match=r"the path ends at mass = 200 kg"):
-        vibration.stability_path(load(pam.ConstantDamping(9.0)), "mass", [20, 200], FOUR_BAR)
+        vibration.stability_path(load(pam.losses.ConstantDamping(9.0)), "mass", [20, 200], FOUR_BAR)
 
 
 def test_a_guess_that_has_come_to_rest_is_refused():
@@ -408,7 +410,9 @@ def test_pictures_are_drawn_with_named_axes():
     cycle, _ = low_cycle()
     labels = [ax.get_ylabel() for ax in cycle.plot_phase().axes]
     assert labels == ["v [m/s]"]
-    motion = vibration.free_vibration(load(pam.StiffnessDamping(0.1)), FOUR_BAR, 0.01, cycles=4)
+    motion = vibration.free_vibration(
+        load(pam.losses.StiffnessDamping(0.1)), FOUR_BAR, 0.01, cycles=4
+    )
     for figure in (
         motion.plot_envelope(),
         motion.plot_phase(),

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_positive
-from ...operating.resting_point import OperatingPoint
 from ...operating.linear import inside, linearize
+from ...operating.resting_point import OperatingPoint
 from ...operating.stuck import Stuck
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values, require_plant

@@ -1,1 +1,5 @@
 """What to measure next."""
+
+from ...core.lazy import from_stub
+
+__getattr__, __dir__, __all__ = from_stub(__name__, __file__)

@@ -80,7 +80,8 @@ def robust_plan(
     stops, arguments : as for :func:`pam_ocp.plan`. Objectives, budgets and tracking see the nominal
         plant. ``cyclic="mirrored"`` is refused: unequal muscles have no mirror image.
     draws : a function (count, seed) that gives so many draws {parameter: value}, or cases of
-        :func:`pam_ocp.draws`, all of the same parameters; or a list of them, which are then all
+        :func:`pam_ocp.simulation.draws`, all of the same parameters; or a list of them, which are
+        then all
         planned
         for. spread : {variable: largest deviation from the nominal plant} at every stop, in SI; or
         a list with one of these, or None, per stop.

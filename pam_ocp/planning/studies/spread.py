@@ -30,7 +30,7 @@ ITERATIONS = 30
 
 
 def drawn(plant: Plant, draws: Sequence[Mapping[str, Any]]) -> tuple[dict[str, float], ...]:
-    """Draws {parameter: value}, or cases of :func:`pam_ocp.draws`, checked."""
+    """Draws {parameter: value}, or cases of :func:`pam_ocp.simulation.draws`, checked."""
     found = []
     for draw in draws:
         values = draw.get("parameters", draw)

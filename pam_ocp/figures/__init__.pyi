@@ -1,0 +1,3 @@
+# Names of pam_ocp.figures, loaded at their first use.
+from .film import animate_plan as animate_plan
+from .plan import plot_costates as plot_costates

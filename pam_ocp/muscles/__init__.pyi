@@ -1,0 +1,9 @@
+# Names of pam_ocp.muscles, loaded at their first use.
+from . import gas as gas
+from . import laws as laws
+from .catalogue import muscle as muscle
+from .catalogue import muscle_names as muscle_names
+from .muscle_file import load_muscle as load_muscle
+from .muscle_file import save_muscle as save_muscle
+from .pneumatic_muscle import Muscle as Muscle
+from .validity import ValidityWarning as ValidityWarning

@@ -1,0 +1,20 @@
+# Names of pam_ocp.planning, loaded at their first use.
+from .planner import Planner as Planner
+from .planner import plan as plan
+from .problem.problem import TIME as TIME
+from .problem.problem_file import load_problem as load_problem
+from .problem.profile import Profile as Profile
+from .problem.wording import Avoid as Avoid
+from .problem.wording import Constraint as Constraint
+from .problem.wording import Phase as Phase
+from .problem.wording import Stop as Stop
+from .result import Plan as Plan
+from .saved_plan import load_plan as load_plan
+from .studies.front import Pareto as Pareto
+from .studies.front import pareto as pareto
+from .studies.robust import robust_plan as robust_plan
+from .studies.robust_result import RobustPlan as RobustPlan
+from .studies.spread import Spread as Spread
+from .transcription.mesh import Collocation as Collocation
+from .transcription.mesh import Shooting as Shooting
+from .verdict import Verdict as Verdict

@@ -1,0 +1,13 @@
+# Names of pam_ocp.plants, loaded at their first use.
+from . import feeds as feeds
+from . import loads as loads
+from . import losses as losses
+from .elastic import SeriesLoad as SeriesLoad
+from .elastic import SpringOverMuscle as SpringOverMuscle
+from .hanging import HangingLoad as HangingLoad
+from .inversion import Inversion as Inversion
+from .joint import AntagonisticJoint as AntagonisticJoint
+from .plant import Plant as Plant
+from .regulated import PositionFeedback as PositionFeedback
+from .regulated import RegulatedLoad as RegulatedLoad
+from .slide import AntagonisticSlide as AntagonisticSlide

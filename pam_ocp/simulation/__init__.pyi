@@ -1,0 +1,10 @@
+# Names of pam_ocp.simulation, loaded at their first use.
+from .compare import RecordComparison as RecordComparison
+from .compare import compare_with_record as compare_with_record
+from .many import ManySimulations as ManySimulations
+from .many import draws as draws
+from .many import simulate_many as simulate_many
+from .many import sweep as sweep
+from .simulator import simulate as simulate
+from .work import StrokeWork as StrokeWork
+from .work import stroke_work as stroke_work

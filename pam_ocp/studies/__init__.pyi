@@ -1,0 +1,3 @@
+# Names of pam_ocp.studies, loaded at their first use.
+from .loads import LoadStudy as LoadStudy
+from .loads import load_study as load_study
