@@ -46,6 +46,7 @@ _MOVED: dict[str, str] = {
     "InverseDynamics": "control",
     "Inversion": "plants",
     "JointForceFit": "fitting",
+    "LAWS": "laws",
     "LackOfFit": "fitting",
     "LawComparison": "fitting",
     "LengthScaledLaw": "laws",

@@ -1,5 +1,4 @@
-"""Losses of muscles: damping, friction, hysteresis, creep. Each is defined in a file of its kind.
-"""
+"""Losses of muscles: damping, friction, hysteresis, creep. Each is defined in a file of its kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
 # Names of pam_ocp.muscles.laws, loaded at their first use.
+from ..law import LAWS as LAWS
 from ..law import ForceLaw as ForceLaw
 from ..law import SixParameterLaw as SixParameterLaw
 from ..law import coefficient as coefficient
