@@ -1,4 +1,4 @@
-"""Losses of muscles: damping, friction, hysteresis, creep. Each is defined in a file of its kind."""
+"""Losses of muscles: damping, friction, hysteresis, creep, each defined in a file of its kind."""
 
 from __future__ import annotations
 

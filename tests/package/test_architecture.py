@@ -200,7 +200,7 @@ def test_a_stub_names_what_its_package_loads_and_where_each_is_defined(folder):
             assert all(alias.asname == alias.name for alias in node.names)
             for alias in node.names:
                 value = getattr(package, alias.name)
-                home = getattr(value, "__module__", None)
+                home = getattr(value, "__module__", None) if callable(value) else None
                 stands = importlib.util.resolve_name(
                     "." * node.level + (node.module or ""), package.__name__
                 )
