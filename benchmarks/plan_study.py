@@ -218,8 +218,8 @@ def conflict_is_true(error):
     program = replace(program, rows=rows)
     guess = failed._solved.outcome.w
     ipopt = Ipopt(program)
-    conflicts, feasible = elastic(program, guess, None)
-    return not conflicts or ipopt(program, feasible).success
+    end = elastic(program, guess, None)
+    return end.feasible or ipopt(program, end.w).success
 
 
 def main(count=100, seed=1):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..problem.problem import Budget, Condition
 from ..transcription.transcription import Program
 from .interrupt import watched_call
-from .solver import DEFAULTS, PATIENCE, Outcome, limit
+from .solver import DEFAULTS, Outcome, limit
 
 __all__ = ["Conflict", "Elastic", "elastic", "explanation"]
 
@@ -21,6 +21,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 NOTABLE = 1e-6
 """Violations below this part of nominal are rounding."""
+ENOUGH = 4.0
+"""Times the limit of a first solve: for a re-solve that has to converge to say anything."""
 NAMED = 3
 """How many constraints a message names."""
 
@@ -83,7 +85,7 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
         "g": g + ca.mtimes(pick, below - above),
     }
     ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": 1000}
-    ipopt["max_cpu_time"] = PATIENCE * limit(program)
+    ipopt["max_cpu_time"] = ENOUGH * limit(program)
     ipopt.update(options or {})
     zero = np.zeros(2 * len(chosen))
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()
