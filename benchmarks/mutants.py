@@ -197,7 +197,7 @@ REPORTED = [  # those that survived once
 MUSCLE = [
     Mutant(
         "exponent of the six-parameter law",
-        "pam_ocp/muscles/laws/empirical.py",
+        "pam_ocp/muscles/law.py",
         "(self.a1 * p + self.a2) * ca.exp(self.a3 * kappa)\n",
         "(self.a1 * p + self.a2) * ca.exp(-self.a3 * kappa)\n",
         "tests/muscles/test_force.py",

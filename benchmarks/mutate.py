@@ -28,7 +28,7 @@ from mutation.python_faults import alters, python_faults
 from mutation.scratch import Answer, Scratch
 
 C_TESTS = {
-    "fmu/step.c": "simulation refused log robust solver state doors motion check derivatives interface",
+    "fmu/step.c": "simulation refused log robust solver state doors motion derivatives interface",
     "fmu/solver.c": "solver simulation robust log state",
     "fmu/values.c": "interface doors refused robust simulation log derivatives check",
     "fmu/state.c": "state robust doors simulation interface",
