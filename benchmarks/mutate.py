@@ -28,9 +28,9 @@ from mutation.python_faults import alters, python_faults
 from mutation.scratch import Answer, Scratch
 
 C_TESTS = {
-    "fmu/step.c": "simulation log robust solver state doors motion check derivatives interface",
+    "fmu/step.c": "simulation refused log robust solver state doors motion derivatives interface",
     "fmu/solver.c": "solver simulation robust log state",
-    "fmu/values.c": "interface doors robust simulation log derivatives check",
+    "fmu/values.c": "interface doors refused robust simulation log derivatives check",
     "fmu/state.c": "state robust doors simulation interface",
 }
 """Tests of each file of the C runtime, the likeliest first: no coverage is known of them."""

@@ -128,6 +128,31 @@ def test_a_step_that_fails_is_discarded_and_changes_nothing(tmp_path: Path) -> N
             assert runner.get(["x"])[0] == pytest.approx(4.0, rel=1e-6)
 
 
+def test_a_step_that_fails_changes_nothing_though_the_importer_has_looked_on(
+    tmp_path: Path,
+) -> None:
+    plant = pam.Plant("blow_up")
+    x = plant.state("x", start=1.0)
+    plant.der(x, x**2)  # x = 1/(1 - t)
+    path = export_fmu(plant, tmp_path / "3.fmu", fmi="3.0", platforms="native")
+    fmu, seen = UnpackedFmu(path, tmp_path / "3"), []
+    with Runner(fmu, "CoSimulation") as runner:
+
+        def update(environment: Any, time: float, *others: Any) -> None:
+            seen.append(time)
+
+        runner.inner.fmi3FreeInstance(runner.inner.component)
+        runner.inner.instantiate(intermediateUpdate=update, earlyReturnAllowed=False)
+        runner.initialize({}, 0.0, None)
+        with pytest.raises(FMICallException) as failure:
+            runner.inner.doStep(0.0, 2.0)
+        assert failure.value.status == DISCARD
+        assert max(seen) > 0.5  # it had come far
+        assert list(runner.get(["time", "x"])) == [0.0, 1.0]
+        runner.inner.doStep(0.0, 0.5)
+        assert runner.get(["x"])[0] == pytest.approx(2.0, rel=1e-6)
+
+
 def test_types_that_the_fmu_does_not_have_are_refused(fmu: UnpackedFmu) -> None:
     with started(fmu, "CoSimulation") as runner:
         read = runner.inner.getInteger if fmu.fmi == "2.0" else runner.inner.getInt32
