@@ -31,10 +31,10 @@ def laws():
         p.ravel(), kappa.ravel(), np.maximum(six.tension(p, kappa), 0).ravel(), 0.3
     )
     for law in ("geometric", "corrected", "five-parameter", "hildebrandt"):
-        if law in pam.LAWS and law not in by_law:
+        if law in pam.laws.LAWS and law not in by_law:
             held = {
                 n: {"radius": 0.01, "rest_radius": 0.01, "r0": 0.01}[n]
-                for n, default in pam.LAWS[law].fixed_coefficients().items()
+                for n, default in pam.laws.LAWS[law].fixed_coefficients().items()
                 if default is None and n in ("radius", "rest_radius", "r0")
             }
             fitted[law] = pam.fit_force(table, law, fixed=held or None).muscle(diameter=0.02)
