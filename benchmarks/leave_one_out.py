@@ -173,8 +173,8 @@ def shifts(forms: Forms, level: np.ndarray, rest_length: float) -> None:
         at = int(np.argmin(outside))
         print(
             f"  level {100 * forms.kappa[here].mean():5.2f} %: longer by "
-            f"{-1e3 * rest_length * SHIFTS[best]:+.2f} mm, "
-            f"RMSE {np.sqrt(sums[best] / level.size):.2f} N, F = {f:.3g} (probability "
+            f"{-1e3 * rest_length * SHIFTS[best]:+.2f} mm, RMSE "
+            f"{np.sqrt(sums[best] / level.size):.2f} N, F = {f:.3g} (probability "
             f"{f_distribution.sf(f, 1, dof):.1g}); left out at best {outside[at]:.2f} N with "
             f"{-1e3 * rest_length * SHIFTS[::2][at]:+.2f} mm"
         )

@@ -32,8 +32,7 @@ def main(count: int = 20) -> None:
         gaps["valve" if ", valve" in task.words else "regulator"].append(gap)
         print(
             f"{len(values):2d} of 12 starts solved; own {values[0]:.6f} s, best {min(values):.6f} "
-            "s, "
-            f"{gap:7.1e} above: {task.words.split(', {')[0]}",
+            f"s, {gap:7.1e} above: {task.words.split(', {')[0]}",
             flush=True,
         )
     for feed, each in gaps.items():

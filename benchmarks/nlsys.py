@@ -6,21 +6,18 @@ Four arrangements, each measured in one run with the same inputs, start, output 
 
 1. one right-hand side;
 2. a whole ``control.input_output_response`` by the same solver at the same tolerances: there most
-of
-   the time is Python's (SciPy's stepper, python-control's interpolation of the inputs), which both
-   sides pay;
+   of the time is Python's (SciPy's stepper, python-control's interpolation of the inputs), which
+   both sides pay;
 3. a whole response that agrees with ``pam_ocp.simulation.simulator`` to 1e-6 of nominal:
-``PlantSystem.response``
-   against ``input_output_response`` of the NumPy system, with the loosest tolerance that suffices;
+   ``PlantSystem.response`` against ``input_output_response`` of the NumPy system, with the loosest
+   tolerance that suffices;
 4. the same with inputs held over samples: ``input_output_response`` of ``as_nlsys(..., dt=)``
-against
-   that of a discrete-time system whose update integrates the NumPy right-hand side by SciPy.
+   against that of a discrete-time system whose update integrates the NumPy right-hand side by
+   SciPy.
 
 The NumPy side is what an engineer would write by hand: one array operation serves both muscles,
-constants
-are looked up beforehand, branches only where the model has them (the clamp at zero force, ISO
-6358).
-The figures are seconds of one run on one machine: only their ratio means something.
+constants are looked up beforehand, branches only where the model has them (the clamp at zero force,
+ISO 6358). The figures are seconds of one run on one machine: only their ratio means something.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
 """Can a verdict be trusted? Random tasks at the default call, each verified plan replayed by SciPy.
 
 A plan is right when SciPy's Radau (1e-9, started anew at every break of the inputs) meets its
-states to
-the tolerance, and its bounds, path constraints, stops and rest hold between the points too. Counted
-are
-verified plans, verified ones that SciPy contradicts (there must be none), plans returned as
-unverified,
-refusals (all wrong, since each task is feasible by construction) and tasks over the time limit.
-Times are those of the processor, all processes of a task together.
+states to the tolerance, and its bounds, path constraints, stops and rest hold between the points
+too. Counted are verified plans, verified ones that SciPy contradicts (there must be none), plans
+returned as unverified, refusals (all wrong, since each task is feasible by construction) and tasks
+over the time limit. Times are those of the processor, all processes of a task together.
 
 Run:  python benchmarks/verdict_study.py [tasks] [seed] [--first N] [--limit SECONDS] [--own]
 """

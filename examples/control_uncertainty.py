@@ -62,10 +62,8 @@ def main(folder: Path) -> None:
         slowest = np.array([poles.real.max() for _, poles in found])
         print(
             f"scatter {scatter:.0%}: 95 % of {DRAWS} draws in a band at most "
-            f"{np.max(high / low):.2f} "
-            f"wide, phase margin {phase.min():.1f} .. {phase.max():.1f} deg, slowest closed-loop "
-            "pole "
-            f"{slowest.min():.2f} .. {slowest.max():.2f} 1/s"
+            f"{np.max(high / low):.2f} wide, phase margin {phase.min():.1f} .. {phase.max():.1f} "
+            f"deg, slowest closed-loop pole {slowest.min():.2f} .. {slowest.max():.2f} 1/s"
         )
         extra = f" and {scatter:.0%} scatter of force" if scatter else ""
         plot_bode_cloud(

@@ -1,10 +1,9 @@
 """PAM-2DIR (a) by other optimal-control tools, each in a process and an environment of its own.
 
 The problem is that of benchmarks/plan.py: minimum time over 30 mm, half a cycle whose second half
-is its
-mirror image, 50 intervals of constant input. Every tool states it in its own words (``*_peer.py``),
-with
-equations.py as the plant; the runner compares those equations with the Plant before anything else.
+is its mirror image, 50 intervals of constant input. Every tool states it in its own words
+(``*_peer.py``), with equations.py as the plant; the runner compares those equations with the Plant
+before anything else.
 
 - whole: seconds from the start of the process to the first result, imports included.
 - first: the same without imports: statement, transcription, build and solve.

@@ -151,8 +151,7 @@ class _Period:
     def _failure(self, amplitude: float, hertz: float, why: str) -> SimulationError:
         return SimulationError(
             f"{self.plant.name!r} under amplitude {amplitude:g} at {hertz:g} Hz {why}; start "
-            "nearer "
-            "by more amplitudes, or take a point that it swings about"
+            "nearer by more amplitudes, or take a point that it swings about"
         )
 
     def steady(

@@ -46,9 +46,8 @@ class InverseDynamics:
             raise InputError(
                 f"InverseDynamics: in {plant.name!r} no pressure acts on the acceleration of its "
                 "load, only through a tendon or another mass (higher relative degree): the "
-                "pressures "
-                "that a motion needs follow from its third and fourth derivatives. Plan the motion "
-                "with plan(), and hold it by tvlqr()"
+                "pressures that a motion needs follow from its third and fourth derivatives. Plan "
+                "the motion with plan(), and hold it by tvlqr()"
             )
         if len(plant.positions) != 1:
             raise InputError(
@@ -99,8 +98,7 @@ class InverseDynamics:
         if (len(self.muscles) == 2) != (stiffness is not None):
             raise InputError(
                 f"{self.plant.name!r} has {len(self.muscles)} muscle(s): give a stiffness for a "
-                "pair "
-                "and none for a single one"
+                "pair and none for a single one"
             )
         target = np.array([acceleration] if stiffness is None else [acceleration, stiffness])
         self._z[list(self._at)] = position, velocity

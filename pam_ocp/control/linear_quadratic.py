@@ -73,8 +73,8 @@ class Weighting:
             if name not in allowed:
                 raise InputError(
                     f"weights: {name} is no state or output but of kind "
-                    f"{self.plant.variable(name).causality}; "
-                    "weigh states and outputs, and inputs by effort"
+                    f"{self.plant.variable(name).causality}; weigh states and outputs, and inputs "
+                    "by effort"
                 )
         if isinstance(self.effort, Mapping):
             named = {self.plant.variable(n).name: w for n, w in self.effort.items()}

@@ -78,6 +78,5 @@ class MpcStatistics:
             f"{len(self.steps)} steps: median {1e3 * self.median:.2f} ms, worst "
             f"{1e3 * self.worst:.2f} ms, iterations {np.median(iterations):.0f} (at most "
             f"{max(iterations)}), IPOPT asked {self.fallbacks} times, failed {self.failures} "
-            "times, "
-            f"not converged {self.unconverged} times"
+            f"times, not converged {self.unconverged} times"
         )

@@ -35,10 +35,8 @@ def scalar_expression(name: str, value: Any) -> ca.SX:
             if not math.isfinite(constant):
                 raise InputError(
                     f"{name}: the expression holds the constant {constant}; functions of Python's "
-                    "math "
-                    "make NaN of a symbol: write casadi.sin(x) or numpy.sin(x) instead of "
-                    "math.sin(x), "
-                    "and casadi.if_else(x > 0, a, b) instead of a if x > 0 else b"
+                    "math make NaN of a symbol: write casadi.sin(x) or numpy.sin(x) instead of "
+                    "math.sin(x), and casadi.if_else(x > 0, a, b) instead of a if x > 0 else b"
                 )
     return expression
 

@@ -150,8 +150,7 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
         if wrong:
             raise InputError(
                 f"inputs: {wrong[0]} is a {plant.variable(wrong[0]).causality} of the plant, not "
-                "an "
-                f"input; its inputs are {', '.join(v.name for v in plant.inputs)}"
+                f"an input; its inputs are {', '.join(v.name for v in plant.inputs)}"
             )
         return given
     if not hasattr(inputs, "interpolation"):

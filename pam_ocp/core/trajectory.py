@@ -47,8 +47,7 @@ def interpolation_of(held: Array, label: str) -> Interpolation:
         return "linear"
     raise InputError(
         f"{label}: column {HELD!r} must hold 1 (inputs held from sample to sample) or 0 (joined "
-        "by lines) "
-        "in all rows"
+        "by lines) in all rows"
     )
 
 

@@ -268,10 +268,8 @@ def _pages(
     )
     notes = [
         f"FMI {settings.fmi}, Model Exchange and Co-Simulation. Co-Simulation integrates with "
-        "Rodas4 "
-        f"(Rosenbrock method of order 4, L-stable) at {solver}; inputs are held over a "
-        "communication "
-        "step, or run linearly when the importer gives their derivatives.",
+        f"Rodas4 (Rosenbrock method of order 4, L-stable) at {solver}; inputs are held over a "
+        "communication step, or run linearly when the importer gives their derivatives.",
         "Fixed parameters can be set until the end of initialization, tunable ones at any "
         "communication point or event. The sources folder holds everything to compile the FMU.",
     ]

@@ -74,8 +74,8 @@ def muscle(name: str, *, rest_length: float | None = None) -> Muscle:
     length = entry.get("rest_length") if rest_length is None else rest_length
     if length is None:
         raise InputError(
-            f"muscle {name!r} has no rest length in the catalogue; "
-            f"give rest_length in metres, as in muscle({name!r}, rest_length=0.25)"
+            f"muscle {name!r} has no rest length in the catalogue; give rest_length in metres, as "
+            f"in muscle({name!r}, rest_length=0.25)"
         )
     return Muscle(
         _law(entry, entry.get("rest_length", length)),

@@ -225,8 +225,7 @@ class Gas:
         if not 1 <= require_finite("Gas.exponent", self.exponent) <= 1.67:
             raise InputError(
                 f"Gas.exponent = {self.exponent:g} must lie in 1 (isothermal) .. 1.67; air's "
-                "adiabatic "
-                "exponent is 1.4"
+                "adiabatic exponent is 1.4"
             )
 
     def chamber(self, muscle: Muscle, contraction: Any, declare: Declare = _number) -> Chamber:

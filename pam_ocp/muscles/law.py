@@ -258,8 +258,8 @@ class ForceLaw(ABC):
         if not self.is_affine():
             raise InputError(
                 f"the {self.name} law is not a straight line in pressure, so no volume that "
-                "depends "
-                "on contraction alone is consistent with it; use BraidVolume or PolynomialVolume"
+                "depends on contraction alone is consistent with it; use BraidVolume or "
+                "PolynomialVolume"
             )
         coefficients = ca.vertcat(*self.values.values())
         half = (end - start) / 2

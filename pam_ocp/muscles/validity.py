@@ -51,9 +51,8 @@ class Validity:
             shown = _QUANTITIES[quantity].shown
             warnings.warn(
                 f"{subject}: {quantity} = {shown(least if least < low - slack else most)} is "
-                "outside "
-                f"{shown(low)} .. {shown(high)}, where it holds; the force is an extrapolation"
-                + (f" ({self.note})" if self.note else ""),
+                f"outside {shown(low)} .. {shown(high)}, where it holds; the force is an "
+                "extrapolation" + (f" ({self.note})" if self.note else ""),
                 ValidityWarning,
                 stacklevel=4,
             )

@@ -71,8 +71,7 @@ def stability_path(
     Parameters
     ----------
     parameter : name of the parameter (or the input) that varies. values : (n,) [its unit].
-    conditions, memory : as for :func:`pam_ocp.equilibrium`: one condition for each input
-    (a varied
+    conditions, memory : as for :func:`pam_ocp.equilibrium`: one condition for each input (a varied
         input is one).
 
     Each point is continued from the last by Newton with exact Jacobians.

@@ -79,10 +79,8 @@ def no_influence(verb: str, plant: Plant, b: Array, inputs: Sequence[str]) -> No
     names = ", ".join(inputs)
     raise InputError(
         f"{verb}: {names or 'no input'} has no influence on {plant.name!r} here: its slope is 0, "
-        "as in a "
-        "dead zone or at a closed valve. Declare the dead zone (plant.dead_zone(command, width)), "
-        "so that "
-        "its inverse is used, or take a point at which the input acts"
+        "as in a dead zone or at a closed valve. Declare the dead zone (plant.dead_zone(command, "
+        "width)), so that its inverse is used, or take a point at which the input acts"
     )
 
 
@@ -196,15 +194,13 @@ def linearize(
 
     at : an OperatingPoint (of :func:`equilibrium`) or values by name; by default the start values.
     inputs, outputs : names to keep; by default all inputs, and all states and outputs. At a valve
-    that
-        stands in its dead zone the command has no slope: by default the opening stands in for it
-        (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named.
+        that stands in its dead zone the command has no slope: by default the opening stands in for
+        it (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named.
     dt : sampling time [s] for a discrete system x[k+1] = A x[k] + B u[k], exact for inputs held
         over each sample; None for a continuous one.
     stuck : leave out held memories (hysteresis). In small motion about a point of rest they stick
-    and
-        are springs; as states they bring a pole at zero each that no input reaches, and design by
-        Riccati equations wants them out (``lqr`` and ``kalman`` see to it themselves). Transfer
+        and are springs; as states they bring a pole at zero each that no input reaches, and design
+        by Riccati equations wants them out (``lqr`` and ``kalman`` see to it themselves). Transfer
         functions are the same; see :mod:`pam_ocp.operating.stuck`.
 
     Jacobians are exact (CasADi); signals keep the plant's names with ``_`` for ``.``, since

@@ -218,8 +218,7 @@ def posed(
         controls = [v.name for v in plant.inputs if v.name not in disturbances] + loose + kept
         raise InputError(
             f"equilibrium of {plant.name!r} needs {len(controls)} condition(s), one for each of "
-            "its "
-            f"inputs{' and free variables' if free else ''} ({', '.join(controls)}); "
+            f"its inputs{' and free variables' if free else ''} ({', '.join(controls)}); "
             f"{len(targets)} given: {', '.join(targets) or 'none'}"
         )
     pins = {n: v for n, v in pinned.items() if n not in free}
@@ -232,8 +231,7 @@ def _require_free(plant: Plant, name: str, given: Values) -> None:
     if not allowed:
         raise InputError(
             f"free: {name} is a {variable.causality}; name parameters, disturbances or held "
-            "memories "
-            "(other states and inputs are unknown anyway)"
+            "memories (other states and inputs are unknown anyway)"
         )
     if name in given:
         raise InputError(f"{name} cannot be free and given (= {given[name]}) at once")

@@ -102,8 +102,7 @@ def why_not(search: Search, nearest: Array) -> str:
         hint = f"The nearest point is {at}, where {missed}"
     return (
         f"no equilibrium of {plant.name!r} with {', '.join(wanted)} within the plant's bounds. "
-        f"{hint}; "
-        "or change the load or the muscle"
+        f"{hint}; or change the load or the muscle"
     )
 
 

@@ -1,10 +1,9 @@
 """Economical motions, from coarse meshes to fine ones, until their objective settles.
 
 What costs work or air is spent on short arcs along the limits of muscles (slack tendons, closed
-valves): from a rough guess a fine mesh takes hundreds of iterations or fails, from the solution
-on a
-mesh half as fine some twenty. And inputs that are held cannot follow such arcs: on 50 intervals the
-work of an antagonistic pair is 1 to 5 % above its least.
+valves): from a rough guess a fine mesh takes hundreds of iterations or fails, from the solution on
+a mesh half as fine some twenty. And inputs that are held cannot follow such arcs: on 50 intervals
+the work of an antagonistic pair is 1 to 5 % above its least.
 """
 
 from __future__ import annotations
@@ -61,8 +60,7 @@ class Climb:
     def reached(
         self, search: Callable[[Run], list[Solved]], run: Run, meshes: list[Mesh]
     ) -> list[Solved]:
-        """Solutions on the mesh of ``run``, from a search on the first of coarser ones; empty
-        where
+        """Solutions on the mesh of ``run``, from a search on the first of coarser ones; empty where
         the way is blocked.
         """
         problem = run.program.problem

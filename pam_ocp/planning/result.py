@@ -122,8 +122,8 @@ class Plan:
         """The planned motion. Raises PlanError when the plan failed."""
         if not self.solved:
             raise PlanError(
-                f"this plan failed ({self.status}) and holds no solution; "
-                "unverified() gives what the solver left",
+                f"this plan failed ({self.status}) and holds no solution; unverified() gives what "
+                "the solver left",
                 self,
             )
         return self._samples

@@ -161,8 +161,7 @@ def _require_same_names(path: str, meta: Mapping[str, Any], plant: Plant) -> Non
         if list(meta[what]) != list(here):
             raise InputError(
                 f"{path}: a plan of {meta['plant']!r} with {what} {', '.join(meta[what])}; the "
-                "plant "
-                f"{plant.name!r} has {', '.join(here)}"
+                f"plant {plant.name!r} has {', '.join(here)}"
             )
 
 

@@ -280,8 +280,7 @@ def _range(
     if max(-low, high) > largest:
         raise InputError(
             f"limits = ({low:g}, {high:g}) rad: with pre_contraction = {pre_contraction:g} the "
-            "muscles "
-            f"allow at most {largest:.4g} rad to either side"
+            f"muscles allow at most {largest:.4g} rad to either side"
             + meant_within(max(-low, high), "rad", 0.0, largest)
         )
     return low, high

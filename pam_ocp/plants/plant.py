@@ -107,8 +107,7 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
         return {n: v for n, v in point.items() if causality is None or kinds[n] == causality}
     raise InputError(
         f"{argument} is a {type(values).__name__}: give values by name, such as {{'x': 0.01}}, or "
-        "an "
-        "operating point"
+        "an operating point"
     )
 
 

@@ -67,8 +67,7 @@ class AntagonisticSlide(Plant):
         elif (stroke := require_positive("stroke", stroke, "m")) > farthest:
             raise InputError(
                 f"stroke = {stroke:g} m: with pre_contraction = {pre_contraction:g} the muscles "
-                "allow "
-                f"at most {farthest:.4g} m before one leaves its range of contraction"
+                f"allow at most {farthest:.4g} m before one leaves its range of contraction"
                 + meant_within(stroke, "m", 0.0, farthest)
             )
         x = self.state(

@@ -99,8 +99,8 @@ def compare_with_record(
     if inside.sum() < 2:
         raise InputError(
             f"record {measured.t[0]:g} .. {measured.t[-1]:g} s and simulation {simulated.t[0]:g} "
-            ".. "
-            f"{simulated.t[-1]:g} s overlap in {int(inside.sum())} samples; at least 2 are needed"
+            f".. {simulated.t[-1]:g} s overlap in {int(inside.sum())} samples; at least 2 are "
+            "needed"
         )
     times = measured.t[inside] - shift
     variables = [simulated.variable(n) for n in columns]

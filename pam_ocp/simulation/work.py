@@ -41,8 +41,7 @@ class StrokeWork:
         share = "" if self.efficiency is None else f", efficiency {100 * self.efficiency:.3g} %"
         return (
             f"{self.muscle}: {self.work:.4g} J ({self.delivered:.4g} J delivered, "
-            f"{self.absorbed:.4g} J "
-            f"absorbed), peak {self.peak_power:.4g} W{share}"
+            f"{self.absorbed:.4g} J absorbed), peak {self.peak_power:.4g} W{share}"
         )
 
 

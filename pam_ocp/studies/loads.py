@@ -135,8 +135,7 @@ def load_study(
         commanded pressure where the feed has one. With valves there is no such step: overshoot and
         settling time are NaN, and frequency and damping are those with the valves closed.
     damping, feed, losses : of the HangingLoad; duration : simulated after each step [s].
-    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then
-    ends where
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then ends where
         friction holds the load: overshoot and settling are about that place.
 
     Raises InputError for masses, pressures or a step that are not positive.

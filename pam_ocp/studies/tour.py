@@ -206,8 +206,8 @@ def _markdown(summary: dict[str, Any]) -> str:
         lines.append(f"| FMU {version} | {verdict}; against Python: {worst} of nominal |")
     lines += [
         f"| linearised at {row['pressure_Pa'] / 1e5:g} bar | {row['frequency_Hz']:.2f} Hz, "
-        "damping ratio "
-        f"{row['damping_ratio']:.3f}, stiffness {row['stiffness_N_per_m'] / 1e3:.2f} N/mm |"
+        f"damping ratio {row['damping_ratio']:.3f}, stiffness "
+        f"{row['stiffness_N_per_m'] / 1e3:.2f} N/mm |"
         for row in summary["linear"]
     ]
     lines += [

@@ -144,9 +144,8 @@ def free_vibration(
     state : the state that is displaced and watched.
     cycles : length of the record, in periods of the plant linearised at rest.
     samples : per such period. rtol : of the integrator.
-    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`; on the way
-    from rest to the
-        offset it has followed the motion. The swing is measured about the place where it ends.
+    memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`; on the way from rest to
+        the offset it has followed the motion. The swing is measured about the place where it ends.
 
     Frequencies come from passages through rest, located on polynomials of degree 5 that use the
     exact derivatives. Raises VibrationError when the plant does not oscillate there, InputError

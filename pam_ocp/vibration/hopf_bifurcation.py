@@ -68,8 +68,7 @@ class HopfPoint:
         kind = "supercritical" if self.supercritical else "subcritical"
         return (
             f"Hopf point at {variable.name} = {variable.shown(self.value)}: {self.frequency:.4f} "
-            "Hz, "
-            f"unstable {side}, {kind}"
+            f"Hz, unstable {side}, {kind}"
         )
 
 
@@ -121,8 +120,7 @@ def hopf(
     Parameters
     ----------
     parameter : name of the parameter (or input) that varies between the ends of ``bracket``.
-    conditions, memory : of the equilibria, as for :func:`pam_ocp.equilibrium`. Hysteresis
-    sticks in
+    conditions, memory : of the equilibria, as for :func:`pam_ocp.equilibrium`. Hysteresis sticks in
         small motion about rest; larger motion slides, which damps it more than the point says.
     points : how many points of rest are looked at to find a change of sign.
 

@@ -170,9 +170,9 @@ def test_what_else_the_door_names_is_named_in_annotations_only():
 def test_an_import_loads_names_only_when_they_are_used(name):
     """No stopwatch: what is not loaded takes no time."""
     code = (
-        f"import sys; before = set(sys.modules); import {name};"
-        "print(*sorted(m for m in set(sys.modules) - before if m.split('.')[0] in"
-        " {'pam_ocp', 'casadi', 'numpy', 'scipy', 'matplotlib', 'control', 'fmpy', 'pandas'}))"
+        f"import sys; before = set(sys.modules); import {name};print(*sorted(m for m in "
+        "set(sys.modules) - before if m.split('.')[0] in {'pam_ocp', 'casadi', 'numpy', 'scipy', "
+        "'matplotlib', 'control', 'fmpy', 'pandas'}))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True

@@ -66,8 +66,7 @@ def test_import_is_light():
     """No plotting, no table library, no FMI library is loaded before it is used."""
     code = (
         "import sys, pam_ocp; heavy = {'matplotlib', 'pandas', 'control', 'scipy', 'fmpy'} & "
-        "set(sys.modules);"
-        "print(sorted(heavy)); sys.exit(bool(heavy))"
+        "set(sys.modules);print(sorted(heavy)); sys.exit(bool(heavy))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -210,8 +210,7 @@ def _with_disturbances(plant: Plant, system: Any, disturbances: list[str], x: Ar
     if wrong:
         raise InputError(
             f"disturbances: {wrong[0]} is a {plant.variable(wrong[0]).causality}; name inputs of "
-            "the "
-            f"plant ({', '.join(inputs)}), such as that of an ExternalForce"
+            f"the plant ({', '.join(inputs)}), such as that of an ExternalForce"
         )
     columns = [inputs.index(n) for n in disturbances]
     a, b, c, d = (np.asarray(getattr(system, n)) for n in "ABCD")
@@ -260,8 +259,7 @@ def _stationary(
     except (ValueError, np.linalg.LinAlgError) as error:
         raise InputError(
             f"kalman: the states cannot be told from {', '.join(names)} ({error}); measure more, "
-            "or "
-            "add process noise"
+            "or add process noise"
         ) from None
     # dlqe's gain corrects the prediction for the next sample; this one corrects the present one
     present, left = corrected(np.asarray(covariance), c, np.ones(len(noise)))

@@ -320,8 +320,7 @@ class Mpc:
             if size <= 1e-12:
                 warnings.warn(
                     f"Mpc: {variable.name} has no influence where the plant stands: its slope is "
-                    "0, as "
-                    "in a dead zone, and it will hardly be moved. Declare the dead zone "
+                    "0, as in a dead zone, and it will hardly be moved. Declare the dead zone "
                     "(plant.dead_zone(command, width)), so that its inverse is used",
                     stacklevel=3,
                 )

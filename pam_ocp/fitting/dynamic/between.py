@@ -64,8 +64,7 @@ def decided(
     gap = found[other][1] - found[best][1]
     words = (
         f"inputs count as {WORDS[best]} between samples, which the records do not say: -2 "
-        "ln(likelihood) is "
-        f"{gap:.4g} less than {WORDS[other]}"
+        f"ln(likelihood) is {gap:.4g} less than {WORDS[other]}"
     )
     if not gap > TOLD:
         words += "; that hardly tells, so say it: read_record(..., inputs='held' or 'linear')"

@@ -200,8 +200,7 @@ def _input_noise(
     if given and noise is None:
         raise InputError(
             "input_noise needs noise={measured variable: standard deviation}, too: the data alone "
-            "do not "
-            "tell which of both scattered"
+            "do not tell which of both scattered"
         )
     found = {}
     for name, value in (given or {}).items():

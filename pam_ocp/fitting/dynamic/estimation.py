@@ -115,8 +115,7 @@ def estimate(
         raise FitError(
             f"the fit of {task.plant.name!r} came to no solution ({solution.status} after "
             f"{solution.iterations} iterations); start nearer with plant.with_values(...), free "
-            "fewer "
-            "parameters or give bounds"
+            "fewer parameters or give bounds"
         )
     return PlantEstimate(solution, program, sigma, found)
 
@@ -146,9 +145,8 @@ def require_influence(task: FitTask, program: FitProgram, sigma: Array) -> None:
     if blind and not still:
         raise FitError(
             f"{', '.join(blind)}: no influence on {', '.join(task.unknowns.names)} in these "
-            "records; "
-            "leave it out of free, or measure something that depends on it (in a symmetric pair an "
-            "equal constant of both muscles cancels)"
+            "records; leave it out of free, or measure something that depends on it (in a "
+            "symmetric pair an equal constant of both muscles cancels)"
         )
     if not still or not names:
         return

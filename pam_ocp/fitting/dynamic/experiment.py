@@ -124,8 +124,7 @@ def groups(
             if name not in order:
                 raise InputError(
                     f"free: {name} is a {plant.variable(name).causality}; only parameters are "
-                    "fitted "
-                    "(initial states are unknown anyway)"
+                    "fitted (initial states are unknown anyway)"
                 )
         variables = [plant.variable(n) for n in names]
         values = [float(v.start or 0.0) for v in variables]
@@ -198,8 +197,7 @@ def measured_names(
             if bad.size:
                 raise InputError(
                     f"record {i + 1}: {name} = {record[name][bad[0]]} at t = {record.t[bad[0]]:g} "
-                    "s; "
-                    "take the sample out or cut the record there"
+                    "s; take the sample out or cut the record there"
                 )
     return names
 

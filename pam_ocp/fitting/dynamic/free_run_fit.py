@@ -72,8 +72,7 @@ class FreeRunFit:
         shown = self.plant.variable
         lines = [
             f"{self.plant.name}: {len(self.training.start)} free runs of {self.training.t[-1]:g} "
-            "s, "
-            f"{self.evaluations} evaluations, {self.seconds:.1f} s: {self.status}",
+            f"s, {self.evaluations} evaluations, {self.seconds:.1f} s: {self.status}",
             *(f"    {n}: RMSE {shown(n).shown(e)}" for n, e in self.training.rmse.items()),
             *(f"    {n} = {shown(n).shown(v)}" for n, v in self.values.items()),
         ]
@@ -246,8 +245,7 @@ def _require_sense(rollout: Rollout, z: Array, unknowns: Sequence[ParameterGroup
         raise FitError(f"{', '.join(dead)} has no influence on the free runs; leave it out of free")
     raise FitError(
         f"what {', '.join(dead)} does to the free runs cannot be told: of {len(wild)} runs "
-        f"{int(wild.sum())} part "
-        "ways or diverge so soon that their sensitivities mean nothing, and the others do not "
-        "depend on it; "
-        "take a shorter horizon or more steps, or start elsewhere with plant.with_values(...)"
+        f"{int(wild.sum())} part ways or diverge so soon that their sensitivities mean nothing, "
+        "and the others do not depend on it; take a shorter horizon or more steps, or start "
+        "elsewhere with plant.with_values(...)"
     )

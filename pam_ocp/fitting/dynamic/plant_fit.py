@@ -196,15 +196,14 @@ class PlantFit:
         if self.integration_error > 10 * ACCURATE:
             found.append(
                 f"between the samples the integration is off by {self.integration_error:.2g} "
-                "standard "
-                "deviations of the noise; give a smaller step=..."
+                "standard deviations of the noise; give a smaller step=..."
             )
         coloured = {n: r for n, r in self.autocorrelation.items() if r > COLOURED}
         for name, r in coloured.items():
             found.append(
                 f"residuals of {name} follow each other (correlation {r:.2f}): the model leaves "
-                "something "
-                f"out, and intervals are too narrow by a factor of about {widening(r):.1f}"
+                "something out, and intervals are too narrow by a factor of about "
+                f"{widening(r):.1f}"
             )
         return tuple(found)
 

@@ -65,10 +65,9 @@ class FreeRun:
         first = int(lost[0])
         return (
             f"{lost.size} of {len(self.start)} free runs diverge, the first from t = "
-            f"{self.start[first]:g} s of "
-            f"record {int(self.record[first]) + 1}: there the plant predicts nothing; fit on such "
-            "records, "
-            "too, take a shorter horizon, or more steps where the integration is too coarse",
+            f"{self.start[first]:g} s of record {int(self.record[first]) + 1}: there the plant "
+            "predicts nothing; fit on such records, too, take a shorter horizon, or more steps "
+            "where the integration is too coarse",
         )
 
     def __str__(self) -> str:

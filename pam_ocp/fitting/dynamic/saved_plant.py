@@ -121,8 +121,7 @@ def _require_same(name: str, content: Mapping[str, Any], plant: Plant) -> None:
             side = "the file" if other[0] in saved else "the plant"
             raise InputError(
                 f"{name} is a fit of plant {content['plant']!r}, whose {kind} are others: only "
-                f"{side} "
-                f"has {other[0]}; give the plant that was fitted"
+                f"{side} has {other[0]}; give the plant that was fitted"
             )
 
 

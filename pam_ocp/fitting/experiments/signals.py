@@ -343,8 +343,7 @@ def _accurate(e: Excitation, w: Array) -> Excitation:
     except SimulationError as error:
         raise FitError(
             f"the plant cannot be simulated under a random signal of these ranges ({error}); "
-            "narrow "
-            "them, or start elsewhere with start=..."
+            "narrow them, or start elsewhere with start=..."
         ) from None
     size = np.maximum(np.ptp(truth, axis=1), 1e-12)
     for steps in STEPS:
@@ -354,8 +353,7 @@ def _accurate(e: Excitation, w: Array) -> Excitation:
             return finer
     raise FitError(
         f"{STEPS[-1]} steps of RK4 in {e.sample:g} s do not follow {e.plant.name!r}: it is too "
-        "stiff "
-        "for these samples; give a shorter sample=..."
+        "stiff for these samples; give a shorter sample=..."
     )
 
 

@@ -44,9 +44,8 @@ class LackOfFit:
         )
         return (
             f"repeats scatter by {self.pure_error:.3g} N ({self.pure_dof} degrees of freedom), "
-            "the law "
-            f"misses their means by {self.misfit:.3g} N ({self.misfit_dof}): F = {self.f:.3g}, "
-            f"probability {self.probability:.2g}; {judged}"
+            f"the law misses their means by {self.misfit:.3g} N ({self.misfit_dof}): F = "
+            f"{self.f:.3g}, probability {self.probability:.2g}; {judged}"
         )
 
 
@@ -74,8 +73,7 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
     if misfit_dof < 1:
         raise InputError(
             f"{count} distinct cells for {len(fit.free)} coefficients: the law goes through the "
-            "means "
-            "of repeats, there is nothing to test"
+            "means of repeats, there is nothing to test"
         )
     w = fit.root_weights**2
     means = np.bincount(group, w * fit.cells.force) / np.bincount(group, w)
@@ -157,9 +155,8 @@ class Hysteresis:
     def __str__(self) -> str:
         lines = [
             f"hysteresis: deflation less inflation {self.mean:.3g} ± {self.stderr:.2g} N in the "
-            "mean of "
-            f"{self.width.size} cells ({100 * self.mean / self.largest_force:.2g} % of the largest "
-            f"force), at most {self.largest:.3g} N"
+            f"mean of {self.width.size} cells ({100 * self.mean / self.largest_force:.2g} % of "
+            f"the largest force), at most {self.largest:.3g} N"
         ]
         lines += [f"  at {100 * k:5.2f} %: {w:8.3g} N" for k, w in self.by_level().items()]
         return "\n".join(lines)
@@ -177,8 +174,8 @@ def hysteresis(table: ForceTable) -> Hysteresis:
         if name not in table.branches:
             raise InputError(
                 f"the table has no cells of {name} (branches: "
-                f"{', '.join(table.branches) or 'none'}); "
-                "label them in a column 'branch', or give columns={'branch': ...}"
+                f"{', '.join(table.branches) or 'none'}); label them in a column 'branch', or "
+                "give columns={'branch': ...}"
             )
     taut = table.taut
     level = taut.levels()
@@ -199,8 +196,7 @@ def hysteresis(table: ForceTable) -> Hysteresis:
     if not width:
         raise InputError(
             "inflation and deflation share no range of pressure at any contraction level; measure "
-            "both "
-            "at the same lengths"
+            "both at the same lengths"
         )
     return Hysteresis(
         np.array(pressure), np.array(contraction), np.array(width), float(taut.force.max())

@@ -47,8 +47,7 @@ def unseen(fit: Optimum) -> list[str]:
         more = len(found) - MOST_SHOWN
         found[MOST_SHOWN:] = [
             f"{more} more combinations of the {len(fit.free)} coefficients are not seen, or "
-            "hardly; take "
-            "a law with fewer"
+            "hardly; take a law with fewer"
         ]
     return found
 

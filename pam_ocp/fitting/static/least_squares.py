@@ -155,9 +155,8 @@ class LeastSquares:
         if len(cells) + known < len(free) and not few:
             raise InputError(
                 f"the table has {len(cells)} taut cells, fewer than the {len(free)} coefficients "
-                "of "
-                f"the {law.name} law to be fitted; measure more, hold some with fixed=..., "
-                "or take a smaller law"
+                f"of the {law.name} law to be fitted; measure more, hold some with fixed=..., or "
+                "take a smaller law"
             )
         base = np.array([held.get(n, 0.0) for n in names])
         nonlinear = tuple(i for i in free if names[i] in bent)

@@ -64,8 +64,7 @@ class MemberFit(ForceFit):
     def to_json(self, path: str | os.PathLike[str]) -> Path:
         raise InputError(
             "a muscle of a joint fit has intervals that its own table does not tell; save the "
-            "muscle "
-            "with save_muscle(fit.muscle(...), file)"
+            "muscle with save_muscle(fit.muscle(...), file)"
         )
 
 

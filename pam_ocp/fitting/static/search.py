@@ -54,8 +54,7 @@ def minimise(
     if not found:
         raise FitError(
             f"the {problem.law.name} law gives no finite force near any point of the scan; hold "
-            "the "
-            f"nonlinear coefficients with fixed=... "
+            "the nonlinear coefficients with fixed=... "
             f"({', '.join(problem.names[i] for i in problem.nonlinear)}) and look at the residuals"
         )
     floor = 1e-20 * float(np.sum((problem.weights * problem.cells.force) ** 2))

@@ -430,8 +430,7 @@ def _fixed(fixed: Mapping[str, Any] | None, tables: Mapping[str, Any]) -> list[d
         if len(values) != len(tables):
             raise InputError(
                 f"fixed[{name!r}] has {len(values)} values for {len(tables)} tables; give one "
-                "number, "
-                "or one for each"
+                "number, or one for each"
             )
         for own, number in zip(found, values, strict=True):
             own[name] = number

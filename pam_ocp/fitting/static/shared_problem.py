@@ -131,8 +131,7 @@ class JointProblem:
         if not stationary:
             raise FitError(
                 f"the joint fit came to no stationary point ({found[0].solver.status}); share "
-                "fewer "
-                "coefficients, or hold the nonlinear ones with fixed=..."
+                "fewer coefficients, or hold the nonlinear ones with fixed=..."
             )
         return min(stationary, key=lambda o: o.cost)
 

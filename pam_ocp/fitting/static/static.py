@@ -69,10 +69,9 @@ def fit_force(
     noise : standard deviation of a measurement of weight 1 [N], against which priors weigh; by
         default estimated from a fit without them.
     errors : "as found": where residuals say that errors follow each other (from row to row, along a
-    ramp,
-        along pressure), intervals and bands are widened for it (see
-        :mod:`pam_ocp.fitting.static.correlation`).
-        "independent": they are known not to, as after measuring in random order.
+        ramp, along pressure), intervals and bands are widened for it (see
+        :mod:`pam_ocp.fitting.static.correlation`). "independent": they are known not to, as after
+        measuring in random order.
 
     Returns
     -------
@@ -137,8 +136,8 @@ def held_coefficients(
     if missing:
         words = {v.name: v.description for v in kind.coefficient_variables()}
         raise InputError(
-            f"the {kind.name} law needs fixed={{{missing[0]!r}: ...}} "
-            f"({words[missing[0]]}), which no fit of the force can tell"
+            f"the {kind.name} law needs fixed={{{missing[0]!r}: ...}} ({words[missing[0]]}), "
+            "which no fit of the force can tell"
         )
     return {n: float(v) for n, v in constants.items() if v is not None}
 

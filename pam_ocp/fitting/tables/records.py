@@ -258,8 +258,7 @@ def _check_time(raw: RawTable, header: str, t: Array, max_gap: float | None) -> 
         words = "stands still" if steps[i] == 0 else "runs backwards"
         raise InputError(
             f"{raw.label}: time {words} in {raw.row(i + 1)}, from {t[i]:g} to {t[i + 1]:g} s; "
-            "sort the "
-            "rows, or read the parts as separate records (read_records with split=...)"
+            "sort the rows, or read the parts as separate records (read_records with split=...)"
         )
     usual = float(np.median(steps))
     limit = GAP * usual if max_gap is None else require_positive("max_gap", max_gap, "s")
@@ -293,7 +292,6 @@ def _variables(
     if not chosen:
         raise InputError(
             f"{raw.label}: no column among {', '.join(map(repr, rest))} bears the name of a "
-            "variable of "
-            f"plant {plant.name!r}; give columns={{variable: header}}"
+            f"variable of plant {plant.name!r}; give columns={{variable: header}}"
         )
     return [(plant.variable(n), h) for n, h in chosen.items()]

@@ -87,8 +87,7 @@ class RawTable:
         if len(fitting) > 1:
             raise InputError(
                 f"{self.label}: {' and '.join(map(repr, fitting))} both read as {quantity}; "
-                "choose one "
-                f"with columns={{{quantity!r}: {fitting[0]!r}}}"
+                f"choose one with columns={{{quantity!r}: {fitting[0]!r}}}"
             )
         return fitting[0] if fitting else None
 
@@ -198,8 +197,8 @@ def _read_text(text: str, label: str, suffix: str) -> RawTable:
     _require_distinct(names, label)
     if all(_is_number(name) for name in names):
         raise InputError(
-            f"{label}: the first line {head.strip()!r} holds numbers; "
-            "it must name the columns, as in 'length_m,pressure_Pa,force_N'"
+            f"{label}: the first line {head.strip()!r} holds numbers; it must name the columns, "
+            "as in 'length_m,pressure_Pa,force_N'"
         )
     for (line, _), row in zip(numbered[1:], rows[1:], strict=False):
         if len(row) != len(names):

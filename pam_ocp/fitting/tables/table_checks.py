@@ -90,8 +90,7 @@ def check_mixed_pressure(pressure: Series, p: Array, force: Array, contraction: 
     if np.any(doubtful):
         i = int(np.argmax(doubtful))
         raise InputError(
-            f"{pressure.shown(i)} goes with a force of {force[i]:g} N, while other rows "
-            "reach "
+            f"{pressure.shown(i)} goes with a force of {force[i]:g} N, while other rows reach "
             f"{pressure.values.max():g} {pressure.unit}: the column mixes units"
         )
 
@@ -131,8 +130,7 @@ def contraction_of(series: Mapping[str, Series], rest_length: float | None) -> A
             side = "more than 10 % beyond" if kappa[i] < low else "far too short for"
             raise InputError(
                 f"{length.shown(i)} ({length.reading}) is {side} the rest length {rest_length:g} "
-                "m; "
-                "check rest_length (in metres) and the unit of the lengths (mm?)"
+                "m; check rest_length (in metres) and the unit of the lengths (mm?)"
             )
     if direct is not None:
         gap = np.abs(kappa - direct.si)
@@ -163,6 +161,5 @@ def _check_contraction(contraction: Series) -> None:
         if not low <= contraction.si[i] <= high:
             raise InputError(
                 f"{contraction.shown(i)} is outside {low * 100:g} .. {high * 100:g} %; "
-                "contraction is "
-                "(rest length - length)/rest length, positive when shorter"
+                "contraction is (rest length - length)/rest length, positive when shorter"
             )

@@ -183,8 +183,7 @@ def own_law(
 
         Spring = own_law(
             "spring", lambda p, kappa, area, k: area * p - k * kappa,
-            {"area": coefficient("N/Pa", 1e-3, "area"), "k": coefficient("N", 1e3, "spring")},
-        )
+            {"area": coefficient("N/Pa", 1e-3, "area"), "k": coefficient("N", 1e3, "spring")}, )
         Muscle(Spring(area=3e-4, k=2e3), rest_length=0.3)
 
     Raises InputError for an expression with symbols that are neither p, kappa nor coefficients.

@@ -52,7 +52,6 @@ def not_implied(
         if max(abs(condition.low - low), abs(condition.high - high)) > 1e-9 * condition.nominal:
             raise InputError(
                 f"cyclic = 'mirrored': {condition.label} = {condition.shown.shown(condition.low)} "
-                "is "
-                f"not the mirror image of stop 1, {condition.shown.shown(low)}; use cyclic=True"
+                f"is not the mirror image of stop 1, {condition.shown.shown(low)}; use cyclic=True"
             )
     return tuple(kept)

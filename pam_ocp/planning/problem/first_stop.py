@@ -76,9 +76,8 @@ def with_given_pressures(
     shown = ", ".join(f"{n} = {plant.variable(n).shown(value)}" for n, value in values.items())
     warnings.warn(
         f"minimise = {asked[0]!r} leaves no pressure to choose at the first stop, or the motion "
-        "would "
-        f"vent what it begins with: it begins at rest with {shown}. Name other values in the first "
-        "stop, or give cyclic=True",
+        f"would vent what it begins with: it begins at rest with {shown}. Name other values in "
+        "the first stop, or give cyclic=True",
         PlanWarning,
         stacklevel=5,
     )

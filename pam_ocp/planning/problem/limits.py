@@ -157,8 +157,7 @@ def range_of(argument: str, value: Any, variable: Variable) -> Range:
     if math.isnan(low) or math.isnan(high) or low > high:
         raise InputError(
             f"{argument} = ({variable.shown(low)}, {variable.shown(high)}): the bounds are "
-            "crossed; "
-            "give (lower, upper)"
+            "crossed; give (lower, upper)"
         )
     return low, high
 

@@ -55,8 +55,7 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
     if not found:
         raise InputError(
             f"{term!r} needs the outputs '<muscle>.{kind}', which plant {plant.name!r} has not; "
-            "feed "
-            "its muscles by valves (feed=SpoolValve(...)), or give an expression as integrand"
+            "feed its muscles by valves (feed=SpoolValve(...)), or give an expression as integrand"
         )
     return ca.sum1(ca.vertcat(*(plant.expression(name) for name in found)))
 

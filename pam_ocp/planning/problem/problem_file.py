@@ -30,9 +30,8 @@ def load_problem(path: str | Path) -> tuple[Plant, dict[str, Any]]:
 
     The file's keys are the arguments of :func:`pam_ocp.plan`, and ``plant``, a table as
     :func:`pam_ocp.plants.plant_file.plant_of` reads it. Values are numbers in SI or texts with a
-    unit, as
-    "15 mm"; a range is ``[low, high]`` or ``{ min = low, max = high }`` with either left out
-    (durations: the latter). See docs/planning.md for every key.
+    unit, as "15 mm"; a range is ``[low, high]`` or ``{ min = low, max = high }`` with either left
+    out (durations: the latter). See docs/planning.md for every key.
 
     Raises InputError that names the file, the key, the value and what is allowed.
     """
@@ -139,8 +138,7 @@ def _stops(plant: Plant, where: str, value: Any) -> list[Stop]:
         if misplaced:
             raise InputError(
                 f"{at} holds {misplaced[0]!r}, a key of the whole problem; in TOML it must stand "
-                "above "
-                "the first [table] or [[table]]"
+                "above the first [table] or [[table]]"
             )
         names = {n: v for n, v in _flat(content) if n not in _STOP}
         more: dict[str, Any] = {}

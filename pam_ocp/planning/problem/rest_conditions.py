@@ -29,11 +29,9 @@ def resting_positions(plant: Plant, stops: Sequence[Stop]) -> tuple[Position, ..
     if not positions:
         raise InputError(
             f"rest = True: plant {plant.name!r} has no position that could stand still (a state "
-            "whose "
-            "rate, where it vanishes, does not depend on the state itself), and no input that "
-            "could hold "
-            "what the stops name; give rest=False, and what shall vanish in the stops, such as "
-            "{'der(NAME)': 0.0}"
+            "whose rate, where it vanishes, does not depend on the state itself), and no input "
+            "that could hold what the stops name; give rest=False, and what shall vanish in the "
+            "stops, such as {'der(NAME)': 0.0}"
         )
     return positions
 

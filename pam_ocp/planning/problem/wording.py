@@ -73,8 +73,7 @@ class Constraint:
         if low > high or (self.low is None and self.high is None):
             raise InputError(
                 f"Constraint {self.name!r}: low = {self.low}, high = {self.high}; give one of "
-                "them, or "
-                "both with low <= high"
+                "them, or both with low <= high"
             )
         shown = Variable("value", "constraint", unit=self.unit, nominal=self.nominal)
         return (Condition(self.name, self.expression, low, high, self.nominal, shown),)

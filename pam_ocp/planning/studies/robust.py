@@ -81,8 +81,7 @@ def robust_plan(
         plant. ``cyclic="mirrored"`` is refused: unequal muscles have no mirror image.
     draws : a function (count, seed) that gives so many draws {parameter: value}, or cases of
         :func:`pam_ocp.simulation.draws`, all of the same parameters; or a list of them, which are
-        then all
-        planned
+        then all planned
         for. spread : {variable: largest deviation from the nominal plant} at every stop, in SI; or
         a list with one of these, or None, per stop.
     unseen : further draws, simulated only: a list, on which the share is judged, or a function as
@@ -168,8 +167,7 @@ class _Samples:
         if found[0] == self._before:
             raise InputError(
                 f"draws(count, seed) gives the same plants for the seeds {self.last - 1} and "
-                f"{self.last}; "
-                "let it draw by numpy.random.default_rng(seed)"
+                f"{self.last}; let it draw by numpy.random.default_rng(seed)"
             )
         self._before = found[0]
         return found

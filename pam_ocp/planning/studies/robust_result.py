@@ -66,8 +66,7 @@ class RobustVerdict:
         if self.share is None:
             return (
                 f"not verified: besides the {self.planned_for} plants planned for none was tried; "
-                "give "
-                "draws as a function (count, seed), or unseen ones, or share=None"
+                "give draws as a function (count, seed), or unseen ones, or share=None"
             )
         words = (
             f"of unseen ones {self.share} keep the spread and all limits, wanted "

@@ -196,8 +196,8 @@ class Collocation:
     points : "radau" (stiffly accurate; the end of an interval is a point) or "gauss" (Legendre;
         order 2 degree instead of 2 degree - 1; Biegler, Nonlinear Programming, 2010, sect. 10.2).
     guarded : bounds of polynomial inputs, and path constraints that depend on them, are asked for
-        between the points too; without, they
-        may be far outside there (a switch makes them swing), which the plan's replay reports.
+        between the points too; without, they may be far outside there (a switch makes them swing),
+        which the plan's replay reports.
     """
 
     intervals: int = 50

@@ -89,8 +89,8 @@ class Stage:
     @property
     def conditions(self) -> tuple[Condition, ...]:
         """Of the rows of path values: at each point, at the start, between the points, then those
-        of
-        auxiliaries."""
+        of auxiliaries.
+        """
         points = len(self.form.state_taus(self.degree))
         between = (c for conditions, taus in self._between for c in conditions * len(taus))
         jumping = self.problem.depends_on_inputs(self.leg)
