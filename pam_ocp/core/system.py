@@ -44,7 +44,7 @@ class Declares(Protocol):
         commands: Sequence[ca.SX],
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
-        ways: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        paths: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
         **attributes: Any,
     ) -> list[ca.SX]: ...
 

@@ -166,7 +166,7 @@ class Rest:
         root = iterate(scaled, start, settled=1e-15, steps=steps, halvings=0, within=within)
         return np.asarray(root.w * self.nominal)
 
-    def polished(self, z: Array, high: Array | None = None) -> Array | None:
+    def converged(self, z: Array, high: Array | None = None) -> Array | None:
         """The equilibrium that Newton's method reaches from z, None when outside or none."""
         high = self.high if high is None else high
         point = self.newton(z)

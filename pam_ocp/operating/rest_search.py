@@ -79,14 +79,14 @@ class Search(Rest):
     def solve(self, guess: OperatingPoint | None = None) -> tuple[OperatingPoint | None, Array]:
         """The equilibrium, or None and the point that comes nearest."""
         if guess is not None:
-            near = self.polished(self.newton(self.vector(guess), steps=20))
+            near = self.converged(self.newton(self.vector(guess), steps=20))
             if near is not None:
                 return self.point(near), near
         best, least = self.start, np.inf
         for start in self.starts():
             nearest = self.nearest(start)
             for near in (nearest, self.newton(start, steps=20, inside=True)):
-                point = self.polished(near)
+                point = self.converged(near)
                 if point is not None:
                     return self.point(point), point
             miss = float(np.abs(self.residual(nearest)).max())
@@ -94,7 +94,7 @@ class Search(Rest):
                 best, least = nearest, miss
         for name in self.targets:  # by way of those that meet all conditions but one
             near = self.relaxed(name, more_pressure=False)
-            point = None if near is None else self.polished(self.newton(near, steps=20))
+            point = None if near is None else self.converged(self.newton(near, steps=20))
             if point is not None:
                 return self.point(point), point
         return None, best

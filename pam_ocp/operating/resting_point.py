@@ -181,7 +181,7 @@ def _tried(
         most = np.inf if high is search.higher and variable.unit == "Pa" else variable.max
         if not variable.min <= tried <= most:
             continue
-        found = search.moved(name, tried).polished(point, high)
+        found = search.moved(name, tried).converged(point, high)
         if found is not None:
             return tried, found
     return None

@@ -55,7 +55,7 @@ def equilibria(
     found: list[Array] = []
     for guess in search.starts(starts, seed, reach=5.0):
         for rough in (search.newton(guess, steps=30), search.nearest(guess)):
-            point = search.polished(rough)
+            point = search.converged(rough)
             if point is None:
                 continue
             if all(np.abs((point - other) / search.nominal).max() > SAME for other in found):
@@ -82,7 +82,7 @@ def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> Oper
     for share in np.linspace(0, 1, STEPS + 1)[1:]:
         pinned = {n: v + share * (memory[n] - v) for n, v in rest.pinned.items()}
         other = Rest(rest.plant, rest.values, rest.free, rest.more, pinned)
-        found = other.polished(other.newton(z, steps=30))
+        found = other.converged(other.newton(z, steps=30))
         if found is None:
             return None
         z = found
@@ -177,7 +177,7 @@ def equilibrium_path(
             except InputError as error:  # the value itself leaves its range
                 end = str(error)
                 break
-            point = rest.polished(rest.newton(rest.vector(points[-1]), steps=30))
+            point = rest.converged(rest.newton(rest.vector(points[-1]), steps=30))
             if point is None:
                 shown = plant.variable(name).shown
                 end = f"no neighbour within the bounds from {shown(done[-1])} to {shown(value)}"

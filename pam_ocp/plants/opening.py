@@ -10,7 +10,7 @@ import casadi as ca
 from ..core.errors import InputError
 from ..core.variables import Variable
 
-__all__ = ["Opening", "Way", "checked_commands"]
+__all__ = ["FlowPath", "Opening", "checked_commands"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Opening:
 
 
 @dataclass(frozen=True)
-class Way:
+class FlowPath:
     """A symbol in the plant's equations, and what it is in commands and in openings."""
 
     symbol: ca.SX

@@ -24,7 +24,7 @@ from ..muscles.dead_zone import dead_zone, dead_zone_inverse
 from ..muscles.pneumatic_muscle import Muscle
 from .damping import Loss
 from .feeds import AttachedMuscle, Feed, attach
-from .opening import Opening, Way, checked_commands
+from .opening import FlowPath, Opening, checked_commands
 from .sketch import Sketch
 from .stillness import Position, resting
 
@@ -141,7 +141,7 @@ class Plant:
         self._stated: dict[str, ca.SX] = {}  # the same as declared, with symbols for openings
         self._mirror: dict[str, tuple[float, str]] = {}
         self._openings: tuple[Opening, ...] = ()
-        self._ways: tuple[Way, ...] = ()
+        self._flow_paths: tuple[FlowPath, ...] = ()
         self._system: _System | None = None
 
     # ---- declaring ----------------------------------------------------------------------------
@@ -181,13 +181,13 @@ class Plant:
         commands: Sequence[ca.SX],
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
-        ways: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        paths: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
         **attributes: Any,
     ) -> list[ca.SX]:
         """Declare an input w that controllers choose in place of commands that have a dead zone.
 
         commands : symbols of the inputs. forward : w as an expression of them and of parameters.
-        inverse : w -> the commands that give it. ways : what stands in the plant's equations, each
+        inverse : w -> the commands that give it. paths : what stands in the plant's equations, each
         as (expression of the commands, w -> the same of w); returns their symbols, to be used
         there.
         attributes : of the variable w; see :class:`Variable`. See :meth:`in_openings`.
@@ -201,10 +201,10 @@ class Plant:
         symbol = ca.SX.sym(name)
         opening = Opening(variable, symbol, tuple(names), forward, tuple(inverse(symbol)))
         self._openings += (opening,)
-        symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(ways))]
-        self._ways += tuple(
-            Way(s, ca.SX(way), ca.SX(of(symbol)))
-            for s, (way, of) in zip(symbols, ways, strict=True)
+        symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(paths))]
+        self._flow_paths += tuple(
+            FlowPath(s, ca.SX(way), ca.SX(of(symbol)))
+            for s, (way, of) in zip(symbols, paths, strict=True)
         )
         return symbols
 
@@ -420,9 +420,9 @@ class Plant:
         if not self.states:
             raise InputError(f"plant {self.name!r} has no state")
         self._stated = dict(self._expressions)
-        if self._ways:
+        if self._flow_paths:
             self._expressions = self._replaced(
-                [w.symbol for w in self._ways], [w.in_commands for w in self._ways]
+                [w.symbol for w in self._flow_paths], [w.in_commands for w in self._flow_paths]
             )
         declared = {s.name() for s in self._symbols.values()}
         for name, expression in self._expressions.items():
@@ -557,7 +557,7 @@ class Plant:
             return self
         self._finished()
         other = self._sharing(self)
-        other._openings, other._ways, other._stated = (), (), other._expressions
+        other._openings, other._flow_paths, other._stated = (), (), other._expressions
         return other
 
     def _sharing(self, template: Plant) -> Plant:
@@ -582,13 +582,13 @@ class Plant:
                     other._symbols[name] = self._symbols[name]
         commands = [self._symbols[c] for o in self._openings for c in o.commands]
         inverse = [e for o in self._openings for e in o.inverse]
-        ways = [w.symbol for w in self._ways], [w.in_openings for w in self._ways]
-        other._expressions = self._replaced(ways[0] + commands, ways[1] + inverse)
+        paths = [w.symbol for w in self._flow_paths], [w.in_openings for w in self._flow_paths]
+        other._expressions = self._replaced(paths[0] + commands, paths[1] + inverse)
         other._mirror = {
             gone[n].name if n in gone else n: (sign, gone[m].name if m in gone else m)
             for n, (sign, m) in self._mirror.items()
         }
-        other._openings, other._ways, other._system = (), (), None
+        other._openings, other._flow_paths, other._system = (), (), None
         return other
 
     # ---- pickling: CasADi functions travel, symbols are made anew
@@ -604,18 +604,18 @@ class Plant:
         }
 
     def _travelling(self) -> ca.Function:
-        """The plant's function; where it has openings with their ways and the ways' meaning."""
+        """The plant's function; where it has openings with their paths and the paths' meaning."""
         if not self._openings:
             return self.function
         self._finished()
         w = ca.vertcat(*(o.symbol for o in self._openings))
-        ways = ca.vertcat(*(way.symbol for way in self._ways))
+        paths = ca.vertcat(*(way.symbol for way in self._flow_paths))
         results = [self._column(self._stated, c) for c in _DEFINED]
-        results += [ca.vertcat(*(way.in_commands for way in self._ways))]
-        results += [ca.vertcat(*(way.in_openings for way in self._ways))]
+        results += [ca.vertcat(*(way.in_commands for way in self._flow_paths))]
+        results += [ca.vertcat(*(way.in_openings for way in self._flow_paths))]
         results += [ca.vertcat(*(o.forward for o in self._openings))]
         results += [ca.vertcat(*(e for o in self._openings for e in o.inverse))]
-        return ca.Function("plant", [self.x, self.u, self.p, w, ways], results)
+        return ca.Function("plant", [self.x, self.u, self.p, w, paths], results)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Plant.__init__(self, state["name"], state["description"])
@@ -635,13 +635,15 @@ class Plant:
     def _with_openings(
         self, function: ca.Function, known: list[ca.SX], openings: list[Any]
     ) -> tuple[ca.SX, ...]:
-        """Openings and ways from what has travelled; gives the columns of the equations."""
+        """Openings and paths from what has travelled; gives the columns of the equations."""
         symbols = [ca.SX.sym(v.name) for v, _ in openings]
-        ways = [ca.SX.sym(f"way{i}") for i in range(function.numel_in(4))]
+        paths = [ca.SX.sym(f"way{i}") for i in range(function.numel_in(4))]
         *columns, in_commands, in_openings, forward, inverse = function(
-            *known, ca.vertcat(*symbols), ca.vertcat(*ways)
+            *known, ca.vertcat(*symbols), ca.vertcat(*paths)
         )
-        self._ways = tuple(Way(s, in_commands[i], in_openings[i]) for i, s in enumerate(ways))
+        self._flow_paths = tuple(
+            FlowPath(s, in_commands[i], in_openings[i]) for i, s in enumerate(paths)
+        )
         parts = iter(ca.vertsplit(inverse))
         self._openings = tuple(
             Opening(v, symbols[i], commands, forward[i], tuple(next(parts) for _ in commands))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...core.errors import FitError
 from ..statistics import Array
 from .least_squares import LeastSquares, least_squares, sizes
-from .local_optimum import polish
+from .local_optimum import local_optimum
 from .scales import BISQUARE
 
 __all__ = ["SUBSETS", "robust_start", "trimmed_start"]
@@ -46,7 +46,7 @@ def robust_start(problem: LeastSquares) -> tuple[Array, float]:
         starts, scale = trimmed_start(within)
         edge = BISQUARE * max(scale, least)
         terms = replace(problem.terms, threshold=edge)
-        found = polish(replace(within, terms=terms), starts[0], SUBSETS).coefficients
+        found = local_optimum(replace(within, terms=terms), starts[0], SUBSETS).coefficients
         near = np.abs(problem.evaluate(found[None])[0][0]) < edge
         if near.all() or int(near.sum()) <= len(problem.free):
             break

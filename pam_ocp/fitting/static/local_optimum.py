@@ -13,7 +13,7 @@ from ...muscles.law import ForceLaw
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, Loss, sizes
 
-__all__ = ["SLACK_TOLERANCE", "Optimum", "cosine", "polish"]
+__all__ = ["SLACK_TOLERANCE", "Optimum", "cosine", "local_optimum"]
 
 SLACK_TOLERANCE = 1.0
 """A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp).
@@ -91,7 +91,7 @@ def _solver(
     return ca.nlpsol("fit", "ipopt", nlp, options)
 
 
-def polish(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
+def local_optimum(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
     """The optimum next to ``start`` (all coefficients)."""
     free, terms = list(problem.free), problem.terms
     lower, upper = _bounds(problem, start)

@@ -15,7 +15,7 @@ from ..statistics import Array
 from .descent import descend
 from .high_breakdown import SUBSETS, robust_start
 from .least_squares import LeastSquares, sizes
-from .local_optimum import Optimum, polish
+from .local_optimum import Optimum, local_optimum
 
 __all__ = ["minimise"]
 
@@ -37,7 +37,7 @@ STATIONARY = 1e-6
 def minimise(
     problem: LeastSquares, start: Array | None = None, begin: Array | None = None
 ) -> Optimum:
-    """The global optimum: scan, follow up the best few, polish by IPOPT.
+    """The global optimum: scan, follow up the best few by IPOPT.
 
     Tukey's bisquare, which counts cells far off no more, has an optimum for every choice of those:
     what is sought is the one next to ``begin`` (all coefficients), a start that wrong cells cannot
@@ -50,7 +50,7 @@ def minimise(
         starts, scanned = begin[None], SUBSETS
     else:
         starts, scanned = _scan(problem, start)
-    found = [o for c in starts if np.isfinite((o := polish(problem, c, scanned)).cost)]
+    found = [o for c in starts if np.isfinite((o := local_optimum(problem, c, scanned)).cost)]
     if not found:
         raise FitError(
             f"the {problem.law.name} law gives no finite force near any point of the scan; hold "
@@ -80,7 +80,7 @@ def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
         moved = [i for i in problem.free if problem.names[i] not in found.solver.at_bound]
         c, cost = descend(problem, found.coefficients, moved)
         if cost <= found.cost:
-            again = polish(problem, c, found.solver.scanned)
+            again = local_optimum(problem, c, found.solver.scanned)
             found = again if again.cost <= cost else replace(found, coefficients=c, cost=cost)
             if again.cost <= cost and again.solver.gradient <= STATIONARY:
                 return again

@@ -124,7 +124,7 @@ class JointForceFit:
             value = float(np.clip(value + step, low, high))
             trial = z.copy()
             trial[i] = value
-            found = self.problem.polish(trial, held=i)
+            found = self.problem.local_optimum(trial, held=i)
             if found.cost > limit:
                 break
             if value in (low, high):
@@ -136,7 +136,7 @@ class JointForceFit:
         while abs(outside - inside) > 1e-6 * abs(outside - best):
             trial = z.copy()
             trial[i] = middle = (inside + outside) / 2
-            found = self.problem.polish(trial, held=i)
+            found = self.problem.local_optimum(trial, held=i)
             if found.cost > limit:
                 outside = middle
             else:
@@ -256,7 +256,7 @@ def _settled(problem: JointProblem, noise: str) -> tuple[JointOptimum, list[floa
         found = (np.exp(np.mean(np.log(rms))) / np.array(rms)).tolist()
         change = float(np.max(np.abs(np.log(np.array(found) / factors))))
         factors = found
-        optimum = problem.weighted(factors).polish(optimum.z, optimum.solver.scanned)
+        optimum = problem.weighted(factors).local_optimum(optimum.z, optimum.solver.scanned)
         if change < 1e-8:
             break
     return optimum, factors

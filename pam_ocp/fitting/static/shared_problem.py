@@ -115,7 +115,7 @@ class JointProblem:
     # ---- the optimum ------------------------------------------------------------------------
     def minimise(self, starts: Sequence[Array] = ()) -> JointOptimum:
         """The best of many scan points (and of ``starts``, values of the nonlinear unknowns),
-        polished.
+        followed up.
         """
         points = self._scan_points()
         if len(starts):
@@ -124,7 +124,7 @@ class JointProblem:
         if not np.any(np.isfinite(costs)):
             raise FitError("the law gives no finite force anywhere in the scan; check the tables")
         found = [
-            self.polish(z[i], len(points))
+            self.local_optimum(z[i], len(points))
             for i in np.argsort(costs)[: POLISHED if self.nonlinear else 1]
         ]
         stationary = [o for o in found if o.solver.gradient <= STATIONARY]
@@ -195,7 +195,9 @@ class JointProblem:
         nlp: Any = {"x": z, "p": ca.vertcat(scale, unit, weights), "f": objective}
         return ca.nlpsol("joint", "ipopt", nlp, options)
 
-    def polish(self, start: Array, scanned: int = 0, held: int | None = None) -> JointOptimum:
+    def local_optimum(
+        self, start: Array, scanned: int = 0, held: int | None = None
+    ) -> JointOptimum:
         """The optimum next to ``start``; with unknown number ``held`` kept where it is."""
         low, high = self._near(start)
         start = np.clip(start, low, high)
