@@ -478,7 +478,7 @@ def test_a_plan_in_openings_is_a_start_near_the_optimum_in_commands(bounds):
     )
     run = Run(planner._program, planner._backend, planner._solver)
     problem, mesh = planner._program.problem, planner._program.mesh
-    start = guess_in_openings(problem, mesh, planner._wish, planner._backend)
+    start = guess_in_openings(problem, mesh, planner._statement, planner._backend)
     first, near = run.solve(None), run.from_guess(start, "near")
     assert near.outcome.success
     assert near.outcome.iterations < first.outcome.iterations
@@ -495,4 +495,4 @@ def test_a_wish_about_commands_is_not_planned_in_openings():
         plant, [{"x": 0.05}, {"x": 0.06}], minimise={"time": 1.0, "square(muscle.command)": 0.1}
     )
     problem, mesh = planner._program.problem, planner._program.mesh
-    assert guess_in_openings(problem, mesh, planner._wish, planner._backend) is None
+    assert guess_in_openings(problem, mesh, planner._statement, planner._backend) is None

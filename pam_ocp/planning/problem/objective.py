@@ -64,16 +64,26 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
 def _work(plant: Plant, symbols: Symbols) -> ca.SX:
     """Mechanical work out of the muscles, each counted where its power is positive."""
     outputs = {v.name for v in plant.outputs}
-    names = [v.name.removesuffix(".power") for v in plant.outputs if v.name.endswith(".power")]
-    muscles = [n for n in names if {f"{n}.force", f"{n}.contraction"} <= outputs]
+    names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
+    muscles = [n for n in names if f"{n}.contraction" in outputs]
     if not muscles:
         raise InputError(f"'work': plant {plant.name!r} has no muscle with force and contraction")
     total = ca.SX(0)
     for name in muscles:
-        power = plant.expression(f"{name}.power")
         variable = Variable(f"{name}.power", "output", unit="W", nominal=POWER)
-        total += symbols.positive(variable, power)
+        total += symbols.positive(variable, _power(plant, name))
     return total
+
+
+def _power(plant: Plant, muscle: str) -> ca.SX:
+    """Mechanical power out of a muscle [W]: its output, or force times speed of shortening."""
+    if any(v.name == f"{muscle}.power" for v in plant.outputs):
+        return plant.expression(f"{muscle}.power")
+    xdot = plant.function(plant.x, plant.u, plant.p)[0]
+    rate = ca.jtimes(plant.expression(f"{muscle}.contraction"), plant.x, xdot)
+    return ca.SX(
+        plant.expression(f"{muscle}.force") * rate * plant.expression(f"{muscle}.rest_length")
+    )
 
 
 def _running(
