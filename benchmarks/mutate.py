@@ -28,10 +28,17 @@ from mutation.python_faults import alters, python_faults
 from mutation.scratch import Answer, Scratch
 
 C_TESTS = {
-    "fmu/step.c": "simulation refused log robust solver state doors motion derivatives interface",
-    "fmu/solver.c": "solver simulation robust log state",
-    "fmu/values.c": "interface doors refused robust simulation log derivatives check",
-    "fmu/state.c": "state robust doors simulation interface",
+    "fmu/src/step.c": "simulation refused robust solver state doors motion derivatives interface",
+    "fmu/src/solver.c": "solver simulation robust log state",
+    "fmu/src/values.c": "interface doors refused robust simulation log derivatives check",
+    "fmu/src/state.c": "state robust doors simulation interface",
+    "fmu/src/motion.c": "motion simulation doors robust interface refused",
+    "fmu/src/derivatives.c": "derivatives robust interface refused",
+    "fmu/src/windows.c": "physics simulation doors motion robust interface",
+    "fmu/src/instance.c": "refused interface log robust state doors simulation",
+    "fmu/src/model.c": "simulation interface refused robust",
+    "fmu/src/fmi2.c": "interface refused doors state log derivatives robust motion check",
+    "fmu/src/fmi3.c": "interface refused doors state log derivatives robust motion check",
 }
 """Tests of each file of the C runtime, the likeliest first: no coverage is known of them."""
 ROOMS: dict[str, tuple[str, tuple[str, ...]]] = {

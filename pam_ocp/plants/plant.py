@@ -41,6 +41,7 @@ Given: TypeAlias = "Values | OperatingPoint"
 
 # in the order of the plant's function: arguments, and results (a state's is its derivative)
 _CHANGEABLE: tuple[Causality, ...] = ("state", "input", "parameter")
+_FREE: tuple[Causality, ...] = ("state", "input")
 _DEFINED: tuple[Causality, ...] = ("state", "output", "constraint")
 
 
@@ -94,8 +95,9 @@ def require_plant(value: Any) -> Plant:
 
 
 def by_name(argument: str, values: Any, causality: Causality | None = None) -> dict[str, Any]:
-    """Values by name: of a mapping (None: of none),
-    or of an operating point those of a causality.
+    """Values by name: of a mapping (None: of none), or of an operating point those of a causality.
+
+    Without a causality those of its states and inputs, from which its outputs follow.
     """
     if values is None:
         return {}
@@ -104,7 +106,8 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
     point = getattr(values, "values", None)
     if isinstance(point, Mapping) and isinstance(getattr(values, "plant", None), Plant):
         kinds = {v.name: v.causality for v in values.plant.variables}
-        return {n: v for n, v in point.items() if causality is None or kinds[n] == causality}
+        wanted = _FREE if causality is None else (causality,)
+        return {n: v for n, v in point.items() if kinds[n] in wanted}
     raise InputError(
         f"{argument} is a {type(values).__name__}: give values by name, such as {{'x': 0.01}}, or "
         "an operating point"
@@ -353,7 +356,8 @@ class Plant:
     def with_values(self, values: Given | None = None, /, **more: Any) -> Plant:
         """A copy with other parameter values and start values; expressions are shared.
 
-        ``plant.with_values(mass=3.0)`` or ``plant.with_values({"muscle1.a3": -30.0})``.
+        ``plant.with_values(mass=3.0)`` or ``plant.with_values({"muscle1.a3": -30.0})``; of an
+        operating point states and inputs are taken, not the parameters of its plant.
         """
         self._finished()
         changed = dict(self._variables)

@@ -218,6 +218,47 @@ def test_an_inequality_that_holds_with_equality_takes_one_direction_out_of_the_c
     np.testing.assert_allclose(error, 0.0, atol=1e-6)
 
 
+def test_a_profile_of_a_censored_fit_ends_where_a_slack_law_costs_the_limit() -> None:
+    """Held at an end, fitted by SciPy under the same inequalities; a3 is held: all is convex."""
+    found = fit_force(table_20(), fixed=HOLD, censored=True)
+    a, y = columns(found.cells), found.cells.force
+    limp = columns(found.table.subset(found.table.slack))
+    plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
+    for i in (1, 4):
+        name = found.free[i]
+        reach = found.linearisation.reach(0.95) * found.coefficients[name].stderr / plain[name]
+        limit = found.squares * (1 + reach**2 / found.dof)
+        for end in found.profile_interval(name):
+            keep = [j for j in range(5) if j != i]
+            size = np.linalg.norm(a[:, keep], axis=0)
+            left, edge = y - a[:, i] * end, 1.0 - limp[:, i] * end
+            best = minimize(
+                lambda c, left=left, m=a[:, keep] / size: np.sum((m @ c - left) ** 2) / 1e4,
+                linear(found)[keep] * size,
+                jac=lambda c, left=left, m=a[:, keep] / size: 2 * m.T @ (m @ c - left) / 1e4,
+                constraints={
+                    "type": "ineq",
+                    "fun": lambda c, edge=edge, m=limp[:, keep] / size: edge - m @ c,
+                    "jac": lambda c, m=limp[:, keep] / size: -m,
+                },
+                method="SLSQP",
+                options={"ftol": 1e-12, "maxiter": 500},
+            )
+            assert 1e4 * best.fun == pytest.approx(limit, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["a2", "a6"])
+def test_ends_of_a_censored_profile_are_those_of_whole_fits(name: str) -> None:
+    found = fit_force(table_20(), censored=True)
+    plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
+    reach = found.linearisation.reach(0.95) * found.coefficients[name].stderr / plain[name]
+    for end in found.profile_interval(name):
+        held = fit_force(table_20(), fixed={name: end}, censored=True)
+        assert held.squares == pytest.approx(found.squares * (1 + reach**2 / found.dof), rel=1e-3)
+    # steps, for which a3 has no end, still fit well enough
+    assert found.profile_interval("a3")[0] == -np.inf
+
+
 # ---- bounds and priors
 # --------------------------------------------------------------------------------
 def test_bounds_are_kept_and_said() -> None:

@@ -197,6 +197,15 @@ def test_values_come_by_name_or_from_a_point_of_rest(hanging):
         hanging.vector("state", {"mass": 1.0})
 
 
+def test_a_plant_takes_its_start_values_from_a_point(hanging):
+    point = hanging.equilibrium(x=0.05)
+    there = hanging.with_values(mass=7.0).with_values(point)
+    assert there.vector("state") == pytest.approx(point.x)
+    assert there.vector("input") == pytest.approx(point.u)
+    assert there.variable("mass").start == 7.0  # a point of rest says nothing of parameters
+    assert hanging.with_values(point, x=0.03).variable("x").start == 0.03
+
+
 def test_vectors_hold_one_attribute_in_the_order_of_declaration():
     plant = pam.Plant("three")
     a, b = plant.state("a", start=1.0, min=-4.0, nominal=2.0), plant.state("b", max=5.0)

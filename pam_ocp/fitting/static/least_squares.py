@@ -182,11 +182,6 @@ class LeastSquares:
         return [i for i in self.free if i not in self.nonlinear]
 
     @property
-    def plain(self) -> bool:
-        """Whether this is least squares without priors and inequalities."""
-        return self.terms.loss == "squares" and not self.terms.priors and not self.censored
-
-    @property
     def limited(self) -> bool:
         """Whether there are inequalities other than the law's own."""
         return self.censored or bool(self.terms.bounds)

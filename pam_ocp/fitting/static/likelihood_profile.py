@@ -17,9 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.errors import FitError
 from ..statistics import Array
 from .descent import descend
-from .least_squares import DECADES, LeastSquares
+from .least_squares import DECADES, LeastSquares, sizes
+from .local_optimum import SLACK_TOLERANCE
 from .optimum import Optimum
 from .search import minimise
 from .sweep import Sweep
@@ -57,7 +59,7 @@ def profile_ends(fit: Optimum, names: Sequence[str], reach: float) -> dict[str, 
     plain = dict(zip(fit.free, fit.linearisation.independent.stderr().tolist(), strict=True))
     reaches = np.array([reach * fit.coefficients[n].stderr / plain[n] for n in names])
     found = np.full((len(names), 2), np.nan)
-    simple = fit.problem.plain or (fit.terms.loss == "squares" and not fit.problem.censored)
+    simple = fit.terms.loss == "squares" and not fit.problem.censored
     edge = bool(fit.solver.at_bound)
     if simple and len(fit.free) > 1 and not edge:
         found = _together(fit, names, reaches)
@@ -156,31 +158,59 @@ def profile_squares(fit: Optimum, name: str, value: float) -> float:
     """Least cost (weighted sum of squares, priors included) with coefficient ``name`` held at
     ``value``.
     """
-    held = {n: fit.law.values[n] for n in fit.held} | {name: value}
     if len(fit.free) == 1:
         return replace(fit, law=replace(fit.law, **{name: value})).cost
-    problem = LeastSquares.of(type(fit.law), fit.table, held, fit.root_weights, fit.terms)
-    if not problem.nonlinear and problem.plain and not problem.limited:
+    problem = _held(fit, name, value)
+    if not problem.nonlinear and fit.terms.loss == "squares" and not problem.limited:
         return float(problem.project(np.zeros((1, 0)))[0][0])
     return minimise(problem).cost
+
+
+def _held(fit: Optimum, name: str, value: float) -> LeastSquares:
+    """The problem of the others, with coefficient ``name`` held at ``value``."""
+    held = {n: fit.law.values[n] for n in fit.held} | {name: value}
+    return LeastSquares.of(type(fit.law), fit.table, held, fit.root_weights, fit.terms)
+
+
+def _others(fit: Optimum, name: str, start: Array, moved: list[int]) -> tuple[Array, float]:
+    """The best of the ``moved`` coefficients, near ``start``, and what they cost.
+
+    Inequalities make several optima, so censored cells ask for a whole fit. Where the law cannot
+    be slack there, the place is out of reach: it costs more than any limit (but a finite sum).
+    """
+    if not fit.problem.censored:
+        return descend(fit.problem, start, moved)
+    beyond = float(np.finfo(float).max)
+    if not moved:
+        best, cost = start, fit.problem.cost(start)
+    else:
+        try:
+            found = minimise(_held(fit, name, float(start[list(fit.law.values).index(name)])))
+        except FitError:
+            return start, beyond
+        best, cost = found.coefficients, found.cost
+    pull = fit.problem.tension_where_slack(best)[0]
+    return best, cost if np.all(pull <= 1.001 * SLACK_TOLERANCE) else beyond
 
 
 def profile_end(fit: Optimum, name: str, step: float, limit: float) -> tuple[float, str]:
     """Value of ``name``, on the side of ``step``, at which the profiled cost reaches ``limit``.
 
     Infinite, with the reason, where the cost stays below it or cannot be computed. The law's bound
-    where that comes first.
+    where that comes first. A nonlinear coefficient is followed as far as it is sought.
     """
     place, problem = list(fit.law.values).index(name), fit.problem
     variable, best = problem.variables[place], float(fit.law.values[name])
     others = [i for i in problem.free if i != place]
     bound = variable.max if step > 0 else variable.min
     reach = max(FARTHEST * abs(step), max(abs(best), variable.nominal) * 10.0 ** DECADES[1])
+    if place in problem.nonlinear:
+        reach = min(reach, float(np.max(np.abs(sizes(variable) - best))))
     inside = start = np.array([float(v) for v in fit.law.values.values()])
     while True:
         start = inside.copy()
         start[place] = np.clip(inside[place] + step, variable.min, variable.max)
-        outside, cost = descend(problem, start, others)
+        outside, cost = _others(fit, name, start, others)
         if not np.isfinite(cost):
             return float(np.copysign(np.inf, step)), "the law gives no finite force further out"
         if cost > limit:
@@ -196,7 +226,7 @@ def profile_end(fit: Optimum, name: str, step: float, limit: float) -> tuple[flo
     while abs(far - inside[place]) > 1e-6 * max(abs(far - best), 1e-12 * variable.nominal):
         start = inside.copy()
         start[place] = middle = (inside[place] + far) / 2
-        found, cost = descend(problem, start, others)
+        found, cost = _others(fit, name, start, others)
         if cost > limit:
             far = middle
         else:
