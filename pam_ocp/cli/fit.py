@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
-from ..core.quantities import known_keys, pair, quantity, read_toml, table
+from ..core.files import read_toml, reading
+from ..core.quantities import known_keys, pair, quantity, table
+from .options import add_allow_code, require_places
 
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
@@ -133,12 +136,14 @@ def add_fit_plant(commands: Any) -> None:
         metavar="FILE.json",
         help="write the fit (pam_ocp.fitting.load_plant_fit reads it)",
     )
+    add_allow_code(fit)
     fit.set_defaults(run=_fit_plant)
 
 
 def _fit_plant(options: argparse.Namespace) -> int:
     from ..core.errors import FitError
 
+    require_places(options.out, options.plot)
     study, plant = _study(options)
     if options.variables:
         print(_variables(plant))
@@ -152,8 +157,10 @@ def _fit_plant(options: argparse.Namespace) -> int:
         )
     from ..fitting.dynamic.dynamic import fit_plant
 
+    with reading(options.plant, "a study file", "see its keys"):
+        arguments = _arguments(study, plant)
     try:
-        fit = fit_plant(plant, records, study["free"], **_arguments(study, plant))
+        fit = fit_plant(plant, records, study["free"], **arguments)
     except FitError as error:
         print(f"pam-ocp fit-plant: {error}", file=sys.stderr)
         return 1
@@ -169,6 +176,12 @@ def _fit_plant(options: argparse.Namespace) -> int:
 
 def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     """What the file says, and the command line over it; and the plant."""
+    file = options.plant if options.plant.endswith(".toml") else None
+    with reading(file, "a study file", "see its keys") if file else nullcontext():
+        return _told(options)
+
+
+def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     from ..plants.plant_file import muscle_of, named_plant, plant_of
 
     study: dict[str, Any] = {}
@@ -188,14 +201,20 @@ def _study(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     described = study.get("plant", options.plant)
     if isinstance(described, Mapping):
         changed = {"muscle": _from_here(options.muscle)} if options.muscle else {}
-        plant = plant_of({**described, **changed}, "plant", folder)
+        plant = plant_of({**described, **changed}, "plant", folder, allow_code=options.allow_code)
     elif described == options.plant and options.plant.endswith(".toml"):
         raise InputError(
             f"{options.plant} describes no plant: give a [plant] table, or plant = NAME"
         )
     else:
         name = _from_here(options.muscle) or study.get("muscle", "DMSP-20-300")
-        plant = named_plant(described, muscle_of(name, "muscle", folder), folder)
+        typed = described == options.plant  # on the command line: that is the consent
+        plant = named_plant(
+            described,
+            muscle_of(name, "muscle", folder),
+            folder,
+            allow_code=typed or options.allow_code,
+        )
     values = {**table("set", study.get("set", {})), **_pairs("--set", options.set)}
     return study, plant.with_values(
         {n: quantity(f"set.{n}", v, plant.variable(n).unit) for n, v in values.items()}
@@ -299,13 +318,11 @@ def _written(
     if options.out:
         done.append(fit.save(options.out))
     if options.plot:
-        from ..core.files import atomic_path
+        from ..figures.saved import save_figure
 
         for comparisons, ending in ((fit.comparisons, ""), (checked, "-validate")):
             for number, comparison in enumerate(comparisons, start=1):
                 tail = f"-{number}" if number > 1 else ""
                 target = options.plot.with_stem(f"{options.plot.stem}{ending}{tail}")
-                with atomic_path(target) as temporary:
-                    comparison.plot().savefig(temporary, dpi=130)
-                done.append(target)
+                done.append(save_figure(comparison.plot(), target))
     return done

@@ -13,6 +13,7 @@ from ..core.errors import InputError, PamError
 from .components import add_components
 from .fit import add_fit_plant
 from .mpc import add_mpc
+from .options import add_allow_code, require_places
 from .plan import add_plan
 
 __all__ = ["main"]
@@ -168,6 +169,7 @@ def _add_export(commands: Any) -> None:
             f"{rest})",
         )
     export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
+    add_allow_code(export)
     export.set_defaults(run=_export)
 
 
@@ -253,16 +255,15 @@ def _fit(options: argparse.Namespace) -> int:
     from ..fitting.tables.force_table import read_table
     from ..muscles.muscle_file import save_muscle
 
+    require_places(options.out, options.plot)
     table = read_table(options.table, rest_length=options.rest_length)
     fitted = fit_force(table, options.law, loss=options.loss)
     print(fitted.report())
     if options.plot:
-        from ..core.files import atomic_path
+        from ..figures.saved import save_figure
         from ..figures.trajectory import plot_fit
 
-        with atomic_path(options.plot) as temporary:
-            plot_fit(fitted).savefig(temporary, dpi=130)
-        print(f"-> {options.plot}")
+        print(f"-> {save_figure(plot_fit(fitted), options.plot)}")
     if options.out:
         length = table.rest_length if options.rest_length is None else options.rest_length
         if length is None:
@@ -276,7 +277,9 @@ def _fit(options: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from ..export import export_fmu
 
-    plant = _plant(options.plant, options.muscle)
+    target: Path | None = options.out
+    require_places(target)
+    plant = _plant(options.plant, options.muscle, options.allow_code)
     values = {}
     for text in options.set:
         name, equals, number = text.partition("=")
@@ -287,22 +290,28 @@ def _export(options: argparse.Namespace) -> int:
         if not equals:
             raise InputError(f"--set {text}: give NAME=VALUE with a number in SI, as in mass=3.0")
     plant = plant.with_values(values)
-    target = options.out or Path(f"{plant.name}.fmu")
+    target = target or Path(f"{plant.name}.fmu")
     chosen = {"inputs": options.input, "outputs": options.output}
     fmu = export_fmu(plant, target, fmi=options.fmi, platforms=options.platform, **chosen)
     print(f"-> {fmu}")
     return 0
 
 
-def _plant(name: str, muscle_name: str) -> Any:
-    """A plant by its name, from a user's file (FILE.py:NAME), or from a table (FILE.toml)."""
-    from ..core.quantities import read_toml
+def _plant(name: str, muscle_name: str, allow_code: bool) -> Any:
+    """A plant by its name, from a user's file (FILE.py:NAME), or from a table (FILE.toml).
+
+    A file named on the command line is run; one named in another file only with ``allow_code``.
+    """
+    from ..core.files import read_toml, reading
     from ..plants.plant_file import named_plant, plant_of
 
     if name.endswith(".toml"):
-        content = read_toml(Path(name))
-        return plant_of(content.get("plant"), f"{name}: plant", Path(name).parent)
-    return named_plant(name, _muscle(muscle_name))
+        content = read_toml(name)
+        with reading(name, "a plant", "give it a table [plant], as for 'pam-ocp plan'"):
+            where = f"{name}: plant"
+            folder = Path(name).parent
+            return plant_of(content.get("plant"), where, folder, allow_code=allow_code)
+    return named_plant(name, _muscle(muscle_name), allow_code=True)
 
 
 def _muscle(name: str, rest_length: float | None = None) -> Any:
@@ -323,19 +332,18 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _loads(options: argparse.Namespace) -> int:
-    from ..core.files import atomic_path
+    from ..core.files import make_folder
+    from ..figures.saved import save_figure
     from ..studies.loads import load_study
 
+    folder = make_folder(options.out) if options.out else None
     study = load_study(
         _muscle(options.muscle), options.masses, [p * 1e5 for p in options.pressures]
     )
     print(study)
-    if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        print(f"-> {study.save(options.out / 'loads.csv')}")
-        with atomic_path(options.out / "loads.png") as temporary:
-            study.plot().savefig(temporary, dpi=130)
-        print(f"-> {options.out / 'loads.png'}")
+    if folder:
+        print(f"-> {study.save(folder / 'loads.csv')}")
+        print(f"-> {save_figure(study.plot(), folder / 'loads.png')}")
     return 0
 
 
@@ -356,12 +364,10 @@ def _show(options: argparse.Namespace) -> int:
     muscle = _muscle(options.name, options.rest_length)
     print(muscle_text(muscle))
     if options.plot:
-        from ..core.files import atomic_path
+        from ..figures.saved import save_figure
         from ..figures.trajectory import plot_muscle
 
-        with atomic_path(options.plot) as temporary:
-            plot_muscle(muscle).savefig(temporary, dpi=130)
-        print(f"-> {options.plot}")
+        print(f"-> {save_figure(plot_muscle(muscle), options.plot)}")
     return 0
 
 

@@ -7,11 +7,14 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.quantities import known_keys, quantity, read_toml, table
+from ..core.files import read_toml, reading
+from ..core.quantities import known_keys, quantity, table
+from .options import add_allow_code, require_places
 
 if TYPE_CHECKING:
     from ..control.estimators.extended_kalman import Estimator
@@ -114,21 +117,21 @@ def add_mpc(commands: Any) -> None:
     mpc.add_argument("--seed", type=int, help="of the noise (default: 0)")
     mpc.add_argument("--out", type=Path, metavar="FILE", help="write the motion (.csv, .npz)")
     mpc.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
+    add_allow_code(mpc)
     mpc.set_defaults(run=_mpc)
 
 
 def _mpc(options: argparse.Namespace) -> int:
+    require_places(options.out, options.plot)
     study = _study(options)
     loop = _run(study)
     print(_report(study, loop))
     if options.out:
         print(f"-> {loop.trajectory.save(options.out)}")
     if options.plot:
-        from ..core.files import atomic_path
+        from ..figures.saved import save_figure
 
-        with atomic_path(options.plot) as temporary:
-            loop.plot(_title(study)).savefig(temporary, dpi=120)
-        print(f"-> {options.plot}")
+        print(f"-> {save_figure(loop.plot(_title(study)), options.plot, dpi=120)}")
     return 1 if loop.statistics and loop.statistics.failures else 0
 
 
@@ -136,14 +139,22 @@ def _study(options: argparse.Namespace) -> dict[str, Any]:
     """DEFAULTS, what the problem file says over them, and what the command line says over that."""
     study = {n: dict(v) if isinstance(v, dict) else v for n, v in DEFAULTS.items()}
     study["folder"] = None
+    study["file"] = options.problem
+    study["allow_code"] = options.allow_code
     if options.problem and options.problem.endswith(".toml"):
-        study.update(_file(Path(options.problem)))
+        with reading(options.problem, "a problem file", "'pam-ocp mpc --help' shows one"):
+            study.update(_file(Path(options.problem)))
         study["folder"] = Path(options.problem).parent
     elif options.problem:
         study["plant"] = options.problem
     for name in ("muscle", "against", "duration", "seed"):
         if getattr(options, name) is not None:
             study[name] = getattr(options, name)
+    if str(study["against"]).endswith(".fmu") and options.against is None:
+        from ..plants.plant_file import require_allowed
+
+        what = f"against = {study['against']!r} would run the machine code of that FMU"
+        require_allowed(what, options.allow_code)
     for name in ("set", "real"):
         study[name] = {**study[name], **_pairs(name, getattr(options, name))}
     if options.estimator is not None:
@@ -178,9 +189,20 @@ def _pairs(option: str, texts: list[str]) -> dict[str, float]:
 
 
 def _run(study: Mapping[str, Any]) -> ClosedLoop:
+    from ..control.loop import closed_loop
+
+    file = study["file"] if study["folder"] else None
+    with reading(file, "a problem file", "see its keys") if file else nullcontext():
+        controller, model, arguments = _set_up(study)
+    with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
+        side = _real(study["against"], model, Path(folder))
+        return closed_loop(controller, side, duration=study["duration"], **arguments)
+
+
+def _set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:
+    """(controller, its model, further arguments of closed_loop)."""
     from ..control.controller import Tracking
     from ..control.kinds import CONTROLLERS
-    from ..control.loop import closed_loop
     from ..control.references import source
 
     plant = _plant(study)
@@ -209,19 +231,19 @@ def _run(study: Mapping[str, Any]) -> ClosedLoop:
         n: source(f"disturbances.{n}", v, model.variable(n).unit, before=0.0)
         for n, v in study["disturbances"].items()
     }
-    with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
-        return closed_loop(
-            controller,
-            _real(study["against"], model, Path(folder)),
-            sources if study["reference"] or isinstance(controller, Tracking) else {},
-            duration=study["duration"],
-            estimator=estimator,
-            disturbances=disturbances,
-            noise=_values("noise", plant, study["noise"]) or None,
-            parameters=_values("real", plant, study["real"]),
-            start=begin,
-            seed=study["seed"],
-        )
+    return (
+        controller,
+        model,
+        {
+            "reference": sources if study["reference"] or isinstance(controller, Tracking) else {},
+            "estimator": estimator,
+            "disturbances": disturbances,
+            "noise": _values("noise", plant, study["noise"]) or None,
+            "parameters": _values("real", plant, study["real"]),
+            "start": begin,
+            "seed": study["seed"],
+        },
+    )
 
 
 def _plant(study: Mapping[str, Any]) -> Plant:
@@ -230,9 +252,12 @@ def _plant(study: Mapping[str, Any]) -> Plant:
 
     folder, given = study.get("folder"), study["plant"]
     if isinstance(given, Mapping):
-        plant = plant_of({"muscle": study["muscle"], **given}, folder=folder)
+        content = {"muscle": study["muscle"], **given}
+        plant = plant_of(content, folder=folder, allow_code=study["allow_code"])
     else:
-        plant = named_plant(given, muscle_of(study["muscle"], folder=folder), folder)
+        typed = given == study["file"]  # on the command line: that is the consent
+        muscle = muscle_of(study["muscle"], folder=folder)
+        plant = named_plant(given, muscle, folder, allow_code=typed or study["allow_code"])
     return plant.with_values(_values("set", plant, study["set"]))
 
 

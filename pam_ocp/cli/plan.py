@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, PlanError, PlanWarning
+from .options import add_allow_code, require_places
 
 if TYPE_CHECKING:
     from ..planning.result import Plan
@@ -26,6 +27,7 @@ A problem file (TOML). Values are numbers in SI, or texts with a unit; plain key
 
   [plant]
   arrangement = "AntagonisticSlide" # HangingLoad, AntagonisticJoint, ..., or FILE.py:NAME
+                                    # (which runs FILE.py: only with --allow-code)
   muscle = "DMSP-20-200N"           # see 'pam-ocp muscles'; or a muscle file (.toml, .json)
   mass = "2 kg"
   pre_contraction = "10 %"
@@ -74,6 +76,7 @@ def add_plan(commands: Any) -> None:
         ("--fmu-inputs", "csv", "write the inputs as a table that FMI tools replay"),
     ):
         plan.add_argument(option, type=Path, metavar=f"FILE.{ending}", help=words)
+    add_allow_code(plan)
     plan.add_argument("--progress", action="store_true", help="show each iteration as it runs")
     plan.add_argument("--log", action="store_true", help="print the solver's iterations afterwards")
     plan.set_defaults(run=_plan)
@@ -84,7 +87,7 @@ def _plan(options: argparse.Namespace) -> int:
     from ..planning.problem.problem_file import load_problem
 
     _check_endings(options)
-    plant, arguments = load_problem(options.problem)
+    plant, arguments = load_problem(options.problem, allow_code=options.allow_code)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PlanWarning)  # said below
@@ -128,8 +131,7 @@ def _check_endings(options: argparse.Namespace) -> None:
         shown = f"--{option.replace('_', '-')} {target}"
         if target.suffix.lower() not in endings:
             raise InputError(f"{shown}: give a name that ends in {' or '.join(endings)}")
-        if not target.parent.is_dir():
-            raise InputError(f"{shown}: the folder {target.parent} does not exist; create it first")
+        require_places(target)
 
 
 def _written(plan: Plan, options: argparse.Namespace) -> list[Path]:
@@ -140,11 +142,9 @@ def _written(plan: Plan, options: argparse.Namespace) -> list[Path]:
     if options.csv:
         done.append(plan.trajectory.save(options.csv))
     if options.plot:
-        from ..core.files import atomic_path
+        from ..figures.saved import save_figure
 
-        with atomic_path(options.plot) as temporary:
-            plan.plot().savefig(temporary, dpi=130)
-        done.append(options.plot)
+        done.append(save_figure(plan.plot(), options.plot))
     if options.animate:
         from ..figures.film import animate_plan
 

@@ -7,8 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import InputError
-from ..core.files import read_npz, require_format, write_npz
+from ..core.files import read_npz, reading, require_format, write_npz
 from ..core.trajectory import Trajectory
 from .mpc_statistics import MpcStatistics, MpcStep
 
@@ -41,7 +40,7 @@ def read_loop(path: str | os.PathLike[str]) -> dict[str, Any]:
     kind = "a closed loop"
     content, arrays = read_npz(path, kind)
     require_format(path, content, kind, FORMAT, "ClosedLoop.save() writes one")
-    try:
+    with reading(path, kind, "give one that ClosedLoop.save() wrote"):
         found: dict[str, Any] = dict.fromkeys(PARTS)
         found["trajectory"] = Trajectory._from_meta(content, arrays["t"], arrays["data"])
         for name, part in content["parts"].items():
@@ -50,6 +49,4 @@ def read_loop(path: str | os.PathLike[str]) -> dict[str, Any]:
         steps = content["steps"]
         found["statistics"] = steps and MpcStatistics(tuple(MpcStep(**s) for s in steps))
         found["prediction_error"] = content["prediction_error"]
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{os.fspath(path)} is damaged: {error}") from None
     return found

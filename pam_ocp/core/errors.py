@@ -19,6 +19,7 @@ from .exceptions import (
     SimulationError,
     UnknownNameError,
     VibrationError,
+    WriteError,
 )
 from .quantities import quantity
 
@@ -32,6 +33,7 @@ __all__ = [
     "SimulationError",
     "UnknownNameError",
     "VibrationError",
+    "WriteError",
     "require_count",
     "require_finite",
     "require_instance",

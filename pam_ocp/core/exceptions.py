@@ -19,6 +19,7 @@ __all__ = [
     "SimulationError",
     "UnknownNameError",
     "VibrationError",
+    "WriteError",
 ]
 
 
@@ -28,6 +29,17 @@ class PamError(Exception):
 
 class InputError(PamError, ValueError):
     """An argument has a value that it must not have."""
+
+
+class WriteError(InputError, OSError):
+    """A file cannot be written where it was asked for; what stood there before still does.
+
+    ``errno`` is the system's number, where the system refused.
+    """
+
+    def __init__(self, message: str, errno: int | None = None) -> None:
+        super().__init__(message)
+        self.errno = errno
 
 
 class UnknownNameError(InputError):

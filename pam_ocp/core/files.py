@@ -1,60 +1,299 @@
-"""Writing files so that a reader never sees half of one."""
+"""Files: read within limits, and written so that a reader never sees half of one.
+
+What stands in a file was written by anybody, and may be damaged: whatever is wrong with it ends in
+one sentence, and quickly. Limits are far above what measurements and plans need.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-import tempfile
+import re
+import struct
+import sys
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError
+from .atomic import atomic_path, make_folder, require_place
+from .exceptions import InputError, PamError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 __all__ = [
     "atomic_path",
+    "content_of",
+    "json_of",
+    "make_folder",
     "read_json",
     "read_npz",
+    "read_toml",
+    "reading",
+    "require_file",
     "require_format",
+    "require_place",
+    "require_size",
+    "require_unpacked",
     "write_json",
     "write_npz",
 ]
 
 Array: TypeAlias = NDArray[Any]
 
+MOST_BYTES = 512 * 2**20
+"""Of a file that is read."""
+MOST_UNPACKED = 2 * 2**30
+"""Bytes that a packed file (.npz, .mat) may hold, asked of its directory before it is unpacked."""
+MOST_MEMBERS = 1000
+"""Files in a packed file."""
+MOST_COLUMNS = 2000
+"""Of a table."""
+MOST_ROWS = 20_000_000
+"""Of a table."""
+MOST_CELLS = 100_000_000
+"""Rows times columns of a table."""
+MOST_SHEET_BYTES = 64 * 2**20
+"""Bytes that a spreadsheet (.xlsx) may hold: its cells are text, unpacked and read one by one."""
+MOST_SHEET_CELLS = 2_000_000
+"""Cells of a spreadsheet."""
+MOST_TOML_BYTES = 2**20
+"""Of a TOML file, which people write."""
+MOST_DEPTH = 64
+"""Brackets within brackets of a JSON or TOML file."""
+MOST_PARTS = 32
+"""Of a TOML key, as a.b.c has three."""
+MOST_NAME = 200
+"""Characters of a column's header or of a variable's name."""
+MOST_WORDS = 500
+"""Characters of what a message repeats of a file."""
 
+DAMAGE = (
+    ArithmeticError,
+    AttributeError,
+    BadZipFile,
+    EOFError,
+    ImportError,
+    LookupError,
+    MemoryError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,  # of CasADi; and RecursionError
+    TypeError,
+    ValueError,
+    struct.error,
+    zlib.error,
+)
+"""What damage in a file leads to in the libraries and the code that read it."""
+
+
+# ---- reading -------------------------------------------------------------------------------------
 @contextmanager
-def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``target``, renamed to it when the block ends without an error.
+def reading(
+    path: str | os.PathLike[str], kind: str, remedy: str, foreign: bool = False
+) -> Iterator[None]:
+    """A block that makes something of a file: whatever it raises becomes an InputError.
 
-    Raises InputError when the folder does not exist or cannot be written.
+    An InputError of our own stays one, and names the file in front. What damage leads to
+    (:data:`DAMAGE`) becomes "FILE cannot be read as KIND". Anything else is said with its name and
+    kept as the cause, for it may be a fault of ours.
+
+    kind : what should be in the file, as "a plan file". remedy : what to do.
+    foreign : a library of others reads here: all that it raises is damage.
     """
-    target = Path(target)
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: the folder {target.parent} does not exist; create it first")
-    if target.is_dir():
-        raise InputError(f"{target} is a folder; give the name of a file")
+    name = os.fspath(path)
     try:
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=target.suffix)
-    except OSError as error:
-        raise InputError(f"{target}: cannot write here ({error.strerror})") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes files that only their owner may read
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield
+    except InputError as error:
+        said = _short(str(error))
+        if name in said or Path(name).name in said:
+            if said == str(error):
+                raise
+            raise InputError(said) from None
+        raise InputError(f"{name}: {said}") from error
+    except PamError as error:
+        raise InputError(f"{name}: {_short(str(error))}") from error
+    except Exception as error:
+        words = f"{name} cannot be read as {kind}: {_told(error)}"
+        if foreign or isinstance(error, DAMAGE):
+            raise InputError(f"{words}; {remedy}") from None
+        raise InputError(f"{words}, which reading should not meet; please report it") from error
 
 
+def _told(error: Exception) -> str:
+    """An error of others in a few words on one line."""
+    words = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, KeyError):
+        return f"it lacks {_short(words)}"
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if isinstance(error, MemoryError):
+        return "it asks for more memory than there is"
+    return _short(f"{type(error).__name__}: {words}" if words else type(error).__name__)
+
+
+def _short(words: str) -> str:
+    """On one line, and not longer than :data:`MOST_WORDS` characters."""
+    words = " ".join(words.split())
+    half = MOST_WORDS // 2
+    return words if len(words) <= MOST_WORDS else f"{words[:half]} ... {words[-half:]}"
+
+
+def require_file(
+    path: str | os.PathLike[str], most: int = MOST_BYTES, remedy: str = "give a smaller one"
+) -> Path:
+    """The path of an ordinary file of at most ``most`` bytes.
+
+    Raises InputError for none, a folder, a device (which may have no end), and a larger file.
+    """
+    name = os.fspath(path)
+    if not isinstance(name, str):
+        raise InputError(f"path = {name!r}: give the name of a file as text")
+    try:
+        there, size = os.path.isfile(name), os.path.getsize(name)
+    except (OSError, ValueError):
+        there, size = False, 0
+    if os.path.isdir(name):
+        raise InputError(f"{name} is a folder; give a file")
+    if not there:
+        exists = "\0" not in name and os.path.exists(name)
+        words = "is a device or a pipe; give a file" if exists else "no such file; look at its name"
+        raise InputError(f"{name}: {words}" if not exists else f"{name} {words}")
+    if size > most:
+        raise InputError(
+            f"{name} has {size / 2**20:.0f} MiB, more than the {most / 2**20:g} allowed; {remedy}"
+        )
+    return Path(name)
+
+
+def content_of(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
+    """The bytes of a file. Raises InputError; see :func:`require_file`."""
+    source = require_file(path, most)
+    with reading(path, "a file", "look at its permissions"):
+        return source.read_bytes()
+
+
+def require_size(
+    label: str, rows: int, columns: int, cells: int = MOST_CELLS, widest: int = MOST_COLUMNS
+) -> None:
+    """Raises InputError for a table with too many rows, columns or cells."""
+    for count, most, what in (
+        (columns, widest, "columns"),
+        (rows, MOST_ROWS, "rows"),
+        (rows * columns, cells, "cells"),
+    ):
+        if count > most:
+            raise InputError(
+                f"{label} has {count} {what}, more than the {most} allowed; "
+                "keep what is needed, or cut it into several files"
+            )
+
+
+def require_unpacked(path: str | os.PathLike[str], most: int = MOST_UNPACKED) -> None:
+    """Raises InputError for a packed file that would unpack to more than ``most`` bytes.
+
+    Only its directory is read. No member can be longer than the directory says.
+    """
+    with ZipFile(path) as archive:
+        members = archive.infolist()
+    size = sum(m.file_size for m in members)
+    if size > most or len(members) > MOST_MEMBERS:
+        raise InputError(
+            f"{os.fspath(path)} unpacks to {len(members)} parts of {size / 2**20:.0f} MiB; at most "
+            f"{MOST_MEMBERS} parts of {most / 2**20:g} MiB are allowed: save the table as CSV"
+        )
+
+
+def read_json(path: str | os.PathLike[str], kind: str, form: str, remedy: str) -> dict[str, Any]:
+    """The mapping in a file of JSON whose "format" is ``form``.
+
+    kind : what should be in it, for the message. Raises InputError for any other file.
+    """
+    text = content_of(path)
+    with reading(path, kind, remedy):
+        content = json_of(text)
+    return require_format(path, content, kind, form, remedy)
+
+
+def json_of(text: bytes, infinite: bool = False) -> Any:
+    """What JSON says. Raises ValueError for what is no JSON, or nested too deeply.
+
+    infinite : Infinity and NaN, which JSON does not know, are numbers too.
+    """
+    codes = np.frombuffer(re.sub(rb'"(?:[^"\\]|\\.)*"', b"", text, flags=re.DOTALL), np.uint8)
+    opening = ((codes == ord("[")) | (codes == ord("{"))).astype(np.int8)
+    closing = ((codes == ord("]")) | (codes == ord("}"))).astype(np.int8)
+    _require_shallow(np.cumsum(opening - closing, dtype=np.int64))
+    return json.loads(text.decode("utf-8"), parse_constant=float if infinite else _no_number)
+
+
+def _require_shallow(depths: Array) -> None:
+    if depths.size and depths.max() > MOST_DEPTH:
+        raise ValueError(f"it is nested {depths.max()} deep, {MOST_DEPTH} is the most allowed")
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number that JSON knows")
+
+
+_TOML_TEXT = re.compile(
+    r'"""(?:[^\\]|\\.)*?"""' r"|'''.*?'''" r'|"(?:[^"\\\n]|\\.)*"' r"|'[^'\n]*'" r"|#[^\n]*",
+    re.DOTALL,
+)
+_TOML_KEY = re.compile(r"[\w\-. \t]+")
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The content of a TOML file; InputError when there is none, or it is no TOML."""
+    content = content_of(path, MOST_TOML_BYTES)
+    with reading(path, "a TOML file", "mend it there, or write it anew"):
+        text = content.decode("utf-8")
+        bare = _TOML_TEXT.sub("s", text)
+        parts = max((found[0].count(".") for found in _TOML_KEY.finditer(bare)), default=0) + 1
+        if parts > MOST_PARTS:
+            raise ValueError(f"a key has {parts} parts, {MOST_PARTS} are the most allowed")
+        steps = [(c in "[{") - (c in "]}") for c in bare if c in "[{]}"]
+        _require_shallow(np.cumsum(steps, dtype=np.int64))
+        found: dict[str, Any] = tomllib.loads(text)
+    return found
+
+
+def read_npz(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
+    """(mapping, arrays by name) of what :func:`write_npz` wrote.
+
+    kind : what should be in it, for the message. Raises InputError for any other file.
+    """
+    require_file(path)
+    with reading(path, kind, "give a whole one, as it was saved"):
+        require_unpacked(path)
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        content = json_of(str(arrays.pop("meta")).encode(), infinite=True)
+    if not isinstance(content, dict):
+        raise InputError(f"{os.fspath(path)} is no {kind.removeprefix('a ')}; save one anew")
+    return content, arrays
+
+
+def require_format(
+    path: str | os.PathLike[str], content: Any, kind: str, form: str, remedy: str
+) -> dict[str, Any]:
+    """The content of a file, or an InputError when its "format" is not ``form``."""
+    if not isinstance(content, dict) or content.get("format") != form:
+        raise InputError(f"{os.fspath(path)} is no {kind.removeprefix('a ')}; {remedy}")
+    return content
+
+
+# ---- writing -------------------------------------------------------------------------------------
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
     """Write a mapping as JSON; numbers must be finite. Returns the path."""
     with atomic_path(path) as temporary:
@@ -71,50 +310,3 @@ def write_npz(
         meta = np.array(json.dumps(content, default=float))
         np.savez_compressed(file, allow_pickle=False, meta=meta, **arrays)
     return Path(path)
-
-
-def read_json(path: str | os.PathLike[str], kind: str, form: str, remedy: str) -> dict[str, Any]:
-    """The mapping in a file of JSON whose "format" is ``form``.
-
-    kind : what should be in it, for the message. Raises InputError for any other file.
-    """
-    try:
-        content = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{os.fspath(path)} cannot be read as {kind}: {error}") from None
-    return require_format(path, content, kind, form, remedy)
-
-
-def read_npz(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], dict[str, Array]]:
-    """(mapping, arrays by name) of what :func:`write_npz` wrote.
-
-    kind : what should be in it, for the message. Raises InputError for any other file.
-    """
-    if not Path(path).is_file():
-        raise InputError(f"{os.fspath(path)}: no such file")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        content = json.loads(str(arrays.pop("meta")))
-    except (
-        ValueError,
-        OSError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        EOFError,
-        BadZipFile,
-    ) as error:
-        raise InputError(f"{os.fspath(path)} cannot be read as {kind}: {error}") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{os.fspath(path)} is no {kind.removeprefix('a ')}")
-    return content, arrays
-
-
-def require_format(
-    path: str | os.PathLike[str], content: Any, kind: str, form: str, remedy: str
-) -> dict[str, Any]:
-    """The content of a file, or an InputError when its "format" is not ``form``."""
-    if not isinstance(content, dict) or content.get("format") != form:
-        raise InputError(f"{os.fspath(path)} is no {kind.removeprefix('a ')}; {remedy}")
-    return content

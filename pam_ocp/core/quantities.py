@@ -3,36 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 import re
-import sys
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 from .exceptions import InputError, UnknownNameError
 from .units import unit as unit_of
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
-
-__all__ = ["known_keys", "pair", "quantity", "read_toml", "table"]
+__all__ = ["known_keys", "pair", "quantity", "table"]
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
-
-
-def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The content of a TOML file; InputError when there is none, or it is no TOML."""
-    try:
-        with Path(path).open("rb") as file:
-            content: dict[str, Any] = tomllib.load(file)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is no TOML file: {error}") from None
-    return content
 
 
 def table(where: str, value: Any) -> Mapping[str, Any]:

@@ -42,6 +42,19 @@ class PiecewisePolynomial:
     breaks: Array
     coefficients: Array
 
+    def require(self, count: int) -> None:
+        """Raises InputError where breaks and coefficients do not make ``count`` signals."""
+        n = self.breaks.size - 1
+        rising = self.breaks.ndim == 1 and n >= 1 and np.all(np.diff(self.breaks) > 0)
+        if not (rising and np.all(np.isfinite(self.breaks))):
+            raise InputError("breaks of the signals must be at least two finite times, rising")
+        shape = self.coefficients.shape
+        if len(shape) != 3 or shape[0] != n or shape[1] < 1 or shape[2] != count:
+            raise InputError(
+                f"coefficients of the signals have shape {shape}; for {n} pieces of {count} "
+                f"signals give ({n}, degree + 1, {count})"
+            )
+
     @property
     def degree(self) -> int:
         return int(self.coefficients.shape[1]) - 1

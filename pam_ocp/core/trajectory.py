@@ -6,6 +6,7 @@ What a simulation, a plan and an FMU's replay return, and what a measured record
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -18,9 +19,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from .errors import InputError, UnknownNameError
-from .files import atomic_path, read_npz, write_npz
+from .files import (
+    MOST_NAME,
+    atomic_path,
+    content_of,
+    json_of,
+    read_npz,
+    reading,
+    require_file,
+    require_size,
+    write_npz,
+)
+from .foreign import read_frame
 from .signals import Interpolation, PiecewisePolynomial
-from .variables import Causality, Variable
+from .variables import Causality, Variable, variable_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -280,23 +292,27 @@ class Trajectory:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
         """Read what :meth:`save` wrote. A CSV keeps names and units; its columns are outputs."""
-        source = Path(path)
-        if not source.is_file():
-            raise InputError(f"{source}: no such file")
+        source = require_file(path)
         readers = {".csv": cls._read_csv, ".npz": cls._read_npz, ".parquet": cls._read_parquet}
         reader = readers.get(source.suffix.lower())
         if reader is None:
             raise InputError(f"{source.name}: load from one of {', '.join(readers)}")
-        return reader(source)
+        with reading(path, "a trajectory", "give one that Trajectory.save() wrote"):
+            return reader(source)
 
     @classmethod
     def _read_csv(cls, path: Path) -> Trajectory:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            header, *lines = csv.reader(file)
+        text = content_of(path).decode("utf-8-sig")
+        try:
+            header, *lines = csv.reader(io.StringIO(text, newline=""))
+        except csv.Error as error:
+            raise InputError(f"{path.name}: {error}; save it as CSV anew") from None
+        require_size(path.name, len(lines), len(header))
+        if any(len(head) > MOST_NAME for head in header):
+            raise InputError(f"{path.name}: a header has more than {MOST_NAME} characters")
         if not header or header[0].partition(" ")[0] != "time":
-            raise InputError(
-                f"{path.name}: the first column is {header[:1]}, it must be 'time [s]'"
-            )
+            seen = str(header[:1])[:MOST_NAME]
+            raise InputError(f"{path.name}: the first column is {seen}, it must be 'time [s]'")
         try:
             data = np.array([[float(c) for c in line] for line in lines])
         except ValueError as error:
@@ -317,32 +333,28 @@ class Trajectory:
     @classmethod
     def _read_npz(cls, path: Path) -> Trajectory:
         content, arrays = read_npz(path, "a trajectory")
-        try:
-            return cls._from_meta(content, arrays["t"], arrays["data"])
-        except KeyError as error:
-            raise InputError(f"{path} is no trajectory: it lacks {error}") from None
+        return cls._from_meta(content, arrays["t"], arrays["data"])
 
     @classmethod
     def _read_parquet(cls, path: Path) -> Trajectory:
-        try:
-            import pandas as pd
-        except ImportError:
-            raise InputError(
-                "Parquet needs pandas and pyarrow: pip install pam_ocp[studies]"
-            ) from None
-        frame = pd.read_parquet(path)
-        return cls._from_meta(
-            json.loads(frame.attrs["pam_ocp"]), frame.index.to_numpy(), frame.to_numpy()
-        )
+        frame = read_frame(path)
+        said, t, data = frame.attrs["pam_ocp"], frame.index.to_numpy(), frame.to_numpy()
+        return cls._from_meta(json_of(said.encode(), infinite=True), t, data)
 
     @classmethod
     def _from_meta(cls, content: Mapping[str, Any], t: Array, data: Array) -> Trajectory:
-        variables = [Variable(**v) for v in content["variables"]]
+        variables = [variable_of(v) for v in content["variables"]]
+        if np.shape(data) != (len(t), len(variables)):
+            raise InputError(
+                f"data has shape {np.shape(data)}, times and variables say "
+                f"{(len(t), len(variables))}"
+            )
         columns = {v.name: data[:, i] for i, v in enumerate(variables)}
         signals = None
         if "signals" in content:
-            breaks, coefficients = content["signals"]
-            signals = PiecewisePolynomial(np.array(breaks), np.array(coefficients))
+            breaks, coefficients = (np.array(part, dtype=float) for part in content["signals"])
+            signals = PiecewisePolynomial(breaks, coefficients)
+            signals.require(sum(v.causality == "input" for v in variables))
         return cls(t, columns, variables, content["interpolation"], (), signals)
 
     # ---- looking ----------------------------------------------------------------------------

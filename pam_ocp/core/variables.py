@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from .errors import InputError
 from .plausible import doubt, meant_within
 from .quantities import quantity
 
-__all__ = ["Causality", "Memory", "Variable"]
+__all__ = ["Causality", "Memory", "Variable", "variable_of"]
 
 Causality = Literal["state", "input", "parameter", "output", "constraint"]
 Memory = Literal["", "held", "settling"]
@@ -161,3 +162,23 @@ class Variable:
     def label(self) -> str:
         """Name and display unit, for an axis or a column head."""
         return self.name if self.display_unit == "1" else f"{self.name} [{self.display_unit}]"
+
+
+_TEXTS = ("name", "causality", "unit", "description", "display_unit", "memory")
+_FLAGS = ("tunable", "disturbance")
+
+
+def variable_of(said: Mapping[str, Any]) -> Variable:
+    """The Variable that ``dataclasses.asdict`` took apart, as a file tells it.
+
+    Raises InputError for a value of a wrong kind, TypeError for a key that no variable has.
+    """
+    for key, value in said.items():
+        wanted: Any = str if key in _TEXTS else bool if key in _FLAGS else (int, float)
+        if value is None and key == "start":
+            continue
+        if not isinstance(value, wanted) or (isinstance(value, bool) and key not in _FLAGS):
+            raise InputError(f"{key} of a variable is {value!r}: the file is damaged")
+    if said.get("causality") not in get_args(Causality):
+        raise InputError(f"causality = {said.get('causality')!r}: the file is damaged")
+    return Variable(**said)

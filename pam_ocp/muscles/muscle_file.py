@@ -11,8 +11,15 @@ from typing import Any
 import tomli_w
 
 from ..core.errors import InputError, UnknownNameError, require_finite, require_instance
-from ..core.files import atomic_path, read_json, require_format, write_json
-from ..core.quantities import read_toml, table
+from ..core.files import (
+    atomic_path,
+    read_json,
+    read_toml,
+    reading,
+    require_format,
+    write_json,
+)
+from ..core.quantities import table
 from .laws.user_defined import law_named
 from .pneumatic_muscle import Muscle
 
@@ -79,10 +86,8 @@ def load_muscle(path: str | os.PathLike[str]) -> Muscle:
         content = read_json(path, kind, FORMAT, remedy)
     else:
         content = require_format(path, read_toml(path), kind, FORMAT, remedy)
-    try:
+    with reading(path, kind, "save one by save_muscle(...)"):
         return _muscle(content)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{os.fspath(path)}: {error}") from None
 
 
 def _muscle(content: dict[str, Any]) -> Muscle:

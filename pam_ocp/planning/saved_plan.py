@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, PlanError, PlanWarning
-from ..core.files import read_npz, require_format, write_npz
+from ..core.files import read_npz, reading, require_format, write_npz
 from ..core.signals import PiecewisePolynomial
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import evaluated
@@ -92,12 +92,8 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
     """
     require_plant(plant)
     meta, arrays = _read(Path(path))
-    try:
+    with reading(path, "a plan file", "give one that plan.save() wrote, or plan anew"):
         found = _plan(str(path), meta, arrays, plant)
-    except InputError:
-        raise
-    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-        raise InputError(f"{path} is no plan file: {error!r}") from None
     if not found.verified:
         warnings.warn(f"{path}: the plan is {found.verdict}", PlanWarning, stacklevel=2)
     return found

@@ -16,7 +16,7 @@ from ..muscles.pneumatic_muscle import Muscle
 from .kinds import PLANTS
 from .plant import Plant
 
-__all__ = ["muscle_of", "named_plant", "plant_of"]
+__all__ = ["muscle_of", "named_plant", "plant_of", "require_allowed"]
 
 OWN = "FILE.py:NAME"
 """How a plant of one's own is named."""
@@ -41,13 +41,19 @@ def muscle_of(value: Any, where: str = "muscle", folder: Path | None = None) -> 
     return catalogue_muscle(value, rest_length=length)
 
 
-def named_plant(name: str, muscle: Muscle, folder: Path | None = None) -> Plant:
+def named_plant(
+    name: str, muscle: Muscle, folder: Path | None = None, *, allow_code: bool = False
+) -> Plant:
     """A plant of the library with its defaults ("AntagonisticSlide" or "antagonistic_slide"), or a
-    user's: FILE.py:NAME, NAME being a Plant or a function that takes a muscle and returns one."""
+    user's: FILE.py:NAME, NAME being a Plant or a function that takes a muscle and returns one.
+
+    allow_code : FILE.py may be run; without it InputError says why not.
+    """
     file, colon, member = name.rpartition(":")
     if not colon:
         made: Plant = PLANTS.find("plant", name, OWN)(muscle)
         return made
+    require_allowed(f"{name!r} would run the Python file {file}", allow_code)
     found = _member((folder or Path()) / file, member)
     plant = found if isinstance(found, Plant) else found(muscle)
     if not isinstance(plant, Plant):
@@ -55,7 +61,22 @@ def named_plant(name: str, muscle: Muscle, folder: Path | None = None) -> Plant:
     return plant
 
 
-def plant_of(content: Any, where: str = "plant", folder: Path | None = None) -> Plant:
+def require_allowed(what: str, allow_code: bool) -> None:
+    """Raises InputError where a file asks for code to be run and nobody said that it may."""
+    if not allow_code:
+        raise InputError(
+            f"{what}: a file that others made could do anything with your files that way. Read "
+            "that code, and then allow it by --allow-code (in Python: allow_code=True)"
+        )
+
+
+def plant_of(
+    content: Any,
+    where: str = "plant",
+    folder: Path | None = None,
+    *,
+    allow_code: bool = False,
+) -> Plant:
     """The Plant that a ``[plant]`` table describes.
 
     content : ``arrangement`` (a plant of the library, or FILE.py:NAME), ``muscle`` (see
@@ -64,6 +85,7 @@ def plant_of(content: Any, where: str = "plant", folder: Path | None = None) -> 
         ``feed = { kind = "Regulator", lag = "50 ms" }``; losses and loads are lists of them.
         Values are SI numbers or texts with a unit.
     where : what is read, for messages. folder : of the file; other files are looked for there.
+    allow_code : the table may name a plant as FILE.py:NAME, which runs that file.
 
     Raises InputError (UnknownNameError for a name), naming key, value and what is allowed.
     """
@@ -77,7 +99,7 @@ def plant_of(content: Any, where: str = "plant", folder: Path | None = None) -> 
     part = muscle_of(content.pop("muscle", None), f"{where}.muscle", folder)
     if ":" in name:
         known_keys(where, content, ("arrangement", "muscle", "set"))
-        plant = named_plant(name, part, folder)
+        plant = named_plant(name, part, folder, allow_code=allow_code)
     else:
         if "muscle2" in content:
             content["muscle2"] = muscle_of(content["muscle2"], f"{where}.muscle2", folder)

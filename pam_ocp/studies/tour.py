@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InputError
-from ..core.files import atomic_path
+from ..core.files import atomic_path, make_folder
+from ..figures.saved import save_figure
 
 __all__ = ["tour"]
 
@@ -30,11 +30,7 @@ def tour(folder: Path, say: Callable[[str], None] = print) -> dict[str, Any]:
 
     Raises InputError when the folder cannot be made.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot make this folder ({error.strerror})") from None
-    run = _Tour(folder, say)
+    run = _Tour(make_folder(folder), say)
     steps = (run.fit, run.plant, run.plan, run.export, run.replay, run.linearize)
     for number, step in enumerate(steps, 1):
         run.step(f"[{number}/{len(steps)}] {step.__doc__}")
@@ -59,9 +55,7 @@ class _Tour:
             self.say(f"          {line}")
 
     def save(self, figure: Any, name: str) -> None:
-        with atomic_path(self.folder / name) as temporary:
-            figure.savefig(temporary, dpi=130)
-        self.show(f"-> {self.folder / name}")
+        self.show(f"-> {save_figure(figure, self.folder / name)}")
 
     def fit(self) -> None:
         """fit the six-parameter force law to the measured table"""

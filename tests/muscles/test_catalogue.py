@@ -125,7 +125,7 @@ def test_a_law_of_ones_own_is_in_no_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("a.toml", "x = [", "is no TOML file"),
+        ("a.toml", "x = [", "cannot be read as a TOML file"),
         ("a.json", "{", "cannot be read as a muscle file"),
         ("b.toml", "x = 1", "its 'format' must be"),
         ("b.json", "[1]", "its 'format' must be"),

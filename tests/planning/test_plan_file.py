@@ -202,7 +202,7 @@ def test_a_file_gives_the_plan_that_python_gives(tmp_path):
         ([PLANT.replace("DMSP-20-200N", "DMSP-20"), STOPS], "unknown muscle 'DMSP-20'"),
         ([PLANT.replace("AntagonisticSlide", "Slide"), STOPS], "unknown plant.arrangement 'Slide'"),
         (["[plant]", STOPS], "plant.arrangement is missing; give one of AntagonisticJoint"),
-        (["= 3"], "no TOML file"),
+        (["= 3"], "cannot be read as a TOML file"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_said(tmp_path, parts, message):
@@ -258,12 +258,16 @@ def test_a_muscle_file_and_a_users_plant(tmp_path):
     content = (
         '[plant]\narrangement = "mine.py:load"\nmuscle = "mine.json"\nset = { mass = "8 kg" }\n'
     )
-    plant, _ = load_problem(written(tmp_path, content, STOPS))
+    with pytest.raises(InputError, match=r"would run the Python file .*mine.py.*--allow-code"):
+        load_problem(written(tmp_path, content, STOPS))
+    plant, _ = load_problem(written(tmp_path, content, STOPS), allow_code=True)
     assert plant.variable("mass").start == 8.0
     with pytest.raises(InputError, match=r"unknown name in .*mine.py 'lod'"):
-        load_problem(written(tmp_path, content.replace(":load", ":lod"), STOPS))
+        load_problem(written(tmp_path, content.replace(":load", ":lod"), STOPS), allow_code=True)
     with pytest.raises(InputError, match="no such Python file"):
-        load_problem(written(tmp_path, content.replace("mine.py", "none.py"), STOPS))
+        load_problem(
+            written(tmp_path, content.replace("mine.py", "none.py"), STOPS), allow_code=True
+        )
     assert muscle_of({"name": "DMSP-20-200N", "rest_length": "250 mm"}).rest_length == 0.25
 
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError
-from ...core.files import read_json, write_json
+from ...core.files import read_json, reading, write_json
 from ...core.trajectory import Trajectory
-from ...core.variables import Variable
+from ...core.variables import Variable, variable_of
 from ...plants.plant import Plant, require_plant
 from ..statistics import Array, Linearisation
 from .plant_fit import PlantFit
@@ -90,7 +90,7 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
     name = os.fspath(path)
     require_plant(plant)
     content = read_json(path, "a fit of a plant", FORMAT, "PlantFit.save() writes one")
-    try:
+    with reading(path, "a fit of a plant", "give one that PlantFit.save() wrote"):
         _require_same(name, content, plant)
         linear = dict(content["linearisation"])
         for key in ("values", "jacobian"):
@@ -107,8 +107,6 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
             "residuals": tuple(np.array(r, dtype=float) for r in content["residuals"]),
         }
         return PlantFit(**arguments)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{name} is damaged: {type(error).__name__} {error}") from None
 
 
 def _require_same(name: str, content: Mapping[str, Any], plant: Plant) -> None:
@@ -163,5 +161,5 @@ def _trajectory(content: Mapping[str, Any]) -> Trajectory:
         given = dict(saved)
         for key, end in (("min", -np.inf), ("max", np.inf)):
             given[key] = end if given.get(key) is None else given[key]
-        variables.append(Variable(**given))
+        variables.append(variable_of(given))
     return Trajectory(content["t"], content["columns"], variables, content["interpolation"])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, UnknownNameError
-from ...core.files import read_json, write_json
+from ...core.files import read_json, reading, write_json
 from ...muscles.law import ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ..statistics import SolverStatistics
@@ -56,8 +56,8 @@ def write_fit(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
 def read_fit(path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:
     """See :meth:`ForceFit.from_json`."""
     content = read_json(path, "a fit", FORMAT, "to_json() writes one")
-    try:
-        kind = law or law_named(content["law"])
+    with reading(path, "a fit", "give one that to_json() wrote"):
+        kind = law or _law_named(content["law"])
         solver = SolverStatistics(**content["solver"])
         return ForceFit(
             law=kind(**content["coefficients"]),
@@ -71,12 +71,13 @@ def read_fit(path: str | os.PathLike[str], law: type[ForceLaw] | None = None) ->
             solver=replace(solver, at_bound=tuple(solver.at_bound)),
             terms=_read(content.get("terms", {})),
         )
+
+
+def _law_named(name: Any) -> type[ForceLaw]:
+    try:
+        return law_named(str(name))
     except UnknownNameError as error:
-        raise InputError(
-            f"{os.fspath(path)}: {error} Give the class of an own law: law=..."
-        ) from None
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{os.fspath(path)} is damaged or of another law: {error}") from None
+        raise InputError(f"{error} Give the class of an own law: law=...") from None
 
 
 def _finite(value: float) -> float | None:

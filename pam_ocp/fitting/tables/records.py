@@ -137,7 +137,7 @@ def _loaded(source: Any) -> RawTable:
     if isinstance(source, (str, Path)) and Path(source).suffix.lower() in (".npz", ".parquet"):
         try:
             saved = Trajectory.load(source)
-        except (InputError, KeyError, ValueError, OSError):
+        except InputError:
             return load(source)  # made by others
         columns: dict[str, Any] = {"time [s]": saved.t.tolist()}
         columns |= {f"{v.name} [{v.unit}]": saved[v.name].tolist() for v in saved.variables}

@@ -9,8 +9,10 @@ from __future__ import annotations
 import csv
 import difflib
 import io
+import os
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -20,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError
+from ...core.files import MOST_NAME, content_of, reading, require_file, require_size
+from ...core.foreign import read_arrays, read_frame, read_mat, read_sheet
 
 __all__ = ["SPELLINGS", "RawTable", "load", "parse_header", "plain"]
 
@@ -97,13 +101,14 @@ class RawTable:
 
     def _number(self, header: str, index: int) -> float:
         cell = self.columns[header][index]
-        place = f"column {header!r}, {self.row(index)}"
+        place = f"{self.label}: column {header!r}, {self.row(index)}"
         if cell is None or cell == "":
             raise InputError(f"{place} is empty; fill it or take the row out")
         try:
             number = float(cell)
-        except (TypeError, ValueError):
-            raise InputError(f"{place} holds {cell!r}, which is no number") from None
+        except (TypeError, ValueError, OverflowError):
+            shown = repr(cell)[:MOST_NAME]
+            raise InputError(f"{place} holds {shown}, which is no number") from None
         if not np.isfinite(number):
             raise InputError(f"{place} holds {number}; fill it or take the row out")
         return number
@@ -124,6 +129,7 @@ def load(source: Any) -> RawTable:
             f"source is a {type(source).__name__}; give a path, a pandas DataFrame or a mapping "
             "such as {'pressure_Pa': ..., 'length_m': ..., 'force_N': ...}"
         )
+    require_size(raw.label, max(map(len, raw.columns.values()), default=0), len(raw.columns))
     counts = {name: len(values) for name, values in raw.columns.items()}
     if not counts or not max(counts.values()):
         raise InputError(f"{raw.label} is empty: it needs a header and at least one row")
@@ -143,14 +149,21 @@ def _from_frame(frame: Any, label: str) -> RawTable:
 
 
 def _require_distinct(names: Sequence[str], label: str) -> None:
-    twice = sorted({n for n in names if names.count(n) > 1})
+    require_size(label, 0, len(names))
+    long = [n for n in names if len(n) > MOST_NAME]
+    if long:
+        raise InputError(
+            f"{label}: the header {long[0][:20]!r}... has {len(long[0])} characters; "
+            f"shorten it to {MOST_NAME}"
+        )
+    twice = sorted(n for n, count in Counter(names).items() if count > 1)
     if twice:
         raise InputError(f"{label}: column {twice[0]!r} occurs twice; rename one of them")
 
 
 def _load_file(source: str | Path) -> RawTable:
     path = Path(source)
-    if not path.exists():
+    if "\0" in str(source) or not os.path.exists(path):
         bundled = {f.name: f for f in files("pam_ocp.data").iterdir() if f.name.endswith(".csv")}
         if str(source) in bundled:
             return _read_text(bundled[str(source)].read_text("utf-8"), path.name, ".csv")
@@ -159,27 +172,26 @@ def _load_file(source: str | Path) -> RawTable:
         near = difflib.get_close_matches(path.name, beside, n=3, cutoff=0.6)
         known = [str(folder / name) for name in near] + list(bundled)
         raise UnknownNameError("table file", str(source), known)
-    if path.is_dir():
-        raise InputError(f"source = {str(source)!r} is a folder; give a file")
-    suffix = path.suffix.lower()
-    if suffix in (".npz", ".mat", ".parquet", ".xlsx"):
+    suffix = require_file(path).suffix.lower()
+    with reading(path, "a table", "save it as CSV anew"):
+        if suffix in _BINARY:
+            return _BINARY[suffix](path)
+        return _read_text(_decoded(path), path.name, suffix)
+
+
+def _decoded(path: Path) -> str:
+    """The text of a file in UTF-8, in UTF-16 with its mark (as Excel writes it), or in Latin-1."""
+    content = content_of(path)
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = content.decode("utf-16")
+    else:
         try:
-            return _read_binary(path, suffix)
-        except ImportError as missing:
-            raise InputError(
-                f"{path.name}: reading {suffix} needs a package that is not installed ({missing}); "
-                "install it or save the table as CSV"
-            ) from None
-        except (OSError, ValueError, NotImplementedError) as broken:
-            raise InputError(f"{path.name} is no readable {suffix} file: {broken}") from None
-    content = path.read_bytes()
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
     if "\0" in text:
         raise InputError(f"{path.name} is no text file; save the table as CSV")
-    return _read_text(text, path.name, suffix)
+    return text
 
 
 def _read_text(text: str, label: str, suffix: str) -> RawTable:
@@ -192,13 +204,17 @@ def _read_text(text: str, label: str, suffix: str) -> RawTable:
         raise InputError(f"{label} is empty: it needs a header and at least one row")
     head = numbered[0][1]
     delimiter = "\t" if suffix == ".tsv" else max("\t;,", key=head.count)
-    rows = list(csv.reader((line for _, line in numbered), delimiter=delimiter))
+    try:
+        rows = list(csv.reader((line for _, line in numbered), delimiter=delimiter))
+    except csv.Error as error:
+        raise InputError(f"{label}: {error}; save the table as CSV anew") from None
     names = [name.strip() for name in rows[0]]
+    require_size(label, len(rows), len(names))
     _require_distinct(names, label)
     if all(_is_number(name) for name in names):
         raise InputError(
-            f"{label}: the first line {head.strip()!r} holds numbers; it must name the columns, "
-            "as in 'length_m,pressure_Pa,force_N'"
+            f"{label}: the first line {head.strip()[:MOST_NAME]!r} holds numbers; "
+            "it must name the columns, as in 'length_m,pressure_Pa,force_N'"
         )
     for (line, _), row in zip(numbered[1:], rows[1:], strict=False):
         if len(row) != len(names):
@@ -219,21 +235,19 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_binary(path: Path, suffix: str) -> RawTable:
-    content: Any
-    if suffix == ".npz":
-        with np.load(path, allow_pickle=False) as archive:
-            content = dict(archive)
-    elif suffix == ".mat":
-        from scipy.io import loadmat
+def _read_sheet(path: Path) -> RawTable:
+    names, rows = read_sheet(path)
+    _require_distinct(names, path.name)
+    return RawTable(path.name, {n: [row[i] for row in rows] for i, n in enumerate(names)})
 
-        content = {n: v for n, v in loadmat(path).items() if not n.startswith("__")}
-    else:
-        import pandas
 
-        read = pandas.read_excel if suffix == ".xlsx" else pandas.read_parquet
-        return _from_frame(read(path), path.name)
-    return _from_mapping(content, path.name)
+_BINARY: dict[str, Callable[[Path], RawTable]] = {
+    ".npz": lambda path: _from_mapping(read_arrays(path), path.name),
+    ".mat": lambda path: _from_mapping(read_mat(path), path.name),
+    ".parquet": lambda path: _from_frame(read_frame(path), path.name),
+    ".xlsx": _read_sheet,
+}
+"""How files that are no text are read, by their ending."""
 
 
 # ---- headers -----------------------------------------------------------------------------------

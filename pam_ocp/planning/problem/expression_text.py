@@ -40,6 +40,9 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
 }
 """What may be called: number of arguments, and the function."""
 
+LONGEST = 2000
+"""Characters of an expression."""
+
 
 def expression_of(plant: Plant, text: Any, where: str = "expression") -> ca.SX:
     """A scalar expression of the plant's variables, from text.
@@ -50,9 +53,13 @@ def expression_of(plant: Plant, text: Any, where: str = "expression") -> ca.SX:
     """
     if not isinstance(text, str):
         raise InputError(f"{where} = {text!r}: give a text, as 'muscle1.force - muscle2.force'")
+    if len(text) > LONGEST:
+        raise InputError(
+            f"{where} has {len(text)} characters, {LONGEST} are allowed; write it in Python"
+        )
     try:
         tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError):
+    except (SyntaxError, ValueError, MemoryError, RecursionError):
         raise InputError(f"{where} = {text!r} is no expression") from None
     return ca.SX(_value(plant, tree, f"{where} = {text!r}"))
 

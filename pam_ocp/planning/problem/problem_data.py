@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 
 from ...core.errors import InputError
-from ...core.variables import Variable
+from ...core.variables import variable_of
 from ...plants.plant import Plant
 from .problem import TIME, Auxiliary, Budget, Condition, Leg, Objective, Problem
 from .profile import Profile
@@ -149,7 +149,7 @@ class _Reader:
             float(said["low"]),
             float(said["high"]),
             float(said["nominal"]),
-            Variable(**said["shown"]),
+            variable_of(said["shown"]),
             bool(said.get("defining")),
         )
 

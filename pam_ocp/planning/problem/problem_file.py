@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import Any
 import casadi as ca
 
 from ...core.errors import InputError, UnknownNameError
-from ...core.quantities import known_keys, pair, quantity, read_toml, table
+from ...core.files import read_toml, reading
+from ...core.quantities import known_keys, pair, quantity, table
 from ...plants.plant import Plant
-from ...plants.plant_file import plant_of
+from ...plants.plant_file import plant_of, require_allowed
 from ..transcription.mesh import Collocation, Shooting
 from .expression_text import expression_of
 from .objective import budget
@@ -25,7 +27,7 @@ _METHODS = {kind.__name__: kind for kind in (Collocation, Shooting)}
 _STOP = ("rest", "dwell", "within")
 
 
-def load_problem(path: str | Path) -> tuple[Plant, dict[str, Any]]:
+def load_problem(path: str | Path, *, allow_code: bool = False) -> tuple[Plant, dict[str, Any]]:
     """Read a planning problem: (plant, arguments), for ``pam_ocp.plan(plant, **arguments)``.
 
     The file's keys are the arguments of :func:`pam_ocp.plan`, and ``plant``, a table as
@@ -33,19 +35,21 @@ def load_problem(path: str | Path) -> tuple[Plant, dict[str, Any]]:
     unit, as "15 mm"; a range is ``[low, high]`` or ``{ min = low, max = high }`` with either left
     out (durations: the latter). See docs/planning.md for every key.
 
+    allow_code : the file may run code: a plant named FILE.py:NAME, and options of the solver that
+        load libraries or write files. Without it they are refused; a file of others cannot do harm.
+
     Raises InputError that names the file, the key, the value and what is allowed.
     """
     source = Path(path)
     content = read_toml(source)
-    try:
+    with reading(path, "a planning problem", "docs/planning.md tells every key"):
         known_keys("the problem", content, ("plant", *_READERS))
         for key in ("plant", "stops"):
             if key not in content:
                 raise InputError(f"{key} is missing")
-        plant = plant_of(content.pop("plant"), "plant", source.parent)
+        plant = plant_of(content.pop("plant"), "plant", source.parent, allow_code=allow_code)
+        _require_harmless("options", content.get("options", {}), allow_code)
         return plant, {k: _READERS[k](plant, k, v) for k, v in content.items()}
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from error
 
 
 # ---- values -------------------------------------------------------------------------------------
@@ -280,6 +284,16 @@ def _memory(plant: Plant, where: str, value: Any) -> str | dict[str, float]:
     if isinstance(value, str):
         return value
     return {name: quantity(f"{where}.{name}", v) for name, v in table(where, value).items()}
+
+
+_HARMLESS = re.compile(r"(?!.*(lib|file))[a-z]\w*", re.IGNORECASE)
+"""Options of solvers that neither load libraries nor write files."""
+
+
+def _require_harmless(where: str, value: Any, allow_code: bool) -> None:
+    for name, given in table(where, value).items():
+        if isinstance(given, dict | list) or not _HARMLESS.fullmatch(name):
+            require_allowed(f"{where}.{name} may load a library or write a file", allow_code)
 
 
 def _options(plant: Plant, where: str, value: Any) -> dict[str, Any]:

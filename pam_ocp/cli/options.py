@@ -1,0 +1,27 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..core.files import require_place
+
+__all__ = ["add_allow_code", "require_places"]
+
+
+def add_allow_code(command: argparse.ArgumentParser) -> None:
+    """The consent to run code that a file names."""
+    command.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="let the file run code: Python of a plant named FILE.py:NAME in it, FMUs, libraries "
+        "of solvers. Read that code before: it can do whatever you can (default: refused)",
+    )
+
+
+def require_places(*targets: Path | None) -> None:
+    """Files can be written there: asked before a long run, not after it. Raises WriteError."""
+    for target in targets:
+        if target is not None:
+            require_place(target)

@@ -1,0 +1,181 @@
+"""Files that are there as a whole or not at all: written beside their place, then renamed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import stat
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from .exceptions import WriteError
+
+if sys.platform != "win32":
+    import fcntl
+
+__all__ = ["atomic_path", "make_folder", "require_place"]
+
+_MARK = "pam-part"
+"""In the names of temporary files, so that those left behind by a killed process are known."""
+_REMEDIES = {
+    errno.ENOSPC: "free some space, or write elsewhere",
+    errno.EDQUOT: "free some space, or write elsewhere",
+    errno.EFBIG: "raise the limit on the size of files (ulimit -f), or write elsewhere",
+    errno.EACCES: "give yourself the right to write there, or write elsewhere",
+    errno.EPERM: "give yourself the right to write there, or write elsewhere",
+    errno.EROFS: "write elsewhere",
+    errno.ENAMETOOLONG: "give a shorter name",
+}
+
+
+@contextmanager
+def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside ``target``, renamed to it when the block ends without an error.
+
+    Until then, and after any error, ``target`` is as it was. A link is followed: the file that it
+    leads to is replaced. An existing file keeps its permissions. The temporary file is hidden; one
+    that a killed process left is removed by the next write to the same target.
+
+    Raises WriteError (an InputError, and an OSError) for a target that cannot be a file, and for
+    whatever the system refuses within the block: no space, no right, a read-only file system.
+    """
+    place, mode = require_place(target)
+    _clear(place)
+    try:
+        temporary, handle = _made(place)
+    except OSError as error:
+        raise _refused(target, error) from None
+    try:
+        yield temporary
+        _settled(temporary, mode)
+        temporary.replace(place)
+    except OSError as error:
+        if isinstance(error, WriteError):
+            raise
+        raise _refused(target, error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if handle is not None:
+            os.close(handle)  # and with it the lock
+
+
+def require_place(target: str | os.PathLike[str]) -> tuple[Path, int | None]:
+    """(the file that ``target`` leads to, its permissions or None where it is new).
+
+    Raises WriteError where no file can be written: a missing folder, a folder or a device of that
+    name, a file that is write-protected, a name that no file can have.
+    """
+    name = os.fspath(target)
+    try:
+        place = Path(os.path.realpath(name) if os.path.islink(name) else name)
+        if os.path.islink(place):
+            raise WriteError(f"{name} is a link that leads to itself; give the name of a file")
+        _require_folder(name, place.parent)
+        seen = place.stat().st_mode
+    except FileNotFoundError:
+        return place, None
+    except ValueError as error:  # a NUL
+        if isinstance(error, WriteError):
+            raise
+        raise WriteError(f"{name!r} is no name for a file: {error}") from None
+    except OSError as error:
+        raise _refused(target, error) from None
+    if stat.S_ISDIR(seen):
+        raise WriteError(f"{name} is a folder; give the name of a file")
+    if not stat.S_ISREG(seen):
+        raise WriteError(f"{name} is a device or a pipe, not a file; give the name of a file")
+    if not os.access(place, os.W_OK):
+        raise WriteError(
+            f"{name} is write-protected; allow writing to it, or give another name", errno.EACCES
+        )
+    return place, stat.S_IMODE(seen)
+
+
+def make_folder(folder: str | os.PathLike[str]) -> Path:
+    """The folder, made with its parents where it is missing. Raises WriteError where it cannot."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise WriteError(f"{os.fspath(folder)} is a file; give the name of a folder") from None
+    except OSError as error:
+        words = error.strerror or error
+        raise WriteError(
+            f"{os.fspath(folder)}: cannot make this folder ({words}); give another", error.errno
+        ) from None
+    return Path(folder)
+
+
+def _require_folder(name: str, folder: Path) -> None:
+    try:
+        if not stat.S_ISDIR(folder.stat().st_mode):
+            raise WriteError(f"{name}: {folder} is a file, not a folder; give another name")
+    except FileNotFoundError:
+        raise WriteError(
+            f"{name}: the folder {folder} does not exist; create it first", errno.ENOENT
+        ) from None
+
+
+def _refused(target: str | os.PathLike[str], error: OSError) -> WriteError:
+    remedy = _REMEDIES.get(error.errno or 0, "write elsewhere")
+    words = error.strerror or " ".join(str(error).split())
+    return WriteError(f"{os.fspath(target)} was not written ({words}); {remedy}", error.errno)
+
+
+# ---- temporary files -----------------------------------------------------------------------------
+def _beside(place: Path) -> str:
+    """How names of temporary files for a target begin; other targets of its folder have others."""
+    return f".{place.name.encode()[:120].decode(errors='ignore')}.{_MARK}-"
+
+
+def _made(place: Path) -> tuple[Path, int | None]:
+    """A new empty file, and the handle whose lock says that its writer lives."""
+    while True:
+        temporary = place.with_name(f"{_beside(place)}{secrets.token_hex(6)}{place.suffix[:20]}")
+        handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        if sys.platform == "win32":  # an open file could not be renamed there
+            os.close(handle)
+            return temporary, None
+        with suppress(OSError):  # a file system without locks: left files stay
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        if os.fstat(handle).st_nlink:
+            return temporary, handle
+        os.close(handle)  # another writer took it for a left one before it was locked
+
+
+def _clear(place: Path) -> None:
+    """Remove temporary files of this target whose writers are dead."""
+    if sys.platform == "win32":
+        return
+    mine = re.compile(re.escape(_beside(place)) + r"[0-9a-f]{12}" + re.escape(place.suffix[:20]))
+    with suppress(OSError):
+        for entry in os.scandir(place.parent):
+            if mine.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                _remove_left(entry.path)
+
+
+def _remove_left(path: str) -> None:
+    if sys.platform == "win32":
+        return
+    with suppress(OSError):
+        handle = os.open(path, os.O_RDWR)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # refused while its writer lives
+            os.unlink(path)
+        finally:
+            os.close(handle)
+
+
+def _settled(temporary: Path, mode: int | None) -> None:
+    """On the disk, with the permissions of the file that it replaces."""
+    if mode is not None:
+        temporary.chmod(mode)
+    handle = os.open(temporary, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
