@@ -45,7 +45,8 @@ def sensitivity(law: type[ForceLaw]) -> ca.Function:
     p, kappa = ca.SX.sym("p"), ca.SX.sym("kappa")
     c = ca.SX.sym("c", function.size1_in(2))
     tension = function(p, kappa, c)[0]
-    return ca.Function("sensitivity", [p, kappa, c], [tension, ca.densify(ca.jacobian(tension, c))])
+    both = [ca.densify(tension), ca.densify(ca.jacobian(tension, c))]
+    return ca.Function("sensitivity", [p, kappa, c], both)
 
 
 def student_t(level: float, dof: int) -> float:

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import itertools
-import pickle
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, as_completed
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
 
-from ..core.errors import InputError, PamError
+from ..core.errors import InputError, require_count
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
-from .simulator import simulate
+from .running import CASE_KEYS, Case, Run, split
+from .stored import StoredSimulations, store
 
 __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
-
-Case = Mapping[str, Any]
-_CASADI = threading.Lock()
-"""CasADi's expressions are not safe among threads: a process works on one task at a time."""
-CASE_KEYS = ("parameters", "start", "inputs")
 
 
 @dataclass(frozen=True)
@@ -88,106 +83,106 @@ def draws(
     ]
 
 
+@overload
 def simulate_many(
     plant: Plant,
-    cases: Sequence[Case],
+    cases: Iterable[Case],
+    *,
+    executor: Executor | None = ...,
+    workers: int | None = ...,
+    chunk: int | None = ...,
+    progress: Callable[[int, int | None], None] | None = ...,
+    into: None = ...,
+    **common: Any,
+) -> ManySimulations: ...
+@overload
+def simulate_many(
+    plant: Plant,
+    cases: Iterable[Case],
+    *,
+    executor: Executor | None = ...,
+    workers: int | None = ...,
+    chunk: int | None = ...,
+    progress: Callable[[int, int | None], None] | None = ...,
+    into: str | os.PathLike[str],
+    **common: Any,
+) -> StoredSimulations: ...
+def simulate_many(
+    plant: Plant,
+    cases: Iterable[Case],
     *,
     executor: Executor | None = None,
+    workers: int | None = None,
     chunk: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int | None], None] | None = None,
+    into: str | os.PathLike[str] | None = None,
     **common: Any,
-) -> ManySimulations:
+) -> ManySimulations | StoredSimulations:
     """Simulate a plant once for each case; one failing case does not stop the others.
 
     Parameters
     ----------
-    cases : mappings with any of "parameters", "start", "inputs", as :func:`simulate` takes them.
+    cases : mappings with any of "parameters", "start", "inputs", as :func:`simulate` takes them; a
+        generator is read as far as there are workers for it.
     executor : any ``concurrent.futures.Executor`` (processes, threads, Dask's
         ``client.get_executor()``, MPI's); None runs in this process. Take processes for speed:
         threads take turns. Functions of time among the inputs travel only if they can be pickled.
-    chunk : cases per task; by default so that there are about 40 tasks.
-    progress : called as progress(done, all) after each finished task.
+        When a process of the standard library's pool is killed, the cases that are left run in
+        workers of our own, as many.
+    workers : so many processes of our own in place of an executor. A case that kills its worker is
+        tried once more in a fresh one, then counts as failed; the others are not touched. They end
+        with this process, however it ends.
+    chunk : cases per task; by default so that there are about 40 tasks, 100 with ``into``.
+    progress : called as progress(done, all) after each finished task; all is None for a generator.
+    into : a folder for the results, in place of memory: one Parquet file per task. Needs pyarrow.
+        Run again with the same arguments, only what is not there is computed.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,
         ``rtol``, ...); what a case names wins (parameters and start are merged by name).
 
-    Raises InputError when a case or a common argument is not one of those.
+    Raises InputError when a case or a common argument is not one of those, and for a folder that
+    holds something else.
     """
-    cases = tuple(cases)
+    if chunk is not None:
+        require_count("chunk", chunk)
+    if workers is not None:
+        require_count("workers", workers)
+        if executor is not None:
+            raise InputError("give executor or workers, not both")
+    run = Run(plant, executor, workers, common, _counted(progress, cases))
+    if into is not None:
+        return store(run, _checked(cases), Path(into), chunk)
+    cases = tuple(_checked(cases))
+    results: list[Any] = [None] * len(cases)
+    size = chunk or max(1, -(-len(cases) // 40))
+    for task, values in run(split(iter(cases), size)):
+        results[task.first : task.first + len(values)] = values
+    return ManySimulations(cases, tuple(results))
+
+
+def _counted(
+    progress: Callable[[int, int | None], None] | None, cases: Iterable[Case]
+) -> Callable[[int], None]:
+    count, done = len(cases) if isinstance(cases, Sized) else None, 0
+
+    def report(more: int) -> None:
+        nonlocal done
+        done += more
+        if progress is not None:
+            progress(done, count)
+
+    return report
+
+
+def _checked(cases: Iterable[Case]) -> Iterator[Case]:
     for number, case in enumerate(cases):
+        if not isinstance(case, Mapping):
+            raise InputError(
+                f"case {number} is a {type(case).__name__}; a case is a mapping that may hold "
+                f"{', '.join(CASE_KEYS)}"
+            )
         unknown = set(case) - set(CASE_KEYS)
         if unknown:
             raise InputError(
                 f"case {number} holds {sorted(unknown)}; a case may hold {', '.join(CASE_KEYS)}"
             )
-    if chunk is None:
-        chunk = max(1, -(-len(cases) // 40))
-    elif chunk < 1:
-        raise InputError(f"chunk = {chunk} must be >= 1")
-    tasks = [list(range(i, min(i + chunk, len(cases)))) for i in range(0, len(cases), chunk)]
-    results: list[Any] = [None] * len(cases)
-    done = 0
-    for numbers, values in _completed(plant, cases, tasks, executor, common):
-        for number, value in zip(numbers, values, strict=True):
-            results[number] = value
-        done += len(numbers)
-        if progress is not None:
-            progress(done, len(cases))
-    return ManySimulations(cases, tuple(results))
-
-
-def _completed(
-    plant: Plant,
-    cases: tuple[Case, ...],
-    tasks: list[list[int]],
-    executor: Executor | None,
-    common: dict[str, Any],
-) -> Iterator[tuple[list[int], list[Any]]]:
-    """(numbers, results) of each task as it ends."""
-    if executor is None:
-        for numbers in tasks:
-            yield numbers, [_one(plant, cases[n], common) for n in numbers]
-        return
-    packed = pickle.dumps(plant)
-    futures: dict[Future[list[Any]], list[int]] = {
-        executor.submit(_task, packed, [cases[n] for n in numbers], common): numbers
-        for numbers in tasks
-    }
-    for future in _as_completed(futures):
-        numbers = futures[future]
-        try:
-            yield numbers, future.result()
-        except Exception as error:  # a worker that died takes its task's cases only
-            yield numbers, [error] * len(numbers)
-
-
-def _as_completed(futures: Mapping[Any, Any]) -> Iterator[Any]:
-    """Futures as they end; executors with futures of their own class are asked in order."""
-    if all(isinstance(f, Future) for f in futures):
-        yield from as_completed(futures)
-    else:
-        yield from futures
-
-
-@lru_cache(maxsize=4)
-def _unpacked(packed: bytes) -> Plant:
-    """The plant in a worker: unpickled once, so that its integrators are built once too."""
-    plant: Plant = pickle.loads(packed)  # our own bytes, from simulate_many in the parent
-    return plant
-
-
-def _task(packed: bytes, cases: list[Case], common: dict[str, Any]) -> list[Any]:
-    with _CASADI:
-        plant = _unpacked(packed)
-        return [_one(plant, case, common) for case in cases]
-
-
-def _one(plant: Plant, case: Case, common: dict[str, Any]) -> Trajectory | Exception:
-    arguments = dict(common)
-    for key in CASE_KEYS:
-        if key in case:
-            both = isinstance(case[key], Mapping) and isinstance(arguments.get(key), Mapping)
-            arguments[key] = {**arguments[key], **case[key]} if both else case[key]
-    try:
-        return simulate(plant, **arguments)
-    except PamError as error:
-        return error
+        yield case

@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -36,6 +36,10 @@ __all__ = [
 DECADES = (-2.0, 1.5)
 """A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
 POINTS_PER_DECADE = 12
+BLOCK = 4096
+"""Cells that one call of CasADi evaluates."""
+AT_ONCE = 100_000
+"""Cells times scan points that are held in memory at once."""
 REWEIGHTINGS = 12
 """Iterations of reweighted least squares in the scan of a robust loss; IPOPT does the rest."""
 
@@ -202,13 +206,13 @@ class LeastSquares:
     def evaluate(self, coefficients: Array) -> tuple[Array, Array]:
         """Weighted residuals (m, n) and Jacobians (m, n, all) at coefficients (m, all)."""
         m, n = len(coefficients), len(self.cells)
-        result = _mapped(self.law, m * n)(
-            np.tile(self.cells.pressure, m)[None],
-            np.tile(self.cells.contraction, m)[None],
-            np.repeat(coefficients, n, axis=0).T,
+        tension, jacobian = _sensitivities(
+            self.law,
+            np.tile(self.cells.pressure, m),
+            np.tile(self.cells.contraction, m),
+            np.repeat(coefficients, n, axis=0),
         )
-        tension = np.asarray(result[0]).reshape(m, n)
-        jacobian = np.asarray(result[1]).reshape(m, n, -1)
+        tension, jacobian = tension.reshape(m, n), jacobian.reshape(m, n, -1)
         return self.weights * (self.cells.force - tension), self.weights[:, None] * jacobian
 
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]:
@@ -255,8 +259,14 @@ class LeastSquares:
     def project(self, values: Array) -> tuple[Array, Array]:
         """Best linear coefficients for nonlinear ``values`` (m, k): costs (m,), all (m, c).
 
-        Inequalities are left out; a robust loss is met by reweighting.
+        Inequalities are left out; a robust loss is met by reweighting. A few values at a time, so
+        that memory stays that of the table.
         """
+        few = max(1, AT_ONCE // max(len(self.cells), 1))
+        parts = [self._project(values[i : i + few]) for i in range(0, len(values), few)]
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def _project(self, values: Array) -> tuple[Array, Array]:
         c, target, columns, good = self.linear_in(values, self.with_priors)
         columns[~good], target[~good] = 0.0, 0.0
         n = len(self.cells)
@@ -282,6 +292,28 @@ def least_squares(columns: Array, target: Array) -> Array:
     parts = np.einsum("mnk,mn->mk", u, target)
     parts = np.divide(parts, s, out=np.zeros_like(parts), where=s > 1e-10 * s[:, :1])
     return np.asarray(np.einsum("mkl,mk->ml", vt, parts) / norms)
+
+
+def _sensitivities(
+    law: type[ForceLaw], pressure: Array, contraction: Array, coefficients: Array
+) -> tuple[Array, Array]:
+    """Tension (n,) and its derivatives (n, all) at n points, coefficients (n, all).
+
+    In blocks, straight from and to NumPy's memory: CasADi's own conversions go number by number.
+    """
+    n = len(pressure)
+    tension, jacobian = np.empty(n), np.empty((n, coefficients.shape[1]))
+    arguments = [np.ascontiguousarray(a, float) for a in (pressure, contraction, coefficients)]
+    for low in range(0, n, BLOCK):
+        part = slice(low, min(low + BLOCK, n))
+        buffer: Any
+        buffer, call = _mapped(law, part.stop - low).buffer()
+        for i, argument in enumerate(arguments):
+            buffer.set_arg(i, argument[part].data)
+        for i, result in enumerate((tension, jacobian)):
+            buffer.set_res(i, result[part].data)
+        call()
+    return tension, jacobian
 
 
 @lru_cache(maxsize=64)

@@ -19,6 +19,12 @@ SLACK_TOLERANCE = 1.0
 """A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp).
 """
 
+EXPANDED = 1000
+"""Cells up to which the solver's functions are written out, which makes many small fits fast.
+
+Beyond, one law is mapped over the cells: what it takes to build does not grow with each of them.
+"""
+
 SPLIT = ("huber", "l1")
 """Losses with a kink, or a jump of their curvature, which the solver meets by splitting residuals.
 """
@@ -69,7 +75,7 @@ def _solver(
         constraints.append(pulled.T / unit)
     parameters = ca.veccat(base, scale, unit, edge, data, rows, limp)
     options: Any = {
-        "expand": True,
+        "expand": count <= EXPANDED,
         "print_time": False,
         "error_on_fail": False,
         "calc_lam_p": False,

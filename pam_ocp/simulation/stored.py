@@ -1,0 +1,308 @@
+"""Many simulations in a folder of Parquet files, one for each task: written once, read lazily.
+
+A file says in its metadata from which cases and arguments it was made (a digest of both), so that a
+run that was broken off goes on where it stood. Rows hold the case's number, the time and all
+variables; the inputs between the samples are not kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core import exceptions
+from ..core.errors import InputError, PamError
+from ..core.files import atomic_path, read_json, write_json
+from ..core.trajectory import Trajectory
+from ..core.variables import Variable
+from .running import Case, Result, Run, Task, split
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["StoredSimulations", "store"]
+
+FORMAT = "pam_ocp simulations 1"
+STUDY = "study.json"
+CHUNK = 100
+"""Cases per file."""
+REMEDY = "give an empty folder, or one that simulate_many(into=...) wrote"
+
+
+def store(run: Run, cases: Iterable[Case], folder: Path, chunk: int | None) -> StoredSimulations:
+    """Run the cases that ``folder`` does not hold yet. See :func:`simulate_many`."""
+    _arrow()
+    arguments = _digest([run.plant.__getstate__(), run.common])
+    chunk = _opened(folder, arguments, chunk)
+    parts = 0
+
+    def missing() -> Iterator[Task]:
+        nonlocal parts
+        for task in split(iter(cases), chunk):
+            parts = task.index + 1
+            if _held(_part(folder, task.index)) == _of_task(arguments, task):
+                run.report(len(task.cases))
+            else:
+                yield task
+
+    for task, results in run(missing()):
+        _write(_part(folder, task.index), task, results, _of_task(arguments, task))
+    _write_study(folder, arguments, chunk, parts)
+    return StoredSimulations(folder)
+
+
+@dataclass(frozen=True)
+class StoredSimulations:
+    """Simulations in a folder, read part by part: memory holds one file at a time.
+
+    Iteration gives (number of the case, Trajectory | error) in the order of the cases. Failures
+    that are read back have the class and the sentence of the error, not what else it held.
+    A run that was broken off can be read too: what is there.
+    """
+
+    folder: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", Path(self.folder))
+        _study(self.folder)
+
+    @property
+    def parts(self) -> tuple[Path, ...]:
+        """The files, in the order of their cases."""
+        count = _study(self.folder)["parts"]
+        if count is None:
+            return tuple(sorted(self.folder.glob("part-*.parquet")))
+        return tuple(_part(self.folder, i) for i in range(count))
+
+    def __len__(self) -> int:
+        return sum(_about(p)["count"] for p in self.parts)
+
+    @property
+    def failures(self) -> dict[int, Exception]:
+        """The errors of cases without a simulation, by number; reads no simulation."""
+        return {int(n): _revived(e) for p in self.parts for n, e in _about(p)["failures"].items()}
+
+    @property
+    def parameters(self) -> Iterator[tuple[int, dict[str, float]]]:
+        """(number, the parameters that the case named), case by case."""
+        for part in self.parts:
+            about = _about(part)
+            for offset, values in enumerate(about["parameters"]):
+                yield about["first"] + offset, values
+
+    def __iter__(self) -> Iterator[tuple[int, Result]]:
+        for path in self.parts:
+            table, about = _arrow().read_table(path), _about(path)
+            columns = {n: table.column(n).to_numpy() for n in table.column_names}
+            variables = [Variable(**v) for v in about["variables"]]
+            for number in range(about["first"], about["first"] + about["count"]):
+                if str(number) in about["failures"]:
+                    yield number, _revived(about["failures"][str(number)])
+                    continue
+                rows = slice(*np.searchsorted(columns["case"], [number, number + 1]))
+                data = {v.name: columns[v.name][rows] for v in variables}
+                yield (
+                    number,
+                    Trajectory(columns["time"][rows], data, variables, about["interpolation"]),
+                )
+
+    def frame(self, names: Sequence[str] | None = None) -> pd.DataFrame:
+        """All simulations as one DataFrame: case, time [s], and the variables named (all).
+
+        This does hold everything in memory; name few variables of a large study.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise InputError("frame needs pandas: pip install pam_ocp[studies]") from None
+        columns = None if names is None else ["case", "time", *names]
+        frames = [_arrow().read_table(p, columns=columns).to_pandas() for p in self.parts]
+        filled = [f for f in frames if len(f)]
+        return pd.concat(filled, ignore_index=True) if filled else pd.DataFrame()
+
+    def __str__(self) -> str:
+        failures = self.failures
+        lines = [f"{len(self) - len(failures)} of {len(self)} simulations done, in {self.folder}"]
+        return "\n".join([*lines, *(f"case {i}: {error}" for i, error in failures.items())])
+
+
+# ---- the folder ---------------------------------------------------------------------------------
+def _part(folder: Path, index: int) -> Path:
+    return folder / f"part-{index:06d}.parquet"
+
+
+def _study(folder: Path) -> dict[str, Any]:
+    return read_json(folder / STUDY, "a folder of simulations", FORMAT, REMEDY)
+
+
+def _opened(folder: Path, arguments: str, chunk: int | None) -> int:
+    """Make the folder, or see that it holds this study; cases per file."""
+    if not (folder / STUDY).exists():
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            empty = not any(p for p in folder.iterdir() if not p.name.startswith("."))
+        except OSError as error:
+            raise InputError(f"into = {folder}: {error.strerror}; {REMEDY}") from None
+        if not empty:
+            raise InputError(f"into = {folder} holds other files; {REMEDY}")
+        _write_study(folder, arguments, chunk or CHUNK, None)
+        return chunk or CHUNK
+    study = _study(folder)
+    if study["arguments"] != arguments:
+        raise InputError(
+            f"into = {folder} holds simulations of another plant or with other arguments; give "
+            "another folder, or delete this one"
+        )
+    chunk = chunk or int(study["chunk"])
+    _write_study(folder, arguments, chunk, None)
+    return chunk
+
+
+def _write_study(folder: Path, arguments: str, chunk: int, parts: int | None) -> None:
+    content = {"format": FORMAT, "arguments": arguments, "chunk": chunk, "parts": parts}
+    write_json(folder / STUDY, content)
+
+
+# ---- one file -----------------------------------------------------------------------------------
+def _arrow() -> Any:
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(
+            "simulate_many(into=...) needs pyarrow: pip install pam_ocp[studies]"
+        ) from None
+    return pyarrow.parquet
+
+
+def _write(path: Path, task: Task, results: Sequence[Result], digest: str) -> None:
+    import pyarrow as pa
+
+    done = [(task.first + i, r) for i, r in enumerate(results) if isinstance(r, Trajectory)]
+    lengths = [len(t.t) for _, t in done]
+    columns = {"case": np.repeat(np.array([i for i, _ in done], dtype=np.int64), lengths)}
+    columns["time"] = _stacked([t.t for _, t in done])
+    variables = done[0][1].variables if done else ()
+    columns |= {v.name: _stacked([t[v.name] for _, t in done]) for v in variables}
+    about = {
+        "digest": digest,
+        "first": task.first,
+        "count": len(task.cases),
+        "failures": {
+            str(task.first + i): [type(r).__name__, str(r)]
+            for i, r in enumerate(results)
+            if isinstance(r, Exception)
+        },
+        "parameters": [_plain(case.get("parameters")) for case in task.cases],
+        "variables": [asdict(v) for v in variables],
+        "interpolation": done[0][1].interpolation if done else "previous",
+    }
+    table = pa.table(columns).replace_schema_metadata({b"pam_ocp": json.dumps(about).encode()})
+    with atomic_path(path) as temporary:
+        _arrow().write_table(table, temporary)
+
+
+def _stacked(columns: Sequence[Any]) -> Any:
+    return np.concatenate([np.empty(0), *columns])
+
+
+def _plain(parameters: Any) -> dict[str, float]:
+    numbers = parameters if isinstance(parameters, Mapping) else {}
+    return {str(n): float(v) for n, v in numbers.items() if isinstance(v, (int, float, np.number))}
+
+
+def _about(path: Path) -> dict[str, Any]:
+    """What a file says about itself. Raises InputError when it is none of ours."""
+    try:
+        about = json.loads(_arrow().read_schema(path).metadata[b"pam_ocp"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path} cannot be read ({error}); delete it and run the same simulate_many again"
+        ) from None
+    return dict(about)
+
+
+def _held(path: Path) -> str | None:
+    """The digest of a whole file; None where there is none or it is damaged."""
+    try:
+        if not path.is_file():
+            return None
+        _arrow().read_table(path)  # a damaged page shows only when it is read
+        return str(_about(path)["digest"])
+    except (InputError, OSError, ValueError):
+        return None
+
+
+def _revived(error: Sequence[str]) -> Exception:
+    kind, message = error
+    known = getattr(exceptions, kind, None)
+    if known in (InputError, exceptions.SimulationError):
+        return known(message)  # type: ignore[no-any-return]
+    return PamError(message if known is not None else f"{kind}: {message}")
+
+
+# ---- digests ------------------------------------------------------------------------------------
+def _of_task(arguments: str, task: Task) -> str:
+    return _digest([arguments, task.first, list(task.cases)])
+
+
+def _digest(content: Any) -> str:
+    found = hashlib.sha256()
+    for piece in _pieces(content):
+        found.update(len(piece).to_bytes(8, "little") + piece)
+    return found.hexdigest()
+
+
+def _pieces(value: Any) -> Iterator[bytes]:
+    """Bytes that are the same for the same content, in any process."""
+    yield type(value).__qualname__.encode()
+    if isinstance(value, Mapping):
+        for key in sorted(value, key=repr):
+            yield repr(key).encode()
+            yield from _pieces(value[key])
+    elif isinstance(value, (list, tuple)):
+        yield str(len(value)).encode()
+        for item in value:
+            yield from _pieces(item)
+    elif isinstance(value, np.ndarray) and value.dtype != object:
+        yield f"{value.dtype.str} {value.shape}".encode()
+        yield np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, (str, int, float, complex, bytes, type(None), np.generic)):
+        yield repr(value).encode()
+    elif isinstance(value, FunctionType):
+        yield from _function(value)
+    elif isinstance(value, Trajectory):
+        yield from _pieces(
+            [value.t, value.array(value.names), [asdict(v) for v in value.variables]]
+        )
+    elif hasattr(value, "serialize"):  # a function of CasADi
+        yield str(value.serialize()).encode()
+    else:
+        try:
+            yield pickle.dumps(value, protocol=4)
+        except Exception:
+            raise InputError(
+                f"into: a {type(value).__name__} among the arguments or cases cannot be told from "
+                "another; give numbers, arrays or functions"
+            ) from None
+
+
+def _function(function: FunctionType) -> Iterator[bytes]:
+    """A function by what it does: its code, and the values that it takes from around it."""
+    code = function.__code__
+    yield code.co_code
+    yield repr((code.co_names, [c for c in code.co_consts if not hasattr(c, "co_code")])).encode()
+    held = [cell.cell_contents for cell in function.__closure__ or ()]
+    around = {n: function.__globals__[n] for n in code.co_names if n in function.__globals__}
+    for item in (*held, *(function.__defaults__ or ()), *around.values()):
+        if isinstance(item, (ModuleType, FunctionType, type)) or callable(item):
+            yield getattr(item, "__qualname__", getattr(item, "__name__", "")).encode()
+        else:
+            yield from _pieces(item)

@@ -1,0 +1,225 @@
+"""Many simulations into a folder, and workers that are killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+from conftest import BAR
+
+import pam_ocp as pam
+from pam_ocp import InputError, SimulationError
+from pam_ocp.simulation.stored import StoredSimulations
+
+pytest.importorskip("pyarrow")
+SHORT = {"t": np.linspace(0.0, 0.02, 3), "rtol": 1e-6}
+
+
+def quick() -> pam.Plant:
+    plant = pam.Plant("decay", "x' = u - rate x")
+    x, u, rate = plant.state("x", start=1.0), plant.input("u"), plant.parameter("rate", 1.0)
+    plant.der(x, u - rate * x)
+    return plant
+
+
+def killer(t: float) -> float:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return t
+
+
+def once(t: float) -> float:
+    """Kills the first worker that comes here."""
+    if not os.path.exists(os.environ["PAM_ONCE"]):
+        open(os.environ["PAM_ONCE"], "w").close()
+        killer(t)
+    return 0.0
+
+
+def exact(rate: float) -> float:
+    return float(np.exp(-rate * SHORT["t"][-1]))
+
+
+def rates(count: int):
+    return ({"parameters": {"rate": 0.1 * (i + 1)}} for i in range(count))
+
+
+@pytest.mark.parametrize("workers", [None, 2])
+def test_a_folder_gives_back_the_simulations_of_a_generator(tmp_path, workers):
+    stored = pam.simulate_many(
+        quick(), rates(250), into=tmp_path / "runs", chunk=40, workers=workers, **SHORT
+    )
+    assert len(stored) == 250
+    assert len(stored.parts) == 7
+    numbers = []
+    for number, trajectory in stored:
+        numbers.append(number)
+        assert trajectory["x"][-1] == pytest.approx(exact(0.1 * (number + 1)), rel=1e-5)
+    assert numbers == list(range(250))
+    frame = stored.frame(["x"])
+    assert list(frame.columns) == ["case", "time", "x"]
+    assert len(frame) == 750
+    assert dict(stored.parameters)[249]["rate"] == pytest.approx(25.0)
+
+
+def test_what_a_folder_holds_is_not_computed_again(tmp_path):
+    into = tmp_path / "runs"
+    first = pam.simulate_many(quick(), rates(60), into=into, chunk=10, **SHORT)
+    before = {p: p.stat().st_mtime_ns for p in first.parts}
+    first.parts[2].unlink()
+    first.parts[4].write_bytes(first.parts[4].read_bytes()[:-50])  # cut short
+    seen = []
+    again = pam.simulate_many(
+        quick(),
+        rates(65),
+        into=into,
+        progress=lambda done, count: seen.append((done, count)),
+        **SHORT,
+    )
+    assert len(again) == 65
+    assert seen[-1] == (65, None)
+    new = {p for p in again.parts if p.stat().st_mtime_ns != before.get(p)}
+    assert new == {again.parts[i] for i in (2, 4, 6)}
+    assert [n for n, _ in again] == list(range(65))
+
+
+def test_other_cases_in_a_part_are_computed_other_arguments_are_refused(tmp_path):
+    into = tmp_path / "runs"
+    pam.simulate_many(quick(), rates(4), into=into, chunk=2, **SHORT)
+    other = [*list(rates(3)), {"parameters": {"rate": 7.0}}]
+    changed = dict(pam.simulate_many(quick(), other, into=into, **SHORT))
+    assert changed[3]["x"][-1] == pytest.approx(exact(7.0), rel=1e-5)
+    for plant, arguments in (
+        (quick(), {**SHORT, "rtol": 1e-7}),
+        (quick().with_values(x=2.0), SHORT),
+        (quick(), {**SHORT, "inputs": {"u": lambda t: 2 * t}}),
+    ):
+        with pytest.raises(InputError, match="another plant or with other arguments"):
+            pam.simulate_many(plant, rates(4), into=into, **arguments)
+
+
+def test_a_function_is_told_from_another_by_what_it_does(tmp_path):
+    def run(slope):
+        return pam.simulate_many(
+            quick(), rates(1), into=tmp_path, inputs={"u": lambda t: slope * t}, **SHORT
+        )
+
+    run(1.0)
+    run(1.0)
+    with pytest.raises(InputError, match="other arguments"):
+        run(2.0)
+
+
+def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds other files"):
+        pam.simulate_many(quick(), rates(1), into=tmp_path, **SHORT)
+    with pytest.raises(InputError, match="into ="):
+        pam.simulate_many(quick(), rates(1), into=tmp_path / "thesis.txt", **SHORT)
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_failures_are_kept_with_their_sentence(tmp_path, hanging):
+    cases = [{}, {"parameters": {"mass": -1.0}}]
+    arguments = {"inputs": {"muscle.command": 4 * BAR}, "duration": 0.01}
+    pam.simulate_many(hanging, cases, into=tmp_path, **arguments)
+    stored = StoredSimulations(tmp_path)
+    assert list(stored.failures) == [1]
+    assert isinstance(stored.failures[1], InputError)
+    assert "mass: start = -1 kg is outside" in str(stored)
+    assert np.array_equal(dict(stored)[0]["x"], pam.simulate(hanging, **arguments)["x"])
+
+
+@pytest.mark.parametrize("pool", [False, True])
+def test_a_killed_worker_costs_its_own_case_only(pool):
+    cases = list(rates(120))
+    cases[57] = {"inputs": {"u": killer}}
+    if pool:
+        with ProcessPoolExecutor(2) as executor:
+            many = pam.simulate_many(quick(), cases, executor=executor, chunk=10, **SHORT)
+    else:
+        many = pam.simulate_many(quick(), cases, workers=2, chunk=10, **SHORT)
+    assert list(many.failures) == [57]
+    assert isinstance(many.failures[57], SimulationError)
+    assert "case 57 ended its worker process 2 times (SIGKILL)" in str(many.failures[57])
+    for i, trajectory in many.trajectories.items():
+        assert trajectory["x"][-1] == pytest.approx(exact(0.1 * (i + 1)), rel=1e-5)
+
+
+def test_a_case_whose_worker_was_killed_by_chance_is_tried_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("PAM_ONCE", str(tmp_path / "once"))
+    cases = [*rates(5), {"inputs": {"u": once}}, *rates(5)]
+    many = pam.simulate_many(quick(), cases, workers=1, chunk=11, **SHORT)
+    assert len(many.trajectories) == 11
+    assert (tmp_path / "once").exists()
+
+
+def test_memory_does_not_grow_with_the_number_of_cases(tmp_path):
+    def peak(count):
+        tracemalloc.start()
+        pam.simulate_many(quick(), rates(count), into=tmp_path / str(count), chunk=20, **SHORT)
+        size = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return size
+
+    peak(20)  # imports
+    assert peak(400) < 1.3 * peak(60)
+
+
+SCRIPT = """
+import os, time
+import pam_ocp as pam
+
+def slow(t):
+    print("at work", flush=True)
+    time.sleep(0.05)
+    return 0.0
+
+if __name__ == "__main__":
+    print(os.getpid(), flush=True)
+    plant = pam.HangingLoad("DMSP-20-400N")
+    cases = [{"inputs": {"muscle.command": slow}}] * 8
+    pam.simulate_many(plant, cases, workers=2, chunk=1, duration=1.0)
+"""
+
+
+def children(pid: int) -> list[int]:
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True)
+    return [int(line) for line in found.stdout.split()]
+
+
+def gone(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_workers_end_with_their_parent(tmp_path, blow):
+    script = tmp_path / "long.py"
+    script.write_text(SCRIPT)
+    parent = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert parent.stdout is not None
+    pid = int(parent.stdout.readline())
+    assert parent.stdout.readline().strip() == "at work"
+    workers = children(pid)
+    assert workers
+    os.kill(pid, blow)
+    limit = time.monotonic() + 10
+    while not all(map(gone, workers)) and time.monotonic() < limit:
+        time.sleep(0.05)
+    left = [w for w in workers if not gone(w)]
+    for worker in left:
+        os.kill(worker, signal.SIGKILL)
+    parent.stdout.close()
+    assert parent.wait(10) != 0
+    assert left == []
