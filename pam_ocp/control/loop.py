@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_count, require_positive
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Given, Plant, Values
@@ -106,6 +107,7 @@ class ClosedLoop:
         return "; ".join(said)
 
 
+@verb
 def closed_loop(
     controller: Law,
     side: Plant | str | os.PathLike[str],

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError
 from ..core.registry import Registry
+from ..core.stop import locked
 from ..core.variables import Variable
 from .inverse import first_zero, solve_pressure
 from .validity import Validity
@@ -85,6 +86,7 @@ def coefficient(
     )
 
 
+@locked
 @dataclass(frozen=True)
 class ForceLaw(ABC):
     """Base of all force laws. A subclass gives its coefficients as fields, and ``formula``.

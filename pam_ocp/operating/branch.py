@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.stop import verb
 from ..numerics.continuation import ImplicitCurve, Walk
 from ..numerics.newton import NewtonError
 from ..plants.plant import Plant, Values
@@ -31,6 +32,7 @@ SHORTEST = 1e-7
 """Shortest step, as a part of the first one."""
 
 
+@verb
 def equilibrium_branch(
     plant: Plant,
     name: str,

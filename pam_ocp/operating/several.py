@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
+from ..core.stop import verb
 from ..plants.plant import Plant, Values
 from .held import Memory, held
 from .rest import Rest, posed
@@ -26,6 +27,7 @@ SAME = 1e-6
 """Equilibria nearer to each other than this (in units of nominal) are one."""
 
 
+@verb
 def equilibria(
     plant: Plant,
     conditions: Values | None = None,
@@ -145,6 +147,7 @@ class EquilibriumPath:
         return len(self.points)
 
 
+@verb
 def equilibrium_path(
     plant: Plant,
     name: str,

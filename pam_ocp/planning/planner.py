@@ -21,6 +21,8 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
+from ..core.plausible import outside
+from ..core.stop import turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from ..simulation.simulator import evaluated
@@ -73,6 +75,7 @@ class SolveKeywords(PlanKeywords, total=False):
     starts: int | None
 
 
+@verb
 def plan(
     plant: Plant,
     stops: Sequence[Mapping[str, Any] | Stop],
@@ -177,7 +180,7 @@ def plan(
         compiled=compiled,
         options=options,
     )
-    return planner._solve(None, guess, tolerance, starts, {}, stacklevel=3)
+    return planner._solve(None, guess, tolerance, starts, {})
 
 
 class Planner:
@@ -194,6 +197,7 @@ class Planner:
         heavier = planner(values={"mass": 2.5}, guess=first)
     """
 
+    @turns
     def __init__(
         self,
         plant: Plant,
@@ -217,6 +221,7 @@ class Planner:
         self._solver = self._backend.build(self._program)
         self._build_seconds = time.perf_counter() - begin
 
+    @verb
     def __call__(
         self,
         values: Values | None = None,
@@ -237,7 +242,7 @@ class Planner:
         Raises InputError when a change would ask for another program, PlanError as plan does; warns
         as plan does.
         """
-        return self._solve(values, guess, tolerance, starts, changed, stacklevel=3)
+        return self._solve(values, guess, tolerance, starts, changed)
 
     def _solve(
         self,
@@ -246,7 +251,6 @@ class Planner:
         tolerance: float | None,
         starts: int | None,
         changed: Mapping[str, Any],
-        stacklevel: int,
     ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
@@ -281,7 +285,7 @@ class Planner:
         result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
-            warnings.warn(message, PlanWarning, stacklevel=stacklevel)
+            warnings.warn(message, PlanWarning, stacklevel=outside())
         return result
 
     def _found(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, SimulationError, require_count, require_positive
 from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, numbers, signals
+from ..core.stop import verb
 from ..core.trajectory import Event, Trajectory
 from ..plants.plant import Given, Plant, Values, by_name, require_plant
 from .events import integrate_with_events
@@ -20,6 +21,7 @@ __all__ = ["evaluated", "simulate"]
 Array = NDArray[np.float64]
 
 
+@verb
 def simulate(
     plant: Plant,
     inputs: Inputs = None,

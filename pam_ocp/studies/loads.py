@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..core.files import atomic_path
 from ..core.plausible import doubt
+from ..core.stop import verb
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
 from ..muscles.pneumatic_muscle import Muscle
 from ..operating.held import Memory
@@ -116,6 +117,7 @@ class LoadStudy:
         return [getattr(c, name) for c in self.cases if c.mass == mass]
 
 
+@verb
 def load_study(
     muscle: Muscle | str,
     masses: float | Sequence[float] = (5.0, 10.0, 20.0, 50.0, 100.0),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_count, require_positive
 from ..core.signals import signals
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
@@ -136,6 +137,7 @@ class LimitCycle:
         return courtesy.plot_multipliers(self)
 
 
+@verb
 def limit_cycle(
     plant: Plant,
     guess: Trajectory | HopfPoint,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_positive
+from ..core.stop import verb
 from ..core.variables import Variable
 from ..numerics.continuation import Walk
 from ..numerics.newton import Array, NewtonError
@@ -113,6 +114,7 @@ class CycleBranch:
         )
 
 
+@verb
 def continue_cycle(
     cycle: LimitCycle,
     parameter: str,

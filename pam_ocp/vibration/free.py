@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_finite, require_positive
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
 from ..operating.held import Memory, carried
@@ -119,6 +120,7 @@ class Backbone:
         return courtesy.plot_backbone({"": self})
 
 
+@verb
 def free_vibration(
     plant: Plant,
     at: OperatingPoint | Values,
@@ -224,6 +226,7 @@ def _settled(curve: Smooth) -> float | None:
     return float(np.mean(values[-2:])) if len(values) > 1 else None
 
 
+@verb
 def backbone(
     plant: Plant,
     at: OperatingPoint | Values,

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, PamError, VibrationError
+from ..core.stop import verb
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..operating.along import StabilityPath, stability_path
 from ..operating.held import Memory
@@ -105,6 +106,7 @@ class HopfBorder:
         return courtesy.plot_border(self)
 
 
+@verb
 def hopf(
     plant: Plant,
     parameter: str,
@@ -274,6 +276,7 @@ def _derivatives(rest: VariedRest) -> ca.Function:
     )
 
 
+@verb
 def hopf_border(
     plant: Plant,
     parameter: str,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -29,6 +30,7 @@ from .transcribe import METHODS, FitMethod, Unknowns
 __all__ = ["PlantFit", "fit_plant"]
 
 
+@verb
 def fit_plant(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],

@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import FitError, InputError
+from ...core.plausible import outside
 from ...core.signals import Interpolation
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -84,6 +86,7 @@ class FreeRunFit:
         return "\n".join(lines)
 
 
+@verb
 def free_run(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],
@@ -118,10 +121,11 @@ def free_run(
     runs = runs_of(plant, records, horizon, every, outputs, history, steps)
     found = runs.result(Rollout(plant, runs, []).predicted(np.empty(0)))
     for text in found.warnings:
-        warnings.warn(text, RuntimeWarning, stacklevel=2)
+        warnings.warn(text, RuntimeWarning, stacklevel=outside())
     return found
 
 
+@verb
 def fit_free_run(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],
@@ -172,7 +176,7 @@ def fit_free_run(
     chosen = [records] if isinstance(records, Trajectory) else list(records)
     fit, between, words = decided(plant, chosen, fitted)
     for text in fit.training.warnings:
-        warnings.warn(text, RuntimeWarning, stacklevel=2)
+        warnings.warn(text, RuntimeWarning, stacklevel=outside())
     return replace(
         fit, interpolation=between, inputs_ran=words, seconds=time.perf_counter() - began
     )

@@ -23,6 +23,7 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.files import atomic_path
+from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..static.force_fit import ForceFit
 from ..statistics import Array, Linearisation, sensitivity, student_t
@@ -157,6 +158,7 @@ class _Known:
         )
 
 
+@verb
 def design_cells(
     known: ForceFit | ForceLaw,
     n: int,

@@ -16,7 +16,9 @@ import casadi as ca
 import numpy as np
 
 from ...core.errors import FitError, InputError, SimulationError, UnknownNameError, require_positive
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
+from ...numerics.solvers import nlpsol
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.simulator import simulate
 from ..dynamic.experiment import ParameterGroup, groups
@@ -99,6 +101,7 @@ class SignalDesign:
     __str__ = report
 
 
+@verb
 def design_signal(
     known: Plant | PlantFit,
     free: Sequence[str | Sequence[str]] | None = None,
@@ -301,7 +304,7 @@ def _improved(aim: _Aim, random: Sequence[Array], judged: Sequence[_Judged], tri
         },
     }
     nlp: Any = {"x": w, "f": aim.expression(w), "g": ca.vertcat(*constraints)}
-    solver = ca.nlpsol("design", "ipopt", nlp, options)
+    solver = nlpsol("design", "ipopt", nlp, options)
     best, least_value = random[order[0]], judged[order[0]]
     for i in order[:tries]:
         answer = solver(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.stop import verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import polynomial_law
 from ..tables.force_table import ForceTable
@@ -103,6 +104,7 @@ class LawComparison:
         return "\n".join(lines)
 
 
+@verb
 def compare_laws(
     table: ForceTable,
     laws: Iterable[str | type[ForceLaw]] | None = None,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array, Coefficient, Linearisation, SerialErrors, SolverStatistics
 from ..tables.force_table import ForceTable
@@ -180,6 +181,7 @@ class JointForceFit:
         return "\n".join(lines)
 
 
+@verb
 def fit_forces(
     tables: Mapping[str, ForceTable] | Sequence[ForceTable],
     law: str | type[ForceLaw] = "six-parameter",

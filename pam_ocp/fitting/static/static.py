@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.errors import InputError, UnknownNameError, require_positive
+from ...core.stop import verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ..statistics import Array
@@ -33,6 +34,7 @@ __all__ = [
 ]
 
 
+@verb
 def fit_force(
     table: ForceTable,
     law: str | type[ForceLaw] = "six-parameter",
@@ -248,6 +250,7 @@ def _start(problem: LeastSquares, start: Mapping[str, Any]) -> Array | None:
     return clipped
 
 
+@verb
 def fit_branches(
     table: ForceTable, law: Any = "six-parameter", **options: Any
 ) -> Mapping[str, ForceFit]:

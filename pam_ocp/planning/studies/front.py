@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ... import courtesy
 from ...core.errors import InputError, PlanError, require_count, require_positive
+from ...core.stop import verb
 from ...core.variables import Variable
 from ...plants.plant import Plant, require_plant
 from ..planner import PlanKeywords, Planner
@@ -96,6 +97,7 @@ class Pareto:
         return "\n".join(lines)
 
 
+@verb
 def pareto(
     plant: Plant,
     stops: Sequence[Mapping[str, Any] | Stop],

@@ -19,6 +19,8 @@ from ...core.errors import (
     require_finite,
     require_positive,
 )
+from ...core.plausible import outside
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
@@ -46,6 +48,7 @@ ADDED = 4
 """Most plants that are added in a round."""
 
 
+@verb
 def robust_plan(
     plant: Plant,
     stops: Sequence[Mapping[str, Any] | Stop],
@@ -134,7 +137,7 @@ def robust_plan(
         best, made, ended = _searched(task, members, samples, share, confidence, limits)
     result = task.result(best, share, made, ended)
     if not result.verified:
-        warnings.warn(f"robust_plan: {result.verdict}", PlanWarning, stacklevel=2)
+        warnings.warn(f"robust_plan: {result.verdict}", PlanWarning, stacklevel=outside())
     return result
 
 
