@@ -65,6 +65,7 @@ def describing_function(
     *,
     samples: int = 128,
     rtol: float = 1e-9,
+    time_limit: float | None = None,
 ) -> DescribingFunction:
     """The sinusoidal-input describing function of a plant, which need not be memoryless.
 
@@ -78,6 +79,7 @@ def describing_function(
     or slow to settle. For small amplitudes N is the frequency response. For a memoryless
     characteristic python-control's ``describing_function`` needs no simulation; see
     :func:`muscle_characteristic`.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for bad arguments, SimulationError when a motion does not become periodic (an
     integrating plant with a mean drift has no periodic motion).

@@ -126,6 +126,7 @@ def closed_loop(
     preview: bool = True,
     plant: Plant | None = None,
     rtol: float = 1e-9,
+    time_limit: float | None = None,
 ) -> ClosedLoop:
     """Run a sampled controller against the real side, which it may not know well.
 
@@ -156,6 +157,7 @@ def closed_loop(
     plant : model that says of an FMU's variables what they are (ranges, openings of valves); by
         default the controller's. Without one the FMU's own description does.
     rtol : relative tolerance of the side's integrator, per nominal; FMUs are asked for it.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for what cannot be meant, SimulationError when the side cannot go on.
     """

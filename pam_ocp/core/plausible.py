@@ -138,7 +138,7 @@ def doubt(
 
 
 def outside() -> int:
-    """For ``stacklevel=`` of a warning: how far up the stack the user's own code stands, as ``warnings.warn`` counts it in doubt."""
+    """For ``stacklevel=`` of a warning: how far up the stack the user's own code stands."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None:
         level, frame = level + 1, frame.f_back

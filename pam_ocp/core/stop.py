@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import _thread
 import functools
+import inspect
 import math
 import signal
 import threading
@@ -34,6 +35,7 @@ __all__ = [
     "limited",
     "locked",
     "native",
+    "spared",
     "turns",
     "verb",
 ]
@@ -69,6 +71,9 @@ class Deadline:
         self.end: float = time.monotonic() + seconds
         if outer is not None:
             self.end = min(self.end, outer.end)
+
+    def __str__(self) -> str:
+        return f"time_limit = {self.seconds:g} s"
 
     def remaining(self) -> float:
         """Seconds left; 0 when there are none."""
@@ -219,31 +224,43 @@ def native(function: Callable[..., R], *args: Any, held: bool = False, **kwargs:
 
 
 @contextmanager
-def limited(seconds: float | None) -> Iterator[Deadline]:
+def limited(seconds: float | None) -> Iterator[None]:
     """A time limit [s] for what stands in the ``with``: OutOfTime when it is over.
 
     Limits nest: the one that ends first counts. None for no limit of its own.
     """
     outer = _here.deadline
     if seconds is None:
-        yield outer
+        yield
         return
     own = Deadline(require_positive("time_limit", seconds, "s"), outer)
-    _here.deadline = own
-    timer = None
-    if _in_main():
-        # the margin: who wakes too early would find time left
-        timer = threading.Timer(own.remaining() + 1e-3, _signals.tick)
-        timer.daemon = True
-        timer.start()
     try:
-        yield own
+        with _until(own):
+            yield
     except TimeIsUp:
         if outer.over or not own.over:
             raise
-        raise OutOfTime(
-            f"time_limit = {own.seconds:g} s was over before there was a result; allow more time"
-        ) from None
+        raise OutOfTime(f"{own} was over before there was a result; allow more time") from None
+
+
+@contextmanager
+def spared(seconds: float) -> Iterator[None]:
+    """So many seconds [s] more where the time is up: to finish what there is to show for it."""
+    with _until(Deadline(max(seconds, _here.deadline.remaining()))):
+        yield
+
+
+@contextmanager
+def _until(moment: Deadline) -> Iterator[None]:
+    outer, timer = _here.deadline, None
+    _here.deadline = moment
+    if moment.end != math.inf and _in_main():
+        # the margin: who wakes too early would find time left
+        timer = threading.Timer(moment.remaining() + 1e-3, _signals.tick)
+        timer.daemon = True
+        timer.start()
+    try:
+        yield
     finally:
         _here.deadline = outer
         if timer is not None:
@@ -253,12 +270,15 @@ def limited(seconds: float | None) -> Iterator[Deadline]:
 def verb(function: Callable[P, R]) -> Callable[P, R]:
     """A public verb: threads take turns, signals end it, and ``time_limit=`` among its keywords."""
 
+    argument = inspect.signature(function).parameters.get("time_limit")
+    default = None if argument is None else argument.default
+
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        if kwargs.get("time_limit") is None:
+        seconds: Any = kwargs.get("time_limit", default)
+        if seconds is None:
             with LOCK, _signals:
                 return function(*args, **kwargs)
-        seconds: Any = kwargs["time_limit"]
         with limited(seconds), LOCK, _signals:
             return function(*args, **kwargs)
 

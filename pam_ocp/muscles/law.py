@@ -100,6 +100,10 @@ class ForceLaw(ABC):
     reference: ClassVar[str]
     validity: ClassVar[Validity] = Validity()
 
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        locked(cls)
+
     def __post_init__(self) -> None:
         for variable in self.coefficient_variables():
             value = getattr(self, variable.name)

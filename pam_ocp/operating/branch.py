@@ -46,6 +46,7 @@ def equilibrium_branch(
     longest: float = 0.25,
     max_points: int = 2000,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: Any,
 ) -> EquilibriumPath:
     """Points of rest while one variable runs from ``start`` towards ``stop``, round folds.
@@ -62,6 +63,7 @@ def equilibrium_branch(
     The path ends where the variable reaches ``stop`` or comes back to ``start``, where it leaves
     the bounds of a variable, or after ``max_points``; ``path.end`` says which unless ``stop`` was
     reached. ``path.folds`` are the turning points, found to 1e-9.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for bad conditions, EquilibriumError when there is no point of rest at
     ``start``.

@@ -37,6 +37,7 @@ def equilibria(
     starts: int = 30,
     seed: int = 0,
     memory: Memory | None = None,
+    time_limit: float | None = None,
     **more: Any,
 ) -> Equilibria:
     """All points of rest under conditions that a search from many starts finds, each once.
@@ -50,6 +51,8 @@ def equilibria(
     the virgin point of each band is returned, and ``.bands`` holds their ends; with it (see
     :func:`equilibrium`) the points of rest with just that memory. Raises InputError for bad
     conditions, EquilibriumError when there is none.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     given = {**(conditions or {}), **more}
     search = posed(Search, plant, given, free, memory=memory or "virgin")
@@ -157,6 +160,7 @@ def equilibrium_path(
     *,
     free: Sequence[str] = (),
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: Any,
 ) -> EquilibriumPath:
     """Points of rest while one variable (condition or parameter) runs through values, in order.
@@ -166,6 +170,8 @@ def equilibrium_path(
     bounds or turns back (a fold), and says so in ``end``; :func:`equilibrium_branch` goes round
     folds. What hysteresis keeps (``memory``, see :func:`equilibrium`) is the same along the path.
     Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     points: list[OperatingPoint] = []
     done: list[float] = []

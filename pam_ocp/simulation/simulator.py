@@ -36,6 +36,7 @@ def simulate(
     step: float | None = None,
     events: str | Sequence[str] = (),
     max_steps: int = 100_000,
+    time_limit: float | None = None,
 ) -> Trajectory:
     """Integrate x' = f(x, u(t), p) and return states, inputs and outputs over time.
 
@@ -63,6 +64,7 @@ def simulate(
     max_steps : of the integrator between two output times.
 
     Jumps of the inputs are met exactly: no step crosses one.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for bad arguments, SimulationError (with the time reached and the part
     computed so far) when the integrator cannot go on.

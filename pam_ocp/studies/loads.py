@@ -129,6 +129,7 @@ def load_study(
     losses: Sequence[Loss] = (),
     memory: Memory = "virgin",
     duration: float = 4.0,
+    time_limit: float | None = None,
 ) -> LoadStudy:
     """A hanging load at rest, swinging and settling, for every mass [kg] and pressure [Pa].
 
@@ -140,6 +141,7 @@ def load_study(
     memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then
     ends where
         friction holds the load: overshoot and settling are about that place.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for masses, pressures or a step that are not positive.
     """

@@ -145,6 +145,7 @@ def limit_cycle(
     amplitude: Mapping[str, float] | None = None,
     degree: int = 6,
     tolerance: float = 1e-9,
+    time_limit: float | None = None,
 ) -> LimitCycle:
     """The closed motion near a guess, by periodic collocation with unknown period.
 
@@ -161,6 +162,7 @@ def limit_cycle(
 
     The Jacobian is exact and sparse; Floquet multipliers come from the exact derivative of the
     collocated motion with respect to its start.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises VibrationError with the reason (no convergence; the guess collapses to a point of rest),
     InputError for a guess that does not oscillate or bad arguments.

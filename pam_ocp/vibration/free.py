@@ -131,6 +131,7 @@ def free_vibration(
     samples: int = 100,
     rtol: float = 1e-11,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
 ) -> FreeVibration:
     """Let the plant go, at rest, beside its equilibrium; inputs stay constant.
 
@@ -153,6 +154,8 @@ def free_vibration(
     Frequencies come from passages through rest, located on polynomials of degree 5 that use the
     exact derivatives. Raises VibrationError when the plant does not oscillate there, InputError
     for bad arguments, SimulationError when the integration fails.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     plant = point.plant
@@ -235,10 +238,13 @@ def backbone(
     state: str = "x",
     rtol: float = 1e-11,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
 ) -> Backbone:
     """Frequency against amplitude: a free vibration from each offset, its first cycle measured.
 
     Arguments as in :func:`free_vibration`.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     starts = np.atleast_1d(np.asarray(offsets, dtype=float))
     if not starts.size:

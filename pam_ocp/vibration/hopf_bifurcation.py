@@ -116,6 +116,7 @@ def hopf(
     *,
     points: int = 21,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: float,
 ) -> HopfPoint:
     """The first value in a bracket at which a complex pair crosses the imaginary axis.
@@ -130,6 +131,7 @@ def hopf(
 
     The augmented system (rest, A q = i omega q, |q| fixed) is then solved by Newton with exact
     Jacobians to 1e-12 in units of nominal.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError when no pair crosses in the bracket, UnknownNameError, EquilibriumError.
     """
@@ -288,6 +290,7 @@ def hopf_border(
     *,
     points: int = 21,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: float,
 ) -> HopfBorder:
     """The border between rest and vibration: ``parameter`` at the Hopf point, for values of
@@ -298,6 +301,7 @@ def hopf_border(
 
     parameter, over : names of two parameters (or inputs). values : (n,) of ``over`` [its unit].
     bracket, conditions, points, memory : as for :func:`hopf`.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError when no border is found for any value; single failures are NaN in ``border``,
     with the reason in ``reasons``.

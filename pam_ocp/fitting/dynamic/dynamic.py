@@ -48,6 +48,7 @@ def fit_plant(
     inputs: Mapping[str, float] | None = None,
     process_noise: Mapping[str, float] | None = None,
     input_noise: Mapping[str, float] | None = None,
+    time_limit: float | None = None,
 ) -> PlantFit:
     """Fit parameters of a plant to measured records by least squares.
 
@@ -81,6 +82,7 @@ def fit_plant(
         with all else and weighed against those of the outputs, whose ``noise`` must be given. An
         input that is measured with noise and taken as exact biases the parameters, damping above
         all (errors in variables; W. Fuller, Measurement Error Models, 1987).
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------

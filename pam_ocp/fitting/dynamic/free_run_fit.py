@@ -138,6 +138,7 @@ def fit_free_run(
     steps: int = 4,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     evaluations: int = 60,
+    time_limit: float | None = None,
 ) -> FreeRunFit:
     """Fit parameters so that free runs (see :func:`free_run`) stay near what was measured.
 
@@ -149,6 +150,7 @@ def fit_free_run(
     bounds : {free parameter: (low, high)}, within those of its variable.
     evaluations : of all runs, at most. Other arguments as for :func:`free_run`. Where a record does
         not say how its inputs ran between samples, both ways are fitted and the likelier counts.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises
     ------

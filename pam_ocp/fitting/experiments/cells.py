@@ -173,6 +173,7 @@ def design_cells(
     noise: float | None = None,
     covariance: ArrayLike | None = None,
     fixed: Sequence[str] = (),
+    time_limit: float | None = None,
 ) -> CellDesign:
     """Propose ``n`` further cells within the bench's limits that shrink the chosen intervals most.
 
@@ -192,6 +193,7 @@ def design_cells(
         off the candidates.
     noise : standard deviation of a measurement [N]; by default the fit's.
     fixed : coefficients of a law (not of a fit) that are known.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------

@@ -119,6 +119,7 @@ def design_signal(
     known_start: bool = False,
     tries: int = 3,
     seed: int = 0,
+    time_limit: float | None = None,
 ) -> SignalDesign:
     """Propose the inputs of a record that tells the chosen parameters best.
 
@@ -141,6 +142,7 @@ def design_signal(
     start : initial states; by default the plant's. known_start : whether a later fit may take them
         as known.
     tries : how many of the best random signals are improved.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------

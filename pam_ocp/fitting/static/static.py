@@ -48,6 +48,7 @@ def fit_force(
     priors: Mapping[str, tuple[float, float]] | None = None,
     noise: float | None = None,
     errors: Literal["as found", "independent"] = "as found",
+    time_limit: float | None = None,
 ) -> ForceFit:
     """Fit a force law to a measured table: the global optimum, with intervals.
 
@@ -75,6 +76,7 @@ def fit_force(
         along pressure), intervals and bands are widened for it (see
         :mod:`pam_ocp.fitting.static.correlation`).
         "independent": they are known not to, as after measuring in random order.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------
