@@ -69,7 +69,8 @@ def bootstrap(
     if method == "residuals" and fit.dof < 1:
         raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
     random = np.random.default_rng(seed)
-    problem, samples, failed, ended = fit.problem, [], 0, ""
+    problem, failed, ended = fit.problem, 0, ""
+    samples: list[Array] = []
     for _ in range(n):
         try:
             found = minimise(_resampled(fit, problem, random, method)).coefficients

@@ -66,9 +66,7 @@ def solved_side_by_side(
             if found[i].stopped:
                 break
     except TimeIsUp:
-        done = [
-            outcome for each in (found, *(w.found for w in workers)) for outcome in each.values()
-        ]
+        done = [*found.values(), *(o for w in workers for o in w.found.values())]
         if not any(outcome.success for outcome in done):
             raise
     finally:
