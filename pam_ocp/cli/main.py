@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError, PamError
+from ..core.stop import limited
 from .components import add_components
 from .fit import add_fit_plant
 from .mpc import add_mpc
@@ -27,7 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 2
     try:
-        return int(options.run(options) or 0)
+        with _terminable(), limited(None if options.command == "check" else options.time_limit):
+            return int(options.run(options) or 0)
     except PamError as error:
         print(f"pam-ocp {options.command}: {error}", file=sys.stderr)
         return 2
@@ -61,7 +66,33 @@ def _parser() -> argparse.ArgumentParser:
         add_mpc,
     ):
         add(commands)
+    for name, command in commands.choices.items():
+        if name != "check":  # its own
+            command.add_argument(
+                "--time-limit",
+                type=float,
+                metavar="S",
+                help="end after so many seconds (default: no limit)",
+            )
     return parser
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM ends the command as Ctrl-C does, its children and temporary files with it: 143."""
+
+    def asked(number: int, frame: Any) -> None:
+        raise SystemExit(128 + number)
+
+    mine = threading.current_thread() is threading.main_thread()
+    default = mine and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if default:
+        signal.signal(signal.SIGTERM, asked)
+    try:
+        yield
+    finally:
+        if default:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _add_tour(commands: Any) -> None:

@@ -49,7 +49,8 @@ docs/planning.md tells all of them.
 Exit code: 0 a verified plan was found (the solver converged, an independent integration agrees, and
 all limits hold between the points too), 1 none was found (the message names the constraints in
 conflict), 2 the file says something that cannot be meant, 3 a plan was found but is not verified
-(its first line says which figure failed; the files asked for are written).
+(its first line says which figure failed; the files asked for are written), 130 interrupted, 143
+terminated. --time-limit ends the search; the best plan so far is then not verified (3).
 """
 
 
@@ -91,7 +92,8 @@ def _plan(options: argparse.Namespace) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PlanWarning)  # said below
-            found = plan(plant, **arguments, progress=options.progress)
+            limit = options.time_limit
+            found = plan(plant, **arguments, progress=options.progress, time_limit=limit)
     except InputError as error:
         raise InputError(f"{options.problem}: {error}") from error
     except PlanError as error:

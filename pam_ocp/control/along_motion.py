@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_positive
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..operating.linear import LinearAlong, linearize_along, no_influence
 from ..operating.stuck import Stuck
@@ -108,6 +109,7 @@ class TrajectoryFeedback:
         return np.array([inner[n] for n in self.inputs])
 
 
+@verb
 def tvlqr(
     plant: Plant,
     motion: Trajectory,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_positive
+from ..core.stop import verb
 from ..operating.linear import linearize, modes
 from ..operating.resting_point import EquilibriumError, OperatingPoint
 from ..operating.several import equilibrium_path
@@ -75,6 +76,7 @@ class Margins:
         return "\n".join([*lines, f"smallest singular value of I + L: {self.all_inputs:.3f}"])
 
 
+@verb
 def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) -> Margins:
     """Margins of a square loop gain L under negative feedback, as ``StateFeedback.loop``.
 
@@ -114,6 +116,7 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
     return Margins(tuple(loop.input_labels), gain, phase, crossover, modulus, float(least))
 
 
+@verb
 def margins_over(
     feedback: StateFeedback, cases: Iterable[Mapping[str, Any]], conditions: Values
 ) -> list[tuple[Margins, NDArray[np.complex128]]]:
@@ -158,6 +161,7 @@ class BodeCloud:
         return np.asarray(low), np.asarray(high)
 
 
+@verb
 def bode_cloud(
     plant: Plant,
     conditions: Values,
@@ -242,6 +246,7 @@ class Stroke:
     horizon: float
 
 
+@verb
 def along_stroke(
     plant: Plant,
     name: str,
@@ -307,6 +312,7 @@ class ModeMap:
     stable: NDArray[np.bool_] = field(repr=False)
 
 
+@verb
 def mode_map(
     plant: Plant,
     axes: Mapping[str, ArrayLike],

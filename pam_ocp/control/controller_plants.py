@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..core.errors import InputError, require_positive
+from ..core.stop import verb
 from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.opening import Opening
@@ -19,6 +20,7 @@ from .linear_quadratic import StateFeedback
 __all__ = ["pid_controller", "state_feedback_controller"]
 
 
+@verb
 def pid_controller(
     plant: Plant,
     position: str,
@@ -115,6 +117,7 @@ def pid_controller(
     return pid
 
 
+@verb
 def state_feedback_controller(
     feedback: StateFeedback,
     *,

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, SimulationError, require_instance
+from ..core.stop import verb
 from ..muscles.pneumatic_muscle import Muscle
 from ..numerics.newton import iterate, least_squares
+from ..numerics.solvers import integrator
 from ..operating.linear import chosen_signals, point_of
 from ..operating.resting_point import OperatingPoint
 from ..plants.plant import Plant, Values, require_plant
@@ -52,6 +54,7 @@ class DescribingFunction:
     stable: NDArray[np.bool_] = field(repr=False)
 
 
+@verb
 def describing_function(
     plant: Plant,
     source: str,
@@ -62,6 +65,7 @@ def describing_function(
     *,
     samples: int = 128,
     rtol: float = 1e-9,
+    time_limit: float | None = None,
 ) -> DescribingFunction:
     """The sinusoidal-input describing function of a plant, which need not be memoryless.
 
@@ -75,6 +79,7 @@ def describing_function(
     or slow to settle. For small amplitudes N is the frequency response. For a memoryless
     characteristic python-control's ``describing_function`` needs no simulation; see
     :func:`muscle_characteristic`.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for bad arguments, SimulationError when a motion does not become periodic (an
     integrating plant with a mean drift has no periodic motion).
@@ -136,10 +141,10 @@ class _Period:
             "p": given,
             "ode": ca.vertcat(ode, ca.vec(change)),
         }
-        self.map = ca.integrator("period", "rosenbrock", both, 0.0, 1.0, options)
+        self.map = integrator("period", "rosenbrock", both, 0.0, 1.0, options)
         grid = (np.arange(samples) + 1.0) / samples
         single = {"t": t, "x": x, "p": given, "ode": ode}
-        self.motion = ca.integrator("motion", "rosenbrock", single, 0.0, grid.tolist(), options)
+        self.motion = integrator("motion", "rosenbrock", single, 0.0, grid.tolist(), options)
         shown = [v.name for v in (*plant.states, *plant.outputs)].index(output)
         value = ca.vertcat(x * self.nominal, y)[shown]
         self.output = ca.Function("output", [t, x, given], [value])
@@ -202,6 +207,7 @@ class _Period:
         return complex(found[1] * 1j / amplitude), float(y.mean()), float(rest / first)
 
 
+@verb
 def muscle_characteristic(
     muscle: Muscle, pressure: float, contraction: float
 ) -> Callable[[float], float]:

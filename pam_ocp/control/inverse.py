@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.stop import locked
 from ..numerics.newton import iterate, least_squares
 from ..plants.plant import Plant, require_plant
 
@@ -26,6 +27,7 @@ MISS = 1e-6
 """Relative miss of acceleration and stiffness that counts as met."""
 
 
+@locked
 class InverseDynamics:
     """(position, velocity, acceleration, stiffness) -> pressures of the plant's muscles.
 

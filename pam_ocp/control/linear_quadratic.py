@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_positive
+from ..core.stop import verb
 from ..operating.linear import held, inside, linearize, no_influence
 from ..operating.resting_point import OperatingPoint
 from ..plants.inversion import Inversion
@@ -290,6 +291,7 @@ def stationary(
     raise ValueError(reason)
 
 
+@verb
 def lqr(
     plant: Plant,
     at: OperatingPoint | Values | None = None,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_count, require_positive
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Given, Plant, Values
@@ -106,6 +107,7 @@ class ClosedLoop:
         return "; ".join(said)
 
 
+@verb
 def closed_loop(
     controller: Law,
     side: Plant | str | os.PathLike[str],
@@ -124,6 +126,7 @@ def closed_loop(
     preview: bool = True,
     plant: Plant | None = None,
     rtol: float = 1e-9,
+    time_limit: float | None = None,
 ) -> ClosedLoop:
     """Run a sampled controller against the real side, which it may not know well.
 
@@ -154,6 +157,7 @@ def closed_loop(
     plant : model that says of an FMU's variables what they are (ranges, openings of valves); by
         default the controller's. Without one the FMU's own description does.
     rtol : relative tolerance of the side's integrator, per nominal; FMUs are asked for it.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for what cannot be meant, SimulationError when the side cannot go on.
     """

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import require_positive
+from ..core.stop import verb
 from ..operating.linear import LinearGrid, linearize_grid
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
@@ -80,6 +81,7 @@ class ScheduledFeedback:
         return sent(self.inversion, list(self.family.inputs), u)
 
 
+@verb
 def scheduled_lqr(
     plant: Plant,
     axes: Mapping[str, ArrayLike],

@@ -13,6 +13,7 @@ __all__ = [
     "ExportError",
     "FitError",
     "InputError",
+    "OutOfTime",
     "PamError",
     "PlanError",
     "PlanWarning",
@@ -73,6 +74,10 @@ class SimulationError(PamError):
 
 class FitError(PamError):
     """The data do not allow this fit, or the solver did not find it."""
+
+
+class OutOfTime(PamError, TimeoutError):
+    """A ``time_limit`` was over before there was a result."""
 
 
 class PlanError(PamError):

@@ -17,7 +17,7 @@ import numpy as np
 
 from .units import unit as unit_of
 
-__all__ = ["UnitWarning", "Usual", "doubt", "meant", "meant_within"]
+__all__ = ["UnitWarning", "Usual", "doubt", "meant", "meant_within", "outside"]
 
 FAR = 100.0
 """What a variable calls its nominal size says what is usual for it: only so many times more is
@@ -132,13 +132,13 @@ def doubt(
     warnings.warn(
         f"{argument} = {largest:g} {unit} is far from any usual value; {hint}",
         UnitWarning,
-        stacklevel=_outside(),
+        stacklevel=outside(),
     )
     return True
 
 
-def _outside() -> int:
-    """How far up the stack the user's own code stands, as ``warnings.warn`` counts it in doubt."""
+def outside() -> int:
+    """For ``stacklevel=`` of a warning: how far up the stack the user's own code stands."""
     level, frame = 1, sys._getframe(1)
     while frame.f_back is not None:
         level, frame = level + 1, frame.f_back

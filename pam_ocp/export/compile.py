@@ -201,13 +201,31 @@ def _compile(
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
         # relative names and an empty surrounding: no path of this machine gets into the binary
-        done = subprocess.run(
-            command, cwd=folder, env=_environment(), capture_output=True, text=True, check=False
-        )
+        done = _run(command, folder)
         if done.returncode != 0:
             words = done.stderr.strip().splitlines()[:5]
             raise ExportError(f"the compiler failed for {platform.name}: {' / '.join(words)}")
         return (folder / output).read_bytes()
+
+
+_running: set[subprocess.Popen[str]] = set()
+"""Compilers at work: interrupted, we end them."""
+
+
+def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, cwd=folder, env=_environment(), stdout=pipe, stderr=pipe, text=True
+    ) as process:
+        _running.add(process)
+        try:
+            out, errors = process.communicate()
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            _running.discard(process)
+    return subprocess.CompletedProcess(command, process.returncode, out, errors)
 
 
 def _environment() -> dict[str, str]:
@@ -238,8 +256,14 @@ def compile_all(
     """The library for each platform, by the platform's name; two compilers at a time."""
     chosen = list(platforms)
     with ThreadPoolExecutor(max_workers=2) as pool:
-        libraries = pool.map(lambda p: compile_library(sources, main, p, identifier), chosen)
-        return dict(zip((p.name for p in chosen), libraries, strict=True))
+        try:
+            libraries = pool.map(lambda p: compile_library(sources, main, p, identifier), chosen)
+            return dict(zip((p.name for p in chosen), libraries, strict=True))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in list(_running):
+                process.kill()
+            raise
 
 
 # ---- macOS: two processors in one file ----------------------------------------------------------

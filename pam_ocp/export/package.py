@@ -14,6 +14,7 @@ from typing import Literal
 
 from ..core.errors import InputError, UnknownNameError, require_positive
 from ..core.files import atomic_path
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
 from . import compile as compiler
@@ -48,6 +49,7 @@ class Settings:
     stop_time: float
 
 
+@verb
 def export_fmu(
     plant: Plant,
     path: str | os.PathLike[str],

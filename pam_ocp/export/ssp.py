@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..core.errors import InputError, UnknownNameError, require_positive
 from ..core.files import atomic_path
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
@@ -28,6 +29,7 @@ _NAMESPACES = {
 _PARAMETER_SET = "initialValues"
 
 
+@verb
 def export_ssp(
     components: Mapping[str, Plant | Trajectory],
     connections: Mapping[str, str],

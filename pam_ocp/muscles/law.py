@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError
 from ..core.registry import Registry
+from ..core.stop import locked
 from ..core.variables import Variable
 from .inverse import first_zero, solve_pressure
 from .validity import Validity
@@ -85,6 +86,7 @@ def coefficient(
     )
 
 
+@locked
 @dataclass(frozen=True)
 class ForceLaw(ABC):
     """Base of all force laws. A subclass gives its coefficients as fields, and ``formula``.
@@ -97,6 +99,10 @@ class ForceLaw(ABC):
     title: ClassVar[str]
     reference: ClassVar[str]
     validity: ClassVar[Validity] = Validity()
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        locked(cls)
 
     def __post_init__(self) -> None:
         for variable in self.coefficient_variables():

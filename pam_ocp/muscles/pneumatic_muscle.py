@@ -12,12 +12,14 @@ import casadi as ca
 
 from ..core.errors import InputError, require_positive
 from ..core.plausible import doubt
+from ..core.stop import locked
 from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
 from .validity import Validity
 
 __all__ = ["Muscle"]
 
 
+@locked
 @dataclass(frozen=True)
 class Muscle:
     """A pneumatic artificial muscle.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.plausible import outside
 from ..core.variables import Variable
 
 __all__ = ["Validity", "ValidityWarning", "forget_warnings"]
@@ -54,7 +55,7 @@ class Validity:
                 f"outside {shown(low)} .. {shown(high)}, where it holds; the force is an "
                 "extrapolation" + (f" ({self.note})" if self.note else ""),
                 ValidityWarning,
-                stacklevel=4,
+                stacklevel=outside(),
             )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import PamError
+from ..core.stop import check
 
 __all__ = [
     "Equations",
@@ -92,6 +93,7 @@ def iterate(
     if not np.isfinite(size):
         return Root(w, size, "the equations give no finite numbers at the starting guess")
     for count in range(steps):
+        check()
         if size <= tolerance and settled == np.inf:
             return Root(w, size)
         try:

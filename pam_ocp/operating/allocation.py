@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, PamError
+from ..core.stop import locked, verb
 from ..numerics.newton import iterate
 from ..plants.plant import Plant
 
@@ -28,18 +29,21 @@ class AllocationError(PamError):
     """No pressures within the plant's range give what was asked for."""
 
 
+@verb
 def common_and_difference(p1: ArrayLike, p2: ArrayLike) -> tuple[Array, Array]:
     """Co-contraction coordinates of a pair: ((p1 + p2)/2, (p1 - p2)/2) [Pa]."""
     one, two = np.asarray(p1, float), np.asarray(p2, float)
     return (one + two) / 2, (one - two) / 2
 
 
+@verb
 def pressures_of(common: ArrayLike, difference: ArrayLike) -> tuple[Array, Array]:
     """The pressures (p1, p2) of co-contraction coordinates [Pa]."""
     mean, half = np.asarray(common, float), np.asarray(difference, float)
     return mean + half, mean - half
 
 
+@locked
 class Allocation:
     """(position, effort, stiffness) -> (p1, p2) of an antagonistic pair, and what is attainable.
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from ..core.errors import InputError
+from ..core.stop import verb
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..plants.plant import Plant
 from .held import Memory
@@ -56,6 +57,7 @@ class StabilityPath:
         return courtesy.plot_stability(self)
 
 
+@verb
 def stability_path(
     plant: Plant,
     parameter: str,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.stop import verb
 from ..numerics.continuation import ImplicitCurve, Walk
 from ..numerics.newton import NewtonError
 from ..plants.plant import Plant, Values
@@ -31,6 +32,7 @@ SHORTEST = 1e-7
 """Shortest step, as a part of the first one."""
 
 
+@verb
 def equilibrium_branch(
     plant: Plant,
     name: str,
@@ -44,6 +46,7 @@ def equilibrium_branch(
     longest: float = 0.25,
     max_points: int = 2000,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: Any,
 ) -> EquilibriumPath:
     """Points of rest while one variable runs from ``start`` towards ``stop``, round folds.
@@ -60,6 +63,7 @@ def equilibrium_branch(
     The path ends where the variable reaches ``stop`` or comes back to ``start``, where it leaves
     the bounds of a variable, or after ``max_points``; ``path.end`` says which unless ``stop`` was
     reached. ``path.folds`` are the turning points, found to 1e-9.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for bad conditions, EquilibriumError when there is no point of rest at
     ``start``.

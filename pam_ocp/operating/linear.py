@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_instance, require_positive
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..plants.inversion import Inversion, in_dead_zone
 from ..plants.plant import Plant, Values, require_plant
@@ -181,6 +182,7 @@ def _plain(names: Sequence[str]) -> list[str]:
     return [n.replace(".", "_") for n in names]
 
 
+@verb
 def linearize(
     plant: Plant,
     at: OperatingPoint | Values | None = None,
@@ -251,6 +253,7 @@ class LinearAlong:
         return chosen.system(self.at(t), 0.0 if dt is None else require_positive("dt", dt, "s"))
 
 
+@verb
 def linearize_along(
     plant: Plant,
     motion: Trajectory,
@@ -374,6 +377,7 @@ class LinearGrid:
         ]
 
 
+@verb
 def linearize_grid(
     plant: Plant,
     axes: Mapping[str, ArrayLike],
@@ -445,6 +449,7 @@ def chosen_signals(
     return [v.name for v in chosen]
 
 
+@verb
 def modes(system: control.StateSpace) -> list[tuple[float, float]]:
     """(natural frequency [Hz], damping ratio) of each oscillating pair of poles, slowest first.
 

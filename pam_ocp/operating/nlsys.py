@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..core.errors import require_positive
+from ..core.stop import verb
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values
 from .linear import chosen_signals, point_of
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["as_nlsys"]
 
 
+@verb
 def as_nlsys(
     plant: Plant,
     at: OperatingPoint | Values | None = None,

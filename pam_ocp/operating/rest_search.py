@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics.solvers import Nlp, nlpsol
 from .operating_point import OperatingPoint
 from .rest import Rest
 
@@ -42,7 +43,7 @@ class Search(Rest):
         return [i for i, n in enumerate(self.names) if n not in self.pinned]
 
     @cached_property
-    def _solver(self) -> ca.Function:
+    def _solver(self) -> Nlp:
         """min |r|^2 s.t. r = residual(z): converges also where no equilibrium exists."""
         w, r = ca.MX.sym("w", len(self.nominal)), ca.MX.sym("r", len(self._open))
         p = ca.MX.sym("p", len(self.p))
@@ -59,7 +60,7 @@ class Search(Rest):
             "max_iter": 200,
             "mu_init": 1e-3,
         }
-        return ca.nlpsol("equilibrium", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
+        return nlpsol("equilibrium", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
 
     def nearest(self, guess: Array, high: Array | None = None, slack: Array | None = None) -> Array:
         """The point within the bounds whose residual is smallest, |r_i| <= slack_i."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import PamError, require_instance
+from ..core.stop import verb
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .held import Memory
@@ -30,6 +31,7 @@ class EquilibriumError(PamError):
     """No equilibrium meets the conditions within the plant's bounds."""
 
 
+@verb
 def equilibrium(
     plant: Plant,
     conditions: Values | None = None,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
+from ..core.stop import verb
 from ..plants.plant import Plant, Values
 from .held import Memory, held
 from .rest import Rest, posed
@@ -26,6 +27,7 @@ SAME = 1e-6
 """Equilibria nearer to each other than this (in units of nominal) are one."""
 
 
+@verb
 def equilibria(
     plant: Plant,
     conditions: Values | None = None,
@@ -35,6 +37,7 @@ def equilibria(
     starts: int = 30,
     seed: int = 0,
     memory: Memory | None = None,
+    time_limit: float | None = None,
     **more: Any,
 ) -> Equilibria:
     """All points of rest under conditions that a search from many starts finds, each once.
@@ -48,6 +51,8 @@ def equilibria(
     the virgin point of each band is returned, and ``.bands`` holds their ends; with it (see
     :func:`equilibrium`) the points of rest with just that memory. Raises InputError for bad
     conditions, EquilibriumError when there is none.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     given = {**(conditions or {}), **more}
     search = posed(Search, plant, given, free, memory=memory or "virgin")
@@ -145,6 +150,7 @@ class EquilibriumPath:
         return len(self.points)
 
 
+@verb
 def equilibrium_path(
     plant: Plant,
     name: str,
@@ -154,6 +160,7 @@ def equilibrium_path(
     *,
     free: Sequence[str] = (),
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: Any,
 ) -> EquilibriumPath:
     """Points of rest while one variable (condition or parameter) runs through values, in order.
@@ -163,6 +170,8 @@ def equilibrium_path(
     bounds or turns back (a fold), and says so in ``end``; :func:`equilibrium_branch` goes round
     folds. What hysteresis keeps (``memory``, see :func:`equilibrium`) is the same along the path.
     Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     points: list[OperatingPoint] = []
     done: list[float] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import time
 import warnings
@@ -21,6 +22,8 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
+from ..core.plausible import outside
+from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from ..simulation.simulator import evaluated
@@ -51,6 +54,9 @@ Array: TypeAlias = NDArray[np.float64]
 SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progress": "progress"}
 """Keywords that say how a solution is searched, and the fields of Backend that hold them."""
 
+GRACE = 1.0
+"""Seconds for the replay of a solution that was found when the time was up."""
+
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
 
@@ -73,6 +79,7 @@ class SolveKeywords(PlanKeywords, total=False):
     starts: int | None
 
 
+@verb
 def plan(
     plant: Plant,
     stops: Sequence[Mapping[str, Any] | Stop],
@@ -98,6 +105,7 @@ def plan(
     solver: SolverName = "ipopt",
     compiled: bool = False,
     options: Mapping[str, Any] | None = None,
+    time_limit: float | None = None,
 ) -> Plan:
     """The optimal motion of a plant that visits ``stops`` in order.
 
@@ -150,6 +158,9 @@ def plan(
     compiled : IPOPT's functions compiled (zig or cc) and kept for the next time; pays for
         :class:`Shooting` solved many times (a third of the time), little for collocation.
     options : of the solver, over its defaults here.
+    time_limit : [s] of the whole search, refinement and replay included (the building of the
+        program is not broken off). The best so far is returned, not verified: its verdict says that
+        the time was up. PlanError when there is nothing yet.
 
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
@@ -177,7 +188,7 @@ def plan(
         compiled=compiled,
         options=options,
     )
-    return planner._solve(None, guess, tolerance, starts, {}, stacklevel=3)
+    return planner._solve(None, guess, tolerance, starts, {}, time_limit)
 
 
 class Planner:
@@ -194,6 +205,7 @@ class Planner:
         heavier = planner(values={"mass": 2.5}, guess=first)
     """
 
+    @turns
     def __init__(
         self,
         plant: Plant,
@@ -217,6 +229,7 @@ class Planner:
         self._solver = self._backend.build(self._program)
         self._build_seconds = time.perf_counter() - begin
 
+    @verb
     def __call__(
         self,
         values: Values | None = None,
@@ -224,20 +237,22 @@ class Planner:
         guess: Plan | None = None,
         tolerance: float | None = TOLERANCE,
         starts: int | None = None,
+        time_limit: float | None = None,
         **changed: Any,
     ) -> Plan:
         """The optimal motion for other numbers.
 
         values : parameters (and start values) of the plant by name.
         guess : a plan to start from; one of this planner starts warm, with its multipliers.
-        tolerance, starts : refine the mesh, try other starts; see :func:`plan`.
+        tolerance, starts, time_limit : refine the mesh, try other starts, how long; see
+            :func:`plan`.
         changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track``, ``memory`` of
             the same form.
 
         Raises InputError when a change would ask for another program, PlanError as plan does; warns
         as plan does.
         """
-        return self._solve(values, guess, tolerance, starts, changed, stacklevel=3)
+        return self._solve(values, guess, tolerance, starts, changed, time_limit)
 
     def _solve(
         self,
@@ -246,7 +261,7 @@ class Planner:
         tolerance: float | None,
         starts: int | None,
         changed: Mapping[str, Any],
-        stacklevel: int,
+        time_limit: float | None,
     ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
@@ -258,7 +273,15 @@ class Planner:
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
-        found = self._found(run, guess, starts, figures, climb)
+        try:
+            found = self._found(run, guess, starts, figures, climb)
+        except TimeIsUp:
+            if time_limit is None:  # somebody else's limit
+                raise
+            raise PlanError(
+                f"{deadline()} was over before a plan was found for {program.problem.plant.name}; "
+                "allow more time, or fewer intervals"
+            ) from None
         outcome, build = found[0].outcome, self._build_seconds
         figures["iterations"] = outcome.iterations
         if not outcome.success:
@@ -268,9 +291,12 @@ class Planner:
             raise PlanError(words, failed)
         base = found[0]
         if program.problem.objective.economical and tolerance is not None:
-            found = [climb.settled(base, tolerance), *found[1:]]
+            with contextlib.suppress(TimeIsUp):
+                found = [climb.settled(base, tolerance), *found[1:]]
             figures["objective_change"] = climb.change
         refinement = self._refined(found, tolerance)
+        if refinement.cut or deadline().over:
+            figures["ended"] = f"{deadline()} was over"
         figures["iterations"] += refinement.iterations + climb.iterations
         if refinement.warning:
             figures["warning"] = refinement.warning
@@ -281,7 +307,7 @@ class Planner:
         result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
-            warnings.warn(message, PlanWarning, stacklevel=stacklevel)
+            warnings.warn(message, PlanWarning, stacklevel=outside())
         return result
 
     def _found(
@@ -335,13 +361,21 @@ class Planner:
     def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
         """The best solution, refined; where that is not verified, the next best that is."""
         wanted = tolerance or float("inf")
-        first = Refinement(checked(found[0]), wanted, self._backend)
+        try:
+            begun = checked(found[0])
+        except TimeIsUp:
+            with spared(GRACE):
+                begun = checked(found[0])
+        first = Refinement(begun, wanted, self._backend)
         if first.met():
             return first
         others = found[1:OTHERS]
         tried = [first]
         for each in others:
-            tried.append(Refinement(checked(each), wanted, self._backend))
+            try:
+                tried.append(Refinement(checked(each), wanted, self._backend))
+            except TimeIsUp:
+                break
             if tried[-1].met():
                 break
         return min(tried, key=lambda refinement: refinement.best.miss)

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.stop import TimeIsUp
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.simulator import evaluated
@@ -84,7 +85,12 @@ class Refinement:
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
-        self._refine()
+        self.cut = False
+        """Whether a time limit ended it."""
+        try:
+            self._refine()
+        except TimeIsUp:
+            self.cut = True
 
     def met(self) -> bool:
         """Whether the best solution meets the tolerance."""

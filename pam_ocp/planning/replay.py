@@ -18,7 +18,6 @@ from ..plants.plant import Plant
 from ..simulation.integrate import Integration
 from ..simulation.simulator import simulate
 from .problem.problem import Budget, Condition, Leg, Problem
-from .solvers.interrupt import deferred
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.stage import nominals
@@ -64,7 +63,6 @@ class Replay:
     """Largest violation of what is no bound: at the stops, of the closing, of a budget."""
 
 
-@deferred()  # an integrator would take Ctrl-C for a failure of its own
 def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]:
     """For each interval: how far a tight integration from its start leaves its planned points."""
     states, breaks = solution.states, solution.inputs.breaks
@@ -84,7 +82,6 @@ def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]
     return errors
 
 
-@deferred()
 def replayed(
     problem: Problem, plant: Plant, mesh: Mesh, samples: Trajectory, solution: Solution
 ) -> Replay:

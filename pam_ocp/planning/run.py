@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.stop import TimeIsUp
 from .result import Solved
 from .solvers.backend import Backend, Solver
 from .solvers.diagnosis import Conflict, elastic
@@ -64,10 +65,15 @@ class Run:
         outcomes = [first]
         if others and not first.stopped:
             spent = time.perf_counter() - begin
-            if isinstance(self.solver, Ipopt):
-                outcomes += solved_side_by_side(self.solver, program, others, spent)
-            else:
-                outcomes += [self.solver(program, task.guess, task.start) for task in others]
+            try:
+                if isinstance(self.solver, Ipopt):
+                    outcomes += solved_side_by_side(self.solver, program, others, spent)
+                else:
+                    for task in others:
+                        outcomes.append(self.solver(program, task.guess, task.start))
+            except TimeIsUp:
+                if not first.success:
+                    raise
         ends = Ends(tuple(outcomes))
         chosen = [outcomes[i] for i in ends.solved or [0]]
         if kinks and ends.solved:

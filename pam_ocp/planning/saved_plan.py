@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.files import read_npz, reading, require_format, write_npz
+from ..core.plausible import outside
 from ..core.signals import PiecewisePolynomial
+from ..core.stop import verb
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import evaluated
 from .problem.problem import Problem
@@ -79,6 +81,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
     return write_npz(target, meta, arrays)
 
 
+@verb
 def load_plan(path: str | Path, plant: Plant) -> Plan:
     """Read a plan of ``plant`` and judge it anew.
 
@@ -95,7 +98,7 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
     with reading(path, "a plan file", "give one that plan.save() wrote, or plan anew"):
         found = _plan(str(path), meta, arrays, plant)
     if not found.verified:
-        warnings.warn(f"{path}: the plan is {found.verdict}", PlanWarning, stacklevel=2)
+        warnings.warn(f"{path}: the plan is {found.verdict}", PlanWarning, stacklevel=outside())
     return found
 
 

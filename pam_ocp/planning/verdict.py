@@ -33,6 +33,8 @@ class Verdict:
     """What is violated most ("" when nothing is)."""
     tolerance: float
     """Of the error and of the violation, in units of nominal."""
+    ended: str = ""
+    """What broke off the search for a better plan: then none is verified."""
 
     @property
     def verified(self) -> bool:
@@ -40,7 +42,8 @@ class Verdict:
         tolerance.
         """
         # written so that a NaN fails
-        return self.solved and self.error <= self.tolerance and self.violation <= self.tolerance
+        kept = self.solved and not self.ended
+        return kept and self.error <= self.tolerance and self.violation <= self.tolerance
 
     def __bool__(self) -> bool:
         return self.verified
@@ -56,6 +59,9 @@ class Verdict:
             failed.append(
                 f"its replay violates {self.constraint} by {self.violation:.2g} of nominal"
             )
+        if self.ended:
+            failed.insert(0, f"{self.ended} before the search was done")
+            return f"not verified: {' and '.join(failed)}"
         if failed:
             return f"not verified: {' and '.join(failed)}, more than {within}"
         return (

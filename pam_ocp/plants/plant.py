@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, UnknownNameError
 from ..core.expressions import scalar_expression
+from ..core.stop import locked
 from ..core.variables import Causality, Variable
 from ..muscles.dead_zone import dead_zone, dead_zone_inverse
 from ..muscles.pneumatic_muscle import Muscle
@@ -114,6 +115,7 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
     )
 
 
+@locked
 class Plant:
     """A system to move: states x, inputs u, parameters p; x' = f(x, u, p), y = g(x, u, p).
 
@@ -146,6 +148,10 @@ class Plant:
         self._openings: tuple[Opening, ...] = ()
         self._flow_paths: tuple[FlowPath, ...] = ()
         self._system: _System | None = None
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        locked(cls)
 
     # ---- declaring ----------------------------------------------------------------------------
     def state(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX:

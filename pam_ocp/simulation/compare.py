@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_positive
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class RecordComparison:
         return courtesy.plot_record(self)
 
 
+@verb
 def compare_with_record(
     simulated: Trajectory,
     measured: Trajectory,

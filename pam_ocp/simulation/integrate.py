@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.signals import PiecewisePolynomial, merged
+from ..numerics.solvers import Native, integrator
 from ..plants.plant import Plant
 
 __all__ = ["METHODS", "Integration", "Method"]
@@ -99,11 +100,11 @@ class Integration:
 
     def _built(
         self, key: tuple[Any, ...], t0: float, times: Array, options: dict[str, Any]
-    ) -> ca.Function:
+    ) -> Native:
         name = "rk" if self.method == "rk4" else self.method
         nominal = self._nominal
         full = (name, self.u.degree, t0, times.tobytes(), nominal.tobytes(), *key)
-        build: Callable[[], ca.Function] = lambda: ca.integrator(  # noqa: E731
+        build: Callable[[], Native] = lambda: integrator(  # noqa: E731
             "simulate", name, self._dae(nominal), t0, times.tolist(), options
         )
         return self.plant.cached(full, build)  # type: ignore[no-any-return]
@@ -125,8 +126,8 @@ class Integration:
                 "step_size": self.step or 0.0,
             }
         key = (*(str(v) for v in options.values()),)
-        integrator = self._built(key, float(self.grid[0]), self.grid[1 : k + 1], options)
-        result = integrator(x0=self.x0 / self._nominal, p=self.plant.vector("parameter"), u=control)
+        motion = self._built(key, float(self.grid[0]), self.grid[1 : k + 1], options)
+        result = motion(x0=self.x0 / self._nominal, p=self.plant.vector("parameter"), u=control)
         return np.vstack([self.x0, np.asarray(result["xf"]).T * self._nominal])
 
     def _by_group(self, k: int) -> Array:
@@ -137,11 +138,9 @@ class Integration:
         rows, begin = [self.x0[None, :]], 0
         for n, column in zip(size, control.T, strict=True):
             times = self.grid[begin : begin + n + 1]
-            integrator = self._built(
-                (self.rtol, self.max_steps), float(times[0]), times[1:], options
-            )
+            motion = self._built((self.rtol, self.max_steps), float(times[0]), times[1:], options)
             u = np.repeat(column[:, None], n, axis=1)
-            result = integrator(x0=rows[-1][-1] / nominal, p=p, u=u)
+            result = motion(x0=rows[-1][-1] / nominal, p=p, u=u)
             rows.append(np.asarray(result["xf"]).T * nominal)
             begin += n
         return np.vstack(rows)
@@ -158,14 +157,14 @@ class Integration:
         """
         nominal = self._nominal
 
-        def build() -> ca.Function:
+        def build() -> Native:
             dae = self._dae(nominal)
             span, begin = ca.SX.sym("span"), ca.SX.sym("begin")
             stretched = ca.substitute(dae["ode"], dae["t"], begin + dae["t"] * span)
             p = ca.vertcat(dae["p"], dae["u"], begin, span)
             unit = {"t": dae["t"], "x": dae["x"], "p": p, "ode": span * stretched}
             options = {"reltol": self.rtol, "abstol": self.rtol, "max_num_steps": self.max_steps}
-            return ca.integrator("between", "rosenbrock", unit, 0.0, list(taus), options)
+            return integrator("between", "rosenbrock", unit, 0.0, list(taus), options)
 
         key = ("between", taus, self.u.degree, nominal.tobytes(), self.rtol, self.max_steps)
         piece = self.u.shifted(np.array([start, end])).coefficients[0]

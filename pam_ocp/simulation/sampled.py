@@ -10,8 +10,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.stop import locked
 from ..numerics.rosenbrock import Slopes, rodas3
 from ..numerics.runge_kutta import rk4
+from ..numerics.solvers import Native, integrator, stoppable
 from ..plants.plant import Plant
 
 __all__ = ["SampledPlant", "StepMethod", "stepped"]
@@ -20,6 +22,7 @@ Array: TypeAlias = NDArray[np.float64]
 StepMethod: TypeAlias = Literal["rk4", "rosenbrock"]
 
 
+@locked
 @dataclass(frozen=True)
 class SampledPlant:
     """x(t + sample_time) = F(x(t), u, p): the plant's motion under inputs held over a sample.
@@ -38,20 +41,20 @@ class SampledPlant:
     def _nominal(self) -> Array:
         return self.plant.vector("state", attribute="nominal")
 
-    def _integrator(self, name: str, dae: dict[str, ca.SX], parts: int) -> ca.Function:
+    def _integrator(self, name: str, dae: dict[str, ca.SX], parts: int) -> Native:
         times = [self.sample_time * (i + 1) / parts for i in range(parts)]
         options = {"reltol": self.rtol, "abstol": self.rtol}
-        return ca.integrator(name, "rosenbrock", dae, 0.0, times, options)
+        return integrator(name, "rosenbrock", dae, 0.0, times, options)
 
     def _key(self, name: str, *more: Any) -> tuple[Any, ...]:
         return (name, self.sample_time, self.rtol, self._nominal.tobytes(), *more)
 
     @property
-    def function(self) -> ca.Function:
+    def function(self) -> Native:
         """(x, u, p) -> states (nx, parts) at the ends of the parts [SI]."""
         plant, nominal = self.plant, self._nominal
 
-        def build() -> ca.Function:
+        def build() -> Native:
             x, u, p = (
                 ca.SX.sym(name, len(v))
                 for name, v in zip(
@@ -62,8 +65,9 @@ class SampledPlant:
             dae = {"x": x, "p": ca.vertcat(u, p), "ode": ode}
             sample = self._integrator("sample", dae, self.parts)
             given = [ca.MX.sym(n, s.numel()) for n, s in zip("xup", (x, u, p), strict=True)]
-            end = sample(x0=given[0] / nominal, p=ca.vertcat(*given[1:]))["xf"]
-            return ca.Function("sampled", given, [end * ca.repmat(ca.DM(nominal), 1, self.parts)])
+            end = sample.function(x0=given[0] / nominal, p=ca.vertcat(*given[1:]))["xf"]
+            states = end * ca.repmat(ca.DM(nominal), 1, self.parts)
+            return stoppable(ca.Function("sampled", given, [states]))
 
         return plant.cached(self._key("sampled", self.parts), build)  # type: ignore[no-any-return]
 
@@ -88,7 +92,7 @@ class SampledPlant:
         n, columns = len(nominal), tuple(range(len(u)) if inputs is None else inputs)
         m, effort = len(columns), np.array([plant.inputs[i].nominal for i in columns])
 
-        def build() -> ca.Function:
+        def build() -> Native:
             state, own = ca.SX.sym("x", n), ca.SX.sym("u", m)
             held = ca.SX.sym("held", len(plant.inputs))
             parameters = ca.SX.sym("p", len(plant.parameters))

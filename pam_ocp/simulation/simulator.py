@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, SimulationError, require_count, require_positive
 from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, numbers, signals
+from ..core.stop import verb
 from ..core.trajectory import Event, Trajectory
 from ..plants.plant import Given, Plant, Values, by_name, require_plant
 from .events import integrate_with_events
@@ -20,6 +21,7 @@ __all__ = ["evaluated", "simulate"]
 Array = NDArray[np.float64]
 
 
+@verb
 def simulate(
     plant: Plant,
     inputs: Inputs = None,
@@ -34,6 +36,7 @@ def simulate(
     step: float | None = None,
     events: str | Sequence[str] = (),
     max_steps: int = 100_000,
+    time_limit: float | None = None,
 ) -> Trajectory:
     """Integrate x' = f(x, u(t), p) and return states, inputs and outputs over time.
 
@@ -61,6 +64,7 @@ def simulate(
     max_steps : of the integrator between two output times.
 
     Jumps of the inputs are met exactly: no step crosses one.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for bad arguments, SimulationError (with the time reached and the part
     computed so far) when the integrator cannot go on.

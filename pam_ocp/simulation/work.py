@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite, require_instance
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 
 __all__ = ["StrokeWork", "stroke_work"]
@@ -45,6 +46,7 @@ class StrokeWork:
         )
 
 
+@verb
 def stroke_work(
     motion: Trajectory, begin: float | None = None, end: float | None = None
 ) -> dict[str, StrokeWork]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..core.files import atomic_path
 from ..core.plausible import doubt
+from ..core.stop import verb
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
 from ..muscles.pneumatic_muscle import Muscle
 from ..operating.held import Memory
@@ -116,6 +117,7 @@ class LoadStudy:
         return [getattr(c, name) for c in self.cases if c.mass == mass]
 
 
+@verb
 def load_study(
     muscle: Muscle | str,
     masses: float | Sequence[float] = (5.0, 10.0, 20.0, 50.0, 100.0),
@@ -127,6 +129,7 @@ def load_study(
     losses: Sequence[Loss] = (),
     memory: Memory = "virgin",
     duration: float = 4.0,
+    time_limit: float | None = None,
 ) -> LoadStudy:
     """A hanging load at rest, swinging and settling, for every mass [kg] and pressure [Pa].
 
@@ -137,6 +140,7 @@ def load_study(
     damping, feed, losses : of the HangingLoad; duration : simulated after each step [s].
     memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then ends where
         friction holds the load: overshoot and settling are about that place.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for masses, pressures or a step that are not positive.
     """

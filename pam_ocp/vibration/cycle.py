@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_count, require_positive
 from ..core.signals import signals
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
@@ -136,6 +137,7 @@ class LimitCycle:
         return courtesy.plot_multipliers(self)
 
 
+@verb
 def limit_cycle(
     plant: Plant,
     guess: Trajectory | HopfPoint,
@@ -143,6 +145,7 @@ def limit_cycle(
     amplitude: Mapping[str, float] | None = None,
     degree: int = 6,
     tolerance: float = 1e-9,
+    time_limit: float | None = None,
 ) -> LimitCycle:
     """The closed motion near a guess, by periodic collocation with unknown period.
 
@@ -159,6 +162,7 @@ def limit_cycle(
 
     The Jacobian is exact and sparse; Floquet multipliers come from the exact derivative of the
     collocated motion with respect to its start.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises VibrationError with the reason (no convergence; the guess collapses to a point of rest),
     InputError for a guess that does not oscillate or bad arguments.

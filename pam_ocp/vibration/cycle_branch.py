@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_positive
+from ..core.stop import verb
 from ..core.variables import Variable
 from ..numerics.continuation import Walk
 from ..numerics.newton import Array, NewtonError
@@ -113,6 +114,7 @@ class CycleBranch:
         )
 
 
+@verb
 def continue_cycle(
     cycle: LimitCycle,
     parameter: str,
@@ -122,6 +124,7 @@ def continue_cycle(
     step: float = 0.5,
     most: int = 100,
     tolerance: float = 1e-7,
+    time_limit: float | None = None,
 ) -> CycleBranch:
     """Follow a limit cycle while a parameter (or an input) changes, also through folds.
 
@@ -134,6 +137,7 @@ def continue_cycle(
     step : largest step along the branch, in units of nominals (root mean square of the states,
         period relative, parameter); halved where the branch bends or Newton fails.
     tolerance : as in :func:`limit_cycle`, for the cycles of the branch.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for bad arguments. A branch that cannot be followed further is no error: what
     was found is returned, and ``ended`` says why it ends.

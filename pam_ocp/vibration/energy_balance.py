@@ -25,6 +25,7 @@ import numpy as np
 
 from .. import courtesy
 from ..core.errors import InputError
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
 from ..plants.plant import Plant
@@ -58,6 +59,7 @@ class Energy:
         return courtesy.plot_energy(self)
 
 
+@verb
 def energy(
     plant: Plant,
     trajectory: Trajectory,

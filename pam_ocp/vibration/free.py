@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_finite, require_positive
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
 from ..operating.held import Memory, carried
@@ -119,6 +120,7 @@ class Backbone:
         return courtesy.plot_backbone({"": self})
 
 
+@verb
 def free_vibration(
     plant: Plant,
     at: OperatingPoint | Values,
@@ -129,6 +131,7 @@ def free_vibration(
     samples: int = 100,
     rtol: float = 1e-11,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
 ) -> FreeVibration:
     """Let the plant go, at rest, beside its equilibrium; inputs stay constant.
 
@@ -150,6 +153,8 @@ def free_vibration(
     Frequencies come from passages through rest, located on polynomials of degree 5 that use the
     exact derivatives. Raises VibrationError when the plant does not oscillate there, InputError
     for bad arguments, SimulationError when the integration fails.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     plant = point.plant
@@ -223,6 +228,7 @@ def _settled(curve: Smooth) -> float | None:
     return float(np.mean(values[-2:])) if len(values) > 1 else None
 
 
+@verb
 def backbone(
     plant: Plant,
     at: OperatingPoint | Values,
@@ -231,10 +237,13 @@ def backbone(
     state: str = "x",
     rtol: float = 1e-11,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
 ) -> Backbone:
     """Frequency against amplitude: a free vibration from each offset, its first cycle measured.
 
     Arguments as in :func:`free_vibration`.
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
     """
     starts = np.atleast_1d(np.asarray(offsets, dtype=float))
     if not starts.size:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, PamError, VibrationError
+from ..core.stop import verb
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..operating.along import StabilityPath, stability_path
 from ..operating.held import Memory
@@ -104,6 +105,7 @@ class HopfBorder:
         return courtesy.plot_border(self)
 
 
+@verb
 def hopf(
     plant: Plant,
     parameter: str,
@@ -113,6 +115,7 @@ def hopf(
     *,
     points: int = 21,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: float,
 ) -> HopfPoint:
     """The first value in a bracket at which a complex pair crosses the imaginary axis.
@@ -126,6 +129,7 @@ def hopf(
 
     The augmented system (rest, A q = i omega q, |q| fixed) is then solved by Newton with exact
     Jacobians to 1e-12 in units of nominal.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError when no pair crosses in the bracket, UnknownNameError, EquilibriumError.
     """
@@ -272,6 +276,7 @@ def _derivatives(rest: VariedRest) -> ca.Function:
     )
 
 
+@verb
 def hopf_border(
     plant: Plant,
     parameter: str,
@@ -283,6 +288,7 @@ def hopf_border(
     *,
     points: int = 21,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: float,
 ) -> HopfBorder:
     """The border between rest and vibration: ``parameter`` at the Hopf point, for values of
@@ -293,6 +299,7 @@ def hopf_border(
 
     parameter, over : names of two parameters (or inputs). values : (n,) of ``over`` [its unit].
     bracket, conditions, points, memory : as for :func:`hopf`.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError when no border is found for any value; single failures are NaN in ``border``,
     with the reason in ``reasons``.

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.stop import locked
 from ...plants.plant import Plant, Values, require_plant
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
@@ -30,6 +31,7 @@ PROCESS = 1e-2
 """Default process noise of a state, in units of nominal, per square root of a second."""
 
 
+@locked
 class Estimator(ABC):
     """What every estimator of a plant has: the model's step and measurements, noise, and the start.
 
@@ -182,6 +184,7 @@ class Estimator(ABC):
         return np.array([values[v.name] for v in self.given.controls])
 
 
+@locked
 @ESTIMATORS.register("kalman")
 class KalmanFilter(Estimator):
     """Extended Kalman filter of a plant.

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
+from ...core.stop import locked
+from ...numerics.solvers import Native, conic
 from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
 from ..controller import Estimate
@@ -33,6 +35,7 @@ TOLERANCE = 1e-9
 """Change of the window's trajectory, in units of nominal, that ends the Gauss-Newton steps."""
 
 
+@locked
 @ESTIMATORS.register("moving-horizon")
 class MovingHorizonEstimator(Estimator):
     """Moving-horizon estimation of a plant's states and unknowns.
@@ -91,7 +94,7 @@ class MovingHorizonEstimator(Estimator):
         self._steps = self._predict.map(horizon)
         self._looks = self._measure.map(horizon + 1)
         self._bounded = np.flatnonzero(np.isfinite(self._low) | np.isfinite(self._high))
-        self._qp: ca.Function | None = None
+        self._qp: Native | None = None
 
     def _empty(self) -> None:
         """A window of one node: the present."""
@@ -270,7 +273,7 @@ class MovingHorizonEstimator(Estimator):
         low, high = (e.ravel() - start for e in self._limits())
         if self._qp is None or self._qp.size1_in("a") != len(matrix):
             dense = {"h": ca.Sparsity.dense(*hessian.shape), "a": ca.Sparsity.dense(*matrix.shape)}
-            self._qp = ca.conic("window", "daqp", dense, {"error_on_fail": False})
+            self._qp = conic("window", "daqp", dense, {"error_on_fail": False})
         result = self._qp(h=hessian, g=gradient, a=matrix, lba=low, uba=high)
         found = np.asarray(result["x"]).ravel()
         solved = self._qp.stats()["success"] and np.all(np.isfinite(found))

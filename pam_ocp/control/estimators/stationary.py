@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_positive
+from ...core.stop import verb
 from ...operating.linear import inside, linearize
 from ...operating.resting_point import OperatingPoint
 from ...operating.stuck import Stuck
@@ -109,6 +110,7 @@ class StationaryFilter:
         self.deviation = self._a @ self.deviation + self._b @ self._u
 
 
+@verb
 def kalman(
     plant: Plant,
     at: OperatingPoint | Values | None = None,

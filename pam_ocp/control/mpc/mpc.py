@@ -22,7 +22,9 @@ from ...core.errors import (
     require_finite,
     require_positive,
 )
+from ...core.plausible import outside
 from ...core.signals import PiecewisePolynomial
+from ...core.stop import locked
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...planning.solvers.narrowing import rounded
@@ -54,6 +56,7 @@ FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
 
+@locked
 @CONTROLLERS.register("mpc")
 class Mpc:
     """Receding-horizon control: at each step, the best inputs over a horizon; the first is applied.
@@ -322,7 +325,7 @@ class Mpc:
                     f"Mpc: {variable.name} has no influence where the plant stands: its slope is "
                     "0, as in a dead zone, and it will hardly be moved. Declare the dead zone "
                     "(plant.dead_zone(command, width)), so that its inverse is used",
-                    stacklevel=3,
+                    stacklevel=outside(),
                 )
 
     def _by_ipopt(self) -> SqpOutcome:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from ...core.registry import Registry
-from ...planning.solvers.interrupt import Watch
+from ...numerics.solvers import conic as qp_solver
+from ...numerics.solvers import nlpsol
 from .shooting import UNBOUNDED, TrackingPoint, TrackingProgram
 from .stage_qp import StageQp, available
 
@@ -75,7 +76,7 @@ def conic(
     """A QP solver of CasADi. Wrapped: a bare one overwrites the pointers that a buffer keeps."""
     p = program
     chosen: dict[str, Any] = {"error_on_fail": False, "print_time": False, **(options or {})}
-    solver = ca.conic("qp", plugin, {"h": p.h_sparsity, "a": p.a_sparsity}, chosen)
+    solver = qp_solver("qp", plugin, {"h": p.h_sparsity, "a": p.a_sparsity}, chosen)
     rows = len(p.a_low)
     h, a = ca.MX.sym("h", p.h_sparsity), ca.MX.sym("a", p.a_sparsity)
     g, lba, uba, lbx, ubx = (ca.MX.sym("v", n) for n in (p.size, rows, rows, p.size, p.size))
@@ -199,14 +200,12 @@ class TrackingIpopt:
             "mu_init": 1e-2,
             "max_cpu_time": LONGEST,
         }
-        self._watch = Watch(p.size, nlp["g"].numel(), nlp["p"].numel())
         outer: dict[str, Any] = {
             "print_time": False,
             "expand": True,
             "ipopt": options,
-            "iteration_callback": self._watch,
         }
-        self._solver = ca.nlpsol("mpc", "ipopt", nlp, outer)
+        self._solver = nlpsol("mpc", "ipopt", nlp, outer)
         self._bounds = {
             "lbx": _infinite(p.w_low),
             "ubx": _infinite(p.w_high),
@@ -219,8 +218,7 @@ class TrackingIpopt:
         begin = perf_counter()
         guess = np.where(np.isfinite(point.w), point.w, 0.0)
         p = np.concatenate([point.start, point.references.ravel(), point.given])
-        with self._watch.during():
-            result = self._solver(x0=guess, p=p, **self._bounds)
+        result = self._solver(x0=guess, p=p, **self._bounds)
         stats = self._solver.stats()
         if stats["success"]:
             point.w[:] = np.asarray(result["x"]).ravel()

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -29,6 +30,7 @@ from .transcribe import METHODS, FitMethod, Unknowns
 __all__ = ["PlantFit", "fit_plant"]
 
 
+@verb
 def fit_plant(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],
@@ -46,6 +48,7 @@ def fit_plant(
     inputs: Mapping[str, float] | None = None,
     process_noise: Mapping[str, float] | None = None,
     input_noise: Mapping[str, float] | None = None,
+    time_limit: float | None = None,
 ) -> PlantFit:
     """Fit parameters of a plant to measured records by least squares.
 
@@ -79,6 +82,7 @@ def fit_plant(
         with all else and weighed against those of the outputs, whose ``noise`` must be given. An
         input that is measured with noise and taken as exact biases the parameters, damping above
         all (errors in variables; W. Fuller, Measurement Error Models, 1987).
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------

@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import FitError, InputError
+from ...core.plausible import outside
 from ...core.signals import Interpolation
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -83,6 +85,7 @@ class FreeRunFit:
         return "\n".join(lines)
 
 
+@verb
 def free_run(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],
@@ -117,10 +120,11 @@ def free_run(
     runs = runs_of(plant, records, horizon, every, outputs, history, steps)
     found = runs.result(Rollout(plant, runs, []).predicted(np.empty(0)))
     for text in found.warnings:
-        warnings.warn(text, RuntimeWarning, stacklevel=2)
+        warnings.warn(text, RuntimeWarning, stacklevel=outside())
     return found
 
 
+@verb
 def fit_free_run(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],
@@ -133,6 +137,7 @@ def fit_free_run(
     steps: int = 4,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     evaluations: int = 60,
+    time_limit: float | None = None,
 ) -> FreeRunFit:
     """Fit parameters so that free runs (see :func:`free_run`) stay near what was measured.
 
@@ -144,6 +149,7 @@ def fit_free_run(
     bounds : {free parameter: (low, high)}, within those of its variable.
     evaluations : of all runs, at most. Other arguments as for :func:`free_run`. Where a record does
         not say how its inputs ran between samples, both ways are fitted and the likelier counts.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises
     ------
@@ -171,7 +177,7 @@ def fit_free_run(
     chosen = [records] if isinstance(records, Trajectory) else list(records)
     fit, between, words = decided(plant, chosen, fitted)
     for text in fit.training.warnings:
-        warnings.warn(text, RuntimeWarning, stacklevel=2)
+        warnings.warn(text, RuntimeWarning, stacklevel=outside())
     return replace(
         fit, interpolation=between, inputs_ran=words, seconds=time.perf_counter() - began
     )

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ...core.errors import FitError
+from ...numerics.solvers import nlpsol
 from ..statistics import Array
 from .transcribe import FitProgram
 
@@ -87,7 +88,7 @@ def _interior_point(
             ["hess_gamma_x_x"],
         )
     nlp: Any = {"x": w, "p": program.weights, "f": ca.sumsqr(residuals) / 2, "g": program.defects}
-    solver = ca.nlpsol("fit", "ipopt", nlp, options)
+    solver = nlpsol("fit", "ipopt", nlp, options)
     answer = solver(x0=guess, p=weights, lbx=program.low, ubx=program.high, lbg=0.0, ubg=0.0)
     statistics = solver.stats()
     return _solution(

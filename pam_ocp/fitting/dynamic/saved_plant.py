@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.files import read_json, reading, write_json
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable, variable_of
 from ...plants.plant import Plant, require_plant
@@ -80,6 +81,7 @@ def write_plant_fit(fit: PlantFit, path: str | os.PathLike[str]) -> Path:
     return write_json(path, content)
 
 
+@verb
 def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
     """Read what :meth:`PlantFit.save` wrote.
 

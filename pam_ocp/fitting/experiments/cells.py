@@ -23,6 +23,7 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.files import atomic_path
+from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..static.force_fit import ForceFit
 from ..statistics import Array, Linearisation, sensitivity, student_t
@@ -157,6 +158,7 @@ class _Known:
         )
 
 
+@verb
 def design_cells(
     known: ForceFit | ForceLaw,
     n: int,
@@ -171,6 +173,7 @@ def design_cells(
     noise: float | None = None,
     covariance: ArrayLike | None = None,
     fixed: Sequence[str] = (),
+    time_limit: float | None = None,
 ) -> CellDesign:
     """Propose ``n`` further cells within the bench's limits that shrink the chosen intervals most.
 
@@ -190,6 +193,7 @@ def design_cells(
         off the candidates.
     noise : standard deviation of a measurement [N]; by default the fit's.
     fixed : coefficients of a law (not of a fit) that are known.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------

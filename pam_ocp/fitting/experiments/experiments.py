@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, overload
 
 from ...core.errors import InputError
+from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ...plants.plant import Plant
 from ..dynamic.plant_fit import PlantFit
@@ -19,6 +20,7 @@ __all__ = ["CellDesign", "SignalDesign", "design_cells", "design_experiment", "d
 def design_experiment(known: ForceFit | ForceLaw, *args: Any, **options: Any) -> CellDesign: ...
 @overload
 def design_experiment(known: Plant | PlantFit, *args: Any, **options: Any) -> SignalDesign: ...
+@verb
 def design_experiment(known: Any, *args: Any, **options: Any) -> CellDesign | SignalDesign:
     """What to measure next so that intervals shrink most, within the bench's limits.
 

@@ -16,7 +16,9 @@ import casadi as ca
 import numpy as np
 
 from ...core.errors import FitError, InputError, SimulationError, UnknownNameError, require_positive
+from ...core.stop import verb
 from ...core.trajectory import Trajectory
+from ...numerics.solvers import nlpsol
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.simulator import simulate
 from ..dynamic.experiment import ParameterGroup, groups
@@ -99,6 +101,7 @@ class SignalDesign:
     __str__ = report
 
 
+@verb
 def design_signal(
     known: Plant | PlantFit,
     free: Sequence[str | Sequence[str]] | None = None,
@@ -116,6 +119,7 @@ def design_signal(
     known_start: bool = False,
     tries: int = 3,
     seed: int = 0,
+    time_limit: float | None = None,
 ) -> SignalDesign:
     """Propose the inputs of a record that tells the chosen parameters best.
 
@@ -138,6 +142,7 @@ def design_signal(
     start : initial states; by default the plant's. known_start : whether a later fit may take them
         as known.
     tries : how many of the best random signals are improved.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------
@@ -301,7 +306,7 @@ def _improved(aim: _Aim, random: Sequence[Array], judged: Sequence[_Judged], tri
         },
     }
     nlp: Any = {"x": w, "f": aim.expression(w), "g": ca.vertcat(*constraints)}
-    solver = ca.nlpsol("design", "ipopt", nlp, options)
+    solver = nlpsol("design", "ipopt", nlp, options)
     best, least_value = random[order[0]], judged[order[0]]
     for i in order[:tries]:
         answer = solver(

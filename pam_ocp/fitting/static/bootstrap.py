@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError, require_count
+from ...core.stop import TimeIsUp, deadline, verb
 from ..statistics import Array
 from .least_squares import LeastSquares
 from .optimum import Optimum
@@ -28,6 +29,8 @@ class Bootstrap:
     names: tuple[str, ...]
     samples: Array
     failed: int = 0
+    ended: str = ""
+    """Why there are fewer samples than were asked for ("" when there are not)."""
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Percentile interval of one coefficient."""
@@ -50,7 +53,15 @@ class Bootstrap:
         return np.atleast_2d(np.cov(self.samples.T))
 
 
-def bootstrap(fit: Optimum, n: int, seed: int, method: Resampling) -> Bootstrap:
+@verb
+def bootstrap(
+    fit: Optimum,
+    n: int,
+    seed: int,
+    method: Resampling,
+    *,
+    time_limit: float | None = None,
+) -> Bootstrap:
     """See :meth:`ForceFit.bootstrap`."""
     require_count("n", n, 2)
     if method not in ("residuals", "cases"):
@@ -58,17 +69,23 @@ def bootstrap(fit: Optimum, n: int, seed: int, method: Resampling) -> Bootstrap:
     if method == "residuals" and fit.dof < 1:
         raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
     random = np.random.default_rng(seed)
-    problem, samples, failed = fit.problem, [], 0
+    problem, failed, ended = fit.problem, 0, ""
+    samples: list[Array] = []
     for _ in range(n):
         try:
             found = minimise(_resampled(fit, problem, random, method)).coefficients
         except FitError:
             failed += 1
             continue
+        except TimeIsUp:
+            if len(samples) < 2:
+                raise
+            ended = f"{deadline()} was over behind {len(samples)} of {n} tables"
+            break
         samples.append(found[list(problem.free)])
     if len(samples) < 2:
         raise FitError(f"{failed} of {n} resampled tables gave no fit; the data are too few")
-    return Bootstrap(fit.free, np.array(samples), failed)
+    return Bootstrap(fit.free, np.array(samples), failed, ended)
 
 
 def _resampled(

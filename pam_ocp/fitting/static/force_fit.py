@@ -197,14 +197,20 @@ class ForceFit(Optimum):
         return self.sigma * (1.0 if serial is None else serial.spread)
 
     def bootstrap(
-        self, n: int = 500, seed: int = 0, *, method: Resampling = "residuals"
+        self,
+        n: int = 500,
+        seed: int = 0,
+        *,
+        method: Resampling = "residuals",
+        time_limit: float | None = None,
     ) -> Bootstrap:
         """Refit ``n`` resampled tables: intervals without the assumptions of a linearisation.
 
         method : "residuals" puts residuals, drawn with replacement, on the fitted law; "cases"
         draws the cells themselves, also right where the scatter is not the same everywhere.
+        time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.
         """
-        return bootstrap(self, n, seed, method)
+        return bootstrap(self, n, seed, method, time_limit=time_limit)
 
     def lack_of_fit(self) -> LackOfFit:
         """F-test of the law against the scatter of repeats; see :func:`branches.lack_of_fit`."""

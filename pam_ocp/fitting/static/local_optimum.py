@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ...muscles.law import ForceLaw
+from ...numerics.solvers import Nlp, nlpsol
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, Loss, sizes
 
@@ -42,7 +43,7 @@ class Optimum:
 @lru_cache(maxsize=64)
 def _solver(
     law: type[ForceLaw], free: tuple[int, ...], count: int, loss: Loss, priors: int, slack: int
-) -> ca.Function:
+) -> Nlp:
     """min sum rho(w (F - y)/unit)/2 over scaled coefficients; built once per law and size.
 
     Huber's loss and absolute values split the residual, r = a + b: squares of a, ``edge`` |b|. So
@@ -94,7 +95,7 @@ def _solver(
         "f": objective,
         "g": ca.vertcat(*constraints),
     }
-    return ca.nlpsol("fit", "ipopt", nlp, options)
+    return nlpsol("fit", "ipopt", nlp, options)
 
 
 def local_optimum(problem: LeastSquares, start: Array, scanned: int) -> Optimum:

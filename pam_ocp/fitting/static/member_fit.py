@@ -58,7 +58,7 @@ class MemberFit(ForceFit):
     def profile_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         raise InputError("a muscle of a joint fit: take profile_interval of the joint fit")
 
-    def bootstrap(self, n: int = 500, seed: int = 0, *, method: Any = "residuals") -> Any:
+    def bootstrap(self, n: int = 500, seed: int = 0, **options: Any) -> Any:
         raise InputError("a muscle of a joint fit cannot be resampled without the others")
 
     def to_json(self, path: str | os.PathLike[str]) -> Path:

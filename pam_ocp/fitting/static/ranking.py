@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import polynomial_law
 from ..tables.force_table import ForceTable
@@ -103,11 +104,13 @@ class LawComparison:
         return "\n".join(lines)
 
 
+@verb
 def compare_laws(
     table: ForceTable,
     laws: Iterable[str | type[ForceLaw]] | None = None,
     *,
     fixed: Mapping[str, float] | None = None,
+    time_limit: float | None = None,
 ) -> LawComparison:
     """Fit several laws to one table and leave each interior contraction level out in turn.
 
@@ -117,6 +120,7 @@ def compare_laws(
     laws : names or classes; by default all of ``LAWS`` and the polynomials of degree 1 and 3.
     fixed : known constants [SI] for the laws that have them, as ``{"radius": 0.010,
         "rest_diameter": 0.020, "max_contraction_ratio": 0.25}``.
+    time_limit : [s]; laws that are not reached are listed with it as the reason.
 
     Returns
     -------
@@ -157,10 +161,14 @@ def _compared(table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float
         return ComparedLaw(kind.name, None, {}, f"needs fixed={{{missing[0]!r}: ...}}")
     try:
         fit = fit_force(table, kind, fixed=own)
+    except TimeIsUp:
+        return ComparedLaw(kind.name, None, {}, f"{deadline()} was over")
     except (FitError, InputError) as error:
         return ComparedLaw(kind.name, None, {}, str(error))
     try:
         return ComparedLaw(kind.name, fit, _left_out(table, kind, own))
+    except TimeIsUp:
+        return ComparedLaw(kind.name, fit, {}, f"{deadline()} was over with a level left out")
     except (FitError, InputError) as error:
         return ComparedLaw(kind.name, fit, {}, f"with a level left out: {error}")
 

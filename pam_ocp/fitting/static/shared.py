@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array, Coefficient, Linearisation, SerialErrors, SolverStatistics
 from ..tables.force_table import ForceTable
@@ -180,6 +181,7 @@ class JointForceFit:
         return "\n".join(lines)
 
 
+@verb
 def fit_forces(
     tables: Mapping[str, ForceTable] | Sequence[ForceTable],
     law: str | type[ForceLaw] = "six-parameter",
@@ -190,6 +192,7 @@ def fit_forces(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     noise: Literal["equal", "each"] = "equal",
     errors: Literal["as found", "independent"] = "as found",
+    time_limit: float | None = None,
 ) -> JointForceFit:
     """Fit one law to the tables of several muscles that have coefficients in common.
 
@@ -206,6 +209,7 @@ def fit_forces(
     noise : "equal": one standard deviation for all tables (times 1/weight); "each": every table has
         its own, estimated from its residuals (iterated least squares).
     errors : as for :func:`fit_force`.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import FitError
 from ...core.variables import Variable
+from ...numerics.solvers import Nlp, nlpsol
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, least_squares, sizes
 from .local_optimum import cosine
@@ -162,7 +163,7 @@ class JointProblem:
         return np.stack([random.choice(s, SCANNED) for s in scales], axis=1)
 
     @cached_property
-    def _solver(self) -> ca.Function:
+    def _solver(self) -> Nlp:
         """min |residuals/unit|^2/2 over scaled unknowns."""
         z, scale, unit = ca.MX.sym("z", self.size), ca.MX.sym("scale", self.size), ca.MX.sym("unit")
         weights = ca.MX.sym("weights", self.cells)
@@ -193,7 +194,7 @@ class JointProblem:
             },
         }
         nlp: Any = {"x": z, "p": ca.vertcat(scale, unit, weights), "f": objective}
-        return ca.nlpsol("joint", "ipopt", nlp, options)
+        return nlpsol("joint", "ipopt", nlp, options)
 
     def local_optimum(
         self, start: Array, scanned: int = 0, held: int | None = None

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...core.errors import InputError, UnknownNameError, require_positive
+from ...core.stop import verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ..statistics import Array
@@ -33,6 +34,7 @@ __all__ = [
 ]
 
 
+@verb
 def fit_force(
     table: ForceTable,
     law: str | type[ForceLaw] = "six-parameter",
@@ -46,6 +48,7 @@ def fit_force(
     priors: Mapping[str, tuple[float, float]] | None = None,
     noise: float | None = None,
     errors: Literal["as found", "independent"] = "as found",
+    time_limit: float | None = None,
 ) -> ForceFit:
     """Fit a force law to a measured table: the global optimum, with intervals.
 
@@ -72,6 +75,7 @@ def fit_force(
         ramp, along pressure), intervals and bands are widened for it (see
         :mod:`pam_ocp.fitting.static.correlation`). "independent": they are known not to, as after
         measuring in random order.
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
     -------
@@ -247,6 +251,7 @@ def _start(problem: LeastSquares, start: Mapping[str, Any]) -> Array | None:
     return clipped
 
 
+@verb
 def fit_branches(
     table: ForceTable, law: Any = "six-parameter", **options: Any
 ) -> Mapping[str, ForceFit]:

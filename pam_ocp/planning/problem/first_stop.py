@@ -9,6 +9,7 @@ from dataclasses import replace
 import casadi as ca
 
 from ...core.errors import InputError, PlanWarning
+from ...core.plausible import outside
 from ...operating.held import held
 from ...plants.plant import Plant
 from ...plants.stillness import Position, settled_names, totals
@@ -79,7 +80,7 @@ def with_given_pressures(
         f"would vent what it begins with: it begins at rest with {shown}. Name other values in "
         "the first stop, or give cyclic=True",
         PlanWarning,
-        stacklevel=5,
+        stacklevel=outside(),
     )
     given = [
         Condition(

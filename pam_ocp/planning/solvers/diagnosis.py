@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...numerics.solvers import nlpsol
 from ..problem.problem import Budget, Condition
 from ..transcription.transcription import Program
-from .interrupt import watched_call
 from .solver import DEFAULTS, Outcome, limit
 
 __all__ = ["Conflict", "Elastic", "elastic", "explanation"]
@@ -97,7 +97,8 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
         "lbg": lbg,
         "ubg": ubg,
     }
-    result, stats = watched_call("elastic", nlp, {"print_time": False, "ipopt": ipopt}, arguments)
+    solver = nlpsol("elastic", "ipopt", nlp, {"print_time": False, "ipopt": ipopt})
+    result, stats = solver(**arguments), solver.stats()
     found = np.asarray(result["x"], float).ravel()
     slack = np.zeros(g.numel())
     slack[chosen] = found[len(lbx) :].reshape(2, -1).max(axis=0)

@@ -11,6 +11,8 @@ import os
 import pickle
 import signal
 import sys
+import threading
+import time
 from typing import Any
 
 import casadi as ca
@@ -20,7 +22,15 @@ ORPHAN = 30.0
 """Seconds beyond the limit after which the process ends itself, if its parent did not end it."""
 
 
+def watch(parent: int) -> None:
+    """End this process once its parent is gone (CasADi lets other threads run while it solves)."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
+
+
 def main() -> None:
+    threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
     )  # Ctrl-C is for the parent, which ends this process

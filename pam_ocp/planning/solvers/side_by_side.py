@@ -23,6 +23,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.stop import TimeIsUp, check
 from ..starts import Task
 from ..transcription.transcription import Program
 from .solver import Ipopt, Outcome
@@ -58,16 +59,20 @@ def solved_side_by_side(
                 alive = any(worker.thread.is_alive() for worker in workers)
                 if not alive and not queue:
                     break
+                check()
                 time.sleep(0.01)
                 continue
             found[i] = ipopt(program, tasks[i].guess, tasks[i].start)
             if found[i].stopped:
                 break
-        for worker in workers:
-            found |= worker.found
+    except TimeIsUp:
+        done = [*found.values(), *(o for w in workers for o in w.found.values())]
+        if not any(outcome.success for outcome in done):
+            raise
     finally:
         for worker in workers:
             worker.end()
+            found |= worker.found
     return [found[i] for i in range(len(tasks)) if i in found]
 
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from ...core.registry import Registry
+from ...numerics.solvers import Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
-from .interrupt import Watch
 
 __all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start", "limit"]
 
@@ -198,15 +198,12 @@ class Ipopt:
         self.program = program
         self._report = progress if callable(progress) else _printed if progress else None
         self._iteration, self._limits = 0, program.limits()
-        nlp = program.nlp
-        sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
-        self._watch = Watch(*sizes, self._progress if self._report else None)
         self._given = dict(options or {})
         self._derivatives = derivatives(program)
         self._library: str | None = None
-        self._solvers: dict[str, ca.Function] = {}
+        self._solvers: dict[str, Nlp] = {}
         if compiled:
-            self._library = compiled_library(self._solver("cold"))
+            self._library = compiled_library(self._solver("cold").function)
             self._solvers.clear()
         self._first = self._solver("cold")
 
@@ -221,15 +218,17 @@ class Ipopt:
         # multipliers of the parameters: duals.py finds them when somebody asks
         return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
 
-    def _solver(self, name: Start) -> ca.Function:
+    def _solver(self, name: Start) -> Nlp:
         """The solver of this name, made at its first use; all share the same functions."""
         if name not in self._solvers:
-            options = {**self._options(name), "iteration_callback": self._watch}
+            options = self._options(name)
             if self._library is None:
                 options |= self._derivatives
-            problem = self._library or self.program.nlp
+            nlp, problem = self.program.nlp, self._library or self.program.nlp
+            sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
+            report = self._progress if self._report else None
             try:
-                solver = ca.nlpsol(name, "ipopt", problem, options)
+                solver = nlpsol(name, "ipopt", problem, options, sizes=sizes, report=report)
             except RuntimeError as error:
                 raise InputError(
                     f"options = {self._given}: {str(error).splitlines()[-1]}"
@@ -274,8 +273,7 @@ class Ipopt:
         if warm is not None:
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
-        with self._watch.during():
-            result = solver(**given)
+        result = solver(**given)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         return Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
 

@@ -10,40 +10,23 @@ import os
 import pickle
 import signal
 import sys
+import threading
+import time
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 
-class Orphaned(ca.Callback):
-    """An iteration callback that ends the solve once the parent process is gone."""
-
-    def __init__(self, nx: int, ng: int, parameters: int) -> None:
-        ca.Callback.__init__(self)
-        self._sizes = {"x": nx, "f": 1, "g": ng, "lam_x": nx, "lam_g": ng, "lam_p": parameters}
-        self._parent = os.getppid()
-        self.construct("orphaned", {})
-
-    def get_n_in(self) -> int:
-        return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(ca.nlpsol_out(i))
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
-
-    def eval(self, arguments: Any) -> list[int]:
-        if os.getppid() != self._parent:
-            os._exit(1)
-        return [0]
+def watch(parent: int) -> None:
+    """End this process once its parent is gone (CasADi lets other threads run while it solves)."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
 
 
 def main() -> None:
+    threading.Thread(target=watch, args=(os.getppid(),), daemon=True).start()
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
     )  # Ctrl-C is for the parent, which ends this process
@@ -56,7 +39,6 @@ def main() -> None:
     x, p = ca.MX.sym("x", function.size1_in(0)), ca.MX.sym("p", function.size1_in(1))
     f, g = function(x, p)
     problem = {"x": x, "p": p, "f": f, "g": g}
-    watch = Orphaned(x.numel(), g.numel(), p.numel())
     solvers: dict[str, ca.Function] = {}
     while True:
         try:
@@ -64,8 +46,7 @@ def main() -> None:
         except EOFError:
             return
         if name not in solvers:
-            given = {**options[name], "iteration_callback": watch}
-            solvers[name] = ca.nlpsol(name, "ipopt", problem, given)
+            solvers[name] = ca.nlpsol(name, "ipopt", problem, options[name])
         result = solvers[name](**arguments)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         stats = solvers[name].stats()

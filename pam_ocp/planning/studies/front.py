@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ... import courtesy
 from ...core.errors import InputError, PlanError, require_count, require_positive
+from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
 from ...plants.plant import Plant, require_plant
 from ..planner import PlanKeywords, Planner
@@ -96,6 +97,7 @@ class Pareto:
         return "\n".join(lines)
 
 
+@verb
 def pareto(
     plant: Plant,
     stops: Sequence[Mapping[str, Any] | Stop],
@@ -104,6 +106,7 @@ def pareto(
     second: str = "effort",
     points: int = 11,
     until: float | None = None,
+    time_limit: float | None = None,
     **arguments: Unpack[PlanKeywords],
 ) -> Pareto:
     """The front of two objectives: no plan on it is better in one without being worse in the other.
@@ -122,6 +125,8 @@ def pareto(
     points : on the front, both ends included.
     until : the largest value of ``first`` [SI]; by default its value where ``second`` is least, or
         3 times the least time where a slower motion always takes less.
+    time_limit : [s]; the points that are not reached stand in ``failures``. OutOfTime when an end
+        is not reached.
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
     points between that are not found stand in ``failures``.
@@ -146,6 +151,9 @@ def pareto(
     for bound in spaced(low, high, points)[-2:0:-1]:
         try:
             near = sweep.second_under(float(bound), near)
+        except TimeIsUp:
+            failures.append((float(bound), f"{deadline()} was over"))
+            continue
         except PlanError as error:
             failures.append((float(bound), str(error)))
             continue

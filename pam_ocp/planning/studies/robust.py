@@ -19,6 +19,8 @@ from ...core.errors import (
     require_finite,
     require_positive,
 )
+from ...core.plausible import outside
+from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
@@ -46,6 +48,7 @@ ADDED = 4
 """Most plants that are added in a round."""
 
 
+@verb
 def robust_plan(
     plant: Plant,
     stops: Sequence[Mapping[str, Any] | Stop],
@@ -92,7 +95,8 @@ def robust_plan(
         lie above your need. None: only the plants planned for count.
     fresh : plants of each sample, at least 100. begin : plants of the first plan, drawn by the
         function.
-    rounds, time_limit : at most so many plans; none is begun after so many seconds.
+    rounds, time_limit : at most so many plans, so many seconds; the best so far is returned,
+        OutOfTime is raised when there is none.
     seed : of the first plants; the fresh samples have the seeds after it. With it all is
         repeatable.
     all_within : bounds and path constraints (never slack, strokes, rates) hold for every draw, not
@@ -133,7 +137,7 @@ def robust_plan(
         best, made, ended = _searched(task, members, samples, share, confidence, limits)
     result = task.result(best, share, made, ended)
     if not result.verified:
-        warnings.warn(f"robust_plan: {result.verdict}", PlanWarning, stacklevel=2)
+        warnings.warn(f"robust_plan: {result.verdict}", PlanWarning, stacklevel=outside())
     return result
 
 
@@ -220,12 +224,17 @@ def _searched(
     for _ in range(rounds):
         try:
             found = task.planned(members, last)
+            last = task.tried(found, members, samples(fresh), share, confidence, samples.last)
+        except TimeIsUp:
+            if best is None:
+                raise
+            ended = f"{time_limit:g} s were allowed"
+            break
         except PlanError as error:
             if last is None:
                 raise task.explained(error, samples(fresh), share) from None
             ended = f"with {len(members) - len(last.members)} of these planned for, too: {error}"
             break
-        last = task.tried(found, members, samples(fresh), share, confidence, samples.last)
         made.append(last.round(time.perf_counter() - began))
         if best is None or last.value > best.value:
             best = last

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ...core.errors import InputError, PamError
+from ...numerics.solvers import nlpsol
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows
 from ..problem.problem import Problem, limits
@@ -321,7 +322,7 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> t
         "print_time": False,
         "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200},
     }
-    solver = ca.nlpsol("balance", "ipopt", nlp, options)
+    solver = nlpsol("balance", "ipopt", nlp, options)
     found = solver(
         x0=given,
         lbx=box[:, 0],

@@ -1,0 +1,127 @@
+"""CasADi's solvers and integrators as this library calls them: signals and time limits end them.
+
+Nothing else makes one by CasADi's own names, so no place can forget; tests/package has a check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import casadi as ca
+
+from ..core.stop import ask, native
+
+__all__ = ["Native", "Nlp", "conic", "integrator", "nlpsol", "stoppable"]
+
+
+class Native:
+    """A CasADi function whose calls may take long; see :func:`pam_ocp.core.stop.native`."""
+
+    def __init__(self, function: ca.Function, held: bool = False) -> None:
+        self.function = function
+        self._held = held
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return native(self.function, *args, held=self._held, **kwargs)
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "function":
+            raise AttributeError(name)
+        return getattr(self.function, name)
+
+
+def stoppable(function: ca.Function) -> Native:
+    """A function with an integrator in it, so that its calls can be broken off."""
+    return Native(function)
+
+
+def integrator(
+    name: str, plugin: str, dae: Mapping[str, Any], t0: float, times: Any, options: Any
+) -> Native:
+    """``casadi.integrator``; ``.function`` is CasADi's own, for expressions."""
+    return Native(native(ca.integrator, name, plugin, dae, t0, times, options))
+
+
+def conic(name: str, plugin: str, sparsities: Mapping[str, Any], options: Any) -> Native:
+    """``casadi.conic``; ``.function`` is CasADi's own, for expressions and buffers."""
+    return Native(ca.conic(name, plugin, sparsities, options))
+
+
+class _Watch(ca.Callback):
+    """An ``iteration_callback`` for CasADi's interface to IPOPT.
+
+    report : called with (x, f, g) in each iteration. What it raises ends the solve.
+    """
+
+    def __init__(
+        self, sizes: tuple[int, int, int], report: Callable[[Any, Any, Any], None] | None
+    ) -> None:
+        ca.Callback.__init__(self)
+        nx, ng, parameters = sizes
+        self._sizes = {"x": nx, "f": 1, "g": ng, "lam_x": nx, "lam_g": ng, "lam_p": parameters}
+        self._report = report
+        self.error: BaseException | None = None
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
+
+    def eval(self, arguments: Any) -> list[int]:
+        end = ask()
+        if self._report is not None and not end:
+            try:
+                self._report(*arguments[:3])
+            except BaseException as error:
+                self.error = error
+        return [int(end or self.error is not None)]
+
+
+class Nlp(Native):
+    """A solver of nonlinear programs; made by :func:`nlpsol`."""
+
+    def __init__(self, function: ca.Function, watch: _Watch | None) -> None:
+        super().__init__(function, held=watch is not None)
+        self._watch = watch
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """CasADi's results. Ended by a signal, a time limit or the report it raises what that
+        raised.
+        """
+        if self._watch is not None:
+            self._watch.error = None
+        found = super().__call__(*args, **kwargs)
+        if self._watch is not None and self._watch.error is not None:
+            raise self._watch.error
+        return found
+
+
+def nlpsol(
+    name: str,
+    plugin: str,
+    problem: Any,
+    options: Mapping[str, Any],
+    *,
+    sizes: tuple[int, int, int] | None = None,
+    report: Callable[[Any, Any, Any], None] | None = None,
+) -> Nlp:
+    """``casadi.nlpsol``.
+
+    sizes : numbers of unknowns, constraints and parameters, where ``problem`` does not show them.
+    report : called with (x, f, g) at each iteration of IPOPT.
+    """
+    watch = None
+    if plugin == "ipopt":
+        shown = sizes or tuple(problem[k].numel() if k in problem else 0 for k in ("x", "g", "p"))
+        watch = _Watch((shown[0], shown[1], shown[2]), report)
+        options = {**options, "iteration_callback": watch}
+    return Nlp(native(ca.nlpsol, name, plugin, problem, options), watch)
