@@ -105,7 +105,12 @@ def test_modules_are_named_in_strings_only_where_names_load_lazily_and_by_what_s
         for path in PACKAGE.rglob("*.py")
         if re.search(r"\b(import_module|__import__)\(", path.read_text("utf-8"))
     }
-    assert named <= {"core/lazy.py", "core/registry.py", "export/isolation.py"}
+    assert named <= {
+        "core/foreign.py",
+        "core/lazy.py",
+        "core/registry.py",
+        "export/isolation.py",
+    }
 
 
 # ---- the door ------------------------------------------------------------------------------------
