@@ -300,3 +300,21 @@ def test_records_that_cannot_serve_are_refused(rig: pam.Plant, records: Any) -> 
         fit_plant(rig, [], ["damping"])
     with pytest.raises(UnknownNameError, match="fitted parameter"):
         fit_plant(rig, one, ["damping"]).interval("mass")
+
+
+def test_a_report_names_the_pairs_of_parameters_that_go_together(fit: PlantFit) -> None:
+    covariance = fit.linearisation.covariance
+    size = np.sqrt(np.diag(covariance))
+    names = list(fit.linearisation.names)
+    expected = {
+        (a, b): covariance[i, j] / (size[i] * size[j])
+        for i, a in enumerate(names)
+        for j, b in enumerate(names[:i])
+        if a in fit.coefficients and b in fit.coefficients
+    }
+    told = [line for line in fit.report().splitlines() if line.startswith("    C(")]
+    assert expected
+    assert len(told) == sum(abs(r) > 0.8 for r in expected.values())
+    for (a, b), r in expected.items():
+        if abs(r) > 0.8:
+            assert {f"    C({a}, {b}) = {r:+.4f}", f"    C({b}, {a}) = {r:+.4f}"} & set(told)

@@ -442,3 +442,11 @@ def test_tables_that_cannot_carry_the_law_are_refused(fit: ForceFit) -> None:
         fit.interval("a7")
     exact = fit_force(fit.cells.subset(np.linspace(0, 59, 6).astype(int)), fixed={"a3": -50.0})
     assert exact.dof == 1
+
+
+def test_a_scan_goes_on_where_some_of_its_points_overflow() -> None:
+    """exp(a3 kappa) at a3 = 1581, the end of the scan, is no number at 50 % contraction."""
+    truth = SixParameterLaw(a1=1e-4, a2=500.0, a3=-30.0, a4=-1e-3, a5=3e-3, a6=200.0)
+    p, kappa = (a.ravel() for a in np.meshgrid([1e5, 3e5, 5e5], np.linspace(0.0, 0.5, 9)))
+    found = fit_force(ForceTable(p, kappa, truth.tension(p, kappa), 0.3))
+    assert found.law.values == pytest.approx(truth.values, rel=1e-6)
