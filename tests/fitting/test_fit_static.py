@@ -445,8 +445,13 @@ def test_tables_that_cannot_carry_the_law_are_refused(fit: ForceFit) -> None:
 
 
 def test_a_scan_goes_on_where_some_of_its_points_overflow() -> None:
-    """exp(a3 kappa) at a3 = 1581, the end of the scan, is no number at 50 % contraction."""
-    truth = SixParameterLaw(a1=1e-4, a2=500.0, a3=-30.0, a4=-1e-3, a5=3e-3, a6=200.0)
-    p, kappa = (a.ravel() for a in np.meshgrid([1e5, 3e5, 5e5], np.linspace(0.0, 0.5, 9)))
-    found = fit_force(ForceTable(p, kappa, truth.tension(p, kappa), 0.3))
+    """exp(-b kappa) at b = -3162, an end of the scan, is no number at 30 % contraction."""
+    law = own_law(
+        "steep",
+        lambda p, kappa, a, b: a * p * ca.exp(-b * kappa),
+        {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("1", 100.0, "steepness")},
+    )
+    truth = law(a=4e-3, b=12.0)
+    p, kappa = (a.ravel() for a in np.meshgrid([1e5, 3e5, 5e5], np.linspace(0.0, 0.3, 9)))
+    found = fit_force(ForceTable(p, kappa, truth.tension(p, kappa), 0.3), law)
     assert found.law.values == pytest.approx(truth.values, rel=1e-6)
