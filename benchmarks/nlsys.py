@@ -239,19 +239,25 @@ def same_solver(case: Case, solver: str = "RK45", rtol: float = 1e-8) -> dict[st
     }
 
 
-def same_accuracy(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, float]:
-    """Seconds of both, each within ``limit`` of simulate (which runs at rtol 1e-12 for this)."""
+def same_accuracy(
+    case: Case, solver: str = "RK45", limit: float = 1e-6, loosest: float = 1e-6, repeats: int = 5
+) -> dict[str, float]:
+    """Seconds of both, each within ``limit`` of simulate (which runs at rtol 1e-12 for this).
+
+    loosest : the tolerance at which the search for the one that suffices to NumPy begins.
+    """
     quick = as_nlsys(case.plant.in_commands(), START, outputs=case.outputs)
     plain = by_hand(case, quick)
     truth = quick.response(case.t, case.u, rtol=1e-12)
-    rtol = 1e-6
+    rtol = loosest
     while apart(case, solved(case, plain, quick.x0, solver, rtol), truth) > limit:
         rtol /= 2
     seconds, found = quickest(
         {
             "as_nlsys": lambda: quick.response(case.t, case.u),
             "NumPy": lambda: solved(case, plain, quick.x0, solver, rtol),
-        }
+        },
+        repeats,
     )
     return {
         **seconds,
@@ -261,7 +267,9 @@ def same_accuracy(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict
     }
 
 
-def sampled(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, float]:
+def sampled(
+    case: Case, solver: str = "RK45", limit: float = 1e-6, loosest: float = 1e-6, repeats: int = 3
+) -> dict[str, float]:
     """Seconds of both in discrete time, inputs held, each within ``limit`` of simulate."""
     dt = float(case.t[1] - case.t[0])
     quick = as_nlsys(case.plant.in_commands(), START, outputs=case.outputs, dt=dt)
@@ -292,12 +300,12 @@ def sampled(case: Case, solver: str = "RK45", limit: float = 1e-6) -> dict[str, 
     def run(system: Any) -> Any:
         return control.input_output_response(system, case.t, case.u, quick.x0)
 
-    rtol = 1e-6
+    rtol = loosest
     while apart(case, run(plain(rtol)), truth) > limit:
         rtol /= 2
     system = plain(rtol)
     seconds, found = quickest(
-        {"as_nlsys": lambda: run(quick), "NumPy": lambda: run(system)}, repeats=3
+        {"as_nlsys": lambda: run(quick), "NumPy": lambda: run(system)}, repeats
     )
     return {
         **seconds,

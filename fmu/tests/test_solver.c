@@ -102,6 +102,14 @@ static void rows_are_exchanged_where_the_pivot_asks_for_it(void) {
     NEAR(x[1], -W * sin(W * 1e-3), 1e-3);
 }
 
+static void the_pivot_is_the_largest_in_nominals(void) {
+    const double column[2] = {1.0, 4.0}, first[2] = {10.0, 0.5}, second[2] = {0.1, 0.5};
+    CHECK(pivot_row(column, first, 0) == 0);
+    CHECK(pivot_row(column, second, 0) == 1);
+    const double zeros[2] = {0.0, 0.0}, broken[2] = {INFINITY, 1.0};
+    CHECK(pivot_row(zeros, first, 0) == -1 && pivot_row(broken, first, 0) == -1);
+}
+
 static void a_failure_says_how_far_it_came(void) {
     double x[2] = {1.0, 0.0};
     CHECK(solve(BLOW_UP, x, 2.0, 1e-6, 0.0, 100000, NULL, NULL) != SOLVER_OK);
@@ -138,6 +146,7 @@ int main(void) {
     the_error_follows_the_tolerance();
     a_stiff_system_takes_few_steps();
     rows_are_exchanged_where_the_pivot_asks_for_it();
+    the_pivot_is_the_largest_in_nominals();
     a_failure_says_how_far_it_came();
     an_observer_sees_each_step_and_can_end_it();
     return verdict();

@@ -176,3 +176,24 @@ def test_the_log_can_be_chosen_by_category(fmu: UnpackedFmu) -> None:
         assert len(runner.log) == lines  # errors were not chosen
         runner.inner.setDebugLogging(True, [])
         refused(runner, "log category", runner.inner.setDebugLogging, True, ["logNothing"])
+
+
+def test_a_step_says_in_fmi_3_where_it_ended_also_when_it_was_refused(
+    fmus: dict[str, UnpackedFmu],
+) -> None:
+    """Also where the importer hands over no place for an answer."""
+    with started(fmus["3.0"], "CoSimulation") as runner:
+        runner.step(0.0, 0.25)
+        for size, status in ((-1.0, ERROR), (0.25, 0)):
+            flags = [ctypes.c_bool(True) for _ in range(3)]
+            reached = ctypes.c_double(-1.0)
+            places = [*map(ctypes.byref, flags), ctypes.byref(reached)]
+            step = runner.inner.dll.fmi3DoStep
+            component = runner.inner.component
+            arguments = (component, ctypes.c_double(0.25), ctypes.c_double(size), True)
+            assert step(*arguments, *places) == status
+            assert [flag.value for flag in flags] == [False, False, False]
+            assert reached.value == pytest.approx(0.25 if status else 0.5)
+        later = (component, ctypes.c_double(0.5), ctypes.c_double(0.25), True)
+        assert step(*later, None, None, None, None) == 0
+        assert now(runner) == pytest.approx(0.75)

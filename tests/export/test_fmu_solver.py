@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,3 +142,13 @@ def test_nan_at_the_start_and_too_many_steps_are_reported(solver: Callable[..., 
     found = solver(2, [2.0, 0.0], 1500.0, tolerance=1e-10, max_steps=50)
     assert found.status == TOO_MANY_STEPS
     assert 0 < found.reached < 1500
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+def test_the_solvers_own_program_finds_no_failure(tmp_path: Path) -> None:
+    """fmu/tests/test_solver.c, which CMake builds too: what only C can call."""
+    program = tmp_path / "test_solver"
+    sources = ["-I", str(PROGRAMS.parent / "src"), str(PROGRAMS / "test_solver.c")]
+    subprocess.run(["gcc", "-std=c11", "-O1", *sources, "-o", str(program), "-lm"], check=True)
+    done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    assert done.stdout == "0 failures\n"

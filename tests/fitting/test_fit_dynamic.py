@@ -11,6 +11,7 @@ from conftest import BAR, benchmark_slide
 import pam_ocp as pam
 from pam_ocp.core.errors import FitError, InputError, UnknownNameError
 from pam_ocp.fitting import PlantFit, fit_plant
+from pam_ocp.fitting.dynamic.experiment import prepare
 from pam_ocp.plants.memory import BoucWen
 
 POSITION_NOISE, PRESSURE_NOISE = 2e-5, 500.0
@@ -300,3 +301,34 @@ def test_records_that_cannot_serve_are_refused(rig: pam.Plant, records: Any) -> 
         fit_plant(rig, [], ["damping"])
     with pytest.raises(UnknownNameError, match="fitted parameter"):
         fit_plant(rig, one, ["damping"]).interval("mass")
+
+
+def test_a_report_names_the_pairs_of_parameters_that_go_together(fit: PlantFit) -> None:
+    covariance = fit.linearisation.covariance
+    size = np.sqrt(np.diag(covariance))
+    names = list(fit.linearisation.names)
+    expected = {
+        (a, b): covariance[i, j] / (size[i] * size[j])
+        for i, a in enumerate(names)
+        for j, b in enumerate(names[:i])
+        if a in fit.coefficients and b in fit.coefficients
+    }
+    told = [line for line in fit.report().splitlines() if line.startswith("    C(")]
+    assert expected
+    assert len(told) == sum(abs(r) > 0.8 for r in expected.values())
+    for (a, b), r in expected.items():
+        if abs(r) > 0.8:
+            assert {f"    C({a}, {b}) = {r:+.4f}", f"    C({b}, {a}) = {r:+.4f}"} & set(told)
+
+
+def test_a_step_parts_the_samples_evenly_and_no_more_than_it_asks(
+    rig: pam.Plant, records: list[pam.Trajectory]
+) -> None:
+    one = records[0]
+    between = float(np.diff(one.t).max())
+    for step, parts in ((between / 2, 2), (between / 2.5, 3), (2 * between, 1)):
+        mesh = prepare(rig, one, ["x"], 0.0, step, {}, {}).mesh
+        plain = prepare(rig, one, ["x"], 0.0, None, {}, {}).mesh
+        assert len(mesh) - 1 == parts * (len(plain) - 1)
+        assert mesh[::parts] == pytest.approx(plain, abs=1e-12)
+        assert np.diff(mesh).max() <= step * (1 + 1e-6)

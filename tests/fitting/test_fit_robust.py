@@ -259,6 +259,20 @@ def test_ends_of_a_censored_profile_are_those_of_whole_fits(name: str) -> None:
     assert found.profile_interval("a3")[0] == -np.inf
 
 
+def test_finite_ends_cost_the_limit_where_other_coefficients_have_none() -> None:
+    """Swept over a3, whose range is open below; errors that follow each other widen the limit."""
+    found = fit_force(table_20())
+    plain = dict(zip(found.free, found.linearisation.independent.stderr(), strict=True))
+    ends = found.intervals()
+    assert ends["a3"][0] == -np.inf
+    finite = [(n, end) for n, pair in ends.items() for end in pair if np.isfinite(end)]
+    assert {n for n, end in finite if end == ends[n][1]} >= {"a3", "a4", "a5", "a6"}
+    for name, end in finite:
+        reach = found.linearisation.reach(0.95) * found.coefficients[name].stderr / plain[name]
+        held = fit_force(table_20(), fixed={name: end})
+        assert held.squares == pytest.approx(found.squares * (1 + reach**2 / found.dof), rel=1e-3)
+
+
 # ---- bounds and priors
 # --------------------------------------------------------------------------------
 def test_bounds_are_kept_and_said() -> None:

@@ -442,3 +442,16 @@ def test_tables_that_cannot_carry_the_law_are_refused(fit: ForceFit) -> None:
         fit.interval("a7")
     exact = fit_force(fit.cells.subset(np.linspace(0, 59, 6).astype(int)), fixed={"a3": -50.0})
     assert exact.dof == 1
+
+
+def test_a_scan_goes_on_where_some_of_its_points_overflow() -> None:
+    """exp(-b kappa) at b = -3162, an end of the scan, is no number at 30 % contraction."""
+    law = own_law(
+        "steep",
+        lambda p, kappa, a, b: a * p * ca.exp(-b * kappa),
+        {"a": coefficient("N/Pa", 1e-3, "area"), "b": coefficient("1", 100.0, "steepness")},
+    )
+    truth = law(a=4e-3, b=12.0)
+    p, kappa = (a.ravel() for a in np.meshgrid([1e5, 3e5, 5e5], np.linspace(0.0, 0.3, 9)))
+    found = fit_force(ForceTable(p, kappa, truth.tension(p, kappa), 0.3), law)
+    assert found.law.values == pytest.approx(truth.values, rel=1e-6)

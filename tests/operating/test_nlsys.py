@@ -296,5 +296,6 @@ def test_the_benchmarks_numpy_right_hand_sides_are_the_plants(benchmark):
 def test_the_benchmarks_responses_agree_with_simulate(benchmark):
     """Whole responses within 1e-6 of nominal of simulate, continuous and with held inputs."""
     for case, solver in zip(benchmark.cases(), ("RK45", "LSODA"), strict=True):
-        assert benchmark.same_accuracy(case, solver)["difference"] < 1e-6
-        assert benchmark.sampled(case)["difference"] < 1e-6
+        once = {"loosest": 1e-8, "repeats": 1}  # nobody looks at the time
+        assert benchmark.same_accuracy(case, solver, **once)["difference"] < 1e-6
+        assert benchmark.sampled(case, "LSODA", **once)["difference"] < 1e-6

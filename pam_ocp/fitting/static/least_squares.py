@@ -284,7 +284,8 @@ class LeastSquares:
 
 def least_squares(columns: Array, target: Array) -> Array:
     """Least-norm solutions (m, k) of many small problems (m, n, k), in columns of unit length."""
-    norms: Array = np.asarray(np.linalg.norm(columns, axis=1))
+    with np.errstate(over="ignore"):  # such columns count as zero
+        norms: Array = np.asarray(np.linalg.norm(columns, axis=1))
     norms[norms == 0] = 1.0
     if not columns.shape[2]:
         return norms
