@@ -114,11 +114,9 @@ def reading(
         yield
     except InputError as error:
         said = _short(str(error))
-        if name in said or Path(name).name in said:
-            if said == str(error):
-                raise
-            raise InputError(said) from None
-        raise InputError(f"{name}: {said}") from error
+        named = name in said or Path(name).name in said
+        error.args = (said if named else f"{name}: {said}",)  # its class and the rest stay
+        raise
     except PamError as error:
         raise InputError(f"{name}: {_short(str(error))}") from error
     except Exception as error:
