@@ -119,7 +119,10 @@ mass = "2 kg"
 [reference]
 x = { stops = ["10 mm", "-10 mm"], dwell = "0.4 s", rest = 0.0, rest_from = "1.2 s" }
 [controller]
-kind = "pid"
+kind = "mpc"
+horizon = 4
+sample_time = 0.005
+track = { x = 1.0 }
 [estimator]
 kind = "none"
 """

@@ -111,7 +111,8 @@ def reading(
     """
     name = os.fspath(path)
     try:
-        yield
+        with np.errstate(all="ignore"):  # numbers beyond all bounds are said by checks
+            yield
     except InputError as error:
         said = _short(str(error))
         named = name in said or Path(name).name in said
