@@ -273,7 +273,7 @@ def read_npz(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], d
     kind : what should be in it, for the message. Raises InputError for any other file.
     """
     require_file(path)
-    with reading(path, kind, "give a whole one, as it was saved"):
+    with reading(path, kind, "give a whole one, as it was saved", foreign=True):
         require_unpacked(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

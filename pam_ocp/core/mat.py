@@ -110,4 +110,4 @@ def _matrix(content: bytes, order: str) -> tuple[str, Array | None]:
 def _numbers(kind: int, content: bytes, order: str) -> Array:
     if kind not in _STORED:
         raise ValueError(f"an element of kind {kind} stands where numbers are expected")
-    return np.frombuffer(content, np.dtype(_STORED[kind]).newbyteorder(order))
+    return np.frombuffer(content, f"{order}{_STORED[kind]}")

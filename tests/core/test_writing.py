@@ -173,7 +173,7 @@ if os.getuid() == 0:
     os.setgid(65534); os.setuid(65534)
 for path in sys.argv[1:]:
     try:
-        (make_folder if path.endswith("/") else write_json)(*((path,) if path[-1] == "/" else (path, {})))
+        make_folder(path) if path.endswith("/") else write_json(path, {})
         print("written")
     except OSError as error:
         print(error)
@@ -194,8 +194,11 @@ def test_without_permission_nothing_is_written(tmp_path):
     paths = [closed / "a.json", open_ / "kept.json", f"{closed}/folder/", open_ / "b.json"]
     done = subprocess.run(
         [sys.executable, "-c", AS_ANOTHER, *map(str, paths)],
-        capture_output=True, text=True, check=True, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+    )
     said = done.stdout.splitlines()
     closed.chmod(0o755)
     assert "Permission denied" in said[0]
@@ -259,7 +262,7 @@ def test_an_error_that_is_none_of_the_system_stays_itself(tmp_path):
 
 def test_a_figure_of_an_unknown_ending_is_refused(writers, tmp_path):
     for name in ("a.xyz", "a"):
-        with pytest.raises(InputError, match="end its name in .png"):
+        with pytest.raises(InputError, match=r"end its name in \.png"):
             writers["motion.png"](tmp_path / name)
 
 
