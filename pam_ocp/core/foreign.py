@@ -6,7 +6,6 @@ import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,23 +31,21 @@ __all__ = ["read_arrays", "read_frame", "read_mat", "read_sheet"]
 
 
 @contextmanager
-def _library(path: str | os.PathLike[str], kind: str, *needed: str) -> Iterator[None]:
+def _library(path: str | os.PathLike[str], kind: str) -> Iterator[None]:
     """A block in which a library reads: its errors become one sentence, its warnings none."""
-    for name in needed:
-        try:
-            import_module(name)
-        except ImportError as missing:
-            raise InputError(
-                f"{os.fspath(path)}: reading {kind} needs a package that is not installed "
-                f"({missing}): pip install pam_ocp[studies], or save the table as CSV"
-            ) from None
     with (
         reading(path, kind, "save it anew, or as CSV", foreign=True),
         warnings.catch_warnings(),
         np.errstate(all="ignore"),
     ):
         warnings.simplefilter("ignore")
-        yield
+        try:
+            yield
+        except ImportError as missing:
+            raise InputError(
+                f"{os.fspath(path)}: reading {kind} needs a package that is not installed "
+                f"({missing}): pip install pam_ocp[studies], or save the table as CSV"
+            ) from None
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -63,7 +60,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
 def read_frame(path: str | os.PathLike[str]) -> pd.DataFrame:
     """A Parquet file as a DataFrame. Raises InputError, also without pandas and pyarrow."""
     require_file(path)
-    with _library(path, "a Parquet file", "pandas", "pyarrow.parquet"):
+    with _library(path, "a Parquet file"):
         import pandas as pd
         from pyarrow import parquet
 
@@ -83,7 +80,7 @@ def read_sheet(path: str | os.PathLike[str]) -> tuple[list[str], list[Sequence[A
     """
     require_file(path)
     name = Path(path).name
-    with _library(path, "an .xlsx file", "openpyxl"):
+    with _library(path, "an .xlsx file"):
         from openpyxl import load_workbook
 
         require_unpacked(path, MOST_SHEET_BYTES)
