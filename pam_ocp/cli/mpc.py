@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -159,8 +159,9 @@ def _study(options: argparse.Namespace) -> dict[str, Any]:
         study[name] = {**study[name], **_pairs(name, getattr(options, name))}
     if options.estimator is not None:
         study["estimator"] = {**study["estimator"], "kind": options.estimator}
-    for name in ("duration", "window"):
-        study[name] = require_positive(name, quantity(name, study[name], "s"), "s")
+    with _guard(study):
+        for name in ("duration", "window"):
+            study[name] = require_positive(name, quantity(name, study[name], "s"), "s")
     return study
 
 
@@ -191,12 +192,17 @@ def _pairs(option: str, texts: list[str]) -> dict[str, float]:
 def _run(study: Mapping[str, Any]) -> ClosedLoop:
     from ..control.loop import closed_loop
 
-    file = study["file"] if study["folder"] else None
-    with reading(file, "a problem file", "see its keys") if file else nullcontext():
+    with _guard(study):
         controller, model, arguments = _set_up(study)
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder:
         side = _real(study["against"], model, Path(folder))
         return closed_loop(controller, side, duration=study["duration"], **arguments)
+
+
+def _guard(study: Mapping[str, Any]) -> AbstractContextManager[None]:
+    """Around what a problem file says, if there is one."""
+    file = study["file"] if study["folder"] else None
+    return reading(file, "a problem file", "see its keys") if file else nullcontext()
 
 
 def _set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:

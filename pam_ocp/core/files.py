@@ -111,14 +111,13 @@ def reading(
     """
     name = os.fspath(path)
     try:
-        yield
+        with np.errstate(all="ignore"):  # numbers beyond all bounds are said by checks
+            yield
     except InputError as error:
         said = _short(str(error))
-        if name in said or Path(name).name in said:
-            if said == str(error):
-                raise
-            raise InputError(said) from None
-        raise InputError(f"{name}: {said}") from error
+        named = name in said or Path(name).name in said
+        error.args = (said if named else f"{name}: {said}",)  # its class and the rest stay
+        raise
     except PamError as error:
         raise InputError(f"{name}: {_short(str(error))}") from error
     except Exception as error:
@@ -274,7 +273,7 @@ def read_npz(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], d
     kind : what should be in it, for the message. Raises InputError for any other file.
     """
     require_file(path)
-    with reading(path, kind, "give a whole one, as it was saved"):
+    with reading(path, kind, "give a whole one, as it was saved", foreign=True):
         require_unpacked(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

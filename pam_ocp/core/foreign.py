@@ -3,58 +3,49 @@
 from __future__ import annotations
 
 import os
-import struct
 import warnings
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .exceptions import InputError
 from .files import (
-    MOST_MEMBERS,
     MOST_SHEET_BYTES,
     MOST_SHEET_CELLS,
     MOST_UNPACKED,
+    content_of,
     reading,
     require_file,
     require_size,
     require_unpacked,
 )
+from .mat import matrices_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["read_arrays", "read_frame", "read_mat", "read_sheet"]
 
-_HEADER = 128
-"""Bytes before the first element of a MAT file of version 5."""
-_PACKED = 15
-"""The kind of elements there that are packed."""
-
 
 @contextmanager
-def _library(path: str | os.PathLike[str], kind: str, *needed: str) -> Iterator[None]:
+def _library(path: str | os.PathLike[str], kind: str) -> Iterator[None]:
     """A block in which a library reads: its errors become one sentence, its warnings none."""
-    for name in needed:
-        try:
-            import_module(name)
-        except ImportError as missing:
-            raise InputError(
-                f"{os.fspath(path)}: reading {kind} needs a package that is not installed "
-                f"({missing}): pip install pam_ocp[studies], or save the table as CSV"
-            ) from None
     with (
         reading(path, kind, "save it anew, or as CSV", foreign=True),
         warnings.catch_warnings(),
         np.errstate(all="ignore"),
     ):
         warnings.simplefilter("ignore")
-        yield
+        try:
+            yield
+        except ImportError as missing:
+            raise InputError(
+                f"{os.fspath(path)}: reading {kind} needs a package that is not installed "
+                f"({missing}): pip install pam_ocp[studies], or save the table as CSV"
+            ) from None
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -69,7 +60,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
 def read_frame(path: str | os.PathLike[str]) -> pd.DataFrame:
     """A Parquet file as a DataFrame. Raises InputError, also without pandas and pyarrow."""
     require_file(path)
-    with _library(path, "a Parquet file", "pandas", "pyarrow.parquet"):
+    with _library(path, "a Parquet file"):
         import pandas as pd
         from pyarrow import parquet
 
@@ -89,7 +80,7 @@ def read_sheet(path: str | os.PathLike[str]) -> tuple[list[str], list[Sequence[A
     """
     require_file(path)
     name = Path(path).name
-    with _library(path, "an .xlsx file", "openpyxl"):
+    with _library(path, "an .xlsx file"):
         from openpyxl import load_workbook
 
         require_unpacked(path, MOST_SHEET_BYTES)
@@ -124,46 +115,10 @@ def read_sheet(path: str | os.PathLike[str]) -> tuple[list[str], list[Sequence[A
 
 
 def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The variables of a MAT file (up to version 7) by name. Raises InputError."""
-    source = require_file(path)
-    with _library(path, "a .mat file"):
-        from scipy.io import loadmat, whosmat
-
-        with source.open("rb") as file:
-            _require_unpacked_mat(path, file)
-        for variable, shape, _ in whosmat(path):
-            size = np.prod([float(n) for n in shape])
-            if size * 8 > MOST_UNPACKED:
-                raise InputError(
-                    f"{os.fspath(path)}: variable {variable!r} has {size:.3g} entries, more than "
-                    "allowed; save what is needed as CSV"
-                )
-        found: Mapping[str, Any] = loadmat(path, chars_as_strings=True)
-    return {n: v for n, v in found.items() if not n.startswith("__")}
-
-
-def _require_unpacked_mat(path: str | os.PathLike[str], file: BinaryIO) -> None:
-    """Raises InputError where the packed elements of a MAT file of version 5 are too large."""
-    head = file.read(_HEADER)
-    order = {b"IM": "<", b"MI": ">"}.get(head[126:128])
-    if order is None:
-        return  # version 4 packs nothing; what is none of both the library refuses
-    size = count = 0
-    while len(tag := file.read(8)) == 8:
-        kind, length = struct.unpack(f"{order}II", tag)
-        count += 1
-        if kind != _PACKED:
-            file.seek(length, os.SEEK_CUR)
-            continue
-        unpacker, left = zlib.decompressobj(), length
-        while left > 0 and (packed := file.read(min(left, 2**16))):
-            left -= len(packed)
-            while packed:
-                size += len(unpacker.decompress(packed, 2**22))
-                packed = unpacker.unconsumed_tail
-                _require_bytes(path, size)
-    if count > MOST_MEMBERS:
-        raise InputError(f"{os.fspath(path)} has {count} variables, {MOST_MEMBERS} are allowed")
+    """The matrices of a MAT file (-v6, -v7) by name. Raises InputError."""
+    content = content_of(path)
+    with reading(path, "a .mat file", "save it anew, or as CSV"):
+        return matrices_of(content, MOST_UNPACKED)
 
 
 def _require_bytes(path: str | os.PathLike[str], size: int) -> None:

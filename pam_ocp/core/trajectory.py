@@ -349,6 +349,8 @@ class Trajectory:
                 f"data has shape {np.shape(data)}, times and variables say "
                 f"{(len(t), len(variables))}"
             )
+        if np.iscomplexobj(t) or np.iscomplexobj(data):
+            raise InputError("times and data must be real numbers; they are complex")
         columns = {v.name: data[:, i] for i, v in enumerate(variables)}
         signals = None
         if "signals" in content:

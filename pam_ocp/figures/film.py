@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count, require_instance, require_positive
-from ..core.files import atomic_path
+from ..core.files import atomic_path, require_place
 from ..planning.result import Plan
 from ..plants.hanging import hanging_sketch
 from ..plants.sketch import Disc, Line, Mark, Point, Polygon, Sketch, Spindle
@@ -57,6 +57,7 @@ def animate_plan(
     target = Path(path)
     if target.suffix.lower() != ".gif":
         raise InputError(f"{target.name}: an animation is written as .gif")
+    require_place(target)
     length = require_positive("seconds", 4.0 if seconds is None else seconds, "s")
     require_count("fps", fps, 1, 50)
     from matplotlib.animation import FuncAnimation, PillowWriter

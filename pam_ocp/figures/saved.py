@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,5 +29,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float = 130) 
             "; end its name in .png, .pdf or .svg"
         )
     with atomic_path(target) as temporary:
-        figure.savefig(temporary, dpi=dpi)
+        drawn = io.BytesIO()  # some formats hide what the system refuses while they write
+        figure.savefig(drawn, format=target.suffix[1:].lower(), dpi=dpi)
+        temporary.write_bytes(drawn.getvalue())
     return target

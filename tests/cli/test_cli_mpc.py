@@ -101,8 +101,8 @@ def test_against_the_fmu_the_run_is_that_against_the_plant(tmp_path, capsys):
         ("[disturbances]\n'muscle1.command' = [1.0, 2.0, 3.0]", "from when on"),
         ("[disturbances]\npush = 1.0", "unknown variable"),
         ("against = 'thing'", "give plant, fmu"),
-        ("against = 'none.fmu'", "no such FMU"),
-        ("[set", "no TOML file"),
+        ("against = 'none.fmu'", "would run the machine code of that FMU"),
+        ("[set", "cannot be read as a TOML file"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_in_words(tmp_path, capsys, content, words):

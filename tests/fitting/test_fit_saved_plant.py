@@ -74,5 +74,5 @@ def test_files_that_hold_no_such_fit_are_refused(fit: pam.fitting.PlantFit, tmp_
     content = json.loads(path.read_text())
     del content["linearisation"]["scale"]
     (tmp_path / "broken.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match="is damaged"):
+    with pytest.raises(InputError, match="cannot be read as a fit of a plant"):
         load_plant_fit(tmp_path / "broken.json", cart())

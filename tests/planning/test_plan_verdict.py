@@ -400,7 +400,7 @@ def elsewhere(said):
         ({"meta": cheaper}, "its objective is"),
         ({"meta": elsewhere}, "stop 2: x"),
         ({"meta": lambda said: said.update(format="pam_ocp plan 1")}, "by a former version"),
-        ({"meta": lambda said: said.pop("problem")}, "is no plan file"),
+        ({"meta": lambda said: said.pop("problem")}, "cannot be read as a plan file"),
     ],
 )
 def test_a_file_that_contradicts_itself_is_refused(moved, tmp_path, what, message):

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.errors import InputError, UnknownNameError, require_positive
 from ...core.units import unit
 from .labels import LABELS, read_labels
-from .sources import SPELLINGS, RawTable, load, parse_header
+from .sources import SPELLINGS, RawTable, load, naming, parse_header
 from .table_checks import (
     QUANTITIES,
     Series,
@@ -172,10 +172,16 @@ def read_table(
     ------
     InputError, UnknownNameError : one sentence with column, row, value and remedy.
     """
-    raw = load(source)
     if rest_length is not None:
         require_positive("rest_length", rest_length, "m")
-    found = _assign(raw, dict(columns or {}), dict(units or {}))
+    with naming(source):
+        return _table(load(source), rest_length, dict(columns or {}), dict(units or {}))
+
+
+def _table(
+    raw: RawTable, rest_length: float | None, columns: dict[str, str], units: dict[str, str]
+) -> ForceTable:
+    found = _assign(raw, columns, units)
     series = {q: Series(q, header, name, raw) for q, (header, name) in found.items()}
     check_pressure(series["pressure"])
     check_force(series["force"])
@@ -186,7 +192,7 @@ def read_table(
         series["force"].si,
         rest_length,
         source=raw.label,
-        **read_labels(raw, dict(columns or {})),
+        **read_labels(raw, columns),
     )
     check_mixed_pressure(series["pressure"], table.pressure, table.force, table.contraction)
     if not np.any(~table.slack):

@@ -15,7 +15,7 @@ from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import Unit, unit
 from ...core.variables import Variable
-from .sources import SPELLINGS, RawTable, load, parse_header
+from .sources import SPELLINGS, RawTable, load, naming, parse_header
 
 if TYPE_CHECKING:
     from ...plants.plant import Plant
@@ -67,9 +67,10 @@ def read_record(
         that do not fit, no column of use. UnknownNameError : names that are not there.
     """
     between = _between(inputs, interpolation)
-    return _record(
-        _loaded(source), plant, dict(columns or {}), dict(units or {}), time, between, max_gap
-    )
+    with naming(source):
+        return _record(
+            _loaded(source), plant, dict(columns or {}), dict(units or {}), time, between, max_gap
+        )
 
 
 def read_records(
@@ -83,7 +84,15 @@ def read_records(
         if isinstance(sources, (str, Path, Mapping)) or not isinstance(sources, Iterable):
             sources = [sources]
         return [read_record(source, plant, **options) for source in sources]
-    raw = _loaded(sources)
+    with naming(sources):
+        return _parts(sources, plant, split, options)
+
+
+def _parts(
+    source: Any, plant: Plant | None, split: str, options: Mapping[str, Any]
+) -> list[Trajectory]:
+    """The records of one source, cut where a column changes."""
+    raw = _loaded(source)
     if split not in raw.columns:
         raise UnknownNameError("column to split at", split, raw.columns)
     label = raw.columns[split]

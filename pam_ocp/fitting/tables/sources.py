@@ -13,6 +13,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -25,7 +26,7 @@ from ...core.errors import InputError, UnknownNameError
 from ...core.files import MOST_NAME, content_of, reading, require_file, require_size
 from ...core.foreign import read_arrays, read_frame, read_mat, read_sheet
 
-__all__ = ["SPELLINGS", "RawTable", "load", "parse_header", "plain"]
+__all__ = ["SPELLINGS", "RawTable", "load", "naming", "parse_header", "plain"]
 
 # What people write, in lower case, and the name in pam_ocp.core.units
 SPELLINGS = {
@@ -136,6 +137,13 @@ def load(source: Any) -> RawTable:
     if len(set(counts.values())) > 1:
         raise InputError(f"{raw.label}: the columns differ in length: {counts}")
     return raw
+
+
+def naming(source: Any) -> AbstractContextManager[None]:
+    """A block whose errors name the file that was read, where it is one."""
+    if not isinstance(source, str | Path):
+        return nullcontext()
+    return reading(source, "a table", "save it as CSV anew")
 
 
 def _from_mapping(columns: Mapping[Any, Any], label: str) -> RawTable:
