@@ -285,7 +285,7 @@ CALLS: dict[str, tuple[Call, str]] = {
     "simulate(t=[0, nan])": (lambda: run(duration=None, t=[0, math.nan]), "must be finite"),
     "simulate(t=[1, 0])": (lambda: run(duration=None, t=[1, 0]), "rise from sample to sample"),
     "simulate(t='1 s')": (lambda: run(duration=None, t="1 s"), "numbers only"),
-    "simulate(rtol=10)": (lambda: run(rtol=10), "must be < 1"),
+    "simulate(rtol=10)": (lambda: run(rtol=10), "must lie in 1e-14"),
     "simulate(method='euler')": (lambda: run(method="euler"), "choose one of"),
     "simulate(method='rk4', step=-1)": (lambda: run(method="rk4", step=-1), "must be > 0"),
     "simulate(interpolation='cubic')": (lambda: run(interpolation="cubic"), "choose 'previous'"),

@@ -165,9 +165,12 @@ static Status setup_experiment(Instance *s, const char *function, int has_tolera
         return report(s, ERROR, function, "tolerance %g must be finite and > 0", tolerance);
     s->memory.time = start;
     s->memory.stop_time = has_stop ? stop : INFINITY;
-    /* a looser tolerance is not taken over, a tighter one as far as rounding allows */
+    /* a looser tolerance is not taken over, a tighter one as far as rounding allows; who hands back
+       the one of the description, which is meant for Model Exchange, asks for nothing special */
     s->memory.tolerance = MODEL_TOLERANCE;
-    if (has_tolerance && tolerance < MODEL_TOLERANCE)
+    const int proposed =
+        fabs(tolerance - MODEL_PROPOSED_TOLERANCE) <= 1e-9 * MODEL_PROPOSED_TOLERANCE;
+    if (has_tolerance && !proposed && tolerance < MODEL_TOLERANCE)
         s->memory.tolerance = tolerance > 1e-11 ? tolerance : 1e-11;
     invalidate(s);
     return OK;

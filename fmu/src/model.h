@@ -8,6 +8,11 @@
 
 #include "model_data.h"
 
+/* What the model description proposes to importers' own solvers. */
+#ifndef MODEL_PROPOSED_TOLERANCE
+#define MODEL_PROPOSED_TOLERANCE MODEL_TOLERANCE
+#endif
+
 /* C has no arrays of length 0. */
 #define LENGTH(n) ((n) > 0 ? (n) : 1)
 

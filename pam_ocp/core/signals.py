@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import comb
+from math import comb, isfinite
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -29,6 +29,8 @@ FUNCTION_TOLERANCE = 1e-9
 """A function of time is replaced by cubics that follow it to this part of the input's nominal."""
 SHORTEST_PIECE = 1e-9
 """... down to pieces of this length [s], where a jump is taken for a jump."""
+MOST_PIECES = 100_000
+"""... as long as it takes no more than so many (some 1000 periods of a sine)."""
 
 
 @dataclass(frozen=True)
@@ -220,7 +222,10 @@ def _from_function(
     """Cubic pieces through four Chebyshev points, halved until they follow the function."""
 
     def sample(time: float) -> float:
-        value = np.asarray(function(float(time)), float)
+        plain = function(time)
+        if isinstance(plain, float) and isfinite(plain):
+            return plain
+        value = np.asarray(plain, float)
         if value.size != 1 or not np.isfinite(value).all():
             raise InputError(
                 f"input {variable.name}: the function gives {value} at t = {time:g} s; "
@@ -231,15 +236,24 @@ def _from_function(
     nodes = (1 - np.cos(np.pi * (np.arange(4) + 0.5) / 4)) / 2
     inverse = np.linalg.inv(nodes[:, None] ** np.arange(4))
     probes = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-9])
+    powers = probes[:, None] ** np.arange(4)
+    enough = FUNCTION_TOLERANCE * variable.nominal
     done: list[tuple[float, Array]] = []
-    stack = list(pairwise(t))[::-1]
+    stack = list(pairwise(t.tolist()))[::-1]
+    most = MOST_PIECES + len(stack)
     while stack:
         a, b = stack.pop()
         h = b - a
-        cubic = inverse @ [sample(a + h * s) for s in nodes]
-        error = max(abs(sample(a + h * s) - (s ** np.arange(4)) @ cubic) for s in probes)
-        if error <= FUNCTION_TOLERANCE * variable.nominal or h <= SHORTEST_PIECE:
+        cubic = inverse @ [sample(a + h * s) for s in nodes.tolist()]
+        error = np.abs([sample(a + h * s) for s in probes.tolist()] - powers @ cubic).max()
+        if error <= enough or h <= SHORTEST_PIECE:
             done.append((a, cubic / h ** np.arange(4)))
+            if len(done) == most:
+                raise InputError(
+                    f"input {variable.name}: the function changes so fast that {most} cubic pieces "
+                    f"follow it to t = {b:g} s only, of {t[-1]:g} s; give a slower function, a "
+                    "shorter duration, or samples as (times, values)"
+                )
         else:
             stack += [(a + h / 2, b), (a, a + h / 2)]
     breaks = np.array([a for a, _ in done] + [t[-1]])

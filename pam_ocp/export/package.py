@@ -81,7 +81,8 @@ def export_fmu(
         "x86-windows" and "aarch64-windows".
     step_size : proposed communication step [s]; any step is possible.
     tolerance : largest error of Co-Simulation, in units of each state's nominal. An importer can
-        ask for less, not for more.
+        ask for less, not for more. The description proposes a hundredth of it (down to 1e-9) for
+        the importer's own solver, whose tolerance is that of one step.
     fixed_step : internal steps of this length [s] without error control, so that the work in a
         step is known beforehand (real time); by default steps follow the tolerance.
     stop_time : proposed end of a simulation [s].
@@ -230,7 +231,7 @@ def _contents(
             settings.fmi,
             identifier=identifier,
             token=_PLACEHOLDER,
-            tolerance=settings.tolerance,
+            tolerance=source.proposed_tolerance(settings.tolerance),
             step_size=settings.step_size,
             stop_time=settings.stop_time,
             fixed_step=settings.fixed_step,

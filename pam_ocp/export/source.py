@@ -35,6 +35,16 @@ STEP_FRACTION = 0.05
 """Error allowed in one internal step of Co-Simulation, as a part of the tolerance: over many steps
 the sum stays below the tolerance, also in outputs that are steeper than the states."""
 
+EXCHANGE_FRACTION = 1e-2
+"""The tolerance proposed to an importer's own solver, as a part of that of Co-Simulation.
+
+A multistep solver such as CVODE holds the error of one step to its tolerance; over the steps of an
+oscillation errors add up to some 50 (20 .. 400) times that.
+"""
+
+LEAST_PROPOSED = 1e-9
+"""Below, importers' limits on the number of steps break a simulation off."""
+
 _HEADERS = {
     "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -147,6 +157,11 @@ _VECTORS: tuple[tuple[str, Causality, str], ...] = (
 )
 
 
+def proposed_tolerance(tolerance: float) -> float:
+    """What DefaultExperiment says, so that Model Exchange comes near to Co-Simulation."""
+    return max(tolerance * EXCHANGE_FRACTION, min(tolerance, LEAST_PROPOSED))
+
+
 def model_data(
     layout: Layout,
     work: Mapping[str, int],
@@ -166,6 +181,7 @@ def model_data(
         "MODEL_NAME": f'"{identifier}"',
         "MODEL_TOKEN": f'"{token}"',
         "MODEL_TOLERANCE": number(tolerance),
+        "MODEL_PROPOSED_TOLERANCE": number(proposed_tolerance(tolerance)),
         "MODEL_STEP_FRACTION": number(STEP_FRACTION),
         "MODEL_FIXED_STEP": number(fixed_step),
         **work,

@@ -20,6 +20,9 @@ __all__ = ["evaluated", "simulate"]
 
 Array = NDArray[np.float64]
 
+LEAST_RTOL = 1e-14
+"""Some fifty times the spacing of numbers; below, an integrator counts rounding errors."""
+
 
 @verb
 def simulate(
@@ -52,7 +55,7 @@ def simulate(
         its inputs in place of the inputs' start values.
     parameters : parameter values for this run only.
     interpolation : how samples run: "previous" (held) or "linear"; a Trajectory knows its own.
-    rtol : relative tolerance per step; absolute ones are rtol times nominal.
+    rtol : relative tolerance per step, 1e-14 .. 1; absolute ones are rtol times nominal.
     method : "rosenbrock" (CasADi's, order 5, L-stable; the default, for all plants), "cvodes"
         (SUNDIALS BDF, another family for comparison), "rk4" (explicit, with ``step``; for plants
         that are not stiff).
@@ -117,8 +120,11 @@ def evaluated(
 
 
 def _check_numerics(rtol: float, step: float | None, max_steps: int) -> None:
-    if require_positive("rtol", rtol) >= 1:
-        raise InputError(f"rtol = {rtol:g} must be < 1; 1e-10 .. 1e-4 are usual")
+    if not LEAST_RTOL <= require_positive("rtol", rtol) < 1:
+        raise InputError(
+            f"rtol = {rtol:g} must lie in {LEAST_RTOL:g} .. 1 (numbers have 16 digits); 1e-10 .. "
+            "1e-4 are usual"
+        )
     if step is not None:
         require_positive("step", step, "s")
     require_count("max_steps", max_steps)

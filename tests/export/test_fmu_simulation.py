@@ -80,6 +80,20 @@ def test_a_tighter_tolerance_is_taken_over_and_a_looser_one_is_not(fmu: Unpacked
     assert ends[1e-9] != ends[None]
 
 
+def test_an_importer_is_proposed_a_tolerance_of_one_step_which_co_simulation_does_not_take_over(
+    fmu: UnpackedFmu,
+) -> None:
+    proposed = float(fmu.description.defaultExperiment.tolerance)
+    assert proposed == pytest.approx(1e-8)
+    ends = []
+    for tolerance in (None, proposed):
+        with Runner(fmu, "CoSimulation") as runner:
+            runner.initialize({"x": 0.01}, 0.0, tolerance)
+            runner.step(0.0, 0.05)
+            ends.append(tuple(runner.get(["x", "v"])))
+    assert ends[0] == ends[1]
+
+
 def test_fixed_steps_agree_with_controlled_ones(tmp_path: Path) -> None:
     plant, t = benchmark_slide(), np.linspace(0, 0.1, 101)
     truth = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=t)

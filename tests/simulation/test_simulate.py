@@ -187,3 +187,25 @@ def test_slack_begins_and_ends_where_scipy_finds_it():
 def test_a_method_or_event_that_does_not_exist_is_refused(hanging, arguments, message):
     with pytest.raises(InputError, match=message):
         pam.simulate(hanging, duration=0.1, **arguments)
+
+
+@pytest.mark.parametrize("rtol", [1e-20, 9e-15, 1.0, 7.0])
+def test_a_tolerance_beyond_what_numbers_allow_is_refused(hanging, rtol):
+    with pytest.raises(pam.InputError, match=r"rtol = .* must lie in 1e-14 \.\. 1"):
+        pam.simulate(hanging, duration=0.1, rtol=rtol)
+
+
+def test_an_input_of_a_megahertz_is_refused_with_the_time_it_was_followed_to(hanging, monkeypatch):
+    monkeypatch.setattr("pam_ocp.core.signals.MOST_PIECES", 2000)
+    wave = {"muscle.command": lambda t: 4e5 + 1e5 * np.sin(2e6 * np.pi * t)}
+    with pytest.raises(pam.InputError, match=r"muscle\.command: the function changes so fast"):
+        pam.simulate(hanging, wave, duration=1.0)
+
+
+def test_a_function_of_time_is_followed_to_a_billionth(hanging):
+    def wave(t: float) -> float:
+        return 4e5 + 1e5 * np.sin(300 * t)
+
+    signals = pam.simulate(hanging, {"muscle.command": wave}, duration=0.05, rtol=1e-6).signals
+    t = np.linspace(0, 0.05, 9973)
+    assert np.abs(signals(t)[:, 0] - wave(t)).max() < 3e-9 * 1e5
