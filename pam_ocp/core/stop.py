@@ -113,18 +113,15 @@ class _Signals:
     def __enter__(self) -> None:
         if threading.current_thread() is not threading.main_thread():
             return
+        if self.depth == 0:
+            self.error, self._ticked = None, False
+            for number in SIGNALS:
+                before = signal.getsignal(number)
+                if callable(before) and before != self._arrived:
+                    self._before[number] = before
+                    signal.signal(number, self._arrived)
+        # last, and no call behind it: what a handler raises above leaves the depth as it was
         self.depth += 1
-        if self.depth > 1:
-            return
-        self.held += 1
-        self.error, self._ticked = None, False
-        for number in SIGNALS:
-            before = signal.getsignal(number)
-            if callable(before) and before != self._arrived:
-                self._before[number] = before
-                signal.signal(number, self._arrived)
-        self.held -= 1
-        self._raise()
 
     def __exit__(
         self,
@@ -137,19 +134,13 @@ class _Signals:
         if self.depth > 1:
             self.depth -= 1
             return
-        self.held += 1
+        # first: what a handler raises below leaves handlers that the next verb takes over
+        pending, self.error, self.depth = self.error, None, 0
         for number, before in self._before.items():
             signal.signal(number, before)
         self._before.clear()
-        pending, self.error, self.depth = self.error, None, 0
-        self.held -= 1
         if pending is not None and pending is not error:
             raise pending
-
-    def _raise(self) -> None:
-        """What arrived while the handlers were being wrapped."""
-        if self.error is not None:
-            self.__exit__(None, None, None)
 
     def _arrived(self, number: int, frame: FrameType | None) -> None:
         if self._ticked and number == signal.SIGINT:
@@ -301,7 +292,7 @@ def locked(cls: C) -> C:
     for name, member in list(vars(cls).items()):
         plain = not name.startswith("__") or name in ("__init__", "__call__", "__post_init__")
         if plain and isinstance(member, FunctionType):
-            setattr(cls, name, turns(member))
+            setattr(cls, name, verb(member) if name == "__init__" else turns(member))
         elif isinstance(member, property) and member.fget is not None:
             setattr(cls, name, property(turns(member.fget), member.fset, None, member.__doc__))
         elif isinstance(member, functools.cached_property):

@@ -8,6 +8,7 @@ from importlib.resources import files
 from typing import Any, cast
 
 from ..core.errors import InputError, UnknownNameError
+from ..core.stop import verb
 from .law import LAWS, ForceLaw, SixParameterLaw
 from .pneumatic_muscle import Muscle
 
@@ -63,6 +64,7 @@ def summary(name: str) -> str:
     )
 
 
+@verb
 def muscle(name: str, *, rest_length: float | None = None) -> Muscle:
     """A muscle of the catalogue.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import functools
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -166,7 +167,8 @@ def plan(
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
     (PlanWarning) when the plan is not verified: ``plan.verdict`` says why.
     """
-    planner = Planner(
+    build = functools.partial(
+        Planner,
         plant,
         stops,
         cyclic=cyclic,
@@ -188,7 +190,20 @@ def plan(
         compiled=compiled,
         options=options,
     )
+    try:
+        planner = build()
+    except TimeIsUp:
+        if time_limit is None:  # somebody else's limit
+            raise
+        raise _nothing_yet(plant) from None
     return planner._solve(None, guess, tolerance, starts, {}, time_limit)
+
+
+def _nothing_yet(plant: Plant) -> PlanError:
+    return PlanError(
+        f"{deadline()} was over before a plan was found for {plant.name}; allow more time, or "
+        "fewer intervals"
+    )
 
 
 class Planner:
@@ -278,10 +293,7 @@ class Planner:
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
-            raise PlanError(
-                f"{deadline()} was over before a plan was found for {program.problem.plant.name}; "
-                "allow more time, or fewer intervals"
-            ) from None
+            raise _nothing_yet(program.problem.plant) from None
         outcome, build = found[0].outcome, self._build_seconds
         figures["iterations"] = outcome.iterations
         if not outcome.success:
@@ -322,9 +334,18 @@ class Planner:
         program = run.program
         meshes = ladder(program.mesh) if program.problem.objective.economical else []
         if meshes and guess is None:
-            found = climb.reached(
-                lambda first: self._searched(first, None, starts, figures), run, meshes
-            )
+            coarse: list[Solved] = []
+
+            def search(first: Run) -> list[Solved]:
+                coarse[:] = self._searched(first, None, starts, figures)
+                return coarse
+
+            try:
+                found = climb.reached(search, run, meshes)
+            except TimeIsUp:
+                found = [each for each in coarse if each.outcome.success]
+                if not found:
+                    raise
             if found:
                 return found
         return self._searched(run, guess, starts, figures)

@@ -1,0 +1,299 @@
+"""Stopping: Ctrl-C, SIGTERM and time limits end verbs, each in a process of its own."""
+
+import importlib.util
+import math
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.core.errors import OutOfTime
+from pam_ocp.core.stop import TimeIsUp, check, deadline, limited, native, spared, verb
+from pam_ocp.planning import Collocation
+
+ROOT = Path(__file__).parents[2]
+posix = pytest.mark.skipif(os.name != "posix", reason="signals are sent to processes")
+
+
+def interrupts():
+    path = ROOT / "benchmarks" / "interrupts.py"
+    found = importlib.util.spec_from_file_location("interrupts", path)
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+def slide():
+    return pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10)
+
+
+STOPS = [{"x": -0.015}, {"x": 0.015}]
+
+
+# ---- Ctrl-C --------------------------------------------------------------------------------------
+@posix
+@pytest.mark.parametrize("name", ["simulate", "plan", "bootstrap"])
+def test_ctrl_c_ends_a_verb_at_any_moment(name):
+    after = random.uniform(0.05, 1.5)
+    assert interrupts().interrupted(name, after)[0] == "KeyboardInterrupt", after
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(set(interrupts().VERBS) - {"simulate_many"}))
+def test_ctrl_c_ends_every_verb_at_any_moment(name):
+    after = random.uniform(0.05, 3.0)
+    assert interrupts().interrupted(name, after)[0] == "KeyboardInterrupt", after
+
+
+def test_what_a_call_swallows_comes_out_behind_it():
+    """As CasADi does: the handler's KeyboardInterrupt ends in a RuntimeError, or in nothing."""
+
+    def swallows(then):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            if then is not None:
+                raise then from None
+
+    before = signal.getsignal(signal.SIGINT)
+    for then in (None, RuntimeError("KeyboardInterrupt"), SystemError()):
+        with pytest.raises(KeyboardInterrupt):
+            native(swallows, then)
+        with pytest.raises(KeyboardInterrupt):
+            verb(swallows)(then)
+    assert signal.getsignal(signal.SIGINT) is before
+    check()  # and it is over
+
+
+def test_a_handler_that_raises_nothing_interrupts_nothing():
+    seen = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
+    try:
+        native(signal.raise_signal, signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert seen == [signal.SIGINT]
+
+
+# ---- time limits ---------------------------------------------------------------------------------
+def test_the_shorter_of_two_limits_counts():
+    with limited(1000.0):
+        assert 900 < deadline().remaining() <= 1000
+        with limited(2000.0):
+            assert deadline().remaining() <= 1000
+        with limited(10.0):
+            assert deadline().remaining() <= 10
+    assert deadline().remaining() == math.inf
+
+
+def test_an_outer_limit_is_not_taken_for_an_inner_one():
+    def inner():
+        with limited(500.0):
+            check()
+
+    def outer():
+        with limited(0.01):
+            time.sleep(0.02)
+            with spared(100.0):
+                check()
+            with pytest.raises(TimeIsUp):
+                inner()
+            check()
+
+    with pytest.raises(OutOfTime, match=r"time_limit = 0\.01 s"):
+        outer()
+
+
+def test_a_time_limit_breaks_off_one_long_call_of_the_integrator():
+    with pytest.raises(OutOfTime, match=r"time_limit = 0\.2 s"):
+        pam.simulate(slide(), t=[0.0, 2e5], step=1e-4, max_steps=10**9, time_limit=0.2)
+
+
+def test_a_plan_that_is_not_found_in_time_is_an_error_that_says_so():
+    with pytest.raises(pam.PlanError, match=r"time_limit = 0\.001 s was over before a plan"):
+        pam.plan(slide(), STOPS, time_limit=0.001)
+
+
+def test_the_best_plan_so_far_is_returned_unverified(monkeypatch):
+    """The time is up in the first round of refinement."""
+    from pam_ocp.planning.refine import Refinement
+
+    def over(self, *_):
+        raise TimeIsUp
+
+    monkeypatch.setattr(Refinement, "_rounds", over)
+    with pytest.warns(pam.PlanWarning, match="before the search was done"):
+        plan = pam.plan(slide(), STOPS, method=Collocation(6), tolerance=1e-9, time_limit=1000.0)
+    assert plan.solved
+    assert not plan.verified
+    assert "time_limit = 1000 s was over" in str(plan.verdict)
+
+
+def test_a_limit_that_is_not_reached_changes_nothing():
+    method = Collocation(10)
+    one, other = (pam.plan(slide(), STOPS, method=method, time_limit=t) for t in (None, 1e4))
+    assert other.verified
+    assert other.duration == one.duration
+
+
+def test_a_bootstrap_keeps_the_samples_that_it_has():
+    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
+    found = pam.fit_force(table).bootstrap(10**7, time_limit=1.5)
+    assert 2 <= len(found.samples) < 10**7
+    assert "time_limit = 1.5 s" in found.ended
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, math.nan, "soon"])
+def test_a_time_limit_is_a_positive_number(wrong):
+    with pytest.raises(pam.InputError, match="time_limit"):
+        pam.simulate(slide(), duration=0.01, time_limit=wrong)
+
+
+# ---- processes -----------------------------------------------------------------------------------
+@posix
+def test_sigterm_ends_the_command_with_143(tmp_path):
+    run = "import sys; from pam_ocp.cli.main import main; from pam_ocp.cli import main as m\n"
+    run += "import time\n"
+    run += "def wait(o):\n    print('go', flush=True)\n    time.sleep(60)\n"
+    run += "m._tour = wait\nsys.exit(main(['tour']))"
+    command = [sys.executable, "-c", run]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout.readline() == "go\n"
+        process.terminate()
+        assert process.wait(60) == 143
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize("server", ["solver_server.py", "fatrop_server.py"])
+def test_no_helper_outlives_its_parent(server):
+    """The parent dies by SIGKILL while the helper waits, and keeps the helper's input open."""
+    path = ROOT / "pam_ocp" / "planning" / "solvers" / server
+    parent = f"""
+        import os, subprocess, sys, time
+        read, write = os.pipe()
+        child = subprocess.Popen([sys.executable, {str(path)!r}], stdin=read)
+        keeper = subprocess.Popen(["sleep", "30"], pass_fds=[write])
+        print(child.pid, keeper.pid, flush=True)
+        time.sleep(60)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(parent)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        child, keeper = map(int, process.stdout.readline().split())
+        time.sleep(2.0)  # it has begun
+        process.kill()
+    try:
+        for _ in range(200):
+            if not alive(child):
+                break
+            time.sleep(0.1)
+        assert not alive(child)
+    finally:
+        os.kill(keeper, signal.SIGKILL)
+
+
+def alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+# ---- threads -------------------------------------------------------------------------------------
+MIXED = """
+import random, sys, threading, warnings
+import numpy as np
+import pam_ocp as pam
+warnings.simplefilter("ignore")
+muscle = pam.muscle("DMSP-20-300")
+slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.10)
+hanging = pam.HangingLoad(muscle, mass=10.0)
+names = [v.name for v in hanging.states]
+
+def call(kind, i):
+    at = {"muscle.pressure": 2e5 + 1e3 * i}
+    if kind == "simulate":
+        return pam.simulate(hanging, duration=0.02 + 1e-3 * i).array(names)[-1].tolist()
+    if kind == "equilibrium":
+        return np.asarray(pam.equilibrium(hanging, at).x).tolist()
+    if kind == "linearize":
+        return np.asarray(pam.linearize(hanging, pam.equilibrium(hanging, at)).A).tolist()
+    if kind == "force":
+        return float(muscle.force(at["muscle.pressure"], 0.1))
+    if kind == "build":
+        return pam.HangingLoad(muscle, mass=5.0 + i).vector("parameter").tolist()
+    stops = [{"x": -0.01}, {"x": 0.01 + 1e-4 * i}]
+    return pam.plan(slide, stops, method=pam.Collocation(8), tolerance=None).duration
+
+kinds = ["simulate", "equilibrium", "linearize", "force", "force", "build"]
+
+def calls(seed):
+    chosen = random.Random(seed)
+    for i in range(200):
+        one = (chosen.choice(kinds), chosen.randrange(20))
+        yield one if i % 100 else ("plan", chosen.randrange(3))
+
+start = random.SystemRandom().randrange(10**6)
+print("seed", start)
+wanted = {one: call(*one) for seed in range(start, start + 8) for one in calls(seed)}
+done = []
+
+def work(seed):
+    for one in calls(seed):
+        done.append(call(*one) == wanted[one])
+
+threads = [threading.Thread(target=work, args=(seed,)) for seed in range(start, start + 8)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+assert len(done) == 1600 and all(done), (len(done), sum(done))
+print("same")
+"""
+
+
+@pytest.mark.slow
+def test_eight_threads_get_what_one_gets():
+    done = subprocess.run([sys.executable, "-c", MIXED], capture_output=True, text=True)
+    assert done.returncode == 0, (done.stdout, done.stderr[-2000:])
+    assert done.stdout.endswith("same\n")
+
+
+def test_a_verb_in_another_thread_keeps_to_its_time_limit():
+    found = []
+
+    def work():
+        try:
+            pam.plan(slide(), STOPS, tolerance=1e-12, time_limit=0.001)
+        except pam.PlanError as error:
+            found.append(str(error))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join(60)
+    assert "time_limit" in found[0]
+
+
+# ---- no other way --------------------------------------------------------------------------------
+def test_no_solver_or_integrator_is_made_but_by_the_wrappers():
+    """Servers are processes of their own, which their parents end."""
+    own = {"numerics/solvers.py", "planning/solvers/solver_server.py"}
+    own.add("planning/solvers/fatrop_server.py")
+    made = re.compile(r"\bca\.(?:nlpsol|integrator|rootfinder|conic|qpsol)\(")
+    package = ROOT / "pam_ocp"
+    found = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if made.search(path.read_text(encoding="utf-8"))
+    }
+    assert found <= own
