@@ -30,7 +30,7 @@ from .problem.formulation import formulate
 from .problem.problem import Budget, Condition, Problem
 from .problem.statement import Cyclic, Statement, StatementKeywords
 from .problem.wording import Avoid, Constraint, Phase, Stop
-from .refine import Checked, Refinement, checked
+from .refine import CLOSER, Checked, Refinement, checked
 from .result import Plan, Solved
 from .run import Run
 from .solvers.backend import Backend, SolverName
@@ -258,7 +258,7 @@ class Planner:
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
-        found = self._found(run, guess, starts, figures, climb)
+        found = self._found(run, guess, starts, figures, climb, partly=tolerance is not None)
         outcome, build = found[0].outcome, self._build_seconds
         figures["iterations"] = outcome.iterations
         if not outcome.success:
@@ -269,11 +269,15 @@ class Planner:
         base = found[0]
         if program.problem.objective.economical and tolerance is not None:
             found = [climb.settled(base, tolerance), *found[1:]]
-            figures["objective_change"] = climb.change
-        refinement = self._refined(found, tolerance)
+        refinement = self._refined(found, tolerance, climb)
         figures["iterations"] += refinement.iterations + climb.iterations
-        if refinement.warning:
-            figures["warning"] = refinement.warning
+        warnings_of = [refinement.warning]
+        if climb.rungs and tolerance is not None:
+            gap = climb.above(refinement.best.found)
+            figures |= {"objective_change": climb.change, "objective_gap": gap}
+            warnings_of += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
+        if any(warnings_of):
+            figures["warning"] = "; ".join(filter(None, warnings_of))
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
         meshes, best, first = refinement.meshes, refinement.best, refinement.first
         if first is found[0] and first is not base:
@@ -291,13 +295,17 @@ class Planner:
         starts: int | None,
         figures: dict[str, Any],
         climb: Climb,
+        partly: bool,
     ) -> list[Solved]:
-        """Solutions, the best first, of economical motions by way of coarser meshes."""
+        """Solutions, the best first, of economical motions by way of coarser meshes.
+
+        partly : a mesh coarser than the one asked for will do where that leads to nothing.
+        """
         program = run.program
         meshes = ladder(program.mesh) if program.problem.objective.economical else []
         if meshes and guess is None:
             found = climb.reached(
-                lambda first: self._searched(first, None, starts, figures), run, meshes
+                lambda first: self._searched(first, None, starts, figures), run, meshes, partly
             )
             if found:
                 return found
@@ -332,15 +340,30 @@ class Planner:
         guess = guess_in_openings(program.problem, program.mesh, self._statement, self._backend)
         return None if guess is None else run.from_guess(guess, "near")
 
-    def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
-        """The best solution, refined; where that is not verified, the next best that is."""
+    def _refined(
+        self, found: Sequence[Solved], tolerance: float | None, climb: Climb
+    ) -> Refinement:
+        """The best solution, refined; where that is not verified, the next best that is.
+
+        Of the climb's solutions a coarser one stands before a finer one that is no better and not
+        verified, and before all that cannot be.
+        """
         wanted = tolerance or float("inf")
-        first = Refinement(checked(found[0]), wanted, self._backend)
+        finest = checked(found[0])
+        if finest.miss > CLOSER * wanted:
+            for each in climb.rungs[-2::-1]:
+                if climb.worse(each) > wanted:
+                    break
+                if (other := checked(each)).miss <= CLOSER * wanted:
+                    return Refinement(other, wanted, self._backend)
+        first = Refinement(finest, wanted, self._backend)
         if first.met():
             return first
-        others = found[1:OTHERS]
+        for other in map(checked, climb.rungs[-2::-1]):
+            if other.miss <= CLOSER * wanted:
+                return Refinement(other, wanted, self._backend)
         tried = [first]
-        for each in others:
+        for each in found[1:OTHERS]:
             tried.append(Refinement(checked(each), wanted, self._backend))
             if tried[-1].met():
                 break
@@ -362,6 +385,15 @@ class Planner:
         _require_same_form(self._program.problem, problem)
         rows = _renewed(self._program, problem)
         return replace(self._program, problem=problem, rows=rows)
+
+
+def _unsettled(gap: float, tolerance: float) -> str:
+    """What is said of an economical objective that finer meshes may yet lower."""
+    far = f"{100 * gap:.2g} %" if gap == gap else "an unknown part"
+    return (
+        f"the objective has not settled to {tolerance:.0e}: it may lie {far} above its least, "
+        "which finer meshes (method=Collocation(intervals)) or a plan as guess may reach"
+    ).replace("e-0", "e-")
 
 
 def _require_known(keywords: Mapping[str, Any]) -> None:
