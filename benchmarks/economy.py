@@ -74,7 +74,9 @@ def plants(rng):
 def integral(plant, plan, term):
     """The term's integral along SciPy's own replay of the plan [SI]."""
     t, x, _ = verdict_study.scipy_replay(plant, plan, samples=4000)
-    u = signals(plant, plan.trajectory, t)(t)
+    # where an input jumps there are two of each time, the first with the value before
+    before = np.append(np.diff(t) <= 0, False) * 1e-9
+    u = signals(plant, plan.trajectory, t)(t - before)
     y = np.asarray(plant.function(x.T, u.T, plant.vector("parameter"))[1], float)
     names = [v.name for v in plant.outputs]
     muscles = [n.removesuffix(".contraction") for n in names if n.endswith(".contraction")]
