@@ -33,6 +33,10 @@ end.
 """
 WORSE = 0.2
 """Part of the objective by which a climber may lie above another on the same mesh."""
+UNSEEN = 2.0
+"""Times as much may be gained as the gradients show: where an input swings once more inside its
+interval, they know its size by the inputs beside only.
+"""
 FLOOR = 1e-2
 """Objectives below it (in units of their terms) are judged as if they were this large."""
 EFFORT = 6e6
@@ -158,7 +162,7 @@ class Climb:
         """
         ratio = min(left / before, SLOWEST) if np.isfinite(left / before) else 0.5
         row = self.change * ratio / (1 - ratio)
-        known = [value for value in (left, row) if np.isfinite(value)]
+        known = [value for value in (UNSEEN * left, row) if np.isfinite(value)]
         self.gap = min(known) if known else float("nan")
 
     def _hopeless(self, found: Solved) -> bool:

@@ -271,16 +271,10 @@ class Planner:
             found = [climb.settled(base, tolerance), *found[1:]]
         refinement = self._refined(found, tolerance, climb)
         figures["iterations"] += refinement.iterations + climb.iterations
-        warnings_of = [refinement.warning]
-        if climb.rungs and tolerance is not None:
-            gap = climb.above(refinement.best.found)
-            figures |= {"objective_change": climb.change, "objective_gap": gap}
-            warnings_of += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
-        if any(warnings_of):
-            figures["warning"] = "; ".join(filter(None, warnings_of))
+        figures |= _trust(refinement, climb, tolerance)
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
         meshes, best, first = refinement.meshes, refinement.best, refinement.first
-        if first is found[0] and first is not base:
+        if any(first is each for each in climb.rungs[1:]):
             first, meshes = base, [base.program.mesh, *meshes]
         result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)
         if not result.verified:
@@ -385,6 +379,19 @@ class Planner:
         _require_same_form(self._program.problem, problem)
         rows = _renewed(self._program, problem)
         return replace(self._program, problem=problem, rows=rows)
+
+
+def _trust(refinement: Refinement, climb: Climb, tolerance: float | None) -> dict[str, Any]:
+    """Figures of how far an economical objective has settled, and what did not go as asked."""
+    figures: dict[str, Any] = {}
+    words = [refinement.warning]
+    if climb.rungs and tolerance is not None:
+        gap = climb.above(refinement.best.found)
+        figures |= {"objective_change": climb.change, "objective_gap": gap}
+        words += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
+    if any(words):
+        figures["warning"] = "; ".join(filter(None, words))
+    return figures
 
 
 def _unsettled(gap: float, tolerance: float) -> str:

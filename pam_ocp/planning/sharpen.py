@@ -39,8 +39,8 @@ class _Freed(Form):
 
 
 def gains(found: Solved) -> Array | None:
-    """What each interval keeps the objective from, by the first order: an estimate, rather too
-    large.
+    """What each interval keeps the objective from, by the first order: an estimate, good to a
+    factor of two or so.
 
     None where inputs are not held, or the interval knows no points (shooting, degree 1).
     """
