@@ -3,16 +3,20 @@
 What costs work or air is spent on short arcs along the limits of muscles (slack tendons, closed
 valves): from a rough guess a fine mesh takes hundreds of iterations or fails, from the solution on
 a mesh half as fine some twenty. And inputs that are held cannot follow such arcs: on 50 intervals
-the work of an antagonistic pair is 1 to 5 % above its least.
+the work of an antagonistic pair is 1 to 5 % above its least. So the mesh grows where its held
+inputs cost most, see sharpen.py: half the intervals of a mesh that is as fine everywhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from .result import Solved
 from .run import Run
+from .sharpen import gains, sharpened
 from .solvers.backend import Backend
 from .transcription.mesh import Mesh, coarsened, doubled
 from .transcription.transcription import transcribe
@@ -22,13 +26,27 @@ __all__ = ["Climb", "ladder"]
 FEWEST = 10
 """Intervals of a leg, on the coarsest mesh."""
 MOST = 400
-"""Intervals of a leg, at most."""
+"""Intervals of a leg, at most, on average."""
 CLIMBERS = 2
 """Of the coarse mesh's solutions, from different starts: what is best there need not be so in the
 end.
 """
+WORSE = 0.2
+"""Part of the objective by which a climber may lie above another on the same mesh."""
+UNSEEN = 2.0
+"""Times as much may be gained as the gradients show: where an input swings once more inside its
+interval, they know its size by the inputs beside only.
+"""
 FLOOR = 1e-2
 """Objectives below it (in units of their terms) are judged as if they were this large."""
+EFFORT = 6e6
+"""Iterations times unknowns of the way, at most: half a minute or so. What has not settled by then
+is returned, and says so.
+"""
+SLOWEST = 0.8
+"""Ratio of what two meshes leave to be gained, at most: so slow a geometric row of changes sums to
+four times the last. Where inputs matter little the gradients alone see more than there is.
+"""
 
 
 def ladder(mesh: Mesh) -> list[Mesh]:
@@ -49,51 +67,124 @@ def _legs(mesh: Mesh) -> int:
 class Climb:
     """From a solution on a mesh to finer ones.
 
-    iterations : of the solver on the way; change : of the objective with the last step, as a part
-    of it.
+    iterations : of the solver on the way; effort : the same times the unknowns. change : of the
+    objective with the last step; gap : what finer meshes may yet gain, an estimate; both as parts
+    of the objective. rungs : solutions on the way from the first that was to settle, the last the
+    finest.
     """
 
     backend: Backend
     iterations: int = 0
+    effort: float = 0.0
     change: float = float("nan")
+    gap: float = float("nan")
+    rungs: list[Solved] = field(default_factory=list)
+    _best: dict[int, float] = field(default_factory=dict)
+    """The least objective by the number of intervals."""
 
     def reached(
-        self, search: Callable[[Run], list[Solved]], run: Run, meshes: list[Mesh]
+        self,
+        search: Callable[[Run], list[Solved]],
+        run: Run,
+        meshes: list[Mesh],
+        partly: bool,
     ) -> list[Solved]:
-        """Solutions on the mesh of ``run``, from a search on the first of coarser ones; empty where
-        the way is blocked.
+        """Solutions on the mesh of ``run``, from a search on the first of coarser ones, the best
+        first; empty where the way is blocked.
+
+        partly : where no way leads there, the solution on the finest mesh that was reached.
         """
         problem = run.program.problem
         first = Run(transcribe(problem, meshes[0]), self.backend)
-        found = search(first)
-        runs = [Run(transcribe(problem, mesh), self.backend) for mesh in meshes[1:]]
-        top = []
+        found = [each for each in search(first) if each.outcome.ended]
+        runs = [*(Run(transcribe(problem, mesh), self.backend) for mesh in meshes[1:]), run]
+        top: list[Solved] = []
+        last: list[Solved] = []
         for each in found:
-            if not each.outcome.ended:
-                continue
-            here: Solved | None = each
-            for following in (*runs, run):
-                here = here and self._next(following, here)
-            if here is not None:
+            here = each
+            for following in runs:
+                finer = self._onward(following, here)
+                if finer is None:
+                    break
+                here = finer
+                if self._hopeless(here):
+                    break
+            last.append(here)
+            if here.program is run.program:
                 top.append(here)
-            if len(top) == CLIMBERS:
+            if len(top) == CLIMBERS or self.effort > EFFORT / 2:
                 break
+        if not top and last and (partly or last[0].outcome.stopped):
+            return [max(last, key=lambda each: len(each.program.mesh.intervals))]
         return sorted(top, key=lambda each: each.outcome.objective)
 
     def settled(self, found: Solved, tolerance: float) -> Solved:
-        """The solution on meshes twice as fine each, until the objective changes by no more."""
-        while not self.change <= tolerance:
-            mesh = doubled(found.program.mesh)
-            if len(mesh.intervals) > MOST * _legs(mesh):
+        """The solution on finer and finer meshes, until they can gain no more than this."""
+        self.rungs = [found]
+        before = float("nan")
+        while not self.gap <= tolerance and not found.outcome.stopped:
+            gained = gains(found)
+            left = float("nan") if gained is None else self._part(float(gained.sum()), found)
+            self._estimate(left, before)
+            if self.gap <= tolerance:
                 break
-            run = Run(transcribe(found.program.problem, mesh), self.backend)
-            finer = self._next(run, found)
+            mesh = sharpened(found.program.mesh, gained)
+            finer = self._on(mesh, found)
+            if finer is None and mesh != doubled(found.program.mesh):
+                finer = self._on(doubled(found.program.mesh), found)
             if finer is None:
                 break
-            old, new = found.outcome.objective, finer.outcome.objective
-            self.change = abs(new - old) / max(abs(new), FLOOR)
-            found = finer
+            self.change = self._part(abs(finer.outcome.objective - found.outcome.objective), finer)
+            found, before = finer, left
+            self.rungs.append(found)
         return found
+
+    def above(self, found: Solved) -> float:
+        """What a solution may lie above the least, as a part of the objective: by what finer meshes
+        may gain, and by the best that was found.
+        """
+        return self.gap + max(self.worse(found), 0.0)
+
+    def worse(self, found: Solved) -> float:
+        """By how much a solution lies above the finest, as a part of the objective."""
+        best = self.rungs[-1]
+        return self._part(found.outcome.objective - best.outcome.objective, best)
+
+    def _part(self, value: float, found: Solved) -> float:
+        """A value as a part of the objective."""
+        return value / max(abs(found.outcome.objective), FLOOR)
+
+    def _estimate(self, left: float, before: float) -> None:
+        """What is to be gained: by the gradients (``left``; ``before`` on the mesh before), or by
+        a geometric row of changes (Richardson), whichever is less.
+
+        Without gradients each change is taken as half of the one before it.
+        """
+        ratio = min(left / before, SLOWEST) if np.isfinite(left / before) else 0.5
+        row = self.change * ratio / (1 - ratio)
+        known = [value for value in (UNSEEN * left, row) if np.isfinite(value)]
+        self.gap = min(known) if known else float("nan")
+
+    def _hopeless(self, found: Solved) -> bool:
+        """Whether another climber was much better on a mesh of this size."""
+        size, value = len(found.program.mesh.intervals), found.outcome.objective
+        best = min(self._best.get(size, value), value)
+        self._best[size] = best
+        return value - best > WORSE * max(abs(best), FLOOR)
+
+    def _onward(self, run: Run, coarse: Solved) -> Solved | None:
+        """The solution on a finer mesh, by way of one between where the step is too long."""
+        found = self._next(run, coarse)
+        if found is not None or coarse.outcome.stopped:
+            return found
+        between = self._on(sharpened(coarse.program.mesh, gains(coarse)), coarse)
+        return None if between is None else self._next(run, between)
+
+    def _on(self, mesh: Mesh, coarse: Solved) -> Solved | None:
+        """The solution on this mesh; None where it is too fine, or was not found."""
+        if len(mesh.intervals) > MOST * _legs(mesh) or self.effort > EFFORT:
+            return None
+        return self._next(Run(transcribe(coarse.program.problem, mesh), self.backend), coarse)
 
     def _next(self, run: Run, coarse: Solved) -> Solved | None:
         """The solution on a finer mesh; None when it was not found."""
@@ -101,4 +192,5 @@ class Climb:
             return None
         found = run.refined(coarse, again=False)
         self.iterations += found.outcome.iterations
+        self.effort += found.outcome.iterations * len(found.outcome.w)
         return found if found.outcome.success else None

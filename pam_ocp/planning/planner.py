@@ -34,7 +34,7 @@ from .problem.formulation import formulate
 from .problem.problem import Budget, Condition, Problem
 from .problem.statement import Cyclic, Statement, StatementKeywords
 from .problem.wording import Avoid, Constraint, Phase, Stop
-from .refine import Checked, Refinement, checked
+from .refine import CLOSER, Checked, Refinement, checked
 from .result import Plan, Solved
 from .run import Run
 from .solvers.backend import Backend, SolverName
@@ -289,7 +289,7 @@ class Planner:
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
         try:
-            found = self._found(run, guess, starts, figures, climb)
+            found = self._found(run, guess, starts, figures, climb, partly=tolerance is not None)
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
@@ -305,16 +305,14 @@ class Planner:
         if program.problem.objective.economical and tolerance is not None:
             with contextlib.suppress(TimeIsUp):
                 found = [climb.settled(base, tolerance), *found[1:]]
-            figures["objective_change"] = climb.change
-        refinement = self._refined(found, tolerance)
+        refinement = self._refined(found, tolerance, climb)
         if refinement.cut or deadline().over:
             figures["ended"] = f"{deadline()} was over"
         figures["iterations"] += refinement.iterations + climb.iterations
-        if refinement.warning:
-            figures["warning"] = refinement.warning
+        figures |= _trust(refinement, climb, tolerance)
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
         meshes, best, first = refinement.meshes, refinement.best, refinement.first
-        if first is found[0] and first is not base:
+        if any(first is each for each in climb.rungs[1:]):
             first, meshes = base, [base.program.mesh, *meshes]
         result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)
         if not result.verified:
@@ -329,8 +327,12 @@ class Planner:
         starts: int | None,
         figures: dict[str, Any],
         climb: Climb,
+        partly: bool,
     ) -> list[Solved]:
-        """Solutions, the best first, of economical motions by way of coarser meshes."""
+        """Solutions, the best first, of economical motions by way of coarser meshes.
+
+        partly : a mesh coarser than the one asked for will do where that leads to nothing.
+        """
         program = run.program
         meshes = ladder(program.mesh) if program.problem.objective.economical else []
         if meshes and guess is None:
@@ -341,7 +343,7 @@ class Planner:
                 return coarse
 
             try:
-                found = climb.reached(search, run, meshes)
+                found = climb.reached(search, run, meshes, partly)
             except TimeIsUp:
                 found = [each for each in coarse if each.outcome.success]
                 if not found:
@@ -379,20 +381,36 @@ class Planner:
         guess = guess_in_openings(program.problem, program.mesh, self._statement, self._backend)
         return None if guess is None else run.from_guess(guess, "near")
 
-    def _refined(self, found: Sequence[Solved], tolerance: float | None) -> Refinement:
-        """The best solution, refined; where that is not verified, the next best that is."""
+    def _refined(
+        self, found: Sequence[Solved], tolerance: float | None, climb: Climb
+    ) -> Refinement:
+        """The best solution, refined; where that is not verified, the next best that is.
+
+        Of the climb's solutions a coarser one stands before a finer one that is no better and not
+        verified, and before all that cannot be.
+        """
         wanted = tolerance or float("inf")
         try:
-            begun = checked(found[0])
+            finest = checked(found[0])
         except TimeIsUp:
             with spared(GRACE):
-                begun = checked(found[0])
-        first = Refinement(begun, wanted, self._backend)
+                finest = checked(found[0])
+        if finest.miss > CLOSER * wanted:
+            with contextlib.suppress(TimeIsUp):
+                for each in climb.rungs[-2::-1]:
+                    if climb.worse(each) > wanted:
+                        break
+                    if (other := checked(each)).miss <= CLOSER * wanted:
+                        return Refinement(other, wanted, self._backend)
+        first = Refinement(finest, wanted, self._backend)
         if first.met():
             return first
-        others = found[1:OTHERS]
+        with contextlib.suppress(TimeIsUp):
+            for other in map(checked, climb.rungs[-2::-1]):
+                if other.miss <= CLOSER * wanted:
+                    return Refinement(other, wanted, self._backend)
         tried = [first]
-        for each in others:
+        for each in found[1:OTHERS]:
             try:
                 tried.append(Refinement(checked(each), wanted, self._backend))
             except TimeIsUp:
@@ -417,6 +435,28 @@ class Planner:
         _require_same_form(self._program.problem, problem)
         rows = _renewed(self._program, problem)
         return replace(self._program, problem=problem, rows=rows)
+
+
+def _trust(refinement: Refinement, climb: Climb, tolerance: float | None) -> dict[str, Any]:
+    """Figures of how far an economical objective has settled, and what did not go as asked."""
+    figures: dict[str, Any] = {}
+    words = [refinement.warning]
+    if climb.rungs and tolerance is not None:
+        gap = climb.above(refinement.best.found)
+        figures |= {"objective_change": climb.change, "objective_gap": gap}
+        words += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
+    if any(words):
+        figures["warning"] = "; ".join(filter(None, words))
+    return figures
+
+
+def _unsettled(gap: float, tolerance: float) -> str:
+    """What is said of an economical objective that finer meshes may yet lower."""
+    far = f"{100 * gap:.2g} %" if gap == gap else "an unknown part"
+    return (
+        f"the objective has not settled to {tolerance:.0e}: it may lie {far} above its least, "
+        "which finer meshes (method=Collocation(intervals)) or a plan as guess may reach"
+    ).replace("e-0", "e-")
 
 
 def _require_known(keywords: Mapping[str, Any]) -> None:

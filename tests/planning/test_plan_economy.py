@@ -7,6 +7,11 @@ from scipy.integrate import trapezoid
 
 import pam_ocp as pam
 from pam_ocp.core.signals import signals
+from pam_ocp.planning import climb
+from pam_ocp.planning.run import Run
+from pam_ocp.planning.sharpen import gains, sharpened
+from pam_ocp.planning.solvers.backend import Backend
+from pam_ocp.planning.transcription.transcription import transcribe
 
 MUSCLE = pam.muscle("DMSP-20-200N")
 
@@ -34,6 +39,7 @@ def slider(force=50.0):
     plant.output("block.force", pull, unit="N")
     plant.output("block.contraction", x)
     plant.output("block.rest_length", ca.SX(1.0), unit="m")
+    plant.output("block.power", pull * v, unit="W")
     return plant
 
 
@@ -57,6 +63,68 @@ def test_the_work_of_an_antagonistic_pair_is_that_along_its_motion_and_settles()
     assert plan.verified
     assert plan.objective == pytest.approx(positive_work(plant, plan), rel=1e-3)
     assert plan.statistics["objective_change"] < 1e-3
+    finer = pam.plan(
+        plant,
+        [{"x": -0.01}, {"x": 0.01}],
+        **wanted,
+        guess=plan,
+        method=pam.Collocation(300, 3),
+        tolerance=None,
+    )
+    assert plan.objective < finer.objective * (1 + 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("plant", "stops", "intervals"),
+    [
+        (pam.AntagonisticSlide(MUSCLE, 2.0), [{"x": -0.01}, {"x": 0.01}], 50),
+        (pam.HangingLoad(MUSCLE, 10.0), [{"x": 0.01}, {"x": 0.03}], 20),
+    ],
+)
+def test_the_gradients_inside_the_intervals_tell_what_finer_meshes_gain(plant, stops, intervals):
+    wanted = {"duration": 0.3, "minimise": "work", "tolerance": None}
+    coarse = pam.plan(plant, stops, **wanted, method=pam.Collocation(intervals, 3))
+    fine = pam.plan(plant, stops, **wanted, method=pam.Collocation(160, 3), guess=coarse)
+    gained = coarse.objective - fine.objective
+    assert gained > 0
+    assert 0.5 * gained < gains(coarse._solved).sum() < 2 * gained
+
+
+def test_a_sharpened_mesh_gains_more_than_as_many_equal_intervals():
+    plant, stops = pam.AntagonisticSlide(MUSCLE, 2.0), [{"x": -0.01}, {"x": 0.01}]
+    wanted = {"duration": 0.3, "minimise": "work", "tolerance": None}
+    coarse = pam.plan(plant, stops, **wanted, method=pam.Collocation(50, 3))._solved
+    for _ in range(2):
+        mesh = sharpened(coarse.program.mesh, gains(coarse))
+        run = Run(transcribe(coarse.program.problem, mesh), Backend())
+        coarse = run.refined(coarse)
+    equal = pam.plan(plant, stops, **wanted, method=pam.Collocation(len(mesh.intervals), 3))
+    assert coarse.outcome.success
+    assert coarse.outcome.objective < equal.objective * (1 - 1e-3)
+
+
+def test_what_has_not_settled_says_so(monkeypatch):
+    monkeypatch.setattr(climb, "EFFORT", 0.0)
+    plant, stops = pam.AntagonisticSlide(MUSCLE, 2.0), [{"x": -0.01}, {"x": 0.01}]
+    plan = pam.plan(plant, stops, duration=0.3, minimise="work")
+    assert plan.statistics["objective_gap"] > 1e-3
+    assert "has not settled" in plan.statistics["warning"]
+    assert "has not settled" in str(plan)
+
+
+def test_where_no_finer_mesh_is_solved_the_plan_is_that_of_the_last_that_was(monkeypatch):
+    ours = climb.Climb._next
+
+    def blocked(self, run, coarse):
+        return ours(self, run, coarse) if len(run.program.mesh.intervals) < 30 else None
+
+    monkeypatch.setattr(climb.Climb, "_next", blocked)
+    plant, stops = pam.AntagonisticSlide(MUSCLE, 2.0), [{"x": -0.01}, {"x": 0.01}]
+    plan = pam.plan(plant, stops, duration=0.3, minimise="work")
+    assert plan.verified
+    assert len(plan.meshes[0].intervals) < 30
+    assert plan.statistics["objective_gap"] > 1e-3
+    assert "has not settled" in plan.statistics["warning"]
 
 
 @pytest.mark.parametrize("method", [pam.Shooting(30, 4), pam.Collocation(20, 3, points="gauss")])
