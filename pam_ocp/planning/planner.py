@@ -275,7 +275,8 @@ class Planner:
         if refinement.warning:
             figures["warning"] = refinement.warning
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
-        meshes, best, first = refinement.meshes, refinement.best, refinement.first
+        meshes, first = refinement.meshes, refinement.first
+        best = refinement.best.explained(tolerance or TOLERANCE)
         if first is found[0] and first is not base:
             first, meshes = base, [base.program.mesh, *meshes]
         result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)

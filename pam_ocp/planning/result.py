@@ -90,7 +90,8 @@ class Plan:
         """
         nan, r = float("nan"), self.replay
         figures = (r.error, r.state, r.violation, r.constraint) if r else (nan, "", nan, "")
-        return Verdict(self.status, self.solved, *figures, self.tolerance)
+        local = r.local if r else nan
+        return Verdict(self.status, self.solved, *figures, self.tolerance, local)
 
     @property
     def verified(self) -> bool:
