@@ -77,14 +77,16 @@ class Verdict:
                 f"its replay violates {self.constraint} by {self.violation:.2g} of nominal"
             )
         if failed:
-            grown = ""
-        if self.unstable:
-            grown = (
-                f"; the motion is unstable: its intervals agree to {self.local:.1e}, but errors "
-                f"grow {self.growth:.0e} times along it, so run it with feedback (control.tvlqr)"
-            )
-        return f"not verified: {' and '.join(failed)}, more than {within}{grown}"
+            return f"not verified: {' and '.join(failed)}, more than {within}{self._growing()}"
         return (
             f"verified: its replay agrees to {self.error:.1e} of nominal and keeps all limits to "
             f"{self.violation:.1e}, within {within}"
+        )
+
+    def _growing(self) -> str:
+        if not self.unstable:
+            return ""
+        return (
+            f"; the motion is unstable: its intervals agree to {self.local:.1e}, but errors grow "
+            f"{self.growth:.0e} times along it, so run it with feedback (control.tvlqr)"
         )
