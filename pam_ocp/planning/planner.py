@@ -311,7 +311,8 @@ class Planner:
         figures["iterations"] += refinement.iterations + climb.iterations
         figures |= _trust(refinement, climb, tolerance)
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
-        meshes, best, first = refinement.meshes, refinement.best, refinement.first
+        meshes, first = refinement.meshes, refinement.first
+        best = refinement.best.explained(tolerance or TOLERANCE)
         if any(first is each for each in climb.rungs[1:]):
             first, meshes = base, [base.program.mesh, *meshes]
         result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)

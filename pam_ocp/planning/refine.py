@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -12,7 +12,7 @@ from ..core.stop import TimeIsUp
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.simulator import evaluated
-from .replay import Replay, interval_errors, replayed
+from .replay import Replay, explained, interval_errors, replayed
 from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
@@ -59,6 +59,12 @@ class Checked:
         """The figure that counts, in units of nominal; infinite when there is none."""
         worst = max(self.replay.error, self.replay.violation)
         return float("inf") if np.isnan(worst) else worst
+
+    def explained(self, tolerance: float) -> Checked:
+        """The same, with what the intervals deviate by where the replay does by more than that."""
+        found = self.found
+        replay = explained(self.replay, self.plant, found.program.mesh, found.solution, tolerance)
+        return replace(self, replay=replay)
 
 
 def checked(found: Solved) -> Checked:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TypeAlias
@@ -22,7 +22,7 @@ from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.stage import nominals
 
-__all__ = ["Replay", "interval_errors", "replayed"]
+__all__ = ["Replay", "explained", "interval_errors", "replayed"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -61,6 +61,8 @@ class Replay:
     """For each interval of the mesh {bound or path condition: by how much it is exceeded}."""
     missed: float = 0.0
     """Largest violation of what is no bound: at the stops, of the closing, of a budget."""
+    local: float = float("nan")
+    """Sum of the :func:`interval_errors`, where somebody asked for it."""
 
 
 def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]:
@@ -80,6 +82,15 @@ def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]
         errors.append(miss if np.isfinite(miss) else float("inf"))
         at += len(taus)
     return errors
+
+
+def explained(
+    replay: Replay, plant: Plant, mesh: Mesh, solution: Solution, tolerance: float
+) -> Replay:
+    """A replay that deviates by more than a tolerance, with what its intervals deviate by."""
+    if replay.error <= tolerance or not np.isfinite(replay.error):
+        return replay
+    return replace(replay, local=sum(interval_errors(plant, mesh, solution)))
 
 
 def replayed(

@@ -91,7 +91,8 @@ class Plan:
         nan, r = float("nan"), self.replay
         figures = (r.error, r.state, r.violation, r.constraint) if r else (nan, "", nan, "")
         ended = str(self.statistics.get("ended", ""))
-        return Verdict(self.status, self.solved, *figures, self.tolerance, ended)
+        local = r.local if r else nan
+        return Verdict(self.status, self.solved, *figures, self.tolerance, ended, local)
 
     @property
     def verified(self) -> bool:

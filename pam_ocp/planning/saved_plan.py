@@ -20,7 +20,7 @@ from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import evaluated
 from .problem.problem import Problem
 from .problem.problem_data import data_of, problem_of
-from .replay import replayed
+from .replay import explained, replayed
 from .result import Plan
 from .transcription.mesh import Form, Interval, Mesh
 from .transcription.solution import Solution, pack
@@ -123,6 +123,8 @@ def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant
     program = transcribe(problem, mesh)
     objective = _require_solution(path, program, solution, float(meta["objective"]))
     samples = evaluated(plant, solution.t, solution.states, solution.inputs)
+    tolerance = float(meta["tolerance"])
+    replay = replayed(problem, plant, mesh, samples, solution)
     return Plan(
         plant,
         True,
@@ -131,11 +133,11 @@ def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant
         tuple(map(float, solution.durations)),
         {n: float(v) for n, v in zip(problem.design, solution.design, strict=True)},
         dict(meta["statistics"]),
-        replayed(problem, plant, mesh, samples, solution),
+        explained(replay, plant, mesh, solution, tolerance),
         meshes,
         tuple(meta["log"]),
         (),
-        float(meta["tolerance"]),
+        tolerance,
         samples,
         problem,
         None,

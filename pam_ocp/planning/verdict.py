@@ -10,6 +10,10 @@ TOLERANCE = 1e-3
 """What a plan is judged by where nothing else is asked for, in units of nominal."""
 
 
+GROWTH = 1e3
+"""Times by which errors grow along a motion that is called unstable."""
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What the solver and an independent replay say of a plan, against one tolerance.
@@ -35,6 +39,10 @@ class Verdict:
     """Of the error and of the violation, in units of nominal."""
     ended: str = ""
     """What broke off the search for a better plan: then none is verified."""
+    local: float = float("nan")
+    """What the replays of all intervals, each from its own planned start, deviate by in all, in
+    units of nominal; known where the error exceeds the tolerance.
+    """
 
     @property
     def verified(self) -> bool:
@@ -44,6 +52,18 @@ class Verdict:
         # written so that a NaN fails
         kept = self.solved and not self.ended
         return kept and self.error <= self.tolerance and self.violation <= self.tolerance
+
+    @property
+    def growth(self) -> float:
+        """How many times larger the error is than the deviations of the intervals that it grew
+        from; large for an unstable motion.
+        """
+        return self.error / self.local if self.local > 0 else float("nan")
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the plan agrees interval by interval, and fails only as small errors grow."""
+        return self.solved and self.local <= self.tolerance and self.growth > GROWTH
 
     def __bool__(self) -> bool:
         return self.verified
@@ -63,8 +83,16 @@ class Verdict:
             failed.insert(0, f"{self.ended} before the search was done")
             return f"not verified: {' and '.join(failed)}"
         if failed:
-            return f"not verified: {' and '.join(failed)}, more than {within}"
+            return f"not verified: {' and '.join(failed)}, more than {within}{self._growing()}"
         return (
             f"verified: its replay agrees to {self.error:.1e} of nominal and keeps all limits to "
             f"{self.violation:.1e}, within {within}"
+        )
+
+    def _growing(self) -> str:
+        if not self.unstable:
+            return ""
+        return (
+            f"; the motion is unstable: its intervals agree to {self.local:.1e}, but errors grow "
+            f"{self.growth:.0e} times along it, so run it with feedback (control.tvlqr)"
         )

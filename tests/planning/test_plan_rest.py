@@ -103,6 +103,19 @@ def test_a_stop_is_a_place_where_inputs_could_hold_the_plant():
         pam.plan(plant, [{"x": 0.0}, {"x": 0.1}], method=METHOD)
 
 
+def test_inputs_that_would_hold_a_stop_keep_the_path_constraints():
+    """Where the ball comes to, no thrust that its place allows can hold it."""
+    plant = pam.Plant("ball")
+    x, v = plant.state("x"), plant.state("v")
+    u = plant.input("u", min=-30.0, max=30.0)
+    plant.der(x, v)
+    plant.der(v, u - 9.81)
+    plant.constraint("thrust", u + 250 * x, max=30.0)  # 17.5 at x = 0.05, 5 at x = 0.1
+    assert pam.plan(plant, [{"x": 0.0}, {"x": 0.05}], method=METHOD).solved
+    with pytest.raises(pam.PlanError, match="no plan found"):
+        pam.plan(plant, [{"x": 0.0}, {"x": 0.1}], method=METHOD)
+
+
 def test_where_nothing_can_rest_it_is_said():
     plant = pam.Plant("decay")
     y = plant.state("y")

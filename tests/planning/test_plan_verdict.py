@@ -245,6 +245,19 @@ def test_by_default_the_mesh_is_refined_until_the_plan_is_verified(recwarn):
     assert str(plan).startswith("verified")
 
 
+def test_a_verdict_tells_an_unstable_motion_from_a_mesh_that_is_too_coarse():
+    """Errors of x'' = 25 x + u grow by (1 + 5) exp(5 t) at most."""
+    asked = ROUGH | {"method": Collocation(20, 5, "linear"), "duration": 4.0}
+    with pytest.warns(PlanWarning, match=r"the motion is unstable: .* with feedback"):
+        plan = pam.plan(falling(5.0), [{"x": 0.05, "v": 0.0}] * 2, **asked, tolerance=None)
+    assert plan.verdict.unstable
+    assert 1e3 < plan.verdict.growth < 6 * np.exp(20.0)
+    with pytest.warns(PlanWarning):
+        coarse = pam.plan(falling(5.0), [{"x": 0.0}, {"x": 0.05}], **ROUGH, tolerance=None)
+    assert not coarse.verdict.unstable
+    assert "unstable" not in str(coarse.verdict)
+
+
 def test_a_verdict_names_each_figure_that_failed():
     good = pam.planning.Verdict("Solve_Succeeded", True, 1e-4, "x", 2e-4, "force", 1e-3)
     assert good.verified

@@ -405,7 +405,7 @@ def test_a_plan_survives_a_file_and_another_process(slide, tmp_path):
     with pytest.raises(InputError, match="a plan of 'antagonistic_slide' with states"):
         pam.load_plan(tmp_path / "plan.npz", double_integrator())
     (tmp_path / "no.npz").write_bytes(b"nothing")
-    with pytest.raises(InputError, match=r"cannot be read as a plan file"):
+    with pytest.raises(InputError, match="cannot be read as a plan file"):
         pam.load_plan(tmp_path / "no.npz", slide)
 
 

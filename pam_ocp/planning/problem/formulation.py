@@ -40,10 +40,11 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
     goal = objective(
         plant, symbols, statement.minimise, statement.track, statement.integrand, statement.final
     )
+    kept = tuple(common.path)
     common.path += [condition for _, condition in symbols.peaks]
     motions = _motions(plant, statement, len(route) - 1, common, symbols)
     closing = closing_states(plant, statement.cyclic)
-    holding = Holding(plant, common.variables, symbols, statement.inputs_jump)
+    holding = Holding(plant, common.variables, kept, symbols, statement.inputs_jump)
     nodes, legs, values = _laid_out(plant, statement, route, motions, common.variables, holding)
     nodes[0] += tuple(left_by_the_past(plant, statement, stops[0], common.variables))
     if statement.cyclic is True:  # the last node is the first: its own conditions would stand twice

@@ -57,11 +57,14 @@ class Holding:
     """How rest is asked for: what an input sets at once need not vanish before the stop.
 
     There it is enough that admissible inputs would hold the plant: unknowns of their own, so that
-    the last interval of piecewise constant inputs is not spent on zero acceleration.
+    the last interval of piecewise constant inputs is not spent on zero acceleration. Admissible are
+    those that keep the path conditions, too: slack muscles hold nothing, and where they are slack
+    the conditions of rest have no slope in the inputs.
     """
 
     plant: Plant
     bounds: Mapping[str, Range]
+    path: tuple[Condition, ...]
     symbols: Symbols
     jumps: bool
     positions: tuple[Position, ...] = ()
@@ -69,13 +72,14 @@ class Holding:
     def inputs(self, label: str, rows: Sequence[ca.SX]) -> tuple[ca.SX, ca.SX, list[Condition]]:
         """(inputs, what stands for them in the rows of rest, conditions on the latter)."""
         plant = self.plant
-        values, conditions = [], []
+        values, conditions, jumping = [], [], []
         asked = ca.vertcat(*rows) if rows else ca.SX(0, 1)
         for i, variable in enumerate(plant.inputs):
-            jumping = self.jumps and not variable.disturbance and ca.depends_on(asked, plant.u[i])
-            if not jumping:
+            jumps = self.jumps and not variable.disturbance and ca.depends_on(asked, plant.u[i])
+            if not jumps:
                 values.append(plant.u[i])
                 continue
+            jumping.append(plant.u[i])
             held = self.symbols.unknown() * variable.nominal
             low, high = self.bounds[variable.name]
             values.append(held)
@@ -89,7 +93,18 @@ class Holding:
                     variable,
                 )
             )
-        return plant.u, ca.vertcat(*values), conditions
+        instead = ca.vertcat(*values)
+        if jumping:
+            conditions += [
+                replace(
+                    c,
+                    label=f"{label}: {c.label} where it is held",
+                    expression=ca.substitute(c.expression, plant.u, instead),
+                )
+                for c in self.path
+                if ca.depends_on(c.expression, ca.vertcat(*jumping))
+            ]
+        return plant.u, instead, conditions
 
 
 def at_rest(plant: Plant, label: str, stop: Stop, holding: Holding) -> list[Condition]:
