@@ -11,6 +11,8 @@ from scipy.optimize import LinearConstraint, least_squares, linprog, minimize
 
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.fitting import ForceFit, ForceTable, fit_force, read_table
+from pam_ocp.fitting.static.high_breakdown import _Trim
+from pam_ocp.fitting.static.least_squares import LeastSquares
 from pam_ocp.muscles.law import SixParameterLaw
 
 TRUTH = SixParameterLaw.from_published((12.789, 419.48, -0.56665, -8.7013, 267.672, -309.603))
@@ -368,3 +370,12 @@ def test_what_robust_fits_and_bootstraps_cannot_answer_is_refused() -> None:
         robust.bootstrap(5, method="jackknife")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="n = 1: give a whole number >= 2"):
         robust.bootstrap(1)
+
+
+def test_no_cell_is_left_out_where_all_are_needed() -> None:
+    """Seven cells for six coefficients and a scale: a robust start trims nothing; of ten, some."""
+    taut = table_20().taut
+    for count, some in ((7, False), (10, True)):
+        few = taut.subset(np.linspace(0, len(taut) - 1, 2 * count).astype(int)[:count])
+        problem = LeastSquares.of(SixParameterLaw, few, {}, np.ones(count))
+        assert (_Trim.of(problem).count > 0) == some
