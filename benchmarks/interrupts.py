@@ -141,7 +141,7 @@ def load_study(pam: Any) -> Any:
 def closed_loop_ipopt(pam: Any) -> Any:
     plant = _slide(pam)
     mpc = pam.Mpc(plant, track={"x": 1.0}, sample_time=0.01, horizon=40, solver="ipopt")
-    return _again(lambda: mpc.closed_loop({"x": 0.01}, duration=20.0))
+    return _again(lambda: mpc.closed_loop(plant, {"x": 0.01}, duration=20.0))
 
 
 @_verb
