@@ -130,7 +130,7 @@ class Climb:
                 break
             mesh = sharpened(found.program.mesh, gained)
             finer = self._on(mesh, found)
-            if finer is None and mesh != doubled(found.program.mesh):
+            if finer is None and gained is not None and self.effort < EFFORT / 2:
                 finer = self._on(doubled(found.program.mesh), found)
             if finer is None:
                 break
