@@ -393,7 +393,7 @@ def test_of_many_combinations_that_are_not_seen_a_few_are_spelled_out(fit: Force
 
 def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> None:
     path = tmp_path / "x.json"
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         ForceFit.from_json(path)
     path.write_text('{"a": 1}')
     with pytest.raises(InputError, match="is no fit"):
@@ -401,7 +401,7 @@ def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> No
     content = json.loads(fit.to_json(path).read_text("utf-8"))
     del content["coefficients"]["a4"]
     path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match="damaged"):
+    with pytest.raises(InputError, match="cannot be read as a fit: .*a4"):
         ForceFit.from_json(path)
 
 

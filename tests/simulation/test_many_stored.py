@@ -212,7 +212,7 @@ def test_workers_end_with_their_parent(tmp_path, blow):
     )
     assert parent.stdout is not None
     pid = int(parent.stdout.readline())
-    assert parent.stdout.readline().strip() == "at work"
+    assert parent.stdout.readline().startswith("at work")  # of several workers at once
     workers = children(pid)
     assert workers
     os.kill(pid, blow)
