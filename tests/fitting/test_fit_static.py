@@ -401,7 +401,7 @@ def test_files_that_hold_no_fit_are_refused(tmp_path: Path, fit: ForceFit) -> No
     content = json.loads(fit.to_json(path).read_text("utf-8"))
     del content["coefficients"]["a4"]
     path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match="cannot be read as a fit: .*a4"):
+    with pytest.raises(InputError, match=r"cannot be read as a fit: .*a4"):
         ForceFit.from_json(path)
 
 
