@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, require_count, require_positive
+from ..core.errors import InputError, require_count, require_positive, require_tolerance
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -171,7 +171,7 @@ def closed_loop(
             f"duration = {duration:g} s is shorter than a sample of {sample_time:g} s: give at "
             "least one sample"
         )
-    require_positive("rtol", rtol)
+    require_tolerance("rtol", rtol)
     model = plant or getattr(controller, "plant", None)
     chosen = side_of(side, model, sample_time, parts, parameters=parameters, start=start, rtol=rtol)
     with chosen as real:

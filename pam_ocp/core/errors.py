@@ -40,7 +40,11 @@ __all__ = [
     "require_finite",
     "require_instance",
     "require_positive",
+    "require_tolerance",
 ]
+
+LEAST_TOLERANCE = 1e-14
+"""Some fifty times the spacing of numbers; below, an integrator counts rounding errors."""
 
 
 def require_instance(
@@ -59,6 +63,16 @@ def require_count(argument: str, value: Any, least: int = 1, most: int | None = 
         allowed = f">= {least}" if most is None else f"from {least} to {most}"
         raise InputError(f"{argument} = {value!r}: give a whole number {allowed}")
     return int(value)
+
+
+def require_tolerance(argument: str, value: Any) -> float:
+    """``value`` as a relative tolerance of an integrator: numbers have 16 digits."""
+    if not LEAST_TOLERANCE <= (given := require_positive(argument, value)) < 1:
+        raise InputError(
+            f"{argument} = {given:g} must lie in {LEAST_TOLERANCE:g} .. 1 (numbers have 16 "
+            "digits); 1e-10 .. 1e-4 are usual"
+        )
+    return given
 
 
 def require_finite(argument: str, value: Any, unit: str = "") -> float:

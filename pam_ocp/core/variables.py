@@ -64,6 +64,9 @@ class Variable:
     widest: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.causality not in get_args(Causality):
+            known = ", ".join(get_args(Causality))
+            raise InputError(f"{self.name}: causality = {self.causality!r}: choose one of {known}")
         if not _NAME.match(self.name):
             raise InputError(
                 f"name {self.name!r} of a variable: use letters, digits and underscores, "

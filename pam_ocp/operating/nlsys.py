@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..core.errors import require_positive
+from ..core.errors import require_positive, require_tolerance
 from ..core.stop import verb
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values
@@ -71,5 +71,5 @@ def as_nlsys(
         chosen_signals("inputs", plant, inputs, ("input",)),
         chosen_signals("outputs", plant, outputs, ("state", "output")),
         None if dt is None else require_positive("dt", dt, "s"),
-        require_positive("rtol", rtol),
+        require_tolerance("rtol", rtol),
     )

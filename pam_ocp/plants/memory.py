@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 import casadi as ca
+import numpy as np
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
@@ -152,11 +154,7 @@ class MaxwellSlip:
     edge: float = 0.02
 
     def __post_init__(self) -> None:
-        if not self.friction or len(self.friction) != len(self.yield_contraction):
-            raise InputError(
-                f"MaxwellSlip: {len(self.friction)} values of friction and "
-                f"{len(self.yield_contraction)} of yield_contraction; give one of each per element"
-            )
+        _require_elements(self, "friction", "yield_contraction")
         for argument, zero in (("friction", True), ("yield_contraction", False)):
             values = tuple(
                 require_positive(f"MaxwellSlip.{argument}", v, zero=zero)
@@ -233,11 +231,7 @@ class Creep:
     time: Sequence[float] = (1.0,)
 
     def __post_init__(self) -> None:
-        if not self.stiffness or len(self.stiffness) != len(self.time):
-            raise InputError(
-                f"Creep: {len(self.stiffness)} values of stiffness and {len(self.time)} of time; "
-                "give one of each per element"
-            )
+        _require_elements(self, "stiffness", "time")
         for argument, unit, zero in (("stiffness", "N", True), ("time", "s", False)):
             values = tuple(
                 require_positive(f"Creep.{argument}", v, unit, zero=zero)
@@ -275,3 +269,18 @@ class Creep:
             plant.der(settled, (motion.contraction - settled) / tau)
             total += stiffness * (motion.contraction - settled)
         return total
+
+
+def _require_elements(component: object, *arguments: str) -> None:
+    """Make a single value a series of one; InputError where the series are not equally long."""
+    kind = type(component).__name__
+    for argument in arguments:
+        value = getattr(component, argument)
+        if isinstance(value, Real | str):
+            object.__setattr__(component, argument, (value,))
+        elif not isinstance(value, Sequence | np.ndarray):
+            raise InputError(f"{kind}.{argument} = {value!r}: give a number per element")
+    counts = {argument: len(getattr(component, argument)) for argument in arguments}
+    if len(set(counts.values())) > 1 or 0 in counts.values():
+        said = " and ".join(f"{count} of {argument}" for argument, count in counts.items())
+        raise InputError(f"{kind}: {said}; give one of each per element")

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, SimulationError, require_count, require_positive
+from ..core.errors import (
+    InputError,
+    SimulationError,
+    require_count,
+    require_positive,
+    require_tolerance,
+)
 from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, numbers, signals
 from ..core.stop import verb
 from ..core.trajectory import Event, Trajectory
@@ -19,9 +25,6 @@ from .integrate import Integration, Method
 __all__ = ["evaluated", "simulate"]
 
 Array = NDArray[np.float64]
-
-LEAST_RTOL = 1e-14
-"""Some fifty times the spacing of numbers; below, an integrator counts rounding errors."""
 
 
 @verb
@@ -120,11 +123,7 @@ def evaluated(
 
 
 def _check_numerics(rtol: float, step: float | None, max_steps: int) -> None:
-    if not LEAST_RTOL <= require_positive("rtol", rtol) < 1:
-        raise InputError(
-            f"rtol = {rtol:g} must lie in {LEAST_RTOL:g} .. 1 (numbers have 16 digits); 1e-10 .. "
-            "1e-4 are usual"
-        )
+    require_tolerance("rtol", rtol)
     if step is not None:
         require_positive("step", step, "s")
     require_count("max_steps", max_steps)

@@ -303,3 +303,31 @@ def test_per_mass_and_efficiency_come_with_every_feed() -> None:
     motion = pam.simulate(pam.HangingLoad(heavy, 20.0), {"muscle.command": 4 * BAR}, duration=0.3)
     found = pam.simulation.stroke_work(motion)["muscle"]
     assert found.work_per_mass == pytest.approx(found.work / 0.5, rel=1e-12)
+
+
+# ---- one bad input each --------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: pam.fit_branches(3), "table is a int"),
+        (lambda: pam.compare_laws(None), "table is a NoneType"),
+        (lambda: pam.read_records([]), "sources is empty"),
+        (lambda: pam.Variable("a", "foo"), "causality = 'foo'"),
+        (lambda: pam.losses.Creep(-1), r"Creep\.stiffness = -1 N must be >= 0"),
+        (lambda: pam.losses.MaxwellSlip((1.0, 2.0), 0.01), "2 of friction and 1 of yield"),
+        (
+            lambda: pam.closed_loop(
+                lambda t, y: {}, pam.HangingLoad(MUSCLE), duration=0.1, rtol=1e-30
+            ),
+            "rtol = 1e-30 must lie in 1e-14",
+        ),
+        (
+            lambda: pam.control.kalman(pam.HangingLoad(MUSCLE), {"x": 0.02}, measured={}),
+            "measured is empty",
+        ),
+    ],
+)
+def test_what_no_verb_can_use_is_answered_by_one_sentence(call, words):
+    with pytest.raises(pam.InputError, match=words) as caught:
+        call()
+    assert "\n" not in str(caught.value)

@@ -135,6 +135,8 @@ def kalman(
     require_plant(plant)
     inversion, at = inside(plant, at)
     plant = at.plant
+    if not measured:
+        raise InputError("measured is empty: give {state or output: deviation of its noise}")
     names = [plant.variable(n).name for n in measured]
     noise = np.array([require_positive(f"measured[{n!r}]", s) for n, s in measured.items()])
     unknown = inversion.names(disturbances or {})

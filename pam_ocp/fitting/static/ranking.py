@@ -15,7 +15,7 @@ from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import polynomial_law
-from ..tables.force_table import ForceTable
+from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
 from .static import fit_force, law_class
 
@@ -131,6 +131,7 @@ def compare_laws(
     ------
     InputError : no law, or a name in ``fixed`` that no law knows.
     """
+    require_table(table)
     chosen: list[str | type[ForceLaw]] = (
         [*LAWS, polynomial_law(1, 3)] if laws is None else list(laws)
     )

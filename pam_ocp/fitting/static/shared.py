@@ -19,7 +19,7 @@ from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array, Coefficient, Linearisation, SerialErrors, SolverStatistics
-from ..tables.force_table import ForceTable
+from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
 from .doubts import at_edge, following
 from .least_squares import PLAIN, LeastSquares, Terms
@@ -417,10 +417,7 @@ def _named(tables: Any) -> dict[str, ForceTable]:
             for i, (s, t) in enumerate(zip(sources, chosen, strict=True))
         }
     for name, table in found.items():
-        if not isinstance(table, ForceTable):
-            raise InputError(
-                f"table {name} is a {type(table).__name__}; read it with read_table(...)"
-            )
+        require_table(table, f"table {name}")
     if len(found) < 2:
         raise InputError("tables: give at least two; one alone is for fit_force")
     return found

@@ -15,7 +15,7 @@ from ...core.stop import verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ..statistics import Array
-from ..tables.force_table import ForceTable
+from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
 from .high_breakdown import robust_start
 from .least_squares import LeastSquares, Loss, Terms, nonlinear_coefficients, sizes
@@ -87,8 +87,7 @@ def fit_force(
     FitError : the solver found no stationary point.
     """
     began = time.perf_counter()
-    if not isinstance(table, ForceTable):
-        raise InputError(f"table is a {type(table).__name__}; read it with read_table(...)")
+    require_table(table)
     kind = law_class(law)
     held = held_coefficients(kind, dict(fixed or {}), table)
     terms = Terms(
@@ -259,7 +258,7 @@ def fit_branches(
 
     Raises InputError for a table without branches.
     """
-    if not table.branches:
+    if not require_table(table).branches:
         raise InputError(
             "the table has no branches; label cells in a column 'branch' (inflation, deflation)"
         )

@@ -28,7 +28,7 @@ from .table_checks import (
     contraction_of,
 )
 
-__all__ = ["ForceTable", "read_table"]
+__all__ = ["ForceTable", "read_table", "require_table"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -274,3 +274,10 @@ def _near_headers(quantity: str, headers: Iterable[str]) -> list[str]:
     wanted = [quantity, "contraction"] if quantity == "length" else [quantity]
     near = [m for w in wanted for m in difflib.get_close_matches(w, plain, n=2, cutoff=0.6)]
     return [plain[m] for m in near]
+
+
+def require_table(value: Any, argument: str = "table") -> ForceTable:
+    """``value``, or an InputError when it is no ForceTable."""
+    if not isinstance(value, ForceTable):
+        raise InputError(f"{argument} is a {type(value).__name__}; read it with read_table(...)")
+    return value

@@ -83,6 +83,9 @@ def read_records(
     if split is None:
         if isinstance(sources, (str, Path, Mapping)) or not isinstance(sources, Iterable):
             sources = [sources]
+        sources = list(sources)
+        if not sources:
+            raise InputError("sources is empty: give at least one file or table")
         return [read_record(source, plant, **options) for source in sources]
     with naming(sources):
         return _parts(sources, plant, split, options)

@@ -176,7 +176,7 @@ def _load_file(source: str | Path) -> RawTable:
         if str(source) in bundled:
             return _read_text(bundled[str(source)].read_text("utf-8"), path.name, ".csv")
         folder = path.parent
-        beside = [f.name for f in folder.iterdir()] if folder.is_dir() else []
+        beside = [f.name for f in folder.iterdir() if f.is_file()] if folder.is_dir() else []
         near = difflib.get_close_matches(path.name, beside, n=3, cutoff=0.6)
         known = [str(folder / name) for name in near] + list(bundled)
         raise UnknownNameError("table file", str(source), known)
