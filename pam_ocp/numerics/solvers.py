@@ -12,7 +12,7 @@ import casadi as ca
 
 from ..core.stop import ask, native
 
-__all__ = ["Native", "Nlp", "conic", "integrator", "nlpsol", "stoppable"]
+__all__ = ["Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ipopt", "stoppable"]
 
 
 class Native:
@@ -46,6 +46,21 @@ def integrator(
 def conic(name: str, plugin: str, sparsities: Mapping[str, Any], options: Any) -> Native:
     """``casadi.conic``; ``.function`` is CasADi's own, for expressions and buffers."""
     return Native(ca.conic(name, plugin, sparsities, options))
+
+
+def quiet_ipopt(plugin: Mapping[str, Any] | None = None, /, **ipopt: Any) -> dict[str, Any]:
+    """Options of :func:`nlpsol` for IPOPT that prints nothing and only tells how it ended.
+
+    plugin : further options of CasADi's interface. ipopt : of IPOPT itself.
+    """
+    return {
+        "print_time": False,
+        "error_on_fail": False,
+        "calc_lam_p": False,
+        "show_eval_warnings": False,
+        **(plugin or {}),
+        "ipopt": {"print_level": 0, "sb": "yes", **ipopt},
+    }
 
 
 class _Watch(ca.Callback):

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ...core.errors import FitError
-from ...numerics.solvers import nlpsol
+from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..statistics import Array
 from .transcribe import FitProgram
 
@@ -62,20 +62,9 @@ def _interior_point(
     program: FitProgram, weights: Array, guess: Array, exact: bool, iterations: int
 ) -> GaussNewtonResult:
     w, residuals = program.w, program.residuals
-    options: Any = {
-        "print_time": False,
-        "error_on_fail": False,
-        "calc_lam_p": False,
-        "show_eval_warnings": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-8,
-            "max_iter": iterations,
-            "mu_strategy": "adaptive",
-            "honor_original_bounds": "yes",
-        },
-    }
+    options = quiet_ipopt(
+        tol=1e-8, max_iter=iterations, mu_strategy="adaptive", honor_original_bounds="yes"
+    )
     if not exact:
         jacobian = ca.jacobian(residuals, w)
         factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", program.defects.numel())

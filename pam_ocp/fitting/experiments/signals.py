@@ -18,7 +18,7 @@ import numpy as np
 from ...core.errors import FitError, InputError, SimulationError, UnknownNameError, require_positive
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
-from ...numerics.solvers import nlpsol
+from ...numerics.solvers import nlpsol, quiet_ipopt
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.simulator import simulate
 from ..dynamic.experiment import ParameterGroup, groups
@@ -288,23 +288,15 @@ def _improved(aim: _Aim, random: Sequence[Array], judged: Sequence[_Judged], tri
         constraints.append(ca.vec(e.kept(w)[:, 1:]))
         low.append(np.tile(least, e.count))
         high.append(np.tile(most, e.count))
-    options: Any = {
-        "print_time": False,
-        "error_on_fail": False,
-        "calc_lam_p": False,
-        "show_eval_warnings": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-5,
-            "acceptable_tol": 1e-3,
-            "acceptable_iter": 8,
-            "max_iter": ITERATIONS,
-            "mu_strategy": "adaptive",
-            "hessian_approximation": "limited-memory",
-            "honor_original_bounds": "yes",
-        },
-    }
+    options = quiet_ipopt(
+        tol=1e-5,
+        acceptable_tol=1e-3,
+        acceptable_iter=8,
+        max_iter=ITERATIONS,
+        mu_strategy="adaptive",
+        hessian_approximation="limited-memory",
+        honor_original_bounds="yes",
+    )
     nlp: Any = {"x": w, "f": aim.expression(w), "g": ca.vertcat(*constraints)}
     solver = nlpsol("design", "ipopt", nlp, options)
     best, least_value = random[order[0]], judged[order[0]]

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ...muscles.law import ForceLaw
-from ...numerics.solvers import Nlp, nlpsol
+from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, Loss, sizes
 
@@ -75,20 +75,9 @@ def _solver(
         pulled = law.function().map(slack)(limp[:, 0].T, limp[:, 1].T, ca.repmat(c, 1, slack))[0]
         constraints.append(pulled.T / unit)
     parameters = ca.veccat(base, scale, unit, edge, data, rows, limp)
-    options: Any = {
-        "expand": count <= EXPANDED,
-        "print_time": False,
-        "error_on_fail": False,
-        "calc_lam_p": False,
-        "show_eval_warnings": False,
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": 1e-11,
-            "max_iter": 300,
-            "honor_original_bounds": "yes",
-        },
-    }
+    options = quiet_ipopt(
+        {"expand": count <= EXPANDED}, tol=1e-11, max_iter=300, honor_original_bounds="yes"
+    )
     nlp: Any = {
         "x": ca.veccat(z, parts),
         "p": parameters,

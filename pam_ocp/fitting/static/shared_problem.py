@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import FitError
 from ...core.variables import Variable
-from ...numerics.solvers import Nlp, nlpsol
+from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, least_squares, sizes
 from .local_optimum import cosine
@@ -180,19 +180,7 @@ class JointProblem:
             rest = weights[first : first + n].T * (tension - ca.DM(cells.force).T) / unit
             objective += ca.sumsqr(rest) / 2
             first += n
-        options: Any = {
-            "print_time": False,
-            "error_on_fail": False,
-            "calc_lam_p": False,
-            "show_eval_warnings": False,
-            "ipopt": {
-                "print_level": 0,
-                "sb": "yes",
-                "tol": 1e-11,
-                "max_iter": 300,
-                "honor_original_bounds": "yes",
-            },
-        }
+        options = quiet_ipopt(tol=1e-11, max_iter=300, honor_original_bounds="yes")
         nlp: Any = {"x": z, "p": ca.vertcat(scale, unit, weights), "f": objective}
         return nlpsol("joint", "ipopt", nlp, options)
 
