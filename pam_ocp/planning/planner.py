@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import functools
 import time
 import warnings
@@ -27,57 +26,37 @@ from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from ..simulation.simulator import evaluated
+from .assembly import assembled, trust
 from .climb import Climb, ladder
+from .keywords import SEARCH, PlanKeywords, require_known
 from .opened import guess_in_openings
 from .problem.formulation import formulate
-from .problem.problem import Budget, Condition, Problem
-from .problem.statement import Cyclic, Statement, StatementKeywords
+from .problem.statement import Cyclic, Statement
 from .problem.wording import Avoid, Constraint, Phase, Stop
-from .refine import CLOSER, Checked, Refinement, checked
+from .refine import CLOSER, Refinement, checked
+from .renewal import renewed_rows, require_same_form
 from .result import Plan, Solved
 from .run import Run
 from .solvers.backend import Backend, SolverName
-from .solvers.diagnosis import Conflict, explanation
+from .solvers.diagnosis import explanation
 from .solvers.solver import Progress
 from .starts import MOST, Ends, number_of_starts
-from .transcription.mesh import Collocation, Mesh, Method, Shooting
-from .transcription.transcription import Program, Row, transcribe
+from .transcription.mesh import Collocation, Method, Shooting
+from .transcription.transcription import Program, transcribe
 from .verdict import TOLERANCE
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["PlanKeywords", "Planner", "SolveKeywords", "plan"]
+__all__ = ["Planner", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
-
-SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progress": "progress"}
-"""Keywords that say how a solution is searched, and the fields of Backend that hold them."""
 
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
 
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
-
-
-class PlanKeywords(StatementKeywords, total=False):
-    """What is asked, and how it is searched: the keywords of all verbs that plan."""
-
-    method: Method | None
-    progress: Progress
-    solver: SolverName
-    compiled: bool
-    options: Mapping[str, Any] | None
-
-
-class SolveKeywords(PlanKeywords, total=False):
-    """All keywords of :func:`plan`."""
-
-    tolerance: float | None
-    guess: Plan | None
-    starts: int | None
 
 
 @verb
@@ -228,7 +207,7 @@ class Planner:
         **keywords: Unpack[PlanKeywords],
     ) -> None:
         begin = time.perf_counter()
-        _require_known(keywords)
+        require_known(keywords)
         said: dict[str, Any] = dict(keywords)
         method: Method | None = said.pop("method", None)
         search = {SEARCH[name]: said.pop(name) for name in SEARCH if name in said}
@@ -298,7 +277,7 @@ class Planner:
         figures["iterations"] = outcome.iterations
         if not outcome.success:
             figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
-            failed = _plan(found[0], figures, conflicts=run.conflicts)
+            failed = assembled(found[0], figures, conflicts=run.conflicts)
             words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
             raise PlanError(words, failed)
         base = found[0]
@@ -309,13 +288,13 @@ class Planner:
         if refinement.cut or deadline().over:
             figures["ended"] = f"{deadline()} was over"
         figures["iterations"] += refinement.iterations + climb.iterations
-        figures |= _trust(refinement, climb, tolerance)
+        figures |= trust(refinement, climb, tolerance)
         figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
         meshes, first = refinement.meshes, refinement.first
         best = refinement.best.explained(tolerance or TOLERANCE)
         if any(first is each for each in climb.rungs[1:]):
             first, meshes = base, [base.program.mesh, *meshes]
-        result = _plan(best.found, figures, best, tuple(meshes), first, tolerance)
+        result = assembled(best.found, figures, best, tuple(meshes), first, tolerance)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
             warnings.warn(message, PlanWarning, stacklevel=outside())
@@ -433,140 +412,6 @@ class Planner:
                 )
         plant = self.plant.with_values(values) if values else self.plant
         problem = formulate(plant, replace(self._statement, **changed))
-        _require_same_form(self._program.problem, problem)
-        rows = _renewed(self._program, problem)
+        require_same_form(self._program.problem, problem)
+        rows = renewed_rows(self._program, problem)
         return replace(self._program, problem=problem, rows=rows)
-
-
-def _trust(refinement: Refinement, climb: Climb, tolerance: float | None) -> dict[str, Any]:
-    """Figures of how far an economical objective has settled, and what did not go as asked."""
-    figures: dict[str, Any] = {}
-    words = [refinement.warning]
-    if climb.rungs and tolerance is not None:
-        gap = climb.above(refinement.best.found)
-        figures |= {"objective_change": climb.change, "objective_gap": gap}
-        words += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
-    if any(words):
-        figures["warning"] = "; ".join(filter(None, words))
-    return figures
-
-
-def _unsettled(gap: float, tolerance: float) -> str:
-    """What is said of an economical objective that finer meshes may yet lower."""
-    far = f"{100 * gap:.2g} %" if gap == gap else "an unknown part"
-    return (
-        f"the objective has not settled to {tolerance:.0e}: it may lie {far} above its least, "
-        "which finer meshes (method=Collocation(intervals)) or a plan as guess may reach"
-    ).replace("e-0", "e-")
-
-
-def _require_known(keywords: Mapping[str, Any]) -> None:
-    """Raise a TypeError that names the nearest keyword."""
-    known = (*StatementKeywords.__annotations__, *SEARCH, "method")
-    for name in keywords:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"it knows {', '.join(known)}"
-            raise TypeError(f"a planner takes no argument {name!r}; {hint}")
-
-
-def _shape(problem: Problem) -> tuple[object, ...]:
-    """What the expressions of a program depend on."""
-    return (
-        [[c.label for c in node] for node in problem.nodes],
-        [[c.label for c in leg.path] for leg in problem.legs],
-        [b.label for b in problem.budgets],
-        len(problem.auxiliaries),
-        list(problem.design),
-        len(problem.profiles),
-        len(problem.aims),
-        problem.closing,
-        [leg.duration[0] == leg.duration[1] for leg in problem.legs],
-    )
-
-
-def _require_same_form(old: Problem, new: Problem) -> None:
-    if _shape(old) != _shape(new):
-        raise InputError(
-            "the changed stops, bounds or budgets name other variables than those the planner was "
-            "built with; only numbers may change. Make a new Planner"
-        )
-    if any(a is not b for a, b in zip(old.profiles, new.profiles, strict=True)):
-        raise InputError("a Profile cannot change in a built planner; make a new Planner")
-
-
-def _renewed(program: Program, problem: Problem) -> tuple[Row, ...]:
-    """The rows of a program with the limits of another problem of the same form."""
-    old = program.problem
-    pairs: list[tuple[Sequence[Condition | Budget], Sequence[Condition | Budget]]] = [
-        *zip(old.nodes, problem.nodes, strict=True),
-        *((a.path, b.path) for a, b in zip(old.legs, problem.legs, strict=True)),
-        (old.budgets, problem.budgets),
-        *(
-            (a.conditions, b.conditions)
-            for a, b in zip(old.auxiliaries, problem.auxiliaries, strict=True)
-        ),
-    ]
-    image: dict[int, Condition | Budget] = {
-        id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)
-    }
-
-    def renewed(row: Row, condition: Condition | Budget) -> Condition | Budget:
-        if id(condition) in image:
-            return image[id(condition)]
-        # an input between its points: its limits are the leg's bounds
-        leg = problem.legs[program.mesh.intervals[row.members[0]].leg]
-        low, high = leg.bounds[condition.label]
-        return replace(condition, low=low, high=high)
-
-    return tuple(
-        replace(row, conditions=tuple(renewed(row, c) for c in row.conditions))
-        for row in program.rows
-    )
-
-
-def _plan(
-    found: Solved,
-    figures: Mapping[str, Any],
-    check: Checked | None = None,
-    meshes: tuple[Mesh, ...] = (),
-    coarse: Solved | None = None,
-    tolerance: float | None = TOLERANCE,
-    conflicts: tuple[Conflict, ...] = (),
-) -> Plan:
-    """The Plan of a solution that was checked, or of what a solver left that failed."""
-    program, outcome, solution = found.program, found.outcome, found.solution
-    problem = program.problem
-    plant = check.plant if check else problem.plant
-    samples = (
-        check.samples if check else evaluated(plant, solution.t, solution.states, solution.inputs)
-    )
-    statistics = {
-        **({"warning": outcome.warning} if outcome.warning else {}),
-        **figures,
-        "solver": outcome.solver,
-        "solve_seconds": outcome.seconds,
-        "variables": len(outcome.w),
-        "constraints": len(outcome.lam_g),
-        "intervals": len(program.mesh.intervals),
-    }
-    design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
-    return Plan(
-        plant,
-        outcome.success,
-        outcome.status,
-        outcome.objective,
-        tuple(float(d) for d in solution.durations),
-        design,
-        statistics,
-        check.replay if check else None,
-        meshes or (program.mesh,),
-        outcome.log,
-        conflicts,
-        tolerance or TOLERANCE,
-        samples,
-        problem,
-        found,
-        coarse,
-        tuple(map(float, solution.peaks)),
-    )

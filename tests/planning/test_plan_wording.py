@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, Phase, Profile, Shooting, Stop
-from pam_ocp.planning.planner import SolveKeywords
+from pam_ocp.planning.keywords import SolveKeywords
 
 POLYNOMIAL = Collocation(6, 6, "polynomial")
 

@@ -16,7 +16,8 @@ from ...core.errors import InputError, PlanError, require_count, require_positiv
 from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
 from ...plants.plant import Plant, require_plant
-from ..planner import PlanKeywords, Planner
+from ..keywords import PlanKeywords
+from ..planner import Planner
 from ..problem.objective import budget
 from ..problem.wording import Stop, subject
 from ..result import Plan

@@ -25,7 +25,8 @@ from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
 from ...simulation.simulator import evaluated
-from ..planner import SolveKeywords, plan
+from ..keywords import SolveKeywords
+from ..planner import plan
 from ..problem.wording import Stop
 from ..result import Plan, Solved
 from .ensemble_problem import ensemble_arguments, ensemble_stop

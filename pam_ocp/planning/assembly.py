@@ -1,0 +1,85 @@
+"""The Plan that a search has come to, with its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..simulation.simulator import evaluated
+from .climb import Climb
+from .refine import Checked, Refinement
+from .result import Plan, Solved
+from .solvers.diagnosis import Conflict
+from .transcription.mesh import Mesh
+from .verdict import TOLERANCE
+
+__all__ = ["assembled", "trust"]
+
+
+def assembled(
+    found: Solved,
+    figures: Mapping[str, Any],
+    check: Checked | None = None,
+    meshes: tuple[Mesh, ...] = (),
+    coarse: Solved | None = None,
+    tolerance: float | None = TOLERANCE,
+    conflicts: tuple[Conflict, ...] = (),
+) -> Plan:
+    """The Plan of a solution that was checked, or of what a solver left that failed."""
+    program, outcome, solution = found.program, found.outcome, found.solution
+    problem = program.problem
+    plant = check.plant if check else problem.plant
+    samples = (
+        check.samples if check else evaluated(plant, solution.t, solution.states, solution.inputs)
+    )
+    statistics = {
+        **({"warning": outcome.warning} if outcome.warning else {}),
+        **figures,
+        "solver": outcome.solver,
+        "solve_seconds": outcome.seconds,
+        "variables": len(outcome.w),
+        "constraints": len(outcome.lam_g),
+        "intervals": len(program.mesh.intervals),
+    }
+    design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
+    return Plan(
+        plant,
+        outcome.success,
+        outcome.status,
+        outcome.objective,
+        tuple(float(d) for d in solution.durations),
+        design,
+        statistics,
+        check.replay if check else None,
+        meshes or (program.mesh,),
+        outcome.log,
+        conflicts,
+        tolerance or TOLERANCE,
+        samples,
+        problem,
+        found,
+        coarse,
+        tuple(map(float, solution.peaks)),
+    )
+
+
+def trust(refinement: Refinement, climb: Climb, tolerance: float | None) -> dict[str, Any]:
+    """Figures of how far an economical objective has settled, and what did not go as asked."""
+    figures: dict[str, Any] = {}
+    words = [refinement.warning]
+    if climb.rungs and tolerance is not None:
+        gap = climb.above(refinement.best.found)
+        figures |= {"objective_change": climb.change, "objective_gap": gap}
+        words += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
+    if any(words):
+        figures["warning"] = "; ".join(filter(None, words))
+    return figures
+
+
+def _unsettled(gap: float, tolerance: float) -> str:
+    """What is said of an economical objective that finer meshes may yet lower."""
+    far = f"{100 * gap:.2g} %" if gap == gap else "an unknown part"
+    return (
+        f"the objective has not settled to {tolerance:.0e}: it may lie {far} above its least, "
+        "which finer meshes (method=Collocation(intervals)) or a plan as guess may reach"
+    ).replace("e-0", "e-")
