@@ -19,7 +19,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType, FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
@@ -32,6 +32,7 @@ __all__ = [
     "ask",
     "check",
     "deadline",
+    "interruptible",
     "limited",
     "locked",
     "native",
@@ -256,6 +257,14 @@ def _until(moment: Deadline) -> Iterator[None]:
         _here.deadline = outer
         if timer is not None:
             timer.cancel()
+
+
+def interruptible() -> AbstractContextManager[None]:
+    """What a signal's handler raises in the ``with`` comes out of it, whatever became of it within.
+
+    No turns are taken: for what may run while another thread waits for this one, as imports do.
+    """
+    return _signals
 
 
 def verb(function: Callable[P, R]) -> Callable[P, R]:

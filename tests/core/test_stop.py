@@ -17,6 +17,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.core.errors import OutOfTime
+from pam_ocp.core.lazy import lazily
 from pam_ocp.core.stop import TimeIsUp, check, deadline, limited, native, spared, verb
 from pam_ocp.planning import Collocation
 
@@ -73,6 +74,24 @@ def test_what_a_call_swallows_comes_out_behind_it():
             verb(swallows)(then)
     assert signal.getsignal(signal.SIGINT) is before
     check()  # and it is over
+
+
+def test_ctrl_c_while_a_name_is_loaded_comes_out_as_itself(tmp_path, monkeypatch):
+    """Python below 3.12 makes a RuntimeError of what is raised while a class is made."""
+    body = """
+        import signal
+        class Interrupted:
+            def __set_name__(self, owner, name):
+                signal.raise_signal(signal.SIGINT)
+        class Noun:
+            member = Interrupted()
+    """
+    (tmp_path / "face_of_a_test").mkdir()
+    (tmp_path / "face_of_a_test" / "noun.py").write_text(textwrap.dedent(body))
+    monkeypatch.syspath_prepend(tmp_path)
+    ask, _ = lazily("face", "face_of_a_test", {"Noun": "noun"})
+    with pytest.raises(KeyboardInterrupt):
+        ask("Noun")
 
 
 def test_a_handler_that_raises_nothing_interrupts_nothing():
