@@ -70,7 +70,7 @@ class ClosedLoop:
 
         Raises InputError where the loop was not told what is to be reached.
         """
-        require_positive("window", window, "s")
+        window = require_positive("window", window, "s")
         if self.reference is None:
             raise InputError("steady_error: the loop knows no reference; give closed_loop one")
         late = self.t >= self.t[-1] - window

@@ -72,7 +72,20 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "psi": (_exponents(kg=1, m=-1, s=-2), 6894.757293168),
 }
 
-_TOKEN = re.compile(r"(?P<symbol>[A-Za-z%]+|1)(?P<power>-?\d+)?$")
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
+
+
+def _symbol(name: str) -> tuple[tuple[int, ...], float] | None:
+    """Exponents and factor of a symbol, with a prefix or without; None when it is not known."""
+    if name in _SYMBOLS:
+        return _SYMBOLS[name]
+    prefix, plain = _PREFIXES.get(name[:1]), name[1:]
+    if prefix is None or plain not in ("m", "s", "l", "Hz", "N", "J", "W", "Pa", "rad", "bar"):
+        return None
+    return _SYMBOLS[plain][0], prefix * _SYMBOLS[plain][1]
+
+
+_TOKEN = re.compile(r"(?P<symbol>[A-Za-z%µ]+|1)(?P<power>-?\d+)?$")
 
 
 @cache
@@ -89,10 +102,11 @@ def unit(name: str) -> Unit:
     for part, sign in ((numerator, 1), (denominator.strip("()"), -1)):
         for token in filter(None, part.strip("()").split(".")):
             match = _TOKEN.match(token)
-            if match is None or match["symbol"] not in _SYMBOLS:
+            known = match and _symbol(match["symbol"])
+            if match is None or known is None:
                 raise UnknownNameError("unit", name, _SYMBOLS)
             power = sign * int(match["power"] or 1)
-            base, scale = _SYMBOLS[match["symbol"]]
+            base, scale = known
             exponents = [e + power * b for e, b in zip(exponents, base, strict=True)]
             factor *= scale**power
     return Unit(name, tuple(exponents), factor)

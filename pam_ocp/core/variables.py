@@ -13,7 +13,7 @@ import numpy as np
 from . import units
 from .errors import InputError
 from .plausible import doubt, meant_within
-from .quantities import quantity
+from .quantities import is_quantity, quantity
 
 __all__ = ["Causality", "Memory", "Variable", "variable_of"]
 
@@ -104,7 +104,7 @@ class Variable:
 
         InputError when it is no number. Infinite and NaN pass here.
         """
-        if isinstance(value, str):
+        if is_quantity(value):
             return quantity(f"{self.name}: {argument}", value, self.unit)
         if isinstance(value, bool | np.bool_) or np.ndim(value) > 0:
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number")

@@ -133,8 +133,8 @@ def check_fmu(
     """
     file = Path(path)
     require_positive("tolerance", tolerance)
-    require_positive("duration", duration, "s")
-    require_positive("time_limit", time_limit, "s")
+    duration = require_positive("duration", duration, "s")
+    time_limit = require_positive("time_limit", time_limit, "s")
     require_instance("against", against, Trajectory, "give a Trajectory, or none", none=True)
     values = {n: require_finite(f"parameters: {n}", v) for n, v in (parameters or {}).items()}
     if not file.is_file():

@@ -12,6 +12,7 @@ import casadi as ca
 
 from ..core.errors import InputError, require_positive
 from ..core.plausible import doubt
+from ..core.quantities import is_quantity, quantity
 from ..core.stop import locked
 from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
 from .validity import Validity
@@ -123,6 +124,8 @@ class Muscle:
         return replace(self, law=law, rest_length=rest_length)
 
     def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
+        p = quantity("p", p, "Pa") if is_quantity(p) else p
+        kappa = quantity("kappa", kappa, "1") if is_quantity(kappa) else kappa
         rest = [*self.law.values.values(), self.rest_length, self.slack_width]
         if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
             self.law.validity.check(f"{self.law.name} law", p, kappa)

@@ -218,11 +218,12 @@ class Plan:
     def __str__(self) -> str:
         s = self.statistics
         verdict = str(self.verdict)
+        counted = self._problem.objective.words if self._problem else ""
         lines = [
             f"{verdict if self.verified else verdict.upper()[:12] + verdict[12:]}",
             f"plan of {self.plant.name}: {self.status}",
             f"duration   {self.duration:.6g} s ({' + '.join(f'{d:.6g}' for d in self.durations)})",
-            f"objective  {self.objective:.6g}",
+            f"objective  {self.objective:.6g}" + (f" = {counted}" if counted else ""),
             f"solver     {s.get('solver', 'IPOPT')}, {s['iterations']} iterations, "
             f"{s['solve_seconds']:.3f} s (built in {s['build_seconds']:.3f} s; {s['variables']} "
             f"variables, {s['constraints']} constraints)",

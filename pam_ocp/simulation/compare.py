@@ -86,7 +86,7 @@ def compare_with_record(
     Raises InputError when nothing can be compared (no common column, no common time).
     """
     if max_shift:
-        require_positive("max_shift", max_shift, "s")
+        max_shift = require_positive("max_shift", max_shift, "s")
     if names is None:
         names = [
             n

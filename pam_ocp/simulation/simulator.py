@@ -85,7 +85,7 @@ def simulate(
     if start is not None and not isinstance(start, Mapping):
         plant = plant.with_values(by_name("start", start, "input"))
     times = _times(inputs, duration, t)
-    _check_numerics(rtol, step, max_steps)
+    step = _check_numerics(rtol, step, max_steps)
     events = (events,) if isinstance(events, str) else tuple(events)
     x0 = plant.vector("state", _start(plant, inputs, start))
     u = signals(plant, inputs, times, interpolation)
@@ -122,18 +122,18 @@ def evaluated(
     return Trajectory(t, columns, variables, between, events, inputs)
 
 
-def _check_numerics(rtol: float, step: float | None, max_steps: int) -> None:
+def _check_numerics(rtol: float, step: float | None, max_steps: int) -> float | None:
+    """The step [s]; InputError where one of these is none."""
     require_tolerance("rtol", rtol)
-    if step is not None:
-        require_positive("step", step, "s")
     require_count("max_steps", max_steps)
+    return None if step is None else require_positive("step", step, "s")
 
 
 def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
     if t is not None:
         if duration is not None:
             raise InputError("give duration or t, not both")
-        times = numbers("t", t)
+        times = numbers("t", t, "s")
         if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
             raise InputError("t must hold at least two times that rise from sample to sample")
         return times

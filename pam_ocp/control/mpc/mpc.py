@@ -134,7 +134,7 @@ class Mpc:
         require_positive("penalty", penalty)
         require_positive("tolerance", tolerance)
         self.plant, self.horizon, self.delay = plant, horizon, delay
-        self.sample_time = float(sample_time)
+        self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
         self.model = rounded(inversion.inner, KINKS)
@@ -508,8 +508,9 @@ def _pairs(plant: Plant, bounds: Mapping[str, Any] | None) -> dict[str, tuple[fl
 def _pair(variable: Variable, value: Any) -> tuple[float, float]:
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
         raise InputError(f"bounds[{variable.name!r}] = {value!r}: give (low, high)")
-    low = -math.inf if value[0] is None else require_finite(f"bounds[{variable.name!r}]", value[0])
-    high = math.inf if value[1] is None else require_finite(f"bounds[{variable.name!r}]", value[1])
+    label = f"bounds[{variable.name!r}]"
+    low = -math.inf if value[0] is None else require_finite(label, value[0], variable.unit)
+    high = math.inf if value[1] is None else require_finite(label, value[1], variable.unit)
     if low > high:
         raise InputError(f"bounds[{variable.name!r}] = {value!r}: the bounds are crossed")
     return low, high
