@@ -21,6 +21,7 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
+from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from .archive import printable
 from .isolation import run_alone
@@ -30,6 +31,7 @@ __all__ = ["FmuCheck", "check_fmu"]
 Array: TypeAlias = NDArray[np.float64]
 
 
+@shown
 @dataclass(frozen=True)
 class FmuCheck:
     """What :func:`check_fmu` found. ``print`` it for a report; ``ok`` for a verdict."""

@@ -6,20 +6,26 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from .. import courtesy
 from ..core.errors import InputError, require_positive
 from ..core.plausible import doubt
 from ..core.quantities import is_quantity, quantity
+from ..core.shown import shown
 from ..core.stop import locked
 from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
 from .validity import Validity
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Muscle"]
 
 
+@shown
 @locked
 @dataclass(frozen=True)
 class Muscle:
@@ -122,6 +128,15 @@ class Muscle:
         if "rest_length" in law.values:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
         return replace(self, law=law, rest_length=rest_length)
+
+    def plot(self) -> Figure:
+        """Force and stiffness over contraction, one line per pressure, where it was measured."""
+        return courtesy.plot_muscle(self)
+
+    def _brief(self) -> str:
+        if isinstance(self.rest_length, ca.SX):
+            return f"{self.name}: {self.law.title}"
+        return f"{self.name}: {self.law.title}, rest length {1e3 * self.rest_length:g} mm"
 
     def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
         p = quantity("p", p, "Pa") if is_quantity(p) else p

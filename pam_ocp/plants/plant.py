@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, UnknownNameError
 from ..core.expressions import scalar_expression
+from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality, Variable
 from ..muscles.dead_zone import dead_zone, dead_zone_inverse
@@ -115,6 +116,7 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
     )
 
 
+@shown
 @locked
 class Plant:
     """A system to move: states x, inputs u, parameters p; x' = f(x, u, p), y = g(x, u, p).

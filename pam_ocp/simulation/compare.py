@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_positive
+from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 
@@ -37,6 +38,7 @@ class Agreement:
     """Mean of measured - simulated."""
 
 
+@shown
 @dataclass(frozen=True)
 class RecordComparison:
     """A simulation against a record, over their common time."""

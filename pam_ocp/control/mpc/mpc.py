@@ -23,6 +23,7 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.plausible import outside
+from ...core.shown import shown
 from ...core.signals import PiecewisePolynomial
 from ...core.stop import locked
 from ...core.trajectory import Trajectory
@@ -56,6 +57,7 @@ FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
 
+@shown
 @locked
 @CONTROLLERS.register("mpc")
 class Mpc:
@@ -146,7 +148,7 @@ class Mpc:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
         how = Step(sample_time, method, substeps)
         track, terminal = inversion.names(track), terminal and inversion.names(terminal)
-        penalties = _penalties(self.model, track, terminal)
+        self._penalties = penalties = _penalties(self.model, track, terminal)
         rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
         limits = _limits(self.model, self.given, inversion.bounds(_pairs(plant, bounds)), soft)
         self.program = TrackingProgram(
@@ -265,6 +267,11 @@ class Mpc:
         si = self._applied * self.program.u_nominal
         chosen = {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
         return self.inversion.commands(chosen, q[: len(self.plant.parameters)])
+
+    def _brief(self) -> str:
+        names = ", ".join(p.variable.name for p in self._penalties)
+        length = f"{self.horizon} x {1e3 * self.sample_time:g} ms"
+        return f"of {self.plant.name}: horizon {length}, tracks {names}"
 
     def prediction(self) -> Trajectory:
         """The planned motion of the last call,

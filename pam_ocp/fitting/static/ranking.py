@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import polynomial_law
@@ -69,6 +70,7 @@ class ComparedLaw:
         return float(n * np.log(squares / n) + price * (self.parameters + 1))
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class LawComparison:
     """Laws on one table, the best at a level left out first; those without a fit last."""

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.errors import InputError, UnknownNameError, require_positive
+from ...core.shown import shown
 from ...core.units import unit
 from .labels import LABELS, read_labels
 from .sources import SPELLINGS, RawTable, load, naming, parse_header
@@ -33,6 +34,7 @@ __all__ = ["ForceTable", "read_table", "require_table"]
 Array: TypeAlias = NDArray[np.float64]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class ForceTable:
     """Static force of one muscle, cell by cell.
