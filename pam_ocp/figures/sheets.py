@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SHEETS"]
 
+ROUNDING = 1e-12
+"""So small a part of the nominal is none."""
 KINDS = ("state", "input", "output", "parameter", "constraint")
 
 
@@ -33,6 +35,8 @@ def _number(value: float | None, variable: Variable) -> str:
         return ""
     if not math.isfinite(value):
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "nan")
+    if abs(value) < ROUNDING * variable.nominal:
+        value = 0.0
     return f"{value / variable.display_factor + 0.0:.6g}"
 
 
@@ -62,7 +66,9 @@ def _muscle(muscle: Muscle) -> Sheet:
         "diameter": "" if muscle.diameter is None else f"{1e3 * muscle.diameter:.6g} mm",
         "mass": "" if muscle.mass is None else f"{muscle.mass:.6g} kg",
         "measured": f"{low:.4g} .. {high:.4g} bar gauge, {least:.4g} .. {most:.4g} % contraction",
-        "numbers": " ".join(filter(None, (muscle.obtained, muscle.source))),
+        "numbers": muscle.source
+        if muscle.source.startswith(muscle.obtained)
+        else f"{muscle.obtained}: {muscle.source}",
     }
     coefficients = [(n, f"{v:.8g}") for n, v in muscle.law.values.items()]
     return Sheet(
