@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite
 from ..muscles.law import ForceLaw
+from ..numerics.elementwise import Elementwise
 
 __all__ = [
     "Coefficient",
@@ -26,6 +27,9 @@ __all__ = [
     "Prediction",
     "SerialErrors",
     "SolverStatistics",
+    "curvature",
+    "forces",
+    "forces_and_slopes",
     "sensitivity",
     "student_t",
 ]
@@ -34,6 +38,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-9
 """Singular values below this times the largest count as zero (columns of unit length)."""
+BLOCK = 16384
+"""Values that are held for each operation of a law's functions."""
 NEARLY_DEPENDENT = 100.0
 """Condition number of the scaled Jacobian from which a fit says what the data hardly see."""
 
@@ -41,12 +47,75 @@ NEARLY_DEPENDENT = 100.0
 @cache
 def sensitivity(law: type[ForceLaw]) -> ca.Function:
     """CasADi function (p, kappa, coefficients) -> (tension, exact dF/dcoefficients as a row)."""
+    p, kappa, c, tension = _expression(law)
+    both = [ca.densify(tension), ca.densify(ca.jacobian(tension, c))]
+    return ca.Function("sensitivity", [p, kappa, c], both)
+
+
+def _expression(law: type[ForceLaw]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     function = law.function()
     p, kappa = ca.SX.sym("p"), ca.SX.sym("kappa")
     c = ca.SX.sym("c", function.size1_in(2))
-    tension = function(p, kappa, c)[0]
-    both = [ca.densify(tension), ca.densify(ca.jacobian(tension, c))]
-    return ca.Function("sensitivity", [p, kappa, c], both)
+    return p, kappa, c, function(p, kappa, c)[0]
+
+
+@cache
+def _elementwise(law: type[ForceLaw], order: int) -> Elementwise:
+    """Tension (order 0), with its gradient (1), or the upper triangle of its second derivatives."""
+    p, kappa, c, tension = _expression(law)
+    if order == 2:
+        second = ca.triu(ca.hessian(tension, c)[0])
+        return Elementwise(ca.Function("second", [p, kappa, c], [second]))
+    whole = sensitivity(law) if order else ca.Function("law", [p, kappa, c], [ca.densify(tension)])
+    return Elementwise(whole)
+
+
+@cache
+def second_places(law: type[ForceLaw]) -> tuple[tuple[int, int], ...]:
+    """(row, column), row <= column, of the second derivatives that are not zero by structure."""
+    _, _, c, tension = _expression(law)
+    rows, columns = ca.triu(ca.hessian(tension, c)[0]).sparsity().get_triplet()
+    return tuple(zip(rows, columns, strict=True))
+
+
+def forces(law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array) -> Array:
+    """Tension (m, n) at places (n,) for coefficients (m, all)."""
+    return _in_blocks(law, 0, p, kappa, coefficients)[:, 0]
+
+
+def forces_and_slopes(
+    law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array
+) -> tuple[Array, Array]:
+    """Tension (m, n) and its derivatives (m, n, all) at places (n,) for coefficients (m, all)."""
+    both = _in_blocks(law, 1, p, kappa, coefficients)
+    return both[:, 0], both[:, 1:].transpose(0, 2, 1)
+
+
+def curvature(
+    law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array, factors: Array
+) -> Array:
+    """Sum of the second derivatives (all, all) over places (n,), each times its factor (n,)."""
+    size = coefficients.size
+    summed = _in_blocks(law, 2, p, kappa, coefficients[None])[0] @ factors
+    whole = np.zeros((size, size))
+    for (row, column), value in zip(second_places(law), summed, strict=True):
+        whole[row, column] = whole[column, row] = value
+    return whole
+
+
+def _in_blocks(
+    law: type[ForceLaw], order: int, p: Array, kappa: Array, coefficients: Array
+) -> Array:
+    """Outputs (m, outputs, n) of the law's functions; so many places at a time as a cache holds."""
+    function, (m, n) = _elementwise(law, order), (len(coefficients), len(p))
+    found = np.empty((m, function.outputs, n))
+    columns = coefficients.T[:, :, None]
+    step = max(256, BLOCK // max(m, 1))
+    for low in range(0, n, step):
+        part = slice(low, low + step)
+        for i, value in enumerate(function(p[None, part], kappa[None, part], *columns)):
+            found[:, i, part] = value
+    return found
 
 
 def student_t(level: float, dof: int) -> float:

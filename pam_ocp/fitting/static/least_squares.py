@@ -10,8 +10,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
-from typing import Any, Literal, TypeAlias
+from functools import cache, cached_property
+from typing import Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ...core.variables import Variable
 from ...muscles.law import ForceLaw
-from ..statistics import Array, sensitivity
+from ..statistics import Array, curvature, forces, forces_and_slopes
 from ..tables.force_table import ForceTable
 
 __all__ = [
@@ -36,8 +36,6 @@ __all__ = [
 DECADES = (-2.0, 1.5)
 """A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
 POINTS_PER_DECADE = 12
-BLOCK = 4096
-"""Cells that one call of CasADi evaluates."""
 AT_ONCE = 100_000
 """Cells times scan points that are held in memory at once."""
 REWEIGHTINGS = 12
@@ -205,15 +203,27 @@ class LeastSquares:
 
     def evaluate(self, coefficients: Array) -> tuple[Array, Array]:
         """Weighted residuals (m, n) and Jacobians (m, n, all) at coefficients (m, all)."""
-        m, n = len(coefficients), len(self.cells)
-        tension, jacobian = _sensitivities(
-            self.law,
-            np.tile(self.cells.pressure, m),
-            np.tile(self.cells.contraction, m),
-            np.repeat(coefficients, n, axis=0),
+        cells = self.cells
+        tension, jacobian = forces_and_slopes(
+            self.law, cells.pressure, cells.contraction, coefficients
         )
-        tension, jacobian = tension.reshape(m, n), jacobian.reshape(m, n, -1)
-        return self.weights * (self.cells.force - tension), self.weights[:, None] * jacobian
+        tension -= cells.force
+        tension *= -self.weights
+        jacobian *= self.weights[:, None]
+        return tension, jacobian
+
+    def residuals(self, coefficients: Array) -> Array:
+        """The residuals (m, n) of :meth:`evaluate` alone."""
+        cells = self.cells
+        tension = forces(self.law, cells.pressure, cells.contraction, coefficients)
+        return self.weights * (cells.force - tension)
+
+    def curvature(self, coefficients: Array, residuals: Array) -> Array:
+        """What the second derivatives of the residuals add to J^T J (all, all)."""
+        cells = self.cells
+        return -curvature(
+            self.law, cells.pressure, cells.contraction, coefficients, self.weights * residuals
+        )
 
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]:
         """As :meth:`evaluate`, with one more row for each prior."""
@@ -229,16 +239,18 @@ class LeastSquares:
 
     def tension_where_slack(self, coefficients: Array) -> tuple[Array, Array]:
         """Tension (s,) at the slack cells and its derivatives (s, all)."""
-        tension, jacobian = sensitivity(self.law)(
-            self.slack.pressure[None], self.slack.contraction[None], coefficients
+        slack = self.slack
+        tension, jacobian = forces_and_slopes(
+            self.law, slack.pressure, slack.contraction, coefficients[None]
         )
-        return np.asarray(tension).ravel(), np.asarray(jacobian).reshape(len(self.slack), -1)
+        return tension[0], jacobian[0]
 
     def cost(self, coefficients: Array) -> float:
         """Sum of the losses, of squares for priors [N2]."""
-        residuals = self.with_priors(coefficients[None])[0][0]
-        n = len(self.cells)
-        return float(np.sum(self.terms.rho(residuals[:n])) + np.sum(residuals[n:] ** 2))
+        rows, targets = self.priors
+        with np.errstate(over="ignore", invalid="ignore"):
+            own = np.sum(self.terms.rho(self.residuals(coefficients[None])[0]))
+            return float(own + np.sum((targets - rows @ coefficients) ** 2))
 
     def linear_in(
         self, values: Array, rows: Callable[[Array], tuple[Array, Array]]
@@ -293,33 +305,6 @@ def least_squares(columns: Array, target: Array) -> Array:
     parts = np.einsum("mnk,mn->mk", u, target)
     parts = np.divide(parts, s, out=np.zeros_like(parts), where=s > 1e-10 * s[:, :1])
     return np.asarray(np.einsum("mkl,mk->ml", vt, parts) / norms)
-
-
-def _sensitivities(
-    law: type[ForceLaw], pressure: Array, contraction: Array, coefficients: Array
-) -> tuple[Array, Array]:
-    """Tension (n,) and its derivatives (n, all) at n points, coefficients (n, all).
-
-    In blocks, straight from and to NumPy's memory: CasADi's own conversions go number by number.
-    """
-    n = len(pressure)
-    tension, jacobian = np.empty(n), np.empty((n, coefficients.shape[1]))
-    arguments = [np.ascontiguousarray(a, float) for a in (pressure, contraction, coefficients)]
-    for low in range(0, n, BLOCK):
-        part = slice(low, min(low + BLOCK, n))
-        buffer: Any
-        buffer, call = _mapped(law, part.stop - low).buffer()
-        for i, argument in enumerate(arguments):
-            buffer.set_arg(i, argument[part].data)
-        for i, result in enumerate((tension, jacobian)):
-            buffer.set_res(i, result[part].data)
-        call()
-    return tension, jacobian
-
-
-@lru_cache(maxsize=64)
-def _mapped(law: type[ForceLaw], count: int) -> ca.Function:
-    return sensitivity(law).map(count)
 
 
 def sizes(variable: Variable) -> Array:

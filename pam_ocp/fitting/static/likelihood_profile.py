@@ -179,7 +179,7 @@ def _others(fit: Optimum, name: str, start: Array, moved: list[int]) -> tuple[Ar
     be slack there, the place is out of reach: it costs more than any limit (but a finite sum).
     """
     if not fit.problem.censored:
-        return descend(fit.problem, start, moved)
+        return descend(fit.problem, start, moved)[:2]
     beyond = float(np.finfo(float).max)
     if not moved:
         best, cost = start, fit.problem.cost(start)

@@ -1,4 +1,6 @@
-"""The last step of a static fit: IPOPT with exact derivatives over all coefficients."""
+"""The last step of a static fit, over all coefficients: Newton steps on the few columns of the
+Jacobian, or, where a bound or another inequality binds and for robust losses, IPOPT.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,7 @@ import numpy as np
 from ...muscles.law import ForceLaw
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
+from .descent import descend
 from .least_squares import LeastSquares, Loss, sizes
 
 __all__ = ["SLACK_TOLERANCE", "Optimum", "cosine", "local_optimum"]
@@ -25,6 +28,9 @@ EXPANDED = 1000
 
 Beyond, one law is mapped over the cells: what it takes to build does not grow with each of them.
 """
+
+CONVERGED = 1e-8
+"""Largest cosine between residual and Jacobian with which Newton steps may end."""
 
 SPLIT = ("huber", "l1")
 """Losses with a kink, or a jump of their curvature, which the solver meets by splitting residuals.
@@ -89,10 +95,42 @@ def _solver(
 
 def local_optimum(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
     """The optimum next to ``start`` (all coefficients)."""
-    free, terms = list(problem.free), problem.terms
+    free = list(problem.free)
     lower, upper = _bounds(problem, start)
     start = start.copy()
     start[free] = np.clip(start[free], lower, upper)
+    if problem.terms.loss == "squares" and not problem.censored:
+        found = _by_newton(problem, start, scanned, lower, upper)
+        if found is not None:
+            return found
+    return _by_ipopt(problem, start, scanned, lower, upper)
+
+
+def _by_newton(
+    problem: LeastSquares, start: Array, scanned: int, lower: Array, upper: Array
+) -> Optimum | None:
+    """None where no stationary point inside all bounds was reached."""
+    fixed = lower == upper
+    moved = [i for i, held in zip(problem.free, fixed, strict=True) if not held]
+    c, cost, count = descend(problem, start, moved, settled=0.0)
+    ends = c[list(problem.free)]
+    if not np.isfinite(cost) or np.any(((ends <= lower) | (ends >= upper)) & ~fixed):
+        return None
+    residual, jacobian = (a[0] for a in problem.with_priors(c[None]))
+    size = float(np.linalg.norm(problem.weights * problem.cells.force))
+    gradient = cosine(residual, jacobian[:, moved], size)
+    if gradient > CONVERGED:
+        return None
+    names = tuple(problem.names[i] for i in problem.free if i not in moved)
+    return Optimum(
+        c, cost, SolverStatistics("Newton_Converged", count, gradient, scanned, names)
+    )
+
+
+def _by_ipopt(
+    problem: LeastSquares, start: Array, scanned: int, lower: Array, upper: Array
+) -> Optimum:
+    free, terms = list(problem.free), problem.terms
     residuals, jacobian = problem.evaluate(start[None])
     size = float(np.linalg.norm(problem.weights * problem.cells.force))
     unit = max(float(np.linalg.norm(residuals)), 1e-9 * size)

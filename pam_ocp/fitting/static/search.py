@@ -78,7 +78,7 @@ def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
     """
     if problem.terms.loss == "squares" and not problem.censored:
         moved = [i for i in problem.free if problem.names[i] not in found.solver.at_bound]
-        c, cost = descend(problem, found.coefficients, moved)
+        c, cost, _ = descend(problem, found.coefficients, moved)
         if cost <= found.cost:
             again = local_optimum(problem, c, found.solver.scanned)
             found = again if again.cost <= cost else replace(found, coefficients=c, cost=cost)
