@@ -27,9 +27,11 @@ __all__ = [
     "Prediction",
     "SerialErrors",
     "SolverStatistics",
-    "curvature",
+    "elementwise",
     "forces",
     "forces_and_slopes",
+    "in_blocks",
+    "second_places",
     "sensitivity",
     "student_t",
 ]
@@ -38,8 +40,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-9
 """Singular values below this times the largest count as zero (columns of unit length)."""
-BLOCK = 16384
-"""Values that are held for each operation of a law's functions."""
+BLOCK, SMALLEST_BLOCK = 16384, 256
+"""Values that are held for each operation of a law's functions; places at least."""
 NEARLY_DEPENDENT = 100.0
 """Condition number of the scaled Jacobian from which a fit says what the data hardly see."""
 
@@ -60,19 +62,22 @@ def _expression(law: type[ForceLaw]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
 
 
 @cache
-def _elementwise(law: type[ForceLaw], order: int) -> Elementwise:
-    """Tension (order 0), with its gradient (1), or the upper triangle of its second derivatives."""
+def elementwise(law: type[ForceLaw], order: int) -> Elementwise:
+    """(p, kappa, *coefficients) -> tension (order 0), and its gradient in the coefficients (1), and
+    what is not zero by structure in the upper triangle of its second derivatives (2).
+    """
     p, kappa, c, tension = _expression(law)
-    if order == 2:
-        second = ca.triu(ca.hessian(tension, c)[0])
-        return Elementwise(ca.Function("second", [p, kappa, c], [second]))
-    whole = sensitivity(law) if order else ca.Function("law", [p, kappa, c], [ca.densify(tension)])
-    return Elementwise(whole)
+    found = [ca.densify(tension)]
+    if order:
+        found.append(ca.densify(ca.jacobian(tension, c)))
+    if order > 1:
+        found.append(ca.triu(ca.hessian(tension, c)[0]))
+    return Elementwise(ca.Function("law", [p, kappa, c], found))
 
 
 @cache
 def second_places(law: type[ForceLaw]) -> tuple[tuple[int, int], ...]:
-    """(row, column), row <= column, of the second derivatives that are not zero by structure."""
+    """(row, column), row <= column, of the second derivatives that :func:`elementwise` gives."""
     _, _, c, tension = _expression(law)
     rows, columns = ca.triu(ca.hessian(tension, c)[0]).sparsity().get_triplet()
     return tuple(zip(rows, columns, strict=True))
@@ -80,42 +85,39 @@ def second_places(law: type[ForceLaw]) -> tuple[tuple[int, int], ...]:
 
 def forces(law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array) -> Array:
     """Tension (m, n) at places (n,) for coefficients (m, all)."""
-    return _in_blocks(law, 0, p, kappa, coefficients)[:, 0]
+    return np.concatenate(
+        [b[:, 0] for _, b in in_blocks(law, 0, p, kappa, coefficients)] or [coefficients[:, :0]],
+        axis=1,
+    )
 
 
 def forces_and_slopes(
     law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array
 ) -> tuple[Array, Array]:
     """Tension (m, n) and its derivatives (m, n, all) at places (n,) for coefficients (m, all)."""
-    both = _in_blocks(law, 1, p, kappa, coefficients)
+    m, size = coefficients.shape
+    both = np.empty((m, 1 + size, len(p)))
+    for part, block in in_blocks(law, 1, p, kappa, coefficients):
+        both[:, :, part] = block
     return both[:, 0], both[:, 1:].transpose(0, 2, 1)
 
 
-def curvature(
-    law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array, factors: Array
-) -> Array:
-    """Sum of the second derivatives (all, all) over places (n,), each times its factor (n,)."""
-    size = coefficients.size
-    summed = _in_blocks(law, 2, p, kappa, coefficients[None])[0] @ factors
-    whole = np.zeros((size, size))
-    for (row, column), value in zip(second_places(law), summed, strict=True):
-        whole[row, column] = whole[column, row] = value
-    return whole
-
-
-def _in_blocks(
+def in_blocks(
     law: type[ForceLaw], order: int, p: Array, kappa: Array, coefficients: Array
-) -> Array:
-    """Outputs (m, outputs, n) of the law's functions; so many places at a time as a cache holds."""
-    function, (m, n) = _elementwise(law, order), (len(coefficients), len(p))
-    found = np.empty((m, function.outputs, n))
+) -> Iterator[tuple[slice, Array]]:
+    """The outputs (m, outputs, block) of :func:`elementwise`, so many places at a time as a cache
+    holds. The array is used again for the next block.
+    """
+    function, (m, n) = elementwise(law, order), (len(coefficients), len(p))
     columns = coefficients.T[:, :, None]
-    step = max(256, BLOCK // max(m, 1))
-    for low in range(0, n, step):
-        part = slice(low, low + step)
+    step = min(n, max(SMALLEST_BLOCK, BLOCK // max(m, 1)))
+    room = np.empty((m, function.outputs, step))
+    for low in range(0, n, step or 1):
+        part = slice(low, min(low + step, n))
+        found = room[:, :, : part.stop - low]
         for i, value in enumerate(function(p[None, part], kappa[None, part], *columns)):
-            found[:, i, part] = value
-    return found
+            found[:, i] = value
+        yield part, found
 
 
 def student_t(level: float, dof: int) -> float:

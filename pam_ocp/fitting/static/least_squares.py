@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ...core.variables import Variable
 from ...muscles.law import ForceLaw
-from ..statistics import Array, curvature, forces, forces_and_slopes
+from ..statistics import Array, forces, forces_and_slopes, in_blocks, second_places
 from ..tables.force_table import ForceTable
 
 __all__ = [
     "PLAIN",
     "LeastSquares",
     "Loss",
+    "Sums",
     "Terms",
     "least_squares",
     "nonlinear_coefficients",
@@ -111,6 +112,19 @@ class Terms:
         size = np.maximum(np.abs(residuals), smallest)
         factors = self.threshold / size
         return np.asarray(np.sqrt(factors if self.loss == "l1" else np.minimum(1.0, factors)))
+
+
+class Sums(NamedTuple):
+    """What Newton's method wants of a sum of squares.
+
+    cost (m,): |r|^2. right (m, all): J^T r, downhill. normal (m, all, all): J^T J. second
+    (m, all, all): what the second derivatives of r add to it.
+    """
+
+    cost: Array
+    right: Array
+    normal: Array
+    second: Array
 
 
 PLAIN = Terms()
@@ -218,12 +232,42 @@ class LeastSquares:
         tension = forces(self.law, cells.pressure, cells.contraction, coefficients)
         return self.weights * (cells.force - tension)
 
-    def curvature(self, coefficients: Array, residuals: Array) -> Array:
-        """What the second derivatives of the residuals add to J^T J (all, all)."""
-        cells = self.cells
-        return -curvature(
-            self.law, cells.pressure, cells.contraction, coefficients, self.weights * residuals
-        )
+    def sums(self, coefficients: Array, second: bool = False) -> Sums:
+        """The quadratic model at coefficients (m, all), summed cell by cell in little memory."""
+        law, (m, size) = self.law, coefficients.shape
+        cost, right = np.zeros(m), np.zeros((m, size))
+        normal, bent = np.zeros((m, size, size)), np.zeros((m, len(second_places(law))))
+        cells = (self.cells.pressure, self.cells.contraction)
+        with np.errstate(all="ignore"):
+            for part, block in in_blocks(law, 2 if second else 1, *cells, coefficients):
+                weights = self.weights[part]
+                rest = weights * (self.cells.force[part] - block[:, 0])
+                slopes = block[:, 1 : 1 + size]
+                slopes *= weights
+                cost += np.einsum("mn,mn->m", rest, rest)
+                right += (slopes @ rest[:, :, None])[:, :, 0]
+                normal += slopes @ slopes.transpose(0, 2, 1)
+                if second:
+                    bent += (block[:, 1 + size :] @ (weights * rest)[:, :, None])[:, :, 0]
+            rows, targets = self.priors
+            rest = targets - coefficients @ rows.T
+            whole = np.zeros_like(normal)
+            for (row, column), value in zip(second_places(law), bent.T, strict=True):
+                whole[:, row, column] = whole[:, column, row] = -value
+            return Sums(
+                cost + np.sum(rest**2, axis=1), right + rest @ rows, normal + rows.T @ rows, whole
+            )
+
+    def squares(self, coefficients: Array) -> Array:
+        """Sums of squares (m,) at coefficients (m, all), priors included."""
+        rows, targets = self.priors
+        cost = np.sum((targets - coefficients @ rows.T) ** 2, axis=1)
+        cells = (self.cells.pressure, self.cells.contraction)
+        with np.errstate(all="ignore"):
+            for part, block in in_blocks(self.law, 0, *cells, coefficients):
+                rest = self.weights[part] * (self.cells.force[part] - block[:, 0])
+                cost += np.einsum("mn,mn->m", rest, rest)
+        return np.asarray(cost)
 
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]:
         """As :meth:`evaluate`, with one more row for each prior."""

@@ -1,5 +1,5 @@
 """The last step of a static fit, over all coefficients: Newton steps on the few columns of the
-Jacobian, or, where a bound or another inequality binds and for robust losses, IPOPT.
+Jacobian, or, for robust losses and inequalities, IPOPT.
 """
 
 from __future__ import annotations
@@ -17,7 +17,15 @@ from ..statistics import Array, SolverStatistics
 from .descent import descend
 from .least_squares import LeastSquares, Loss, sizes
 
-__all__ = ["SLACK_TOLERANCE", "Optimum", "cosine", "local_optimum"]
+__all__ = [
+    "SLACK_TOLERANCE",
+    "STATIONARY",
+    "Optimum",
+    "by_ipopt",
+    "cosine",
+    "local_optima",
+    "local_optimum",
+]
 
 SLACK_TOLERANCE = 1.0
 """A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp).
@@ -29,8 +37,8 @@ EXPANDED = 1000
 Beyond, one law is mapped over the cells: what it takes to build does not grow with each of them.
 """
 
-CONVERGED = 1e-8
-"""Largest cosine between residual and Jacobian with which Newton steps may end."""
+STATIONARY = 1e-6
+"""Largest cosine between the residual and a column of the Jacobian at an optimum."""
 
 SPLIT = ("huber", "l1")
 """Losses with a kink, or a jump of their curvature, which the solver meets by splitting residuals.
@@ -95,42 +103,44 @@ def _solver(
 
 def local_optimum(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
     """The optimum next to ``start`` (all coefficients)."""
-    free = list(problem.free)
+    return local_optima(problem, start[None], scanned)[0]
+
+
+def local_optima(problem: LeastSquares, starts: Array, scanned: int) -> list[Optimum]:
+    """The optima next to each of ``starts`` (m, all)."""
+    if problem.terms.loss == "squares" and not problem.censored:
+        return _by_newton(problem, starts, scanned)
+    return [by_ipopt(problem, start, scanned) for start in starts]
+
+
+def _by_newton(problem: LeastSquares, starts: Array, scanned: int) -> list[Optimum]:
+    limits = [_bounds(problem, start) for start in starts]
+    low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
+    ended = descend(problem, starts, low, high)
+    residuals, jacobians = problem.with_priors(ended.coefficients)
+    size = float(np.linalg.norm(problem.weights * problem.cells.force))
+    found = []
+    for row, resting in enumerate(ended.resting):
+        free = list(zip(problem.free, resting, strict=True))
+        columns = jacobians[row][:, [i for i, rests in free if not rests]]
+        gradient = cosine(residuals[row], columns, size)
+        statistics = SolverStatistics(
+            f"Newton_{'Converged' if gradient <= STATIONARY else 'Stalled'}",
+            int(ended.steps[row]),
+            gradient,
+            scanned,
+            tuple(problem.names[i] for i, rests in free if rests),
+        )
+        found.append(Optimum(ended.coefficients[row], float(ended.cost[row]), statistics))
+    return found
+
+
+def by_ipopt(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
+    """The optimum next to ``start`` (all coefficients), whatever the loss and the inequalities."""
+    free, terms = list(problem.free), problem.terms
     lower, upper = _bounds(problem, start)
     start = start.copy()
     start[free] = np.clip(start[free], lower, upper)
-    if problem.terms.loss == "squares" and not problem.censored:
-        found = _by_newton(problem, start, scanned, lower, upper)
-        if found is not None:
-            return found
-    return _by_ipopt(problem, start, scanned, lower, upper)
-
-
-def _by_newton(
-    problem: LeastSquares, start: Array, scanned: int, lower: Array, upper: Array
-) -> Optimum | None:
-    """None where no stationary point inside all bounds was reached."""
-    fixed = lower == upper
-    moved = [i for i, held in zip(problem.free, fixed, strict=True) if not held]
-    c, cost, count = descend(problem, start, moved, settled=0.0)
-    ends = c[list(problem.free)]
-    if not np.isfinite(cost) or np.any(((ends <= lower) | (ends >= upper)) & ~fixed):
-        return None
-    residual, jacobian = (a[0] for a in problem.with_priors(c[None]))
-    size = float(np.linalg.norm(problem.weights * problem.cells.force))
-    gradient = cosine(residual, jacobian[:, moved], size)
-    if gradient > CONVERGED:
-        return None
-    names = tuple(problem.names[i] for i in problem.free if i not in moved)
-    return Optimum(
-        c, cost, SolverStatistics("Newton_Converged", count, gradient, scanned, names)
-    )
-
-
-def _by_ipopt(
-    problem: LeastSquares, start: Array, scanned: int, lower: Array, upper: Array
-) -> Optimum:
-    free, terms = list(problem.free), problem.terms
     residuals, jacobian = problem.evaluate(start[None])
     size = float(np.linalg.norm(problem.weights * problem.cells.force))
     unit = max(float(np.linalg.norm(residuals)), 1e-9 * size)

@@ -7,7 +7,7 @@ little. Leaving one level out asks what a user asks: the force at a length that 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import polynomial_law
 from ..tables.force_table import ForceTable, require_table
 from .force_fit import ForceFit
+from .search import minimise
 from .static import fit_force, law_class
 
 __all__ = ["ComparedLaw", "LawComparison", "compare_laws"]
@@ -167,24 +168,28 @@ def _compared(table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float
     except (FitError, InputError) as error:
         return ComparedLaw(kind.name, None, {}, str(error))
     try:
-        return ComparedLaw(kind.name, fit, _left_out(table, kind, own))
+        return ComparedLaw(kind.name, fit, _left_out(fit))
     except TimeIsUp:
         return ComparedLaw(kind.name, fit, {}, f"{deadline()} was over with a level left out")
     except (FitError, InputError) as error:
         return ComparedLaw(kind.name, fit, {}, f"with a level left out: {error}")
 
 
-def _left_out(
-    table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float]
-) -> dict[float, float]:
-    taut = table.taut
-    level = taut.levels()
-    errors = {}
+def _left_out(fit: ForceFit) -> dict[float, float]:
+    whole, errors = fit.problem, {}
+    level = fit.cells.levels()
+    values = np.array([float(v) for v in fit.law.values.values()])
+    start = values[None, list(whole.nonlinear)] if whole.nonlinear else None
     for i in range(1, level.max()):
-        law = fit_force(taut.subset(level != i), kind, fixed=fixed).law
-        there = taut.subset(level == i)
-        tension = np.asarray(law.tension(there.pressure, there.contraction))
-        errors[float(there.contraction.mean())] = float(
-            np.sqrt(np.mean((there.force - tension) ** 2))
+        kept = level != i
+        part = replace(whole, cells=fit.cells.subset(kept), weights=whole.weights[kept])
+        if len(part.cells) < len(part.free):
+            raise InputError(
+                f"{len(part.cells)} taut cells remain, fewer than the {len(part.free)} coefficients"
+            )
+        found = minimise(part, start, near=True).coefficients
+        there = replace(whole, cells=fit.cells.subset(~kept), weights=np.ones(int(np.sum(~kept))))
+        errors[float(there.cells.contraction.mean())] = float(
+            np.sqrt(np.mean(there.residuals(found[None])[0] ** 2))
         )
     return errors

@@ -16,8 +16,7 @@ from ...core.variables import Variable
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
 from .least_squares import LeastSquares, least_squares, sizes
-from .local_optimum import cosine
-from .search import STATIONARY
+from .local_optimum import STATIONARY, cosine
 
 __all__ = ["JointOptimum", "JointProblem"]
 
