@@ -85,10 +85,10 @@ def second_places(law: type[ForceLaw]) -> tuple[tuple[int, int], ...]:
 
 def forces(law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array) -> Array:
     """Tension (m, n) at places (n,) for coefficients (m, all)."""
-    return np.concatenate(
-        [b[:, 0] for _, b in in_blocks(law, 0, p, kappa, coefficients)] or [coefficients[:, :0]],
-        axis=1,
-    )
+    found = np.empty((len(coefficients), len(p)))
+    for part, block in in_blocks(law, 0, p, kappa, coefficients):
+        found[:, part] = block[:, 0]
+    return found
 
 
 def forces_and_slopes(
@@ -188,6 +188,7 @@ class SerialErrors:
     weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
     coefficients, in
     those of ``correlation``. dof : degrees of freedom.
+    values, spreads : (g,), each rho, and the standard deviation of an error with it.
     """
 
     order: str
@@ -198,6 +199,8 @@ class SerialErrors:
     weights: Array = field(repr=False)
     sizes: Array = field(repr=False)
     dof: int
+    values: Array = field(repr=False)
+    spreads: Array = field(repr=False)
 
     def reach(self, level: float) -> float:
         """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
@@ -237,7 +240,7 @@ class Linearisation:
         """Lengths of the columns; singular values and right vectors with columns of unit length."""
         norms = np.linalg.norm(self.jacobian, axis=0)
         norms = np.where(norms > 0, norms, 1.0)
-        scaled = self.jacobian / norms
+        scaled = np.linalg.qr(self.jacobian / norms, mode="r")  # all that its SVD is wanted for
         if self.active is None or not len(self.active):
             _, s, vt = np.linalg.svd(scaled, full_matrices=False)
             return norms, s, vt

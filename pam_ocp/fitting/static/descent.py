@@ -1,4 +1,4 @@
-"""Damped Newton steps over the free coefficients of a law, from many starts side by side.
+"""Damped Newton steps to a least sum of squares, from many starts side by side.
 
 The exact second derivatives make the last steps quadratic; where they have no minimum, far from an
 optimum, those of Gauss and Newton stand in (K. Levenberg, D. Marquardt). A coefficient that is
@@ -7,14 +7,16 @@ pushed against a bound rests there (D. Bertsekas, SIAM J. Control Optim. 20 (198
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.stop import check
 from ..statistics import Array
-from .least_squares import LeastSquares
+from .least_squares import Sums
 
 __all__ = ["Descended", "descend"]
 
@@ -31,6 +33,20 @@ DEFINITE = 1e-13
 """Smallest eigenvalue of second derivatives, columns of unit length, that counts as positive."""
 
 
+class Squares(Protocol):
+    """A sum of squares over unknowns, of which the ``free`` ones may move."""
+
+    @property
+    def free(self) -> Sequence[int]: ...
+
+    @property
+    def size(self) -> float:
+        """Norm of the weighted measurements [N]."""
+        ...
+
+    def sums(self, coefficients: Array, second: bool = False) -> Sums: ...
+
+
 @dataclass(frozen=True, eq=False)
 class Descended:
     """Where starts came to: coefficients (m, all), costs (m,), steps (m,), and which free
@@ -44,7 +60,7 @@ class Descended:
 
 
 def descend(
-    problem: LeastSquares, starts: Array, low: Array, high: Array, settled: float = 0.0
+    problem: Squares, starts: Array, low: Array, high: Array, settled: float = 0.0
 ) -> Descended:
     """Follow starts (m, all) to the least squares next to them, priors included.
 
@@ -57,7 +73,7 @@ def descend(
 
 class _Descent:
     def __init__(
-        self, problem: LeastSquares, starts: Array, low: Array, high: Array, settled: float
+        self, problem: Squares, starts: Array, low: Array, high: Array, settled: float
     ) -> None:
         self.problem, self.free, self.settled = problem, list(problem.free), settled
         self.low, self.high, self.c = low, high, starts.copy()
@@ -70,7 +86,7 @@ class _Descent:
         self.resting, self.newton = low >= high, np.zeros(m, dtype=bool)
         self.norms, self.right = np.ones((m, k)), np.zeros((m, k))
         self.values, self.vectors = np.ones((m, k)), np.zeros((m, k, k))
-        self.floor = 1e-24 * float(np.sum((problem.weights * problem.cells.force) ** 2))
+        self.floor = 1e-24 * problem.size**2
 
     def run(self) -> Descended:
         active = np.isfinite(self.cost) & ~self.resting.all(axis=1)

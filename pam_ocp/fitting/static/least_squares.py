@@ -197,6 +197,11 @@ class LeastSquares:
     def linear(self) -> list[int]:
         return [i for i in self.free if i not in self.nonlinear]
 
+    @cached_property
+    def size(self) -> float:
+        """Norm of the weighted forces [N]."""
+        return float(np.linalg.norm(self.weights * self.cells.force))
+
     @property
     def limited(self) -> bool:
         """Whether there are inequalities other than the law's own."""
@@ -312,27 +317,58 @@ class LeastSquares:
             good = np.isfinite(target).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
         return c, target, columns, np.asarray(good)
 
+    def triangles(self, values: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """What is left for the linear coefficients at nonlinear ``values`` (m, k), in short.
+
+        Returns coefficients (m, all), the linear ones 0; R (m, <= linear + 1, linear + 1) with
+        |R (-c, 1)| the residual of linear coefficients c (QR of columns and target, block by
+        block); and which of the m are finite.
+        """
+        m, columns = len(values), [1 + i for i in self.linear]
+        c = np.tile(self.base, (m, 1))
+        c[:, list(self.nonlinear)] = values
+        rows, targets = self.priors
+        whole = np.concatenate([rows[:, self.linear], targets[:, None]], axis=1)
+        found = np.repeat(whole[None], m, axis=0)
+        if rows.any():
+            found[:, :, -1] -= c @ rows.T
+        good = np.ones(m, dtype=bool)
+        cells = (self.cells.pressure, self.cells.contraction)
+        with np.errstate(all="ignore"):
+            for part, block in in_blocks(self.law, 1, *cells, c):
+                block[:, 0] = self.cells.force[part] - block[:, 0]
+                new = (block[:, [*columns, 0]] * self.weights[part]).transpose(0, 2, 1)
+                good &= np.isfinite(new).all(axis=(1, 2))
+                new = np.where(good[:, None, None], new, 0.0)
+                found = np.linalg.qr(np.concatenate([found, new], axis=1), mode="r")
+        return c, found, good
+
     def project(self, values: Array) -> tuple[Array, Array]:
         """Best linear coefficients for nonlinear ``values`` (m, k): costs (m,), all (m, c).
 
-        Inequalities are left out; a robust loss is met by reweighting. A few values at a time, so
-        that memory stays that of the table.
+        Inequalities are left out; a robust loss is met by reweighting. Memory stays that of the
+        table.
         """
+        if self.terms.loss == "squares":
+            c, whole, good = self.triangles(values)
+            columns, target = whole[:, :, :-1], whole[:, :, -1]
+            c[:, self.linear] = parts = least_squares(columns, target)
+            rest = target - np.einsum("mnk,mk->mn", columns, parts)
+            return np.where(good, np.sum(rest**2, axis=1), np.inf), c
         few = max(1, AT_ONCE // max(len(self.cells), 1))
-        parts = [self._project(values[i : i + few]) for i in range(0, len(values), few)]
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+        pairs = [self._reweighted(values[i : i + few]) for i in range(0, len(values), few)]
+        return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
 
-    def _project(self, values: Array) -> tuple[Array, Array]:
+    def _reweighted(self, values: Array) -> tuple[Array, Array]:
         c, target, columns, good = self.linear_in(values, self.with_priors)
         columns[~good], target[~good] = 0.0, 0.0
         n = len(self.cells)
-        smallest = 1e-6 * float(np.linalg.norm(self.weights * self.cells.force))
+        smallest = 1e-6 * self.size
         factors = np.ones_like(target)
-        for _ in range(1 if self.terms.loss == "squares" else REWEIGHTINGS):
+        for _ in range(REWEIGHTINGS):
             parts = least_squares(columns * factors[:, :, None], target * factors)
             rest = target - np.einsum("mnk,mk->mn", columns, parts)
-            if self.terms.loss != "squares":
-                factors[:, :n] = self.terms.reweighting(rest[:, :n], smallest)
+            factors[:, :n] = self.terms.reweighting(rest[:, :n], smallest)
         c[:, self.linear] = parts
         cost = np.sum(self.terms.rho(rest[:, :n]), axis=1) + np.sum(rest[:, n:] ** 2, axis=1)
         return np.where(good, cost, np.inf), c

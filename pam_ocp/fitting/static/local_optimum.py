@@ -23,6 +23,7 @@ __all__ = [
     "Optimum",
     "by_ipopt",
     "cosine",
+    "ending",
     "local_optima",
     "local_optimum",
 ]
@@ -118,14 +119,14 @@ def _by_newton(problem: LeastSquares, starts: Array, scanned: int) -> list[Optim
     low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
     ended = descend(problem, starts, low, high)
     residuals, jacobians = problem.with_priors(ended.coefficients)
-    size = float(np.linalg.norm(problem.weights * problem.cells.force))
+    size = problem.size
     found = []
     for row, resting in enumerate(ended.resting):
         free = list(zip(problem.free, resting, strict=True))
         columns = jacobians[row][:, [i for i, rests in free if not rests]]
         gradient = cosine(residuals[row], columns, size)
         statistics = SolverStatistics(
-            f"Newton_{'Converged' if gradient <= STATIONARY else 'Stalled'}",
+            ending(gradient),
             int(ended.steps[row]),
             gradient,
             scanned,
@@ -142,7 +143,7 @@ def by_ipopt(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
     start = start.copy()
     start[free] = np.clip(start[free], lower, upper)
     residuals, jacobian = problem.evaluate(start[None])
-    size = float(np.linalg.norm(problem.weights * problem.cells.force))
+    size = problem.size
     unit = max(float(np.linalg.norm(residuals)), 1e-9 * size)
     norms = np.linalg.norm(jacobian[0][:, free], axis=0)
     scale = np.where(norms > 0, size / np.where(norms > 0, norms, 1.0), 1.0)
@@ -218,6 +219,11 @@ def _gradient(
         n = len(problem.cells)
         residual[:n] *= problem.terms.reweighting(residual[:n], 0.0) ** 2
     return cosine(residual, jacobian[:, inside], size)
+
+
+def ending(gradient: float) -> str:
+    """How Newton steps ended, in a word."""
+    return "Newton_Converged" if gradient <= STATIONARY else "Newton_Stalled"
 
 
 def cosine(residual: Array, columns: Array, size: float) -> float:

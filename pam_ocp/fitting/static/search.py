@@ -17,7 +17,7 @@ from .high_breakdown import SUBSETS, robust_start
 from .least_squares import LeastSquares, sizes
 from .local_optimum import STATIONARY, Optimum, by_ipopt, local_optima
 
-__all__ = ["minimise"]
+__all__ = ["minimise", "thinned"]
 
 SCANNED = {False: 400, True: 100}
 """Scan points for laws with two or more nonlinear coefficients (always the same ones); with a start
@@ -57,7 +57,7 @@ def minimise(
         begin = robust_start(problem)[0] if begin is None else begin
         starts, scanned = begin[None], SUBSETS
     else:
-        starts, scanned = _scan(_thinned(problem), start, near)
+        starts, scanned = _scan(thinned(problem), start, near)
     found = [o for o in local_optima(problem, starts, scanned) if np.isfinite(o.cost)]
     if not found:
         raise FitError(
@@ -65,7 +65,7 @@ def minimise(
             "the nonlinear coefficients with fixed=... "
             f"({', '.join(problem.names[i] for i in problem.nonlinear)}) and look at the residuals"
         )
-    floor = 1e-20 * float(np.sum((problem.weights * problem.cells.force) ** 2))
+    floor = 1e-20 * problem.size**2
     best = min(found, key=lambda o: o.cost)
     stationary = [o for o in found if o.solver.gradient <= STATIONARY]
     least = min((o.cost for o in stationary), default=np.inf)
@@ -93,15 +93,15 @@ def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
     return replace(found, solver=replace(found.solver, doubt=DOUBT))
 
 
-def _thinned(problem: LeastSquares) -> LeastSquares:
+def thinned(problem: LeastSquares, enough: int = ENOUGH) -> LeastSquares:
     """The problem on so many cells as a scan needs, evenly spread over contraction and pressure."""
     n, cells, weights = len(problem.cells), problem.cells, problem.weights
-    if n <= ENOUGH or np.max(weights) > 10 * np.min(weights):
+    if n <= enough or np.max(weights) > 10 * np.min(weights):
         return problem
     order = np.lexsort((cells.pressure, cells.contraction))
-    chosen = order[np.linspace(0, n - 1, ENOUGH).astype(int)]
+    chosen = order[np.linspace(0, n - 1, enough).astype(int)]
     return replace(
-        problem, cells=cells.subset(chosen), weights=weights[chosen] * np.sqrt(n / ENOUGH)
+        problem, cells=cells.subset(chosen), weights=weights[chosen] * np.sqrt(n / enough)
     )
 
 
