@@ -215,7 +215,9 @@ class ForceFit(Optimum):
         """Refit ``n`` resampled tables: intervals without the assumptions of a linearisation.
 
         method : "residuals" puts residuals, drawn with replacement, on the fitted law; "cases"
-        draws the cells themselves, also right where the scatter is not the same everywhere.
+        draws the cells themselves, also right where the scatter is not the same everywhere. Where
+        errors follow each other (``serial``), what is drawn does so, too; with "cases" it is
+        as large from place to place as the residuals there.
         time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.
         """
         return bootstrap(self, n, seed, method, time_limit=time_limit)
