@@ -17,18 +17,33 @@ from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
 from .kinds import FEEDS
 from .meters import meter_pneumatics, meter_work
-from .valves import GasFeed, OnOffValves, SpoolValve, Tube
+from .quick_exhaust import QuickExhaust
+from .receiver import Receiver
+from .sources import Compressor, PressureRegulator
+from .spools import FirstOrderSpool, SecondOrderSpool
+from .tubes import LumpedTube, Tube
+from .valve_catalogue import valve, valve_names
+from .valves import Filling, GasFeed, OnOffValves, SpoolValve
 
 __all__ = [
     "AttachedMuscle",
+    "Compressor",
     "Feed",
+    "FirstOrderSpool",
     "IdealPressure",
+    "LumpedTube",
     "OnOffValves",
+    "PressureRegulator",
+    "QuickExhaust",
+    "Receiver",
     "Regulator",
+    "SecondOrderSpool",
     "SpoolValve",
     "Tube",
     "as_feed",
     "attach",
+    "valve",
+    "valve_names",
 ]
 
 
@@ -200,6 +215,7 @@ def attach(
     contraction = pre_contraction + shortening / symbolic.rest_length
     relative_rate = rate / symbolic.rest_length
     bounded = _within_reach(contraction)
+    air: Filling | None = None
     if isinstance(feed, GasFeed):
         air = feed.fill(plant, name, symbolic, bounded, relative_rate)
         pressure = air.pressure
@@ -216,6 +232,10 @@ def attach(
     tension = symbolic.tension(pressure, bounded)
     gain = ca.jacobian(tension, pressure)
     force = symbolic.force(pressure, bounded)
+    stiffness = symbolic.stiffness(pressure, bounded)
+    if air is not None and air.stiffening is not None:
+        tension, stiffness = _warmed(symbolic, pressure, bounded, air.stiffening)
+        force = clamp(tension, symbolic.slack_width)
     if losses:
         motion = Motion(symbolic, pressure, bounded, relative_rate)
         lost = sum((loss.force(plant, name, motion) for loss in losses), ca.SX(0))
@@ -226,20 +246,34 @@ def attach(
             nominal=100.0,
             description=f"friction, hysteresis and creep of {name} against its contraction",
         )
+        if air is not None and air.warm is not None:
+            air.warm(lost * rate)
         tension = tension - lost
         force = clamp(tension, symbolic.slack_width)
-    attached = AttachedMuscle(
-        name, symbolic, pressure, contraction, force, symbolic.stiffness(pressure, bounded)
-    )
+    attached = AttachedMuscle(name, symbolic, pressure, contraction, force, stiffness)
     _declare_outputs(plant, attached, tension)
     totals = bool(getattr(feed, "totals", False))
-    drawn = feed.drawn(plant, name, air) if totals and isinstance(feed, GasFeed) else None
+    drawn = None
+    if totals and isinstance(feed, GasFeed) and air is not None:
+        drawn = feed.drawn(plant, name, air)
     work = meter_work(plant, name, force, rate, muscle.mass, totals)
-    if isinstance(feed, GasFeed):
+    if isinstance(feed, GasFeed) and air is not None:
         feed.meter(plant, name, air, drawn, work)
     elif work is not None:
         meter_pneumatics(plant, name, pressure, gain, rate, work)
     return attached
+
+
+def _warmed(
+    muscle: Muscle, pressure: ca.SX, contraction: ca.SX, stiffening: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """(tension, stiffness) of a muscle whose wall's own force has grown by a part of it."""
+    kappa = ca.SX.sym("kappa")
+    tension = muscle.tension(pressure, kappa) + stiffening * muscle.tension(ca.SX(0), kappa)
+    force = clamp(tension, muscle.slack_width)
+    both = ca.vertcat(tension, -ca.jacobian(force, kappa) / muscle.rest_length)
+    at = ca.substitute(both, kappa, contraction)
+    return at[0], at[1]
 
 
 def _within_reach(contraction: ca.SX) -> ca.SX:
