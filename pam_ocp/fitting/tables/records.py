@@ -15,7 +15,10 @@ from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import Unit, unit
 from ...core.variables import Variable
-from .sources import SPELLINGS, RawTable, load, naming, parse_header
+from ...core.calibration import SPELLINGS
+from .raw import RawTable
+from .headers import parse_header
+from .sources import load, naming
 
 if TYPE_CHECKING:
     from ...plants.plant import Plant
