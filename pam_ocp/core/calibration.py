@@ -72,8 +72,12 @@ COUNTS = frozenset(
     {"1", "count", "counts", "cnt", "digit", "digits", "lsb", "inc", "bit", "bits", "raw", "adc"}
 )
 """Units of readings that measure nothing yet."""
-_ABSOLUTE = re.compile(r"(?P<rest>.*?)[\s_(,]*\b(?:abs|absolute|absolut|absolu|a)\b\.?\)?\s*$", re.I)
-_GAUGE = re.compile(r"(?P<rest>.*?)[\s_(,]*\b(?:gauge|gage|rel|relativ|relative|g|ü)\b\.?\)?\s*$", re.I)
+_ABSOLUTE = re.compile(
+    r"(?P<rest>.*?)[\s_(,]*\b(?:abs|absolute|absolut|absolu|a)\b\.?\)?\s*$", re.I
+)
+_GAUGE = re.compile(
+    r"(?P<rest>.*?)[\s_(,]*\b(?:gauge|gage|rel|relativ|relative|g|ü)\b\.?\)?\s*$", re.I
+)
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
     r"|(?P<name>[^\W\d]+|%|°)(?P<power>\d(?![\d.]))?|(?P<sign>\*\*|[-+*/^().·]))"
@@ -304,7 +308,9 @@ def _parsed(where: str, text: str) -> _Node:
 def _readings(node: _Node) -> set[str]:
     if node[0] == "reading":
         return {node[1]}
-    return set().union(*(_readings(n) for n in node[1:] if isinstance(n, tuple) and n and n[0] in _OF))
+    return set().union(
+        *(_readings(n) for n in node[1:] if isinstance(n, tuple) and n and n[0] in _OF)
+    )
 
 
 _OF = ("reading", "constant", "zero", "+", "-", "*", "/", "^")

@@ -32,9 +32,7 @@ __all__ = ["read_array", "read_arrays", "read_frame", "read_hdf5", "read_mat", "
 
 
 @contextmanager
-def _library(
-    path: str | os.PathLike[str], kind: str, extra: str = "studies"
-) -> Iterator[None]:
+def _library(path: str | os.PathLike[str], kind: str, extra: str = "studies") -> Iterator[None]:
     """A block in which a library reads: its errors become one sentence, its warnings none."""
     with (
         reading(path, kind, "save it anew, or as CSV", foreign=True),

@@ -14,7 +14,22 @@ from numpy.typing import NDArray
 __all__ = ["decimal_of", "is_empty", "is_number", "is_stamp", "number", "numbers_of"]
 
 EMPTY = frozenset(
-    {"", "nan", "na", "n/a", "#n/a", "#nv", "#na", "null", "none", "-", "--", "---", "nil", "missing"}
+    {
+        "",
+        "nan",
+        "na",
+        "n/a",
+        "#n/a",
+        "#nv",
+        "#na",
+        "null",
+        "none",
+        "-",
+        "--",
+        "---",
+        "nil",
+        "missing",
+    }
     | {"#div/0!", "#value!", "#wert!", "#num!", "#zahl!", "#ref!", "#bezug!", "1.#qnan", "-1.#ind"}
 )
 """What stands in a cell that holds nothing, in lower case."""
@@ -60,7 +75,9 @@ def is_number(cell: Any, decimal: str = ".") -> bool:
     if isinstance(cell, bool | np.bool_):
         return True
     if isinstance(cell, str):
-        return _NUMBERS[decimal].match(cell.strip()) is not None or cell.strip().lower() in _INFINITE
+        return (
+            _NUMBERS[decimal].match(cell.strip()) is not None or cell.strip().lower() in _INFINITE
+        )
     return isinstance(cell, int | float | np.integer | np.floating)
 
 

@@ -80,7 +80,10 @@ def grid_of_text(
     widths = Counter(map(len, rows[-SAMPLE:]))
     width = widths.most_common(1)[0][0]
     if separator == " ":
-        rows = [r if len(r) == width else _head(s, r, width) for (_, s), r in zip(lines, rows, strict=True)]
+        rows = [
+            r if len(r) == width else _head(s, r, width)
+            for (_, s), r in zip(lines, rows, strict=True)
+        ]
     words = [_head(c, _cut([c], separator)[0], width) for c in comments if c]
     said = [f"cells between {SEPARATORS.get(separator, repr(separator))}"]
     said += ["decimal comma"] if sign == "," else []
@@ -105,9 +108,7 @@ def _head(line: str, cells: Sequence[str], width: int) -> Sequence[str]:
     return cells
 
 
-def _sniffed(
-    sample: Sequence[str], delimiter: str | None, decimal: str | None
-) -> tuple[str, str]:
+def _sniffed(sample: Sequence[str], delimiter: str | None, decimal: str | None) -> tuple[str, str]:
     """(separator, decimal sign) in which the sample reads best."""
     best: tuple[tuple[float, int, int, int], str, str] | None = None
     for rank, separator in enumerate([delimiter] if delimiter else SEPARATORS):

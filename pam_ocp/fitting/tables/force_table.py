@@ -30,7 +30,7 @@ from .table_checks import (
     contraction_of,
 )
 
-__all__ = ["ForceTable", "read_table", "require_table"]
+__all__ = ["ForceTable", "TableWords", "read_table", "require_table", "table_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -215,19 +215,20 @@ def read_table(
     ------
     InputError, UnknownNameError : one sentence with column, row, value and remedy.
     """
-    how = Reading.of(
-        columns, sheet=sheet, skip=skip, pick=pick, pivot=pivot, delimiter=delimiter, decimal=decimal
-    )
-    if rest_length is not None:
-        rest_length = require_positive("rest_length", rest_length, "m")
-    words = _Words(
-        rest_length,
-        dict(columns) if isinstance(columns, Mapping) else {},
-        dict(units or {}),
-        require_positive("ambient_pressure", ambient_pressure, "Pa"),
-        empty,
-        ramp,
-        floor if floor in (None, "found") else require_finite("floor", floor, "N"),
+    how, words = TableWords.of(
+        rest_length=rest_length,
+        columns=columns,
+        units=units,
+        ambient_pressure=ambient_pressure,
+        empty=empty,
+        ramp=ramp,
+        floor=floor,
+        sheet=sheet,
+        skip=skip,
+        pick=pick,
+        pivot=pivot,
+        delimiter=delimiter,
+        decimal=decimal,
     )
     if is_source(source):
         with naming(source):
@@ -243,7 +244,7 @@ def read_table(
 
 
 @dataclass(frozen=True)
-class _Words:
+class TableWords:
     """What the user said of a table's columns and rows."""
 
     rest_length: float | None
@@ -254,8 +255,33 @@ class _Words:
     ramp: bool | None
     floor: Any
 
+    @classmethod
+    def of(
+        cls,
+        *,
+        rest_length: float | None = None,
+        columns: Any = None,
+        units: Mapping[str, str] | None = None,
+        ambient_pressure: float = AMBIENT,
+        empty: str = "drop",
+        ramp: bool | None = None,
+        floor: Any = "found",
+        **layout: Any,
+    ) -> tuple[Reading, TableWords]:
+        """(layout, what the user said), checked. Raises InputError."""
+        words = cls(
+            None if rest_length is None else require_positive("rest_length", rest_length, "m"),
+            dict(columns) if isinstance(columns, Mapping) else {},
+            dict(units or {}),
+            require_positive("ambient_pressure", ambient_pressure, "Pa"),
+            empty,
+            ramp,
+            floor if floor in (None, "found") else require_finite("floor", floor, "N"),
+        )
+        return Reading.of(columns, **layout), words
 
-def table_of(raw: RawTable, words: _Words) -> ForceTable:
+
+def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     """The table that columns hold. Raises InputError."""
     found = assigned(raw, words.columns, words.units, words.ambient)
     require_columns(raw, found)
@@ -333,7 +359,11 @@ def _joined(tables: Sequence[ForceTable]) -> ForceTable:
     for name in ("branch", "run"):
         there = [getattr(t, name) for t in tables]
         labels[name] = (
-            tuple(label for t, own in zip(tables, there, strict=True) for label in own or ("",) * len(t))
+            tuple(
+                label
+                for t, own in zip(tables, there, strict=True)
+                for label in own or ("",) * len(t)
+            )
             if any(there)
             else ()
         )
@@ -342,7 +372,10 @@ def _joined(tables: Sequence[ForceTable]) -> ForceTable:
         known = [getattr(t, name) for t in tables]
         arrays[name] = None if any(k is None for k in known) else np.concatenate(known)
     return ForceTable(
-        *(np.concatenate([getattr(t, n) for t in tables]) for n in ("pressure", "contraction", "force")),
+        *(
+            np.concatenate([getattr(t, n) for t in tables])
+            for n in ("pressure", "contraction", "force")
+        ),
         tables[0].rest_length,
         f"{len(tables)} files",
         **labels,

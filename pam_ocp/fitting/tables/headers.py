@@ -12,7 +12,7 @@ from ...core.calibration import COUNTS, SPELLINGS, spelled
 from ...core.errors import UnknownNameError
 from ...core.units import unit
 
-__all__ = ["NAMES", "TIME_NAMES", "is_unit", "matching", "parse_header", "plain"]
+__all__ = ["MEASURED", "NAMES", "TIME_NAMES", "is_unit", "matching", "parse_header", "plain"]
 
 NAMES: dict[str, frozenset[str]] = {
     "length": frozenset(
@@ -45,7 +45,7 @@ TIME_NAMES = frozenset(
     "zeitstempel,datum uhrzeit,messzeit,temps,tiempo,tempo,tijd,tid,czas,время,时间,時間,"
     "x value,seconds,sec".split(",")
 )
-_MEASURED = frozenset(
+MEASURED = frozenset(
     "measured,meas,actual,act,ist,istwert,sensor,mess,gemessen,mesuré,mesurée,mesure,real,feedback,"
     "mean,avg,average,mittel,mittelwert,moyenne,medida,misurata,muscle,muskel".split(",")
 )
@@ -110,6 +110,6 @@ def matching(names: frozenset[str], headers: Iterable[str]) -> list[str]:
     return [
         h
         for h, name in parsed.items()
-        if (words := [w for w in name.split() if w not in _MEASURED]) != name.split()
+        if (words := [w for w in name.split() if w not in MEASURED]) != name.split()
         and " ".join(words) in names
     ]

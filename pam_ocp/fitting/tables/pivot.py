@@ -155,7 +155,10 @@ def _named(text: str) -> list[str]:
     if _kind(text):
         return [text]
     pattern = r"([^\W\d]+)\s*([\[(][^\])]*[\])])?"
-    found = [f"{name} {said.replace('(', '[').replace(')', ']')}".strip() for name, said in re.findall(pattern, text)]
+    found = [
+        f"{name} {said.replace('(', '[').replace(')', ']')}".strip()
+        for name, said in re.findall(pattern, text)
+    ]
     # a single letter among words is a name only beside its unit
     return [h for h in found if _kind(h) and (len(h) > 2 or "[" in h)]
 

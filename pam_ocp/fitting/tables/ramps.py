@@ -102,7 +102,11 @@ def ramp_of(pressure: Array, contraction: Array, force: Array, asked: bool = Fal
     steady_k = span_k < SPANS
     if steady_p and steady_k:
         return None
-    steps = [np.abs(np.diff(v)) / s for v, s, q in ((p, span_p, steady_p), (k, span_k, steady_k)) if not q]
+    steps = [
+        np.abs(np.diff(v)) / s
+        for v, s, q in ((p, span_p, steady_p), (k, span_k, steady_k))
+        if not q
+    ]
     if not asked and float(np.median(np.max(steps, axis=0))) > FINE:
         return None
     held: Literal["contraction", "pressure"]

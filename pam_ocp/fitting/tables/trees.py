@@ -165,9 +165,7 @@ def _of_cells(
         yield from _tables(value, f"{name}[{number}]", label, level + 1)
 
 
-def _of_list(
-    tree: Sequence[Any], name: str, label: str, level: int
-) -> Iterator[tuple[str, Found]]:
+def _of_list(tree: Sequence[Any], name: str, label: str, level: int) -> Iterator[tuple[str, Found]]:
     """Records (mappings of plain values), rows of cells, or tables within."""
     if len(tree) > 1 and all(isinstance(r, Mapping) for r in tree):
         keys = list(dict.fromkeys(str(k) for r in tree for k in r))
