@@ -23,7 +23,9 @@ from .references import Source, source
 __all__ = ["HysteresisCompensation"]
 
 Array: TypeAlias = NDArray[np.float64]
-Rates: TypeAlias = "Callable[[Mapping[str, float], Mapping[str, float], Measured], dict[str, float]]"
+Rates: TypeAlias = (
+    "Callable[[Mapping[str, float], Mapping[str, float], Measured], dict[str, float]]"
+)
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 BISECTIONS = 60

@@ -25,5 +25,8 @@ from .statistics import Prediction as Prediction
 from .statistics import SolverStatistics as SolverStatistics
 from .tables.force_table import ForceTable as ForceTable
 from .tables.force_table import read_table as read_table
+from .tables.preview import Preview as Preview
+from .tables.preview import look as look
+from .tables.raw import ReadingWarning as ReadingWarning
 from .tables.records import read_record as read_record
 from .tables.records import read_records as read_records

@@ -141,5 +141,5 @@ class SlipElements:
             rise = self._k - growth
             with np.errstate(divide="ignore", invalid="ignore"):
                 meet = self.kappa + (base + growth * self.kappa - self.held) / rise
-            found += [float(k) for k in meet if np.isfinite(k) and 0 < way * (k - self.kappa)]
+            found += [float(k) for k in meet if np.isfinite(k) and way * (k - self.kappa) > 0]
         return sorted(found, key=lambda k: way * k)

@@ -12,7 +12,7 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.dead_zone import smooth_step
 from ..muscles.gas import REFERENCE_DENSITY, REFERENCE_TEMPERATURE, conductance_from_flow
-from .airflow import Air, Place, Stream, boundless, between, through
+from .airflow import Air, Place, Stream, between, boundless, through
 from .kinds import SOURCES
 
 __all__ = ["Compressor", "PressureRegulator", "Source"]
@@ -21,7 +21,9 @@ __all__ = ["Compressor", "PressureRegulator", "Source"]
 class Source(Protocol):
     """What brings air into a receiver."""
 
-    def fill(self, plant: Declares, declare: Callable[..., Any], receiver: Place, p0: ca.SX) -> Stream:
+    def fill(
+        self, plant: Declares, declare: Callable[..., Any], receiver: Place, p0: ca.SX
+    ) -> Stream:
         """Connect it to the receiver (p0: absolute pressure of the surroundings); its stream."""
 
 
@@ -48,7 +50,9 @@ class Compressor:
         require_positive("Compressor.band", self.band, "Pa")
         require_positive("Compressor.temperature", self.temperature, "K")
 
-    def fill(self, plant: Declares, declare: Callable[..., Any], receiver: Place, p0: ca.SX) -> Stream:
+    def fill(
+        self, plant: Declares, declare: Callable[..., Any], receiver: Place, p0: ca.SX
+    ) -> Stream:
         """See :class:`Source`."""
         flow = declare("flow", self.flow, unit="m3/s", min=0.0, nominal=1e-3, tunable=True)
         top = declare("full_pressure", self.pressure, unit="Pa", min=0.0, nominal=1e5)
@@ -100,11 +104,11 @@ class PressureRegulator:
                 f"PressureRegulator.critical_ratio = {self.critical_ratio:g} must lie in 0 .. 1"
             )
 
-    def fill(self, plant: Declares, declare: Callable[..., Any], receiver: Place, p0: ca.SX) -> Stream:
+    def fill(
+        self, plant: Declares, declare: Callable[..., Any], receiver: Place, p0: ca.SX
+    ) -> Stream:
         """See :class:`Source`."""
-        top = declare(
-            "set_pressure", self.pressure, unit="Pa", min=0.0, nominal=1e5, tunable=True
-        )
+        top = declare("set_pressure", self.pressure, unit="Pa", min=0.0, nominal=1e5, tunable=True)
         line = declare("line_pressure", self.line, unit="Pa", min=0.0, nominal=1e5, tunable=True)
         conductance = declare(
             "conductance", self.conductance, unit="m3/(s.Pa)", min=0.0, nominal=1e-8

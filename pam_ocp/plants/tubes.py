@@ -118,7 +118,9 @@ class LumpedTube:
         require_positive("LumpedTube.length", self.length, "m")
         require_positive("LumpedTube.diameter", self.diameter, "m")
         if self.segments != int(self.segments) or not 1 <= self.segments <= 100:
-            raise InputError(f"LumpedTube.segments = {self.segments} must be a whole number 1 .. 100")
+            raise InputError(
+                f"LumpedTube.segments = {self.segments} must be a whole number 1 .. 100"
+            )
         if not 1 <= require_finite("LumpedTube.exponent", self.exponent) <= 1.67:
             raise InputError(f"LumpedTube.exponent = {self.exponent:g} must lie in 1 .. 1.67")
 
@@ -146,7 +148,9 @@ class LumpedTube:
             place, net = holding(plant, Air(node + around.ambient, around.temperature))
             between(place, after, flow)
             density = (place.air.absolute + after.air.absolute) / (2 * warm)
-            drop = place.air.absolute - after.air.absolute - _friction(flow, density, diameter, step)
+            drop = (
+                place.air.absolute - after.air.absolute - _friction(flow, density, diameter, step)
+            )
             plant.der(node, exponent * warm / (bore * step) * net.mass)
             plant.der(flow, bore / step * drop)
             after = place

@@ -285,7 +285,9 @@ class GasFeed(ABC):
         return drawn, Stream(vented.mass + leaked.mass, vented.carried + leaked.carried)
 
 
-def _outputs(plant: Declares, name: str, shown: Sequence[tuple[str, ca.SX, str, float, str]]) -> None:
+def _outputs(
+    plant: Declares, name: str, shown: Sequence[tuple[str, ca.SX, str, float, str]]
+) -> None:
     for key, value, unit, nominal, words in shown:
         plant.output(
             f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
@@ -347,9 +349,7 @@ class SpoolValve(GasFeed):
             return parts[0] / travels[0], parts[1] / travels[1]
 
         def inverse(w: ca.SX) -> ca.SX:
-            up, down = (
-                dead_zone_inverse(t * w, o) for t, o in zip(travels, overlaps, strict=True)
-            )
+            up, down = (dead_zone_inverse(t * w, o) for t, o in zip(travels, overlaps, strict=True))
             return (up if ca.is_equal(*overlaps) else ca.if_else(w >= 0, up, down)) - offset
 
         if self.spool is not None:

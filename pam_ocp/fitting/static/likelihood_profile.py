@@ -135,7 +135,10 @@ def _follow(
         sums = problem.sums(_rows(best, free, z))
         right, normal = sums.right[:, free], sums.normal[:, free][:, :, free]
         good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
-        normal, right = np.where(good[:, None, None], normal, 0.0), np.where(good[:, None], right, 0)
+        normal, right = (
+            np.where(good[:, None, None], normal, 0.0),
+            np.where(good[:, None], right, 0),
+        )
         norms = np.maximum(np.sqrt(np.einsum("mii->mi", normal)), 1e-300)
         stays = np.arange(len(free)) == place[:, None]
         kept = ~stays[:, :, None] & ~stays[:, None, :]
