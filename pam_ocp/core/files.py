@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from .atomic import atomic_path, make_folder, require_place
 from .exceptions import InputError, PamError
+from .stop import interruptible
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -112,7 +113,8 @@ def reading(
     """
     name = os.fspath(path)
     try:
-        with np.errstate(all="ignore"):  # numbers beyond all bounds are said by checks
+        # numbers beyond all bounds are said by checks; libraries are loaded in here
+        with interruptible(), np.errstate(all="ignore"):
             yield
     except InputError as error:
         said = _short(str(error))

@@ -11,6 +11,7 @@ import hashlib
 import json
 import pickle
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -54,8 +55,9 @@ def store(run: Run, cases: Iterable[Case], folder: Path, chunk: int | None) -> S
             else:
                 yield task
 
-    for task, results in run(missing()):
-        _write(_part(folder, task.index), task, results, _of_task(arguments, task))
+    with closing(run(missing())) as ended:
+        for task, results in ended:
+            _write(_part(folder, task.index), task, results, _of_task(arguments, task))
     _write_study(folder, arguments, chunk, parts)
     return StoredSimulations(folder)
 
