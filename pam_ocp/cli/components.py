@@ -58,7 +58,16 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
     from ..muscles.law import LAWS
     from ..planning.problem.costs import COSTS
     from ..planning.solvers.solver import SOLVERS
-    from ..plants.kinds import DAMPINGS, FEEDS, LOADS, LOSSES, PLANTS, TUBES
+    from ..plants.kinds import (
+        DAMPINGS,
+        DEAD_TIMES,
+        FEEDS,
+        LOADS,
+        LOSSES,
+        PLANTS,
+        SENSORS,
+        TUBES,
+    )
 
     return (
         (PLANTS, "`arrangement` of a `[plant]`, or named on the command line"),
@@ -66,6 +75,8 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         (FEEDS, "of plants: `feed = { kind = ... }`"),
         (LOSSES, "of plants: `losses = [{ kind = ... }]`"),
         (DAMPINGS, "of plants: `damping = { kind = ... }`"),
+        (DEAD_TIMES, "of regulators: `dead_time = { ... }`, or its time alone"),
+        (SENSORS, "of a state or output of a plant: `sensors = { x = { ... } }`"),
         (TUBES, "of valves: `tube = { ... }`"),
         (GASES, "of valves: `gas = { ... }`"),
         (VOLUMES, "of a gas: `volume = { kind = ... }`"),

@@ -48,6 +48,8 @@ class Declares(Protocol):
         **attributes: Any,
     ) -> list[ca.SX]: ...
 
+    def delayed(self, command: ca.SX, dead_time: Any, name: str | None = None) -> ca.SX: ...
+
 
 class HasInputs(Protocol):
     """Named variables, inputs among them."""

@@ -10,7 +10,16 @@ from typing import Any
 
 from ..core.registry import Registry
 
-__all__ = ["DAMPINGS", "FEEDS", "LOADS", "LOSSES", "PLANTS", "TUBES"]
+__all__ = [
+    "DAMPINGS",
+    "DEAD_TIMES",
+    "FEEDS",
+    "LOADS",
+    "LOSSES",
+    "PLANTS",
+    "SENSORS",
+    "TUBES",
+]
 
 PLANTS: Registry[Callable[..., Any]] = Registry("plant", __package__)
 """Plants of the library: called with a muscle, and their own arguments by name."""
@@ -19,3 +28,5 @@ DAMPINGS: Registry[Callable[..., Any]] = Registry("damping", __package__, argume
 LOSSES: Registry[Callable[..., Any]] = Registry("loss", __package__, argument="losses")
 LOADS: Registry[Callable[..., Any]] = Registry("load", __package__, argument="loads")
 TUBES: Registry[Callable[..., Any]] = Registry("tube", __package__, argument="tube")
+DEAD_TIMES: Registry[Callable[..., Any]] = Registry("dead time", __package__, argument="dead_time")
+SENSORS: Registry[Callable[..., Any]] = Registry("sensor", __package__, argument="sensors")
