@@ -20,7 +20,7 @@ from .quantities import is_quantity, quantity
 from .system import HasInputs
 from .variables import Causality
 
-__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "signals"]
+__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "joined", "signals"]
 
 Array: TypeAlias = NDArray[np.float64]
 Interpolation: TypeAlias = Literal["previous", "linear"]
@@ -154,7 +154,7 @@ def signals(
         _one(variable, given.get(variable.name, variable.start), t, interpolation)
         for variable in plant.inputs
     ]
-    return _joined(pieces, t)
+    return joined(pieces, t)
 
 
 def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
@@ -265,7 +265,7 @@ def _from_function(
     return PiecewisePolynomial(breaks, np.array([c for _, c in done])[:, :, None])
 
 
-def _joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:
+def joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:
     """Several signals on the union of their breaks, over [t[0], t[-1]]."""
     inside = [p.breaks[(p.breaks > t[0]) & (p.breaks < t[-1])] for p in pieces]
     breaks = merged(np.concatenate([t[[0, -1]], *inside]))
