@@ -12,13 +12,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from .. import __version__
 from ..core.errors import InputError, PamError
 from ..core.stop import limited
 from .components import add_components
 from .fit import add_fit_plant
+from .linearize import add_linearize
 from .mpc import add_mpc
-from .options import add_allow_code, require_places
+from .options import require_places
 from .plan import add_plan
+from .plants import add_plant, muscle_named, plant_said
+from .simulate import add_compare, add_simulate
 
 __all__ = ["main"]
 
@@ -49,8 +53,11 @@ def _parser() -> argparse.ArgumentParser:
         prog="pam-ocp",
         description="Pneumatic artificial muscles: fit a measured muscle, plan its optimal motion, "
         "export the plant as an FMU.",
-        epilog="Start with 'pam-ocp tour': it does all of it on a bundled measured muscle.",
+        epilog="Start with 'pam-ocp tour': it does all of it on a bundled measured muscle. "
+        "Exit codes: 0 done; 1 checked, and something was found; 2 bad input; 3 planned, but not "
+        "verified; 130 interrupted; 143 ended.",
     )
+    parser.add_argument("--version", action="version", version=f"pam-ocp {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
 
     for add in (
@@ -62,6 +69,9 @@ def _parser() -> argparse.ArgumentParser:
         _add_loads,
         _add_muscles,
         add_components,
+        add_simulate,
+        add_compare,
+        add_linearize,
         add_plan,
         add_mpc,
     ):
@@ -158,26 +168,7 @@ def _add_export(commands: Any) -> None:
         help="export a plant as an FMU",
         description="Export a plant as an FMU for Model Exchange and Co-Simulation.",
     )
-    export.add_argument(
-        "plant",
-        metavar="PLANT",
-        help="a plant of the library by name, such as HangingLoad or AntagonisticSlide; "
-        "FILE.py:NAME "
-        "(a Plant, or a function that returns one); or FILE.toml with a table [plant]",
-    )
-    export.add_argument(
-        "--muscle",
-        default="DMSP-20-300",
-        metavar="MUSCLE",
-        help="name in the catalogue, or a muscle file (default: DMSP-20-300)",
-    )
-    export.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="value of a parameter or start value, in SI (may be repeated)",
-    )
+    add_plant(export)
     export.add_argument(
         "--fmi",
         choices=("2.0", "3.0"),
@@ -200,7 +191,6 @@ def _add_export(commands: Any) -> None:
             f"{rest})",
         )
     export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
-    add_allow_code(export)
     export.set_defaults(run=_export)
 
 
@@ -242,10 +232,18 @@ def _add_loads(commands: Any) -> None:
         help="name in the catalogue, or a muscle file (default: DMSP-20-400N)",
     )
     loads.add_argument(
-        "--masses", type=float, nargs="+", default=[5, 10, 20, 50, 100], metavar="KG"
+        "--masses",
+        nargs="+",
+        default=[5, 10, 20, 50, 100],
+        metavar="KG",
+        help="numbers in kg, or with a unit, such as '500 g'",
     )
     loads.add_argument(
-        "--pressures", type=float, nargs="+", default=[1, 2, 3, 4, 5, 6], metavar="BAR"
+        "--pressures",
+        nargs="+",
+        default=[1, 2, 3, 4, 5, 6],
+        metavar="BAR",
+        help="numbers in bar, or with a unit, such as '300 kPa'",
     )
     loads.add_argument(
         "--out", type=Path, metavar="DIR", help="write loads.csv and loads.png into this folder"
@@ -310,46 +308,12 @@ def _export(options: argparse.Namespace) -> int:
 
     target: Path | None = options.out
     require_places(target)
-    plant = _plant(options.plant, options.muscle, options.allow_code)
-    values = {}
-    for text in options.set:
-        name, equals, number = text.partition("=")
-        try:
-            values[name.strip()] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise InputError(f"--set {text}: give NAME=VALUE with a number in SI, as in mass=3.0")
-    plant = plant.with_values(values)
+    plant = plant_said(options)
     target = target or Path(f"{plant.name}.fmu")
     chosen = {"inputs": options.input, "outputs": options.output}
     fmu = export_fmu(plant, target, fmi=options.fmi, platforms=options.platform, **chosen)
     print(f"-> {fmu}")
     return 0
-
-
-def _plant(name: str, muscle_name: str, allow_code: bool) -> Any:
-    """A plant by its name, from a user's file (FILE.py:NAME), or from a table (FILE.toml).
-
-    A file named on the command line is run; one named in another file only with ``allow_code``.
-    """
-    from ..core.files import read_toml, reading
-    from ..plants.plant_file import named_plant, plant_of
-
-    if name.endswith(".toml"):
-        content = read_toml(name)
-        with reading(name, "a plant", "give it a table [plant], as for 'pam-ocp plan'"):
-            where = f"{name}: plant"
-            folder = Path(name).parent
-            return plant_of(content.get("plant"), where, folder, allow_code=allow_code)
-    return named_plant(name, _muscle(muscle_name), allow_code=True)
-
-
-def _muscle(name: str, rest_length: float | None = None) -> Any:
-    from ..muscles.catalogue import muscle
-    from ..muscles.muscle_file import ENDINGS, load_muscle
-
-    return load_muscle(name) if name.endswith(ENDINGS) else muscle(name, rest_length=rest_length)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -368,14 +332,26 @@ def _loads(options: argparse.Namespace) -> int:
     from ..studies.loads import load_study
 
     folder = make_folder(options.out) if options.out else None
-    study = load_study(
-        _muscle(options.muscle), options.masses, [p * 1e5 for p in options.pressures]
-    )
+    masses = [_in("--masses", m, "kg") for m in options.masses]
+    pressures = [_in("--pressures", p, "bar") for p in options.pressures]
+    study = load_study(muscle_named(options.muscle), masses, pressures)
     print(study)
     if folder:
         print(f"-> {study.save(folder / 'loads.csv')}")
         print(f"-> {save_figure(study.plot(), folder / 'loads.png')}")
     return 0
+
+
+def _in(option: str, value: str | float, unit: str) -> float:
+    """In SI, of a text with a unit, or of a number in ``unit``."""
+    from ..core.quantities import quantity
+    from ..core.units import unit as unit_of
+
+    text = str(value)
+    try:
+        return float(text) * unit_of(unit).factor
+    except ValueError:
+        return quantity(option, text, unit)
 
 
 def _muscles(options: argparse.Namespace) -> int:
@@ -392,7 +368,7 @@ def _muscles(options: argparse.Namespace) -> int:
 def _show(options: argparse.Namespace) -> int:
     if options.name is None:
         raise InputError("muscles show: give the NAME of a muscle; 'pam-ocp muscles' lists them")
-    muscle = _muscle(options.name, options.rest_length)
+    muscle = muscle_named(options.name, options.rest_length)
     print(muscle_text(muscle))
     if options.plot:
         from ..figures.saved import save_figure
