@@ -42,3 +42,14 @@ def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
 
 def test_pages_with_blocks_are_found():
     assert {"planning", "control"} <= set(PAGES)
+
+
+def test_names_that_pages_speak_of_exist():
+    import pam_ocp as pam
+
+    for page in DOCS.glob("*.md"):
+        for name in re.findall(r"`pam\.([a-z_A-Z.]*[a-zA-Z])", page.read_text("utf-8")):
+            place = pam
+            for part in name.split("."):
+                assert hasattr(place, part), (page.name, name)
+                place = getattr(place, part)
