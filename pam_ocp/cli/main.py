@@ -22,6 +22,7 @@ from .mpc import add_mpc
 from .options import require_places
 from .plan import add_plan
 from .plants import add_plant, muscle_named, plant_said
+from .report import add_report
 from .simulate import add_compare, add_simulate
 
 __all__ = ["main"]
@@ -72,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
         add_simulate,
         add_compare,
         add_linearize,
+        add_report,
         add_plan,
         add_mpc,
     ):
