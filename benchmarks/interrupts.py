@@ -306,6 +306,8 @@ def simulate_many_threads(pam: Any) -> Any:
 def run(name: str, told: Any) -> None:
     """In the process of its own: says "go", works, and says how it ended and when."""
     end = "nothing"
+    # a shell starts what runs in the background with the signal ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         import warnings
 

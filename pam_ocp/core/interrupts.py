@@ -16,11 +16,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ContextDecorator, suppress
 from types import CodeType, FrameType, TracebackType
 from typing import Any, TypeVar
 
-__all__ = ["Interrupts", "boundary", "in_main", "undisturbed"]
+__all__ = ["INTERRUPTS", "Interrupts", "boundary", "in_main", "interruptible", "undisturbed"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -34,7 +34,7 @@ TICK = getattr(signal, "SIGURG", signal.SIGFPE)
 """By which our own threads call the main thread: one that nobody uses, and that is ignored."""
 AGAIN = 0.05
 """How often an error is raised again that waits or got lost [s]."""
-PATIENCE = 1.0
+PATIENCE = 0.6
 """How long an import is not disturbed [s]; a second signal does not wait."""
 
 _UNDISTURBED: set[CodeType] = set()
@@ -58,13 +58,10 @@ def in_main() -> bool:
     return threading.current_thread() is threading.main_thread()
 
 
-class Interrupts:
-    """The handlers of signals, wrapped for the time of the outermost verb (in the main thread).
+class Interrupts(ContextDecorator):
+    """The handlers of signals, wrapped for the time of the outermost verb (in the main thread)."""
 
-    due : what a tick raises in a call under way, where no signal asked for anything.
-    """
-
-    def __init__(self, due: Callable[[], BaseException | None]) -> None:
+    def __init__(self) -> None:
         self.depth = 0
         self.native = 0
         """How many of CasADi's calls are under way: only these are broken off by a time limit."""
@@ -72,7 +69,8 @@ class Interrupts:
         """Above zero nothing is raised by a handler: the call looks for it itself."""
         self.error: BaseException | None = None
         """What a handler raised."""
-        self._due = due
+        self.due: Callable[[], BaseException | None] = lambda: None
+        """What a tick raises in a call under way, where no signal asked for anything."""
         self._since = 0.0
         self._before: dict[int, Any] = {}
         if hasattr(os, "register_at_fork"):
@@ -142,7 +140,7 @@ class Interrupts:
         if guard:
             return
         if self.error is None:
-            due = self._due() if self.native else None
+            due = self.due() if self.native else None
             if due is not None:
                 raise due
         elif not _under_way(self.error) and (not fragile or self._waited_long()):
@@ -196,3 +194,15 @@ def _under_way(error: BaseException) -> bool:
     while at is not None and at is not error:
         at = at.__context__
     return at is not None
+
+
+INTERRUPTS = Interrupts()
+
+
+def interruptible() -> Interrupts:
+    """What a signal's handler raises in the ``with`` comes out of it, whatever became of it within.
+
+    Also a decorator. No turns are taken: for what may run while another thread waits for this one,
+    as imports do.
+    """
+    return INTERRUPTS

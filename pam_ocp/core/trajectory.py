@@ -31,6 +31,7 @@ from .files import (
     write_npz,
 )
 from .foreign import read_frame
+from .interrupts import interruptible
 from .signals import Interpolation, PiecewisePolynomial
 from .variables import Causality, Variable, variable_of
 
@@ -281,6 +282,7 @@ class Trajectory:
         frame.attrs = {"pam_ocp": json.dumps(self._meta())}
         frame.to_parquet(path)
 
+    @interruptible()
     def to_pandas(self) -> pd.DataFrame:
         """A DataFrame with one column per variable, indexed by time [s]."""
         try:

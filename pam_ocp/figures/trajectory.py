@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import InputError
+from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ __all__ = [
 COLOURS = ("#1b6ca8", "#c8553d", "#4c956c", "#7b5ea7", "#c98b14", "#5b6770")
 
 
+@interruptible()  # matplotlib is loaded in here
 def _figure(
     rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
 ) -> tuple[Figure, Any]:

@@ -14,7 +14,7 @@ from typing import Any, overload
 import numpy as np
 
 from ..core.errors import InputError, require_count
-from ..core.stop import interruptible
+from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from .running import CASE_KEYS, Case, Run, split
