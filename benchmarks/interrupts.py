@@ -393,6 +393,7 @@ def main() -> None:
     import numpy as np  # noqa: F401
 
     random.seed(options.seed)
+    lost = 0
     print("| verb | sent | over before | swallowed | median [s] | worst [s] |")
     print("|---|---|---|---|---|---|")
     for name in options.verbs or VERBS:
@@ -401,6 +402,7 @@ def main() -> None:
         ends = [shot(name, moment) for moment in moments]
         met = [end for end in ends if end[0] != "over before"]
         wrong = [end[0] for end in met if end[0] != "KeyboardInterrupt"]
+        lost += len(wrong)
         times = [seconds for _, seconds in met] or [float("nan")]
         print(
             f"| {name} | {len(met)} | {len(ends) - len(met)} | {len(wrong)} | "
@@ -412,6 +414,7 @@ def main() -> None:
             ),
             flush=True,
         )
+    sys.exit(lost > 0)
 
 
 if __name__ == "__main__":

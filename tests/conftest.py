@@ -7,7 +7,6 @@ import os
 import random
 import signal
 from collections.abc import Callable
-from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -127,9 +126,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_configure(config: pytest.Config) -> None:
     """The rooms are the folders of the tests; Ctrl-C works though a shell's background bars it."""
-    if "LC_ALL" in os.environ:  # as programs with windows do, which load FMUs
-        with suppress(locale.Error):
-            locale.setlocale(locale.LC_ALL, "")
+    if "PAM_TEST_LOCALE" in os.environ:  # as programs with windows do, which load FMUs
+        locale.setlocale(locale.LC_ALL, "")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for room in ROOMS:

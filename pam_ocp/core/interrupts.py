@@ -121,23 +121,23 @@ class Interrupts(ContextDecorator):
         try:
             self._before[number](number, frame)
         except BaseException as error:
-            guard, fragile = _work_under_way(frame)
-            if self.depth == 0 and not guard:  # a verb's end was interrupted, and left us in place
+            never, fragile = _work_under_way(frame)
+            if self.depth == 0 and not never:  # a verb's end was interrupted, and left us in place
                 raise
             first, self.error = self.error is None, error
             if first:
                 self._since = time.monotonic()
                 with suppress(RuntimeError):  # no thread to be had: at the verb's end then
                     _thread.start_new_thread(self._call_again, ())
-            if not (self.held or guard or (fragile and first)):
+            if not (self.held or never or (fragile and first)):
                 raise
 
     def _ticked(self, number: int, frame: FrameType | None) -> None:
         """One of our threads calls: an error waits or got lost, or a time limit is over."""
         if self.held or self.depth == 0:
             return
-        guard, fragile = _work_under_way(frame)
-        if guard:
+        never, fragile = _work_under_way(frame)
+        if never:
             return
         if self.error is None:
             due = self.due() if self.native else None
@@ -176,14 +176,20 @@ class Interrupts(ContextDecorator):
 
 
 def _work_under_way(frame: FrameType | None) -> tuple[bool, bool]:
-    """Whether a guard is at work, or what an error would damage or swallow, up to the verb."""
+    """Whether nothing must be raised (a guard is at work; it would be printed and lost), and whether
+    it had better wait (a module is half loaded), as far as the verb.
+    """
     fragile = False
     while frame is not None and frame.f_code not in _BOUNDARIES:
         code = frame.f_code
-        if code in _UNDISTURBED:
+        importing = code.co_filename.startswith("<frozen importlib")
+        if (
+            code in _UNDISTURBED
+            or code.co_name == "__del__"
+            or (importing and code.co_name == "cb")
+        ):
             return True, True
-        fragile |= code.co_filename.startswith("<frozen importlib")
-        fragile |= code.co_name in ("__del__", "__set_name__")
+        fragile |= importing or code.co_name == "__set_name__"
         frame = frame.f_back
     return False, fragile
 
