@@ -176,8 +176,8 @@ class Interrupts(ContextDecorator):
 
 
 def _work_under_way(frame: FrameType | None) -> tuple[bool, bool]:
-    """Whether nothing must be raised (a guard is at work; it would be printed and lost), and whether
-    it had better wait (a module is half loaded), as far as the verb.
+    """Up to the verb: whether nothing must be raised (a guard is at work; it would be printed and
+    lost), and whether it had better wait (a module is half loaded).
     """
     fragile = False
     while frame is not None and frame.f_code not in _BOUNDARIES:
