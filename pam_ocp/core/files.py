@@ -39,6 +39,7 @@ __all__ = [
     "read_npz",
     "read_toml",
     "reading",
+    "require_ending",
     "require_file",
     "require_format",
     "require_place",
@@ -148,6 +149,12 @@ def _short(words: str) -> str:
     words = " ".join(words.split())
     half = MOST_WORDS // 2
     return words if len(words) <= MOST_WORDS else f"{words[:half]} ... {words[-half:]}"
+
+
+def require_ending(path: str | os.PathLike[str], ending: str, what: str) -> None:
+    """InputError unless the name of a file ends so (in small or capital letters)."""
+    if Path(path).suffix.lower() != ending:
+        raise InputError(f"path = {os.fspath(path)!r}: the name of {what} ends in {ending}")
 
 
 def require_file(

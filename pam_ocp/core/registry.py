@@ -57,7 +57,8 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
     noun : what one of them is called ("load"). argument : of plants and components that takes one
     (or several), by which a problem file finds this registry.
     room : package whose modules define them; all are imported when the registry is first read, so
-    that a new file needs no mention anywhere.
+    that a new file needs no mention anywhere. default : the one that a file means by a table
+    without ``kind``, where there are several.
 
         LOADS: Registry[type[Load]] = Registry("load", "pam_ocp.plants", argument="loads")
 
@@ -66,8 +67,8 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         class Spring: ...
     """
 
-    def __init__(self, noun: str, room: str, *, argument: str = "") -> None:
-        self.noun, self.argument, self.room = noun, argument, room
+    def __init__(self, noun: str, room: str, *, argument: str = "", default: str = "") -> None:
+        self.noun, self.argument, self.room, self.default = noun, argument, room, default
         self._kinds: dict[str, Kind] = {}
         self._homes: dict[str, str] = {}
         self._units: dict[str, dict[str, tuple[str, ...]]] = {}

@@ -11,12 +11,13 @@ by one lock.
 
 from __future__ import annotations
 
+import difflib
 import functools
 import inspect
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from types import FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
@@ -198,12 +199,14 @@ def spared(seconds: float) -> AbstractContextManager[None]:
 def verb(function: Callable[P, R]) -> Callable[P, R]:
     """A public verb: threads take turns, signals end it, and ``time_limit=`` among its keywords."""
 
-    argument = inspect.signature(function).parameters.get("time_limit")
+    signature = inspect.signature(function)
+    argument = signature.parameters.get("time_limit")
     default = None if argument is None else argument.default
 
     @functools.wraps(function)
     @boundary
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        require_known_keywords(function.__qualname__, signature, kwargs)
         seconds: Any = kwargs.get("time_limit", default)
         if seconds is None:
             with _signals, LOCK:
@@ -212,6 +215,22 @@ def verb(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return called
+
+
+def require_known_keywords(
+    name: str, signature: inspect.Signature, given: Mapping[str, Any]
+) -> None:
+    """TypeError that names the nearest keywords, where one is given that a function has not."""
+    known = signature.parameters
+    wrong = next((n for n in given if n not in known), None)
+    if wrong is None or any(p.kind is p.VAR_KEYWORD for p in known.values()):
+        return
+    near = difflib.get_close_matches(wrong, known, 3, 0.6)
+    has = " or ".join(near) if near else ", ".join(n for n in known if n != "self")
+    raise TypeError(
+        f"{name.removesuffix('.__init__')}() has no argument {wrong!r}; "
+        + (f"did you mean {has}?" if near else f"it has {has}")
+    )
 
 
 def turns(function: Callable[P, R]) -> Callable[P, R]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
+from ..core.shown import shown
 from ..core.stop import TimeIsUp, deadline, spared, verb
 from ..plants.plant import Plant, Values
 from .held import Memory, held
@@ -110,6 +111,7 @@ def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> Oper
     return other.point(z)
 
 
+@shown
 @dataclass(frozen=True)
 class Band:
     """The points of rest that differ in what hysteresis keeps, by its ends and its virgin point."""
@@ -138,6 +140,7 @@ class Band:
         return "\n".join(lines)
 
 
+@shown
 class Equilibria(list[OperatingPoint]):
     """Points of rest, a list; with hysteresis ``bands`` tells the band that each one stands for.
 
@@ -153,7 +156,11 @@ class Equilibria(list[OperatingPoint]):
         super().__init__(points)
         self.bands, self.ended = bands, ended
 
+    def _brief(self) -> str:
+        return f"{len(self)} points of rest" + (f" of {self[0].plant.name}" if self else "")
 
+
+@shown
 @dataclass(frozen=True)
 class EquilibriumPath:
     """Points of rest along one variable; ``path["x"]`` gives a value at each of them [SI]."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.errors import InputError, require_count
 from ..core.interrupts import interruptible
+from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from .running import CASE_KEYS, Case, Run, split
@@ -23,6 +24,7 @@ from .stored import StoredSimulations, store
 __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
 
 
+@shown
 @dataclass(frozen=True)
 class ManySimulations:
     """Results of many simulations in the order of their cases; a failed one holds its error."""

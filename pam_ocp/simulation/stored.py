@@ -22,6 +22,7 @@ import numpy as np
 from ..core import exceptions
 from ..core.errors import InputError, PamError
 from ..core.files import atomic_path, read_json, write_json
+from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from .running import Case, Result, Run, Task, split
@@ -61,6 +62,7 @@ def store(run: Run, cases: Iterable[Case], folder: Path, chunk: int | None) -> S
     return StoredSimulations(folder)
 
 
+@shown
 @dataclass(frozen=True)
 class StoredSimulations:
     """Simulations in a folder, read part by part: memory holds one file at a time.
