@@ -14,6 +14,7 @@ from typing import Any
 
 from .. import __version__
 from ..core.errors import InputError, PamError
+from ..core.interrupts import interruptible
 from ..core.stop import limited
 from .components import add_components
 from .fit import add_fit_plant
@@ -36,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 2
     try:
-        with _terminable(), limited(None if options.command == "check" else options.time_limit):
+        seconds = None if options.command == "check" else options.time_limit
+        with _terminable(), interruptible(), limited(seconds):
             return int(options.run(options) or 0)
     except PamError as error:
         print(f"pam-ocp {options.command}: {error}", file=sys.stderr)
