@@ -76,7 +76,9 @@ def bootstrap(
     samples: list[Array] = []
     for _ in range(n):
         try:
-            found = minimise(_resampled(fit, problem, random, method), start, near=True).coefficients
+            found = minimise(
+                _resampled(fit, problem, random, method), start, near=True
+            ).coefficients
         except FitError:
             failed += 1
             continue

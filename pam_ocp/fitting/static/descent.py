@@ -148,7 +148,7 @@ class _Descent:
         if not rows.size:
             return
         right, normal, second = (held[rows] for held in self.sums)
-        z, low, high = self.c[np.ix_(rows, self.free)], self.low[rows], self.high[rows]
+        z, low, high = self.c[rows][:, self.free], self.low[rows], self.high[rows]
         norms = np.sqrt(np.einsum("mii->mi", normal))
         norms = np.where(norms > 0, norms, 1.0)
         right = right / norms

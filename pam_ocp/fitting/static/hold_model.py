@@ -92,14 +92,22 @@ class HoldModel:
         found += [y, ca.jacobian(y, z), ca.jacobian(y, estimates)]
         arguments = [z, estimates, ca.vertcat(*told), ca.vertcat(*moving), ca.vertcat(*kept)]
         function = ca.Function("holds", arguments, [ca.densify(ca.SX(f)) for f in found])
-        start = [np.broadcast_to(near.get(n, plant.variable(n).start or 0.0), side.shape)
-                 for n in sought]  # fmt: skip
+        start = [
+            np.broadcast_to(near.get(n, plant.variable(n).start or 0.0), side.shape) for n in sought
+        ]
         return cls(
-            plant, given, measured, parameters, zeroed, side, sought, Elementwise(function),
+            plant,
+            given,
+            measured,
+            parameters,
+            zeroed,
+            side,
+            sought,
+            Elementwise(function),
             (*given.values(), *[CREEP * side for _ in velocities], *_kept(plant, memories, side)),
             np.stack(start, axis=1),
             np.array([plant.variable(n).nominal for n in sought]),
-        )  # fmt: skip
+        )
 
     def at(self, z: Array, estimates: Array) -> list[Array]:
         """Residuals, their derivatives in z and estimates; the same of what is measured."""
@@ -137,8 +145,8 @@ class HoldModel:
         return z, done
 
     def anchored(self, estimates: Array) -> Array:
-        """The start, with what was not measured (n, sought) where it rests at measured positions."""
-        z = self.start.copy()
+        """The start (n, sought), with what was not measured at rest at the measured positions."""
+        z: Array = self.start.copy()
         other = [i for i, n in enumerate(self.sought) if n not in self.measured]
         for _ in range(STEPS if other else 0):
             residual, slopes, *_ = self.at(z, estimates)
@@ -150,9 +158,7 @@ class HoldModel:
                 break
         return z
 
-    def predicted(
-        self, estimates: Array, start: Array | None
-    ) -> tuple[Array, Array, Array]:
+    def predicted(self, estimates: Array, start: Array | None) -> tuple[Array, Array, Array]:
         """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z.
 
         start : where to begin; None for the linear model at the measured positions, which also
@@ -163,7 +169,7 @@ class HoldModel:
         inverse = _inverted(slopes)
         moved = -np.einsum("nij,nj->ni", inverse, residual)
         value = y + np.einsum("nyi,ni->ny", y_z, moved)
-        return value, y_by - y_z @ inverse @ by, z
+        return np.asarray(value), np.asarray(y_by - y_z @ inverse @ by), z
 
 
 class _Symbols:
@@ -209,19 +215,17 @@ def _require_told(plant: Plant, expressions: ca.SX, symbols: _Symbols) -> None:
 def _kept(plant: Plant, memories: Sequence[str], side: Array) -> list[Array]:
     """Values (n,) of the held memories, slid fully on the way; those of a virgin without one."""
     below, above, virgin = (held(plant, m) for m in ("below", "above", "virgin"))
-    return [
-        np.where(side > 0, below[n], np.where(side < 0, above[n], virgin[n])) for n in memories
-    ]
+    return [np.where(side > 0, below[n], np.where(side < 0, above[n], virgin[n])) for n in memories]
 
 
 def _inverted(matrices: Array) -> Array:
     good = np.isfinite(matrices).all(axis=(1, 2))
-    safe = np.where(good[:, None, None], matrices, np.eye(matrices.shape[1]))
+    safe = np.where(np.asarray(good)[:, None, None], matrices, np.eye(matrices.shape[1]))
     try:
         found = np.linalg.inv(safe)
     except np.linalg.LinAlgError:
         found = np.linalg.pinv(safe)
-    return np.where(good[:, None, None], found, np.nan)
+    return np.where(np.asarray(good)[:, None, None], found, np.nan)
 
 
 def _newton(residual: Array, slopes: Array, nominal: Array) -> tuple[Array, Array]:

@@ -1,17 +1,19 @@
 """Fit of holds: where a plant came to rest, at which pressure, tells its spring, load, law, zeros.
 
-A hold is an equilibrium: pressures and positions, waited for. What is estimated moves the equilibria
-that the plant has at the measured pressures; they are compared with the measured positions.
+A hold is an equilibrium: pressures and positions, waited for. What is estimated moves the
+equilibria that the plant has at the measured pressures; they are compared with the measured
+positions.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...core.errors import FitError, InputError, UnknownNameError, require_positive
 from ...core.stop import check, verb
@@ -116,7 +118,9 @@ def fit_holds(
             f"{problem.y.size} measured values for {len(names)} estimates: measure more holds"
         )
     limits = problem.limits(bounds or {})
-    sizes = np.array([require_positive("noise", (noise or {}).get(n, 0.0) or 1.0) for n in compared])
+    sizes = np.array(
+        [require_positive("noise", (noise or {}).get(n, 0.0) or 1.0) for n in compared]
+    )
     found, sizes, weights, terms = _settled(problem, limits, sizes, noise, compared, loss)
     return _result(problem, found, sizes, weights, terms, independent(errors), limits)
 
@@ -202,7 +206,7 @@ def _ways(
     )
     if side is None and label is None:
         side = "sequence" if bands or rough else "unknown"
-    given = label if side is None else side
+    given: Any = label if side is None else side
     if isinstance(given, str):
         if given == "sequence":
             return None
@@ -246,18 +250,26 @@ class _Holds:
         self.inner = len(model.parameters) + len(model.zeroed)
         self.z: Array | None = None  # at first the linear model at the measured positions
         plant = model.plant
-        self.variables = [plant.variable(n.removeprefix("zero.").removeprefix("band.")) for n in names]
+        self.variables = [
+            plant.variable(n.removeprefix("zero.").removeprefix("band.")) for n in names
+        ]
         self.own = [v.causality == "parameter" for v in self.variables]
-        start = [float(v.start or 0.0) if p else 0.0
-                 for v, p in zip(self.variables, self.own, strict=True)]  # fmt: skip
+        start = [
+            float(v.start or 0.0) if p else 0.0
+            for v, p in zip(self.variables, self.own, strict=True)
+        ]
         self.start = np.array(start)
         self.nominal = np.array([v.nominal for v in self.variables])
 
     def limits(self, bounds: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
         """Lower and upper bounds of the estimates. Raises InputError, UnknownNameError."""
         pairs = zip(self.variables, self.own, strict=True)
-        low, high = (list(e) for e in zip(*((v.min, v.max) if p else (-np.inf, np.inf)
-                                            for v, p in pairs), strict=True))  # fmt: skip
+        low, high = (
+            list(e)
+            for e in zip(
+                *((v.min, v.max) if p else (-np.inf, np.inf) for v, p in pairs), strict=True
+            )
+        )
         for i, name in enumerate(self.names):
             low[i] = 0.0 if name.startswith("band.") else low[i]
         for name, ends in bounds.items():
@@ -287,17 +299,32 @@ class _Holds:
         return rest, np.concatenate([-slopes, outer], axis=2)
 
 
-def _minimised(problem: _Holds, start: Array, limits: Any, factors: Array) -> Array:
-    """Least squares of residuals times ``factors`` (n, y) within bounds."""
+def _minimised(
+    problem: _Holds,
+    start: Array,
+    limits: tuple[Array, Array],
+    factors: Array,
+    moved: NDArray[np.bool_] | None = None,
+    scaled: str | float = "jac",
+) -> Array:
+    """Least squares of residuals times ``factors`` (n, y) within bounds; ``moved`` (k,) estimates
+    change, by default all. scaled : of the trust region; 1 for nominal sizes.
+    """
     from scipy.optimize import least_squares
 
+    free = np.ones(len(start), dtype=bool) if moved is None else moved
     held: dict[bytes, tuple[Array, Array]] = {}
+
+    def whole(x: Array) -> Array:
+        found: Array = start.copy()
+        found[free] = x * problem.nominal[free]
+        return found
 
     def both(x: Array) -> tuple[Array, Array]:
         key = x.tobytes()
         if key not in held:
             held.clear()
-            held[key] = problem(x * problem.nominal)
+            held[key] = problem(whole(x))
         return held[key]
 
     def residuals(x: Array) -> Array:
@@ -305,33 +332,70 @@ def _minimised(problem: _Holds, start: Array, limits: Any, factors: Array) -> Ar
         return np.where(np.isfinite(rest), rest, 1e6)
 
     def jacobian(x: Array) -> Array:
-        slopes = (both(x)[1] * factors[:, :, None]).reshape(-1, x.size) * problem.nominal
+        slopes = both(x)[1][:, :, free] * factors[:, :, None]
+        slopes = slopes.reshape(-1, x.size) * problem.nominal[free]
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
-    low, high = (e / problem.nominal for e in limits)
-    begin = np.clip(start / problem.nominal, low, high)
+    low, high = (end[free] / problem.nominal[free] for end in limits)
     found = least_squares(
-        residuals, begin, jac=jacobian, bounds=(low, high), x_scale="jac",
-        ftol=1e-13, xtol=1e-13, gtol=1e-13, max_nfev=200,
-    )  # fmt: skip
+        residuals,
+        np.clip(start[free] / problem.nominal[free], low, high),
+        jac=jacobian,
+        bounds=(low, high),
+        x_scale=scaled,
+        ftol=1e-13,
+        xtol=1e-13,
+        gtol=1e-13,
+        max_nfev=200,
+    )
     if not np.isfinite(found.cost) or found.cost > 1e10:
         raise FitError(
             "the plant finds no rest at these pressures near the measured positions; give start "
             "values nearer to the truth (plant.with_values(...)) or bounds"
         )
-    return np.asarray(found.x * problem.nominal)
+    return whole(np.asarray(found.x))
+
+
+def _begun(problem: _Holds, limits: tuple[Array, Array], factors: Array) -> Array:
+    """The best of several ways: from the plant's values; over the linear model at the measured
+    positions, which needs no rest to be found; each also with zeros and bands released last. A
+    muscle that goes slack on the way makes several optima.
+    """
+    small = np.array([not own for own in problem.own])
+    starts = [problem.start, _minimised(problem, problem.start, limits, factors)]
+    if small.any() and not small.all():
+        starts.append(_minimised(problem, problem.start, limits, factors, ~small))
+    ends: list[tuple[float, Array, Array]] = []
+    wrong = None
+    for start, scaled in itertools.product(starts, ("jac", 1.0)):
+        problem.z = problem.model.anchored(start[: problem.inner])
+        try:
+            if small.any() and not small.all():
+                start = _minimised(problem, start, limits, factors, ~small)
+            found = _minimised(problem, start, limits, factors, scaled=scaled)
+        except FitError as error:
+            wrong = error
+            continue
+        ends.append((float(np.sum((problem(found)[0] * factors) ** 2)), found, problem.z))
+    if not ends:
+        raise wrong or FitError("the plant finds no rest at these pressures")
+    _, best, problem.z = min(ends, key=lambda end: end[0])
+    return best
 
 
 def _settled(
-    problem: _Holds, limits: Any, sizes: Array, noise: Any, compared: Sequence[str], loss: str
+    problem: _Holds,
+    limits: tuple[Array, Array],
+    sizes: Array,
+    noise: Any,
+    compared: Sequence[str],
+    loss: str,
 ) -> tuple[Array, Array, Array, Terms]:
     """Estimates, the size of errors of each variable, robust factors (n, y), and the loss."""
     weights = np.ones_like(problem.y)
     if noise is None and len(compared) > 1:
         sizes = np.array([problem.model.plant.variable(n).nominal for n in compared])
-    found = _minimised(problem, problem.start, limits, weights / sizes)
-    problem.z = problem.model.anchored(found[: problem.inner])
-    found = _minimised(problem, found, limits, weights / sizes)
+    found = _begun(problem, limits, weights / sizes)
     k = len(problem.names)
     for _ in range(ROUNDS if noise is None and len(compared) > 1 else 0):
         new = np.sqrt(np.mean(problem(found)[0] ** 2, axis=0))
@@ -342,8 +406,11 @@ def _settled(
         if change < 1e-6:
             break
     terms = Terms()
-    for kind, edge in {"squares": [], "huber": [("huber", HUBER)],
-                       "bisquare": [("huber", HUBER), ("bisquare", BISQUARE)]}[loss]:  # fmt: skip
+    for kind, edge in {
+        "squares": [],
+        "huber": [("huber", HUBER)],
+        "bisquare": [("huber", HUBER), ("bisquare", BISQUARE)],
+    }[loss]:
         for _ in range(ROUNDS):
             rest = (problem(found)[0] / sizes).ravel()
             if kind == "huber" or terms.loss != kind:
@@ -356,9 +423,14 @@ def _settled(
 
 
 def _result(
-    problem: _Holds, found: Array, sizes: Array, weights: Array, terms: Terms, alone: bool,
+    problem: _Holds,
+    found: Array,
+    sizes: Array,
+    weights: Array,
+    terms: Terms,
+    alone: bool,
     limits: tuple[Array, Array],
-) -> HoldsFit:  # fmt: skip
+) -> HoldsFit:
     rest, slopes = problem(found)
     k, n = len(found), problem.y.size
     scaled, jacobian = (rest / sizes).ravel(), (-slopes / sizes[:, None]).reshape(n, k)
@@ -372,17 +444,26 @@ def _result(
     follows = np.tile(np.arange(rows) > 0, y)
     counted = (rest / sizes * weights).ravel()
     quiet = alone or np.linalg.norm(scaled) <= 1e-9 * np.linalg.norm(problem.y / sizes)
-    serial = None if quiet else serial_errors(
-        jacobian, counted, [Order("from hold to hold", order, follows)])  # fmt: skip
+    serial = (
+        None
+        if quiet
+        else serial_errors(jacobian, counted, [Order("from hold to hold", order, follows)])
+    )
     units = [v.unit for v in problem.variables]
     linear = Linearisation(problem.names, found, units, jacobian, scale, dof, serial=serial)
     _require_seen(linear, problem.nominal)
-    inside = {n: float(v) for n, v in zip(problem.names, found, strict=True)
-              if n in problem.model.parameters}  # fmt: skip
+    inside = {
+        n: float(v)
+        for n, v in zip(problem.names, found, strict=True)
+        if n in problem.model.parameters
+    }
     assert problem.z is not None
     _, reached = problem.model.solved(found[: problem.inner], problem.z)
-    at_bound = [n for n, v, low, high in zip(problem.names, found, *limits, strict=True)
-                if min(v - low, high - v) <= 1e-9 * max(abs(v), 1e-12)]  # fmt: skip
+    at_bound = [
+        n
+        for n, v, low, high in zip(problem.names, found, *limits, strict=True)
+        if min(v - low, high - v) <= 1e-9 * max(abs(v), 1e-12)
+    ]
     return HoldsFit(
         plant=problem.model.plant.with_values(inside),
         linearisation=linear,
@@ -404,7 +485,7 @@ def _require_seen(linear: Linearisation, nominal: Array) -> None:
     for lost, move, words in plain.hardly_seen():
         if lost or np.max(np.abs(move) / sizes) > UNSEEN:
             raise FitError(
-                f"the holds do not tell all of {', '.join(linear.names)}: changing {words} together "
-                "moves no hold beyond its noise; hold one of them, or measure what tells them "
-                "apart (other pressures, loads or positions, both ways)"
+                f"the holds do not tell all of {', '.join(linear.names)}: changing {words} "
+                "together moves no hold beyond its noise; hold one of them, or measure what "
+                "tells them apart (other pressures, loads or positions, both ways)"
             )

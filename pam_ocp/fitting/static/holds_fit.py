@@ -89,8 +89,8 @@ class HoldsFit:
     def warnings(self) -> tuple[str, ...]:
         """What to know before the estimates are trusted."""
         found = [
-            f"the holds hardly see this combination: changing {words} together moves no hold beyond "
-            "its noise"
+            f"the holds hardly see this combination: changing {words} together moves no hold "
+            "beyond its noise"
             for _, _, words in self.linearisation.hardly_seen()
         ]
         if self.unreached:
@@ -120,7 +120,8 @@ class HoldsFit:
                 f"{self.residuals[n][np.argmax(np.abs(self.residuals[n]))]:+.3g}"
                 for n, r in self.rmse.items()
             ),
-            f"    loss {self.loss}, {self.dof} degrees of freedom, condition {linear.condition:.3g}",
+            f"    loss {self.loss}, {self.dof} degrees of freedom, condition "
+            f"{linear.condition:.3g}",
             f"[[Estimates]] ± standard error (relative), {100 * level:g} % interval; SI",
             *(coefficient_line(c, self.interval(n, level)) for n, c in self.coefficients.items()),
             *correlation_lines(linear),
