@@ -23,7 +23,7 @@ from ..statistics import Array
 
 __all__ = ["HoldModel"]
 
-CREEP, SHARP = 1e-6, 1e-8
+CREEP, SHARP = 1e-9, 1e-11
 """Speed [m/s, rad/s] at which a position creeps into rest, and below which friction is rounded off:
 far below all damping, so that friction is what it is on the way.
 """

@@ -362,15 +362,16 @@ def _begun(problem: _Holds, limits: tuple[Array, Array], factors: Array) -> Arra
     muscle that goes slack on the way makes several optima.
     """
     small = np.array([not own for own in problem.own])
+    staged = bool(small.any() and not small.all())
     starts = [problem.start, _minimised(problem, problem.start, limits, factors)]
-    if small.any() and not small.all():
+    if staged:
         starts.append(_minimised(problem, problem.start, limits, factors, ~small))
     ends: list[tuple[float, Array, Array]] = []
     wrong = None
-    for start, scaled in itertools.product(starts, ("jac", 1.0)):
+    for start, scaled in itertools.product(starts, ("jac", 1.0) if staged else ("jac",)):
         problem.z = problem.model.anchored(start[: problem.inner])
         try:
-            if small.any() and not small.all():
+            if staged:
                 start = _minimised(problem, start, limits, factors, ~small)
             found = _minimised(problem, start, limits, factors, scaled=scaled)
         except FitError as error:

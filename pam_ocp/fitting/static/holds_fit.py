@@ -20,6 +20,10 @@ from .report import coefficient_line, correlation_lines
 __all__ = ["HoldsFit"]
 
 
+DECIDING = 0.45
+"""Leverage from which a hold nearly decides alone; half of it where there are two alike."""
+
+
 @dataclass(frozen=True, eq=False)
 class HoldsFit:
     """Estimates from measured equilibria.
@@ -63,6 +67,15 @@ class HoldsFit:
         """Degrees of freedom: measured values less estimates."""
         return self.linearisation.dof
 
+    @cached_property
+    def leverage(self) -> Array:
+        """Part of each hold (n,), 0 to 1, in its own prediction: near 1, it decides alone."""
+        linear = self.linearisation
+        norms = np.linalg.norm(linear.jacobian, axis=0)
+        basis = np.linalg.qr(linear.jacobian / np.where(norms > 0, norms, 1.0))[0]
+        rows = np.sum(basis**2, axis=1).reshape(self.n, -1)
+        return np.asarray(np.max(rows, axis=1))
+
     @property
     def rmse(self) -> dict[str, float]:
         """Root mean square of the residuals of each measured variable [its unit]."""
@@ -98,6 +111,14 @@ class HoldsFit:
             found.append(
                 f"the fitted plant finds no rest at {len(self.unreached)} of {self.n} holds (row "
                 f"{shown}): the linear model stands in there"
+            )
+        alone = np.nonzero(self.leverage > DECIDING)[0]
+        if alone.size and self.n > 5 * len(self.linearisation.names):
+            shown = ", ".join(str(i + 1) for i in alone[:5])
+            found.append(
+                f"the estimates hang on few holds (row {shown}), as where a muscle goes slack or a "
+                "rest is about to vanish: the intervals are too short; leave these holds out, or "
+                "give bounds"
             )
         ignored = int(np.sum(self.weights.min(axis=1) < 0.1))
         if ignored:
