@@ -8,18 +8,22 @@ to unit length before its rank is judged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite
+from ..core.foreign import frame
 from ..muscles.law import ForceLaw
 from ..numerics.elementwise import Elementwise
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = [
     "Coefficient",
@@ -27,6 +31,7 @@ __all__ = [
     "Prediction",
     "SerialErrors",
     "SolverStatistics",
+    "coefficient_frame",
     "elementwise",
     "forces",
     "forces_and_slopes",
@@ -142,6 +147,18 @@ class Coefficient:
     unit: str
     held: bool
     description: str = ""
+
+
+def coefficient_frame(
+    coefficients: Mapping[str, Coefficient], intervals: Mapping[str, tuple[float, float]]
+) -> pd.DataFrame:
+    """Coefficients as a DataFrame by name: value, stderr, low, high, unit, held, description."""
+    rows = [
+        (c.value, c.stderr, *intervals.get(n, (c.value, c.value)), c.unit, c.held, c.description)
+        for n, c in coefficients.items()
+    ]
+    head = ("value", "stderr", "low", "high", "unit", "held", "description")
+    return frame(rows, head, list(coefficients), "name")
 
 
 @dataclass(frozen=True)

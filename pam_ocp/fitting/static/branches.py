@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_instance
+from ...core.shown import shown
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .optimum import Optimum
@@ -28,6 +29,7 @@ SAME_CONTRACTION = 0.001
 
 
 # ---- repeats -------------------------------------------------------------------------------------
+@shown
 @dataclass(frozen=True)
 class LackOfFit:
     """Scatter of repeats against what the law leaves over (F-test).
@@ -121,6 +123,7 @@ def repeats(table: ForceTable) -> NDArray[np.intp]:
 
 
 # ---- branches ------------------------------------------------------------------------------------
+@shown
 @dataclass(frozen=True, eq=False)
 class Hysteresis:
     """Force on deflation less that on inflation, at the same pressure and contraction.

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import polynomial_law
@@ -79,6 +80,7 @@ class ComparedLaw:
         return wrong + price * (self.parameters + 1)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class LawComparison:
     """Laws on one table, the best at a level left out first; those without a fit last."""
