@@ -160,7 +160,8 @@ def _add_reading(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="QUANTITY=HEADER",
-        help="which column holds what, as pressure=P1 force=F",
+        help="which column holds what, as pressure=P1 force=F; or, of a file without headers, the "
+        "names of all columns from the left, as 'length [mm]' 'pressure [bar]' 'force [N]'",
     )
     command.add_argument(
         "--units",
@@ -183,7 +184,9 @@ def _add_fixed(command: argparse.ArgumentParser) -> None:
 
 # ---- what they do -------------------------------------------------------------------------------
 def _reading(options: argparse.Namespace) -> dict[str, Any]:
-    found = {n: pairs(f"--{n}", getattr(options, n)) for n in ("columns", "units")}
+    found: dict[str, Any] = {"units": pairs("--units", options.units)}
+    named = any("=" in text for text in options.columns)
+    found["columns"] = pairs("--columns", options.columns) if named else options.columns
     return {n: v for n, v in found.items() if v}
 
 

@@ -41,6 +41,15 @@ def test_fit_takes_columns_units_and_held_coefficients(table, capsys):
     assert float(re.search(r"less inflation ([\d.]+)", shown)[1]) == pytest.approx(8.0, abs=1.0)
 
 
+def test_fit_takes_the_names_of_columns_of_a_file_without_headers(table, tmp_path, capsys):
+    bare = tmp_path / "bare.csv"
+    rows = table.read_text("utf-8").splitlines()[1:41]
+    bare.write_text("".join(f"{row.rsplit(',', 1)[0]}\n" for row in rows), "utf-8")
+    names = ["length [mm]", "pressure [kPa]", "force [N]"]
+    assert main(["fit", str(bare), "--rest-length", "0.3", "--columns", *names]) == 0
+    assert "taut cells of 40" in capsys.readouterr().out
+
+
 def test_fit_ranks_several_laws_and_takes_the_best(table, capsys):
     laws = ["--law", "five-parameter", "--law", "six-parameter"]
     assert main(["fit", str(table), *READ, *laws]) == 0

@@ -246,16 +246,17 @@ def joined(parts: Sequence[Measured]) -> ForceTable:
     for t in tables:
         branch += t.branch or ("",) * len(t)
         run += t.run or ((t.source if several else ""),) * len(t)
-    pressure, contraction, force = (
-        np.concatenate([getattr(t, n) for t in tables])
-        for n in ("pressure", "contraction", "force")
-    )
+    together: dict[str, Any] = {
+        name: np.concatenate([getattr(t, name) for t in tables])
+        for name in ("pressure", "contraction", "force", "scatter", "error")
+        if all(getattr(t, name) is not None for t in tables)
+    }
     return ForceTable(
-        pressure,
-        contraction,
-        force,
-        tables[0].rest_length,
-        ", ".join(dict.fromkeys(t.source for t in tables)),
-        tuple(branch) if any(branch) else (),
-        tuple(run) if any(run) else (),
+        **together,
+        rest_length=tables[0].rest_length,
+        source=", ".join(dict.fromkeys(t.source for t in tables)),
+        branch=tuple(branch) if any(branch) else (),
+        run=tuple(run) if any(run) else (),
+        file=tuple(t.source for t in tables for _ in range(len(t))) if several else (),
+        notes=tuple(note for t in tables for note in t.notes),
     )
