@@ -12,24 +12,10 @@ import numpy as np
 
 from ...core.errors import InputError, PamError, require_positive
 from ..tables.force_table import ForceTable, read_table
-from ..tables.sources import load
+from ..tables.sources import ENDINGS, load
 
 __all__ = ["Measured", "collected", "joined"]
 
-ENDINGS = (
-    ".csv",
-    ".tsv",
-    ".txt",
-    ".dat",
-    ".gz",
-    ".xlsx",
-    ".mat",
-    ".npz",
-    ".npy",
-    ".parquet",
-    ".json",
-    ".h5",
-)
 BRANCHES = {
     **dict.fromkeys(("inflation", "inflating", "filling", "fill", "up", "loading"), "inflation"),
     **dict.fromkeys(
@@ -106,7 +92,11 @@ def _sources(source: Any) -> list[tuple[str, Any]]:
                 f"{folder} is no folder: give a folder of tables, a list of files, or "
                 "{muscle: table}"
             )
-        paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in ENDINGS and p.is_file())
+        paths = sorted(
+            p
+            for p in folder.rglob("*")
+            if Path(p.name.lower().removesuffix(".gz")).suffix in ENDINGS and p.is_file()
+        )
         return [(p.name, p) for p in paths]
     if not isinstance(source, Iterable):
         raise InputError(f"tables is a {type(source).__name__}: give a folder, files or tables")
@@ -212,7 +202,7 @@ def _sizes(name: str) -> tuple[float | None, float | None]:
 def _named(file: str) -> tuple[str, str, str]:
     """(muscle, branch, run) that a file's name tells."""
     stem = file
-    while Path(stem).suffix.lower() in (*ENDINGS, ".table"):
+    while Path(stem).suffix.lower() in (*ENDINGS, ".gz", ".table"):
         stem = stem[: -len(Path(stem).suffix)]
     branch = run = ""
     kept = []
