@@ -25,6 +25,7 @@ from .plan import add_plan
 from .plants import add_plant, muscle_named, plant_said
 from .report import add_report
 from .simulate import add_compare, add_simulate
+from .static import add_campaign, add_fit, add_fit_holds
 
 __all__ = ["main"]
 
@@ -65,7 +66,9 @@ def _parser() -> argparse.ArgumentParser:
 
     for add in (
         _add_tour,
-        _add_fit,
+        add_fit,
+        add_campaign,
+        add_fit_holds,
         add_fit_plant,
         _add_export,
         _add_check,
@@ -119,51 +122,6 @@ def _add_tour(commands: Any) -> None:
         help="folder for the results (default: tour)",
     )
     tour.set_defaults(run=_tour)
-
-
-def _add_fit(commands: Any) -> None:
-    fit = commands.add_parser("fit", help="fit a force law to a measured table")
-    fit.add_argument(
-        "table",
-        metavar="TABLE",
-        help="CSV with length (or contraction), pressure, force; units in the header, as in "
-        "length_m,pressure_Pa,force_N; or a bundled table such as DMSP-20-300_static.csv",
-    )
-    fit.add_argument(
-        "--rest-length",
-        type=float,
-        metavar="M",
-        help="length at zero pressure and load, in metres (needed unless the table holds "
-        "contractions)",
-    )
-    fit.add_argument(
-        "--diameter", type=float, metavar="M", help="inner diameter at rest, in metres"
-    )
-    fit.add_argument(
-        "--law",
-        default="six-parameter",
-        metavar="LAW",
-        help="force law (default: six-parameter); also polynomial-1-3 (degrees), "
-        "spline-3:0,0.1,0.25 "
-        "(degree and contractions)",
-    )
-    fit.add_argument(
-        "--loss",
-        default="squares",
-        metavar="LOSS",
-        help="squares (default); bisquare, where some cells are measured wrong; huber; l1",
-    )
-    fit.add_argument("--name", metavar="NAME", help="name of the muscle in the muscle file")
-    fit.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="write the muscle file (.toml, .json) that the other commands take",
-    )
-    fit.add_argument(
-        "--plot", type=Path, metavar="FILE.png", help="draw measurement, law and residuals"
-    )
-    fit.set_defaults(run=_fit)
 
 
 def _add_export(commands: Any) -> None:
@@ -280,30 +238,6 @@ def _tour(options: argparse.Namespace) -> int:
     from ..studies.tour import tour
 
     tour(options.out, say=lambda text: print(text, flush=True))
-    return 0
-
-
-def _fit(options: argparse.Namespace) -> int:
-    from ..fitting.static.static import fit_force
-    from ..fitting.tables.force_table import read_table
-    from ..muscles.muscle_file import save_muscle
-
-    require_places(options.out, options.plot)
-    table = read_table(options.table, rest_length=options.rest_length)
-    fitted = fit_force(table, options.law, loss=options.loss)
-    print(fitted.report())
-    if options.plot:
-        from ..figures.saved import save_figure
-        from ..figures.trajectory import plot_fit
-
-        print(f"-> {save_figure(plot_fit(fitted), options.plot)}")
-    if options.out:
-        length = table.rest_length if options.rest_length is None else options.rest_length
-        if length is None:
-            raise InputError("--rest-length is needed to write a muscle file")
-        name = options.name or Path(options.table).stem
-        muscle = fitted.muscle(rest_length=length, diameter=options.diameter, name=name)
-        print(f"-> {save_muscle(muscle, options.out)}")
     return 0
 
 
