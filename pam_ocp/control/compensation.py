@@ -23,7 +23,9 @@ from .references import Source, source
 __all__ = ["HysteresisCompensation"]
 
 Array: TypeAlias = NDArray[np.float64]
-Rates: TypeAlias = "Callable[[Mapping[str, float], Mapping[str, float], Measured], dict[str, float]]"
+Rates: TypeAlias = (
+    "Callable[[Mapping[str, float], Mapping[str, float], Measured], dict[str, float]]"
+)
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 BISECTIONS = 60
@@ -185,15 +187,18 @@ class _Rounded:
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         h, middle = self._half, t - self._late
-        at = lambda s: self._reference(max(s, 0.0))  # noqa: E731
         parts = (NODES + 1) / 2
-        later = np.array([at(middle + h * s) for s in parts])
-        before = np.array([at(middle - h * s) for s in parts])
+        later = np.array([self._at(middle + h * s) for s in parts])
+        before = np.array([self._at(middle - h * s) for s in parts])
         weights = WEIGHTS / 2
         x = float(np.sum(weights * (1 - parts) * (later + before)))
         v = float(np.sum(weights * (later - before))) / h
-        a = (at(middle + h) - 2 * at(middle) + at(middle - h)) / h**2
+        a = (self._at(middle + h) - 2 * self._at(middle) + self._at(middle - h)) / h**2
         return x, v, a
+
+    def _at(self, t: float) -> float:
+        """The reference, at rest before the beginning."""
+        return self._reference(max(t, 0.0))
 
 
 class _PressureInputs:
@@ -278,4 +283,4 @@ class _PressureInputs:
 def _start_of(plant: Plant, name: str) -> float:
     """An expression of the plant at its start values."""
     at: Any = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression(name)])
-    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))  # type: ignore[arg-type]
+    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))

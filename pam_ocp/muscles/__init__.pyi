@@ -5,5 +5,6 @@ from .catalogue import muscle as muscle
 from .catalogue import muscle_names as muscle_names
 from .muscle_file import load_muscle as load_muscle
 from .muscle_file import save_muscle as save_muscle
+from .parallel import in_parallel as in_parallel
 from .pneumatic_muscle import Muscle as Muscle
 from .validity import ValidityWarning as ValidityWarning

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import Field, make_dataclass
+from dataclasses import MISSING, Field, field, fields, make_dataclass
 from functools import cache
 from typing import Any, cast
 
@@ -20,7 +20,14 @@ from ...core.expressions import expression_of
 from ..law import LAWS, ForceLaw, coefficient
 from ..validity import Validity
 
-__all__ = ["law_named", "own_law", "polynomial_law", "spline_law"]
+__all__ = [
+    "copied_fields",
+    "law_named",
+    "made_law",
+    "own_law",
+    "polynomial_law",
+    "spline_law",
+]
 
 _TYPICAL = {"g": ("N/Pa", 3e-3, "gain G"), "h": ("N", 300.0, "force at zero pressure H")}
 
@@ -33,10 +40,16 @@ def law_named(name: str) -> type[ForceLaw]:
     """The class of laws of this name: one of ``LAWS``, or a form with its numbers.
 
     "polynomial-3-4" is ``polynomial_law(3, 4)``, "spline-3:0,0.1,0.25" ``spline_law([0, 0.1, 0.25],
-    3)``.
+    3)``, "six-parameter+bladder" ``bladder_law(SixParameterLaw)``.
     """
     if name in LAWS:
         return LAWS[name]
+    inner, plus, kind = str(name).rpartition("+")
+    if plus:
+        from .around import AROUND  # it is made of these
+
+        if kind in AROUND:
+            return AROUND[kind](law_named(inner))
     if found := _POLYNOMIAL.fullmatch(str(name)):
         return polynomial_law(int(found[1]), int(found[2]))
     if found := _SPLINE.fullmatch(str(name)):
@@ -45,7 +58,7 @@ def law_named(name: str) -> type[ForceLaw]:
         except ValueError:
             raise InputError(f"law = {name!r}: give numbers behind the colon") from None
         return spline_law(breaks, int(found[1]))
-    known = (*LAWS, "polynomial-DEGREE-DEGREE", "spline-DEGREE:BREAK,BREAK,...")
+    known = (*LAWS, "polynomial-DEGREE-DEGREE", "spline-DEGREE:BREAK,BREAK,...", "LAW+bladder")
     raise UnknownNameError("force law", name, known)
 
 
@@ -77,7 +90,7 @@ def _polynomial_law(gain_degree: int, offset_degree: int) -> type[ForceLaw]:
         # contractions are about 1/4, so the i-th coefficient is about 4^i times the constant
         return coefficient(unit, size * 4.0**i, f"{words}, contraction to the power {i}")
 
-    return _made(
+    return made_law(
         f"PolynomialLaw{gain_degree}{offset_degree}",
         {f"{c}{i}": described(c, i) for c, degree in degrees.items() for i in range(degree + 1)},
         formula=lambda law, p, kappa: polynomial(law, "g", kappa) * p + polynomial(law, "h", kappa),
@@ -126,7 +139,7 @@ def _spline_law(breaks: tuple[float, ...], degree: int) -> type[ForceLaw]:
         for letter, (unit, size, words) in _TYPICAL.items()
         for i in range(count)
     }
-    return _made(
+    return made_law(
         f"SplineLaw{degree}",
         fields,
         formula=lambda law, p, kappa: spline(law, "g", kappa) * p + spline(law, "h", kappa),
@@ -203,7 +216,7 @@ def own_law(
     else:
         symbols = {key: ca.SX.sym(key) for key in coefficients}
         expression_of(f"law {name!r}", formula, ca.SX.sym("p"), ca.SX.sym("kappa"), **symbols)
-    law = _made(
+    law = made_law(
         "OwnLaw",
         dict(coefficients),
         formula=lambda law, p, kappa: formula(p, kappa, **law.values),
@@ -233,7 +246,17 @@ def _degree(argument: str, value: int) -> int:
     return require_count(argument, value, 0, 12)
 
 
-def _made(
+def copied_fields(law: type[ForceLaw]) -> dict[str, Any]:
+    """The fields of a law by name, made anew for another class."""
+    return {
+        f.name: field(metadata=f.metadata)
+        if f.default is MISSING
+        else field(default=f.default, metadata=f.metadata)
+        for f in fields(law)
+    }
+
+
+def made_law(
     class_name: str,
     coefficients: Mapping[str, Any],
     *,
