@@ -12,7 +12,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ..law import ForceLaw, clamp, coefficient
-from .user_defined import copied_fields, made_law
+from .user_defined import copied_fields, law_named, made_law
 
 __all__ = ["AROUND", "bladder_law", "ends_law", "with_bladder", "with_ends"]
 
@@ -52,7 +52,6 @@ def _bladder_law(law: type[ForceLaw]) -> type[ForceLaw]:
                 "Pa", WIDTH, "rounding of the dead pressure", minimum=1.0, fixed=True, default=WIDTH
             ),
         },
-        bladder_law,
         formula=formula,
         gain_area=lambda self, kappa: _inside(law, self).gain_area(kappa),
     )
@@ -109,7 +108,6 @@ def _ends_law(law: type[ForceLaw]) -> type[ForceLaw]:
                 default=0.0,
             ),
         },
-        ends_law,
         formula=formula,
         gain_area=lambda self, kappa: (
             _inside(law, self).gain_area(factor(self) * kappa) / factor(self)
@@ -154,7 +152,6 @@ def _around(
     kind: str,
     words: str,
     more: dict[str, Any],
-    remake: Callable[[type[ForceLaw]], type[ForceLaw]],
     **members: Any,
 ) -> type[ForceLaw]:
     taken = {v.name for v in law.coefficient_variables()} & set(more)
@@ -167,6 +164,6 @@ def _around(
         title=f"{law.title} {words}",
         reference=law.reference,
         validity=law.validity,
-        remake=(remake, (law,)),
+        remake=(law_named, (f"{law.name}+{kind}",)),
         **members,
     )
