@@ -148,10 +148,8 @@ class _Tracking:
         if self.owner.compensate:
             self._memory.move(self._path(t)[0], self.sample_time)
         found = self._pressures(t)
-        if self._now is not None:
-            muscles = self.owner.inverse.muscles
-            pressures = zip(muscles, found.tolist(), strict=True)
-            self._memory.place({f"{m}.pressure": p for m, p in pressures})
+        pressures = zip(self.owner.inverse.muscles, found.tolist(), strict=True)
+        self._memory.place({f"{m}.pressure": p for m, p in pressures})
         return found
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
