@@ -161,21 +161,23 @@ class Muscle:
         if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
             self.law.validity.check(f"{self.law.name} law", p, kappa)
             self._measured.check(f"muscle {self.name!r}", p, kappa)
-            self._strength.check(f"strength of muscle {self.name!r}", p, kappa)
         found = evaluate(_clamped(type(self.law)), index, p, kappa, rest)
-        if index == 0 and self.pull_off is not None and not isinstance(found, (ca.SX, ca.MX)):
-            warn_beyond(f"muscle {self.name!r}", "force", found, self.pull_off, "N", "its ends")
+        if not isinstance(found, (ca.SX, ca.MX)):
+            self._check_strength(p, found if index == 0 else None)
         return found
+
+    def _check_strength(self, p: Any, force: Any) -> None:
+        """Warn, once, where numbers are beyond what the muscle bears."""
+        if self.burst_pressure is not None:
+            subject = f"strength of muscle {self.name!r}"
+            warn_beyond(subject, "pressure", p, self.burst_pressure, "Pa", "its tube gives")
+        if self.pull_off is not None and force is not None:
+            subject = f"strength of muscle {self.name!r}"
+            warn_beyond(subject, "force", force, self.pull_off, "N", "its ends give")
 
     @property
     def _measured(self) -> Validity:
         return Validity(self.pressure_range, self.contraction_range, "outside what was measured")
-
-    @property
-    def _strength(self) -> Validity:
-        if self.burst_pressure is None:
-            return Validity()
-        return Validity(pressure=(-math.inf, self.burst_pressure), note="it bursts")
 
     # ---- in a plant --------------------------------------------------------------------------
     def substituted(self, symbol: Callable[[str, Any], Any]) -> Muscle:

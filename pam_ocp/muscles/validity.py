@@ -70,7 +70,7 @@ def warn_beyond(
         _WARNED.add((subject, quantity))
         warnings.warn(
             f"{subject}: {quantity} = {most:g} {unit} is above {largest:g} {unit}, at which "
-            f"{gives_way} give way",
+            f"{gives_way} way",
             ValidityWarning,
             stacklevel=outside(),
         )
