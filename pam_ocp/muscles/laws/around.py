@@ -12,7 +12,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ..law import ForceLaw, clamp, coefficient
-from .user_defined import copied_fields, law_named, made_law
+from .made import copied_fields, made_law
 
 __all__ = ["AROUND", "bladder_law", "ends_law", "with_bladder", "with_ends"]
 
@@ -157,6 +157,7 @@ def _around(
     taken = {v.name for v in law.coefficient_variables()} & set(more)
     if taken:
         raise InputError(f"law {law.name!r} has a coefficient {taken.pop()!r} of its own already")
+    made_by = getattr(law, "made_by", None)
     return made_law(
         f"{law.__name__}{kind.capitalize()}",
         {**copied_fields(law), **more},
@@ -164,6 +165,11 @@ def _around(
         title=f"{law.title} {words}",
         reference=law.reference,
         validity=law.validity,
-        remake=(law_named, (f"{law.name}+{kind}",)),
+        remake=(_again, (kind, None if made_by else law, made_by)),
         **members,
     )
+
+
+def _again(kind: str, law: type[ForceLaw] | None, made_by: Any) -> type[ForceLaw]:
+    """The class around a law that stands in a module, or around one that is made by a call."""
+    return AROUND[kind](made_by[0](*made_by[1]) if law is None else law)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, Field, field, fields, make_dataclass
+from dataclasses import Field
 from functools import cache
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,11 +19,11 @@ from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.expressions import expression_of
 from ..law import LAWS, ForceLaw, coefficient
 from ..validity import Validity
+from .around import AROUND
+from .made import made_law
 
 __all__ = [
-    "copied_fields",
     "law_named",
-    "made_law",
     "own_law",
     "polynomial_law",
     "spline_law",
@@ -45,11 +45,8 @@ def law_named(name: str) -> type[ForceLaw]:
     if name in LAWS:
         return LAWS[name]
     inner, plus, kind = str(name).rpartition("+")
-    if plus:
-        from .around import AROUND  # it is made of these
-
-        if kind in AROUND:
-            return AROUND[kind](law_named(inner))
+    if plus and kind in AROUND:
+        return AROUND[kind](law_named(inner))
     if found := _POLYNOMIAL.fullmatch(str(name)):
         return polynomial_law(int(found[1]), int(found[2]))
     if found := _SPLINE.fullmatch(str(name)):
@@ -244,39 +241,3 @@ def _from_expression(expression: ca.SX, names: tuple[str, ...]) -> Callable[...,
 
 def _degree(argument: str, value: int) -> int:
     return require_count(argument, value, 0, 12)
-
-
-def copied_fields(law: type[ForceLaw]) -> dict[str, Any]:
-    """The fields of a law by name, made anew for another class."""
-    return {
-        f.name: field(metadata=f.metadata)
-        if f.default is MISSING
-        else field(default=f.default, metadata=f.metadata)
-        for f in fields(law)
-    }
-
-
-def made_law(
-    class_name: str,
-    coefficients: Mapping[str, Any],
-    *,
-    remake: tuple[Callable[..., type[ForceLaw]], tuple[Any, ...]] | None = None,
-    **members: Any,
-) -> type[ForceLaw]:
-    """A frozen dataclass of this name with ForceLaw as its base."""
-    if remake is not None:  # classes made at run time are pickled as the call that makes them
-        members["__reduce__"] = lambda law: (_remade, (*remake, tuple(law.values.values())))
-    return cast(
-        type[ForceLaw],
-        make_dataclass(
-            class_name,
-            [(n, float, f) for n, f in coefficients.items()],
-            bases=(ForceLaw,),
-            namespace={"__doc__": members["title"], "__module__": __name__, **members},
-            frozen=True,
-        ),
-    )
-
-
-def _remade(factory: Callable[..., type[ForceLaw]], arguments: Any, values: Any) -> ForceLaw:
-    return factory(*arguments)(*values)
