@@ -306,8 +306,12 @@ def _muscles(options: argparse.Namespace) -> int:
 def _show(options: argparse.Namespace) -> int:
     if options.name is None:
         raise InputError("muscles show: give the NAME of a muscle; 'pam-ocp muscles' lists them")
+    from ..muscles.catalogue import attribution, muscle_names
+
     muscle = muscle_named(options.name, options.rest_length)
     print(muscle_text(muscle))
+    if options.name in muscle_names():
+        print(f"\n{attribution(options.name)}")
     if options.plot:
         from ..figures.saved import save_figure
         from ..figures.trajectory import plot_muscle
