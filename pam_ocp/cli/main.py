@@ -19,6 +19,7 @@ from .fit import add_fit_plant
 from .mpc import add_mpc
 from .options import add_allow_code, require_places
 from .plan import add_plan
+from .reading import add_look, add_reading, reading_options
 
 __all__ = ["main"]
 
@@ -55,6 +56,7 @@ def _parser() -> argparse.ArgumentParser:
 
     for add in (
         _add_tour,
+        add_look,
         _add_fit,
         add_fit_plant,
         _add_export,
@@ -112,8 +114,9 @@ def _add_fit(commands: Any) -> None:
     fit.add_argument(
         "table",
         metavar="TABLE",
-        help="CSV with length (or contraction), pressure, force; units in the header, as in "
-        "length_m,pressure_Pa,force_N; or a bundled table such as DMSP-20-300_static.csv",
+        help="file with length (or contraction), pressure, force; units in the header, as in "
+        "length_m,pressure_Pa,force_N ('pam-ocp look' says what is understood); or a bundled "
+        "table such as DMSP-20-300_static.csv",
     )
     fit.add_argument(
         "--rest-length",
@@ -139,6 +142,7 @@ def _add_fit(commands: Any) -> None:
         metavar="LOSS",
         help="squares (default); bisquare, where some cells are measured wrong; huber; l1",
     )
+    add_reading(fit)
     fit.add_argument("--name", metavar="NAME", help="name of the muscle in the muscle file")
     fit.add_argument(
         "--out",
@@ -287,7 +291,7 @@ def _fit(options: argparse.Namespace) -> int:
     from ..muscles.muscle_file import save_muscle
 
     require_places(options.out, options.plot)
-    table = read_table(options.table, rest_length=options.rest_length)
+    table = read_table(options.table, rest_length=options.rest_length, **reading_options(options))
     fitted = fit_force(table, options.law, loss=options.loss)
     print(fitted.report())
     if options.plot:

@@ -87,10 +87,11 @@ MOST_TOKENS, MOST_POWER = 200, 9
 
 @dataclass(frozen=True)
 class Scale:
-    """SI value of a reading: sum of ``terms[i] * reading**i``... as a function of the numbers.
+    """From the numbers that stand in a file to SI.
 
-    unit : as it was said, for messages. formula : None for a plain unit. shift : what is taken off
-    for an absolute pressure [Pa].
+    unit : as it was said, for messages. measured : what it is a unit of. formula : of a
+    calibration; None for a plain unit. reading, kind : SI value and exponents of the unit of its readings.
+    shift : what is taken off for an absolute pressure [Pa].
     """
 
     unit: str
@@ -173,8 +174,8 @@ def _calibrated(
     _, kind = _value(tree, np.ones(1), reading.exponents, text)
     if base is not None and kind != base.exponents:
         raise InputError(
-            f"{where}: {text!r} gives something else than {base.name}; give each constant its unit, "
-            f"as in 'V * 2 {base.name}/V - 0.3 {base.name}'"
+            f"{where}: {text!r} gives something else than {base.name}; give each constant its "
+            f"unit, as in 'V * 2 {base.name}/V - 0.3 {base.name}'"
         )
     return Scale(text, Unit(text, kind), tree, reading.factor, reading.exponents, shift)
 
@@ -200,7 +201,7 @@ def _gain(where: str, text: str, tree: _Node) -> tuple[Unit, _Node]:
     return _unit_or_count(below, None), ("*", tree, ("reading", below))
 
 
-# ---- grammar: sum of products of powers of readings and constants -----------------------------------
+# ---- grammar: sums of products of powers of readings and constants ------------------------------
 _Node: TypeAlias = tuple[Any, ...]
 _Value: TypeAlias = tuple[Any, tuple[int, ...]]
 
@@ -209,7 +210,8 @@ class _Parser:
     """sum = product {(+|-) product}; product = power {(*|/) power}; power = atom [^ digit]."""
 
     def __init__(self, where: str, text: str) -> None:
-        self.where, self.text, self.tokens, at = where, text, [], 0
+        self.where, self.text, at = where, text, 0
+        self.tokens: list[re.Match[str]] = []
         while at < len(text.rstrip()):
             match = _TOKEN.match(text, at)
             if match is None or len(self.tokens) > MOST_TOKENS:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -34,8 +35,8 @@ PERIODS = (60.0, 3600.0, 86400.0)
 
 @dataclass(frozen=True)
 class Clock:
-    """Times [s] of a record. sample_time : usual step; jitter : standard deviation of the steps up to
-    the largest usual one; longest step, all [s]. kind : what the times were, in words.
+    """Times [s] of a record. sample_time : usual step; jitter : standard deviation of the steps
+    without gaps; longest step, all [s]. kind : what the times were, in words.
     """
 
     header: str
@@ -216,12 +217,12 @@ def parts_of(
         i = int(np.argmax(wide))
         raise InputError(
             f"{raw.label}: a gap of {steps[i]:g} s before {raw.row(i + 1)} (from {t[i]:g} to "
-            f"{t[i + 1]:g} s, where {usual:g} s are usual); cut there with clock='cut' (read_records "
-            f"then gives all parts, read_record the longest), or allow it with "
+            f"{t[i + 1]:g} s, where {usual:g} s are usual); cut there with clock='cut' "
+            "(read_records then gives all parts, read_record the longest), or allow it with "
             f"max_gap={1.01 * steps[i]:.3g}"
         )
     cuts = [0, *(int(i) + 1 for i in np.nonzero(back | wide)[0]), len(t)]
-    found = [(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b - a >= 2]
+    found = [(a, b) for a, b in pairwise(cuts) if b - a >= 2]
     if not found:
         raise InputError(f"{raw.label}: no two rows follow each other in time; look at {header!r}")
     return found

@@ -12,42 +12,59 @@ from ...core.calibration import COUNTS, SPELLINGS, spelled
 from ...core.errors import UnknownNameError
 from ...core.units import unit
 
-__all__ = ["MEASURED", "NAMES", "TIME_NAMES", "is_unit", "matching", "parse_header", "plain"]
+__all__ = [
+    "MEASURED",
+    "NAMES",
+    "TIME_NAMES",
+    "is_unit",
+    "matching",
+    "parse_header",
+    "plain",
+    "words_of",
+]
+
+
+def words_of(text: str) -> frozenset[str]:
+    """Names between commas, on any number of lines."""
+    return frozenset(" ".join(name.split()) for name in text.split(","))
+
 
 NAMES: dict[str, frozenset[str]] = {
-    "length": frozenset(
-        "length,l,len,muscle length,active length,länge,laenge,muskellänge,longueur,longitud,"
-        "lunghezza,lengte,comprimento,längd,длина,长度,長さ".split(",")
+    "length": words_of(
+        """length, l, len, muscle length, active length, länge, laenge, muskellänge, longueur,
+        longitud, lunghezza, lengte, comprimento, längd, długość, длина, 长度, 長さ"""
     ),
-    "contraction": frozenset(
-        "contraction,contraction ratio,contraction strain,relative contraction,kappa,κ,eps,epsilon,"
-        "ε,kontraktion,kontraktionsgrad,verkürzung,verkuerzung,taux de contraction,contracción,"
-        "contraccion,contrazione,contractie,contração,收缩率,収縮率".split(",")
+    "contraction": words_of(
+        """contraction, contraction ratio, contraction strain, relative contraction, kappa, κ, eps,
+        epsilon, ε, kontraktion, kontraktionsgrad, verkürzung, verkuerzung, taux de contraction,
+        contracción, contraccion, contrazione, contractie, contração, 收缩率, 収縮率"""
     ),
-    "pressure": frozenset(
-        "pressure,p,gauge pressure,pressure gauge,p gauge,muscle pressure,internal pressure,press,"
-        "druck,überdruck,ueberdruck,muskeldruck,innendruck,pression,pression relative,presión,"
-        "presion,pressione,druk,tryck,pressão,ciśnienie,давление,压力,圧力".split(",")
+    "pressure": words_of(
+        """pressure, p, gauge pressure, pressure gauge, p gauge, muscle pressure, internal pressure,
+        press, druck, überdruck, ueberdruck, muskeldruck, innendruck, pression, pression relative,
+        presión, presion, pressione, druk, tryck, pressão, ciśnienie, давление, 压力, 圧力"""
     ),
-    "absolute pressure": frozenset(
-        "absolute pressure,pressure absolute,pressure abs,p abs,pabs,abs pressure,absolutdruck,"
-        "druck absolut,druck abs,pression absolue,presión absoluta,pressione assoluta".split(",")
+    "absolute pressure": words_of(
+        """absolute pressure, pressure absolute, pressure abs, p abs, pabs, abs pressure,
+        absolutdruck, druck absolut, druck abs, pression absolue, presión absoluta, pressione
+        assoluta"""
     ),
-    "force": frozenset(
-        "force,f,pulling force,pull force,tension,tensile force,axial force,load cell,loadcell,kraft,"
-        "zugkraft,muskelkraft,kraftsensor,force de traction,fuerza,fuerza axial,forza,kracht,força,"
-        "siła,сила,力,张力,張力".split(",")
+    "force": words_of(
+        """force, f, pulling force, pull force, tension, tensile force, axial force, load cell,
+        loadcell, kraft, zugkraft, muskelkraft, kraftsensor, force de traction, fuerza,
+        fuerza axial, forza, kracht, força, siła, сила, 力, 张力, 張力"""
     ),
 }
 """Quantity: names by which a header calls it."""
-TIME_NAMES = frozenset(
-    "time,t,zeit,timestamp,time stamp,date,datetime,date time,elapsed,elapsed time,datum,uhrzeit,"
-    "zeitstempel,datum uhrzeit,messzeit,temps,tiempo,tempo,tijd,tid,czas,время,时间,時間,"
-    "x value,seconds,sec".split(",")
+TIME_NAMES = words_of(
+    """time, t, zeit, timestamp, time stamp, date, datetime, date time, elapsed, elapsed time,
+    datum, uhrzeit, zeitstempel, datum uhrzeit, messzeit, temps, tiempo, tempo, tijd, tid, czas, время,
+    时间, 時間, x value, seconds, sec"""
 )
-MEASURED = frozenset(
-    "measured,meas,actual,act,ist,istwert,sensor,mess,gemessen,mesuré,mesurée,mesure,real,feedback,"
-    "mean,avg,average,mittel,mittelwert,moyenne,medida,misurata,muscle,muskel".split(",")
+MEASURED = words_of(
+    """measured, meas, actual, act, ist, istwert, sensor, mess, gemessen, mesuré, mesurée, mesure,
+    real, feedback, mean, avg, average, mittel, mittelwert, moyenne, medida, misurata, muscle,
+    muskel"""
 )
 """Words that say no more than that the quantity was measured."""
 # A bracket that ends the header, or what stands behind a slash or a comma
@@ -59,7 +76,7 @@ _SUFFIXED = re.compile(r"(?P<name>.+?)(?:[_\s]+in)?[_\s]+(?P<unit>[^_\s]+)$")
 
 
 def parse_header(header: str) -> tuple[str, str | None]:
-    """(name, unit or None) of a header; the unit as calibration.SCALES spells it where known."""
+    """(name, unit or None) of a header; the unit as core.calibration spells it where known."""
     text = header.strip()
     match = _BRACKETED.match(text)
     if match:

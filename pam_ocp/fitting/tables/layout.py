@@ -53,7 +53,11 @@ def tabulated(
     kept = [i for i, name in enumerate(found) if name]
     labels = [found[i] for i in kept]
     require_distinct(labels, grid.label)
-    units = {found[i]: str(stated[i]) for i in kept if i < len(stated) and not is_empty(stated[i])}
+    units = {
+        found[i]: str(stated[i]).strip(" []()")
+        for i in kept
+        if i < len(stated) and not is_empty(stated[i])
+    }
     named = (head if names is None and head >= 0 else start) if start else 0
     said = [*grid.dialect]
     said += [f"names in line {grid.lines[head]}"] if names is None and 0 <= head < start else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from ...core.errors import InputError
@@ -37,7 +38,7 @@ def _heads(grid: Grid, row: Sequence[Any]) -> list[tuple[float, str | None, str]
 
 
 def _corner_row(grid: Grid, start: int) -> int | None:
-    """The row that holds what runs across: values that differ, behind a corner that is no number."""
+    """The row that holds what runs across: values that differ, behind a corner without one."""
     for place in (start, start - 1):
         if not 0 <= place < len(grid.rows) - 1 or len(grid.rows[place]) < 3:
             continue
@@ -59,8 +60,8 @@ def looks_pivoted(grid: Grid, start: int) -> bool:
     if place is None:
         return False
     steps = [h[0] for h in _heads(grid, grid.rows[place]) or ()]
-    rising = all(a < b for a, b in zip(steps, steps[1:], strict=False))
-    falling = all(a > b for a, b in zip(steps, steps[1:], strict=False))
+    rising = all(a < b for a, b in pairwise(steps))
+    falling = all(a > b for a, b in pairwise(steps))
     return rising or falling
 
 

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.calibration import COUNTS, Scale, scale_of
+from ...core.calibration import Scale
 from ...core.errors import InputError
 from ...core.units import unit
 from .assign import assigned
 from .cells import is_empty
 from .clock import find_clock
 from .force_table import ForceTable, TableWords, table_of
-from .headers import is_unit
 from .labels import LABELS
 from .raw import RawTable
 from .record_columns import record_scale, record_variables
@@ -64,9 +63,9 @@ class ColumnView:
 class Preview:
     """What was understood of a source; ``print`` shows it.
 
-    kind : "table" or "record". dialect, notes, doubts : in words. rows : of the source. result : the
-    table, or the records, as they are read; None where they cannot yet, for which ``problem`` says
-    the reason and the remedy. call : Python that reads it so.
+    kind : "table" or "record". dialect, notes, doubts : in words. rows : of the source. result :
+    the table, or the records, as they are read; None where they cannot yet, for which ``problem``
+    says the reason and the remedy. call : Python that reads it so.
     """
 
     source: str
@@ -161,8 +160,8 @@ def look(source: Any, plant: Plant | None = None, **options: Any) -> Preview | P
     options : those of :func:`read_table` or :func:`read_record`; ``kind="table"`` or "record" where
         it is taken for the other one.
 
-    Raises InputError only where no columns are found, or an option cannot be meant; what the columns
-    lack is said in ``problem``.
+    Raises InputError only where no columns are found, or an option cannot be meant; what the
+    columns lack is said in ``problem``.
     """
     if not is_source(source):
         return Previews(_look(one, plant, dict(options)) for one in sources_of(source))
@@ -280,7 +279,8 @@ def _saturated(header: str, values: Any) -> list[str]:
 def _record(
     source: Any, raw: RawTable, plant: Plant | None, words: RecordWords, options: dict[str, Any]
 ) -> Preview:
-    problem, records, clock, notes = "", None, "", []
+    problem, records, clock = "", None, ""
+    notes: list[str] = []
     meanings: dict[str, tuple[str, Scale | None]] = {}
     try:
         raw, header = find_clock(raw, words.time)

@@ -39,8 +39,8 @@ __all__ = ["ENDINGS", "Reading", "is_source", "load", "naming", "sources_of"]
 class Reading:
     """How a file is to be read, where it does not say it itself.
 
-    columns : names of the columns from the left. skip : lines or rows at the beginning that are left
-    out. sheet : of a workbook, its name or its number from 1. pick : table within nested data.
+    columns : names of the columns from the left. skip : lines or rows at the beginning that are
+    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data.
     delimiter, decimal : of a text. pivot : what runs down, across, and stands in the cells.
     """
 
@@ -66,8 +66,8 @@ class Reading:
         if columns is not None and not isinstance(columns, Mapping):
             if isinstance(columns, str) or not isinstance(columns, Sequence):
                 raise InputError(
-                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from the "
-                    "left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
+                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from "
+                    "the left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
                 )
             names = tuple(None if name is None else str(name) for name in columns)
         pivot = said.pop("pivot", None)
@@ -116,7 +116,7 @@ def is_source(source: Any) -> bool:
 
 
 def sources_of(source: Any) -> list[Any]:
-    """Several sources: of a list, a folder (its readable files by name), or a pattern as "run*.csv".
+    """Several sources: of a list, a folder (its readable files by name), or a pattern.
 
     Raises InputError where there are none.
     """
@@ -146,7 +146,7 @@ def naming(source: Any) -> AbstractContextManager[None]:
     return reading(source, "a table", "save it as CSV anew")
 
 
-# ---- mappings and frames ---------------------------------------------------------------------------
+# ---- mappings and frames -------------------------------------------------------------------------
 def _from_mapping(columns: Mapping[Any, Any], label: str) -> RawTable:
     return RawTable(label, {str(n): np.ravel(v).tolist() for n, v in columns.items()})
 
@@ -176,7 +176,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
     return RawTable(label, {n: list(c)[how.skip :] for n, c in found.items()}, dialect=said)
 
 
-# ---- files -----------------------------------------------------------------------------------------
+# ---- files ---------------------------------------------------------------------------------------
 def _load_file(source: str | Path, how: Reading) -> RawTable:
     path = Path(source)
     if "\0" in str(source) or not os.path.exists(path):

@@ -1,4 +1,4 @@
-"""Tables within nested data (MATLAB structures, HDF5, JSON, npz): found, or chosen by their name."""
+"""Tables within nested data (MATLAB structures, HDF5, JSON, npz): found, or chosen by name."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ MOST_TABLES = 2000
 def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[str, ...]]:
     """(the table of a tree, what was left out).
 
-    pick : its name, as ``run.data`` or ``runs[2]``; needed where there are several. Raises InputError
-    that names them.
+    pick : its name, as ``run.data`` or ``runs[2]``; needed where there are several. Raises an
+    InputError that names them.
     """
     tables = dict(_tables(tree, "", label, 0))
     if pick is not None:
