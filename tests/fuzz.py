@@ -381,10 +381,10 @@ def _arrays(r: random.Random, data: bytes) -> bytes:
     if name == "meta":
         arrays[name] = np.array(_json(r, str(old).encode()).decode())
     elif old.size:
-        odd = np.array(old, dtype=float)
+        odd, row = np.array(old, dtype=float), np.atleast_1d(old)
         odd.flat[r.randrange(odd.size)] = r.choice([np.nan, np.inf, 1e308, -1.0])
         arrays[name] = r.choice(
-            [odd, old.astype(str), old.astype(complex), np.atleast_1d(old)[:-1], old.T, old[None], np.atleast_1d(old)[:0], -old,
+            [odd, old.astype(str), old.astype(complex), row[:-1], old.T, old[None], row[:0], -old,
              np.array(3.0), np.array("x"), old.astype("M8[s]"), np.array([None, {}])]
         )  # fmt: skip
     made = io.BytesIO()

@@ -90,8 +90,8 @@ class Scale:
     """From the numbers that stand in a file to SI.
 
     unit : as it was said, for messages. measured : what it is a unit of. formula : of a
-    calibration; None for a plain unit. reading, kind : SI value and exponents of the unit of its readings.
-    shift : what is taken off for an absolute pressure [Pa].
+    calibration; None for a plain unit. reading, kind : SI value and exponents of the unit of its
+    readings. shift : what is taken off for an absolute pressure [Pa].
     """
 
     unit: str

@@ -48,7 +48,13 @@ class Clock:
 
     def __str__(self) -> str:
         kind = f" ({self.kind})" if self.kind else ""
-        gaps = f", {self.gaps} gaps up to {self.longest:g} s" if self.gaps else ""
+        gaps = (
+            f", {self.gaps} gap{'s' * (self.gaps != 1)} up to {self.longest:g} s"
+            if self.gaps
+            else ""
+        )
+        if self.sample_time <= 0:
+            return f"{self.header!r}{kind}: more than one row for each time"
         even = self.jitter < 1e-3 * self.sample_time
         jitter = "even" if even else f"jitter {100 * self.jitter / self.sample_time:.2g} %"
         return f"{self.header!r}{kind}: every {self.sample_time:.4g} s, {jitter}{gaps}"
@@ -135,7 +141,7 @@ def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTabl
             f"the clock stands still: {int(still.sum())} rows of a repeated time dropped (first "
             f"{first})"
         )
-    if t.size >= FEW:
+    if kept.size >= FEW:
         wrong = _glitches(t[kept])
         if wrong.size:
             first = raw.row(int(kept[wrong[0]]))

@@ -19,13 +19,17 @@ from ...core.errors import InputError
 from ...core.files import require_size
 from .cells import is_empty, is_number, is_stamp
 
-__all__ = ["Grid", "grid_of_text"]
+__all__ = ["Grid", "Unsaid", "grid_of_text"]
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
 COMMENTS = ("#", "%", "//", "!")
 SAMPLE = 120
 """Lines that are looked at, from the lower part of the first thousand."""
+
+
+class Unsaid(InputError):
+    """A file can be read once a keyword says what it does not say itself."""
 
 
 @dataclass

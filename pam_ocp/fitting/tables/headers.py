@@ -58,8 +58,8 @@ NAMES: dict[str, frozenset[str]] = {
 """Quantity: names by which a header calls it."""
 TIME_NAMES = words_of(
     """time, t, zeit, timestamp, time stamp, date, datetime, date time, elapsed, elapsed time,
-    datum, uhrzeit, zeitstempel, datum uhrzeit, messzeit, temps, tiempo, tempo, tijd, tid, czas, время,
-    时间, 時間, x value, seconds, sec"""
+    datum, uhrzeit, zeitstempel, datum uhrzeit, messzeit, temps, tiempo, tempo, tijd, tid, czas,
+    время, 时间, 時間, x value, seconds, sec"""
 )
 MEASURED = words_of(
     """measured, meas, actual, act, ist, istwert, sensor, mess, gemessen, mesuré, mesurée, mesure,

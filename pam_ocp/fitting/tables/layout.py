@@ -14,7 +14,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
 from .cells import is_empty, is_number, is_stamp
-from .dialect import Grid
+from .dialect import Grid, Unsaid
 from .headers import is_unit
 from .pivot import pivoted
 from .raw import RawTable
@@ -164,7 +164,7 @@ def _names(
         if len(words) == width and not any(is_number(w, grid.decimal) for w in words):
             return [str(w).strip() for w in words]
     first = " ".join(str(c) for c in grid.rows[head + 1])[:60]
-    raise InputError(
+    raise Unsaid(
         f"{grid.label}: no line names the {width} columns (the first row of numbers is "
         f"{first!r}); say what they are, from the left, with their units, as "
         f"columns={_example(width)}"

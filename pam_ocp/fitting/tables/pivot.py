@@ -10,7 +10,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.units import unit
 from .cells import is_empty, is_number, number
-from .dialect import Grid
+from .dialect import Grid, Unsaid
 from .headers import NAMES, is_unit, parse_header
 from .raw import RawTable
 
@@ -135,7 +135,7 @@ def _quantities(
             down = left[0] if len(left) == 1 else None
     kinds = {_kind(down or ""), _kind(across or "")}
     if "pressure" not in kinds or not kinds & {"length", "contraction"}:
-        raise InputError(
+        raise Unsaid(
             f"{grid.label} looks like a pivot ({len(heads)} values from {heads[0][0]:g} to "
             f"{heads[-1][0]:g} stand across): say what runs down, across and stands in the cells, "
             "as pivot=('contraction [%]', 'pressure [bar]', 'force [N]')"

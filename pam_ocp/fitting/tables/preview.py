@@ -15,7 +15,8 @@ from ...core.errors import InputError
 from ...core.units import unit
 from .assign import assigned
 from .cells import is_empty
-from .clock import find_clock
+from .clock import Clock, find_clock, read_clock
+from .dialect import Unsaid
 from .force_table import ForceTable, TableWords, table_of
 from .labels import LABELS
 from .raw import RawTable
@@ -107,17 +108,17 @@ class Preview:
 
     def __str__(self) -> str:
         what = {"table": "a force table", "record": "a record in time"}[self.kind]
-        lines = [f"{self.source}: {what}, {self.rows} rows"]
+        lines = [f"{self.source}: " + (f"{what}, {self.rows} rows" if self.columns else "?")]
         if self.dialect:
             lines.append(f"  {', '.join(self.dialect)}")
-        lines += ["", *_aligned(self.columns), ""]
+        lines += ["", *_aligned(self.columns), ""] if self.columns else []
         for title, words in (
             ("clock", [self.clock] if self.clock else []),
             ("said", self.notes),
             ("doubt", self.doubts),
             ("reads as", [self.reads_as] if self.result is not None else []),
             ("NOT READ YET", [self.problem] if self.problem else []),
-            ("call", [self.call]),
+            ("call", [self.call] if self.ok else []),
         ):
             lines += [f"  {title}: {one}" for one in words]
         return "\n".join(lines)
@@ -160,8 +161,8 @@ def look(source: Any, plant: Plant | None = None, **options: Any) -> Preview | P
     options : those of :func:`read_table` or :func:`read_record`; ``kind="table"`` or "record" where
         it is taken for the other one.
 
-    Raises InputError only where no columns are found, or an option cannot be meant; what the
-    columns lack is said in ``problem``.
+    Raises InputError for a file that is damaged or none, or an option that cannot be meant; what
+    must be said before it can be read is said in ``problem``.
     """
     if not is_source(source):
         return Previews(_look(one, plant, dict(options)) for one in sources_of(source))
@@ -180,11 +181,20 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     words = RecordWords.of(**for_record) if kind == "record" else RecordWords.of(**shared, **pivot)
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        raw = loaded(source, words.how)
+        try:
+            raw = loaded(source, words.how)
+        except Unsaid as error:
+            return _unsaid(source, kind, str(error), options)
         kind = kind or _kind(raw, options)
         if kind == "table":
             return _table(source, raw, TableWords.of(**for_table)[1], options)
         return _record(source, raw, plant, RecordWords.of(**for_record), options)
+
+
+def _unsaid(source: Any, kind: str | None, problem: str, options: Mapping[str, Any]) -> Preview:
+    """Of a file whose columns are not known before a keyword says more."""
+    nothing = RawTable(Path(source).name if isinstance(source, str | Path) else "source", {})
+    return _preview(source, kind or "table", nothing, (), None, problem, options, ())
 
 
 def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
@@ -286,6 +296,8 @@ def _record(
         raw, header = find_clock(raw, words.time)
         if header is not None:
             meanings[header] = ("time", None)
+            t, kind = read_clock(raw, header, words.units.get("time"))
+            clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
             for variable, name in record_variables(raw, plant, dict(words.columns), header):
                 base = unit(variable.unit) if plant is not None else None
                 meanings[name] = (variable.name, None)

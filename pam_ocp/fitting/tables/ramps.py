@@ -85,7 +85,7 @@ def floor_of(force: Array) -> float | None:
     A value that is clipped stands in many rows exactly, its neighbours by chance in few.
     """
     values, counts = np.unique(force, return_counts=True)
-    if values.size < 5 or counts[0] < max(5, 0.02 * force.size):
+    if values.size < 5 or counts[0] < max(5, 0.002 * force.size):
         return None
     usual = float(np.percentile(counts[1:], 95))
     return float(values[0]) if counts[0] >= 5 * usual else None

@@ -27,7 +27,7 @@ from ...core.foreign import (
     read_sheets,
 )
 from .cells import decimal_of, is_empty
-from .dialect import Grid, grid_of_text
+from .dialect import Grid, Unsaid, grid_of_text
 from .layout import has_table, require_distinct, tabulated
 from .raw import RawTable
 from .trees import chosen_table
@@ -282,7 +282,7 @@ def _read_sheet(path: Path, how: Reading) -> RawTable:
     found = list(tables or filled)
     if len(found) > 1:
         shown = ", ".join(map(repr, found[:8]))
-        raise InputError(
+        raise Unsaid(
             f"{path.name} has {len(found)} sheets with numbers, {shown}: choose one with "
             f"sheet={found[0]!r}"
         )

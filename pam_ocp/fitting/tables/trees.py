@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, UnknownNameError
-from .dialect import Grid
+from .dialect import Grid, Unsaid
 
 __all__ = ["Found", "chosen_table"]
 
@@ -40,7 +40,7 @@ def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[
     if len(top) > 1:
         shown = ", ".join(f"{n!r} ({_size(tables[n])})" for n in top[:8])
         more = f" and {len(top) - 8} more" if len(top) > 8 else ""
-        raise InputError(
+        raise Unsaid(
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
     return tables[top[0]], _beside(tables, top[0])
