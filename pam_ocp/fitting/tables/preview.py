@@ -14,7 +14,7 @@ from ...core.calibration import Scale
 from ...core.errors import InputError
 from ...core.units import unit
 from .assign import assigned
-from .cells import is_empty
+from .cells import is_empty, is_stamp
 from .clock import Clock, find_clock, read_clock
 from .dialect import Unsaid
 from .force_table import ForceTable, TableWords, table_of
@@ -224,6 +224,7 @@ def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any
         table = table_of(raw, words)
     except InputError as error:
         problem = str(error)
+        meanings = meanings or _named(raw, words)
     for label, names in LABELS.items():
         header = raw.header(label, names, words.columns)
         if header:
@@ -232,6 +233,19 @@ def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any
     if table is not None and words.rest_length is None and "length" in dict(meanings.values()):
         problem = ""
     return _preview(source, "table", raw, columns, table, problem, options, table and table.notes)
+
+
+def _named(raw: RawTable, words: TableWords) -> dict[str, tuple[str, Scale | None]]:
+    """Which columns bear the name of a quantity, whatever their units say."""
+    found: dict[str, tuple[str, Scale | None]] = {}
+    for quantity, (_, names) in QUANTITIES.items():
+        try:
+            header = raw.header(quantity, names, words.columns)
+        except InputError:
+            continue
+        if header is not None and header in raw.columns:
+            found[header] = (quantity, None)
+    return found
 
 
 def _column(
@@ -243,6 +257,8 @@ def _column(
     if meaning in LABELS:
         words = list(dict.fromkeys(str(c) for c in raw.columns[header]))
         return ColumnView(header, meaning, ", ".join(words[:4]), None, None, empty)
+    if any(is_stamp(c) for c in list(raw.columns[header])[:5]):
+        return ColumnView(header, meaning, "dates or times", None, None, empty)
     try:
         values = raw.numbers(header)
     except InputError:
@@ -257,7 +273,7 @@ def _column(
             values = scale.si(values)
             shown = f"{base or 'SI'} by {scale.unit}"
     elif base is not None:
-        shown = f"{base} (none named)" if base != "1" else "1 (none named)"
+        shown = said or f"{base} (none named)"
     if (
         meaning.rpartition(".")[2] == "pressure"
         and values.size

@@ -271,7 +271,6 @@ def record_parts(
     clock = Clock.of(header, kind, t)
     if words.sample_time is not None:
         records = [_even(record, words.sample_time) for record in records]
-        notes.append(f"resampled to even steps of {np.diff(records[0].t[:2])[0]:.4g} s")
     return records, notes, clock
 
 
