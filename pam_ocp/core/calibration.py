@@ -73,7 +73,7 @@ COUNTS = frozenset(
 )
 """Units of readings that measure nothing yet."""
 _ABSOLUTE = re.compile(
-    r"(?P<rest>.*?)[\s_(,]*\b(?:abs|absolute|absolut|absolu|a)\b\.?\)?\s*$", re.I
+    r"(?P<rest>.*?)[\s_(,]*(?<![^\W_])(?:abs|absolute|absolut|absolu|a)\b\.?\)?\s*$", re.I
 )
 _GAUGE = re.compile(
     r"(?P<rest>.*?)[\s_(,]*\b(?:gauge|gage|rel|relativ|relative|g|ü)\b\.?\)?\s*$", re.I

@@ -150,6 +150,8 @@ def texts(folder: Path) -> list[Case]:
     )
     absolute = [[r[0], r[1] + 1.01325, r[2]] for r in rows()]
     add("absolute.csv", text([["l [mm]", "p_abs [bar]", "F [N]"], *absolute]))
+    for number, head in enumerate(("p_bar_abs", "p [bar] (abs)", "Druck absolut [bar]", "p_bara")):
+        add(f"absolute{number}.csv", text([["l [mm]", head, "F [N]"], *absolute]))
     add("bar_a.csv", text([["l [mm]", "p [bar(a)]", "F [N]"], *absolute]))
     volts = [[r[0], (r[1] + 0.3) / 2, r[2]] for r in rows()]
     add(
@@ -176,6 +178,12 @@ def texts(folder: Path) -> list[Case]:
     add("channel.csv", text(channels), asks="columns")
     both = [[r[0], r[1] + 0.05, r[1], r[2]] for r in rows()]
     add("set_and_measured.csv", text([["l [mm]", "p_soll [bar]", "p_ist [bar]", "F [N]"], *both]))
+    add("excel.csv", "sep=;\n" + text(plain, ";", german))
+    add(
+        "footer.csv",
+        text([*plain, ["mean", "", ""], ["end of file"]]),
+        says="2 rows of words below the numbers left out",
+    )
     add("bars.psv", text(plain, " | "))
     lab = "LabVIEW Measurement\t\t\nSeparator\tTab\t\n***End_of_Header***\t\t\n"
     add("labview.lvm", lab + text(plain, "\t"))
@@ -323,6 +331,11 @@ def binaries(folder: Path) -> list[Case]:
     add("lines.jsonl")
     (folder / "rows.json").write_text(json.dumps([named, *matrix.tolist()]))
     add("rows.json")
+    split = {"columns": named, "index": list(range(20)), "data": matrix.tolist()}
+    (folder / "split.json").write_text(json.dumps(split))
+    add("split.json")
+    savemat(folder / "headed.mat", {"names": np.array(list(fields), object), "data": matrix})
+    add("headed.mat")
     return [*made, *_optional(folder, fields, truth)]
 
 
@@ -362,6 +375,15 @@ def records(folder: Path) -> list[Case]:
                 cells = stamp if isinstance(stamp, list) else [stamp]
                 writer.writerow([*cells, *(f"{v:.8g}" for v in values)])
         made.append(Case(name, folder / name, case.pop("truth", truth), "record", **case))
+
+    from scipy.io import savemat
+
+    signals = np.array([(p, "p"), (x, "x")], [("values", "O"), ("label", "O")])
+    savemat(folder / "simulink.mat", {"out": {"time": t, "signals": signals}})
+    made.append(Case("simulink.mat", folder / "simulink.mat", truth, "record"))
+    nested = {"time": t.tolist(), "signals": {"p [Pa]": p.tolist(), "x [mm]": (1e3 * x).tolist()}}
+    (folder / "nested.json").write_text(json.dumps(nested))
+    made.append(Case("nested.json", folder / "nested.json", truth, "record"))
 
     def part(a: Any) -> dict[str, Any]:
         return {k: v[a] for k, v in truth.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,57 @@ def test_a_preview_of_every_file_says_the_same_as_reading_it(cases: list[Case]) 
             assert view.call.startswith("pam.read_")
             assert {"pressure", "p"} & {c.meaning for c in view.columns}
             assert view.reads_as in str(view)
+
+
+SEEDS = range(40)
+LANGUAGES = (
+    ("length", "pressure", "force"),
+    ("Länge", "Druck Ist", "Zugkraft"),
+    ("longueur", "pression", "force de traction"),
+    ("l", "p_meas", "F"),
+    ("Lunghezza", "Pressione", "Forza"),
+)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_table_in_any_dialect_is_read_as_it_was_written(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 40))
+    kappa, bars = rng.uniform(0, 0.3, n), rng.uniform(0.2, 7, n)
+    force = rng.uniform(1, 4000, n)
+    comma = bool(rng.integers(2))
+    between = rng.choice(["\t", ";", "|", "  "] if comma else [",", "\t", ";", "|", "   "])
+    names, units = list(rng.choice(LANGUAGES)), ["mm", "bar", "N"]
+    blanks = between.strip(" ") == ""
+    in_row = bool(rng.integers(2)) and not blanks
+    joined = [f"{a.replace(' ', '_')} [{u}]" for a, u in zip(names, units, strict=True)]
+    heads = names if in_row else joined
+    if blanks:
+        heads = [h.replace(" [", "_[") for h in heads]
+    digits, grouped = int(rng.integers(3, 7)), bool(rng.integers(2)) and between != ","
+    order = rng.permutation(3)
+
+    def cell(value: float) -> str:
+        written = f"{value:,.{digits}f}" if grouped else f"{value:.{digits}f}"
+        return written.translate(str.maketrans(",.", ".,")) if comma else written
+
+    titles = [["Rig", "7"], ["first series"], []][: int(rng.integers(4))]
+    titles = [] if blanks else titles
+    body = np.column_stack([300 * (1 - kappa), bars, force])
+    rows = [*titles, [heads[i] for i in order], *([[units[i] for i in order]] if in_row else [])]
+    rows += [[cell(row[i]) for i in order] for row in body.tolist()]
+    file = tmp_path / f"rig{rng.choice(['.csv', '.txt', '.dat'])}"
+    remark = str(rng.choice(["# a remark\n", "% a remark\n", ""]))
+    encoding = str(rng.choice(["utf-8", "utf-8-sig", "cp1252", "utf-16"]))
+    ending = str(rng.choice(["\n", "\r\n"]))
+    file.write_bytes(
+        (remark + "\n".join(map(between.join, rows))).replace("\n", ending).encode(encoding)
+    )
+    table = pam.read_table(file, rest_length=REST)
+    tolerance = 10.0**-digits
+    np.testing.assert_allclose(table.contraction, kappa, atol=tolerance / 300)
+    np.testing.assert_allclose(table.pressure, 1e5 * bars, atol=1e5 * tolerance)
+    np.testing.assert_allclose(table.force, force, atol=tolerance)
 
 
 # ---- ramps and floors ----------------------------------------------------------------------------

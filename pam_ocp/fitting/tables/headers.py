@@ -71,13 +71,16 @@ MEASURED = words_of(
 _BRACKETED = re.compile(
     r"(?P<name>.+?)\s*[\[(](?P<unit>[^\])]*(?:\([^)]*\))?)[\])]$|(?P<left>.+?)\s*/\s*(?P<right>\S+)$"
 )
+_ABSOLUTE = re.compile(r"(?P<rest>.*[\])]|.*_[^\W_]+)[\s_]*\(?(?:abs|absolute|absolut)\)?$", re.I)
+"""Behind the unit: ``p [bar] (abs)``, ``p_bar_abs``."""
+_SAYING_ABSOLUTE = words_of("abs, abs., absolute, absolut, absolue, absoluta, assoluta")
 _COMMA = re.compile(r"(?P<name>.+?)\s*,\s*(?P<unit>[^,]+)$")
 _SUFFIXED = re.compile(r"(?P<name>.+?)(?:[_\s]+in)?[_\s]+(?P<unit>[^_\s]+)$")
 
 
 def parse_header(header: str) -> tuple[str, str | None]:
     """(name, unit or None) of a header; the unit as core.calibration spells it where known."""
-    text = header.strip()
+    text = _ABSOLUTE.sub(r"abs \g<rest>", header.strip())
     match = _BRACKETED.match(text)
     if match:
         name, said = match["name"] or match["left"], match["unit"] or match["right"] or ""
@@ -93,10 +96,20 @@ def parse_header(header: str) -> tuple[str, str | None]:
 
 def _absolute(name: str, said: str | None) -> tuple[str, str | None]:
     """The name says that a pressure is absolute: so does its unit then."""
-    if name in NAMES["absolute pressure"]:
-        said = f"{said or 'Pa'} abs" if not (said or "").endswith(" abs") else said
-        return "pressure", said
-    return name, said
+    words = name.split()
+    rest = " ".join(w for w in words if w not in _SAYING_ABSOLUTE)
+    known = name in NAMES["absolute pressure"]
+    if not known and (rest == name or not (rest in NAMES["pressure"] or _of_pressure(said))):
+        return name, said
+    said = said if (said or "").endswith(" abs") else f"{said or 'Pa'} abs"
+    return "pressure" if known else rest, said
+
+
+def _of_pressure(said: str | None) -> bool:
+    try:
+        return said is not None and unit(said.removesuffix(" abs")).compatible(unit("Pa"))
+    except (UnknownNameError, ValueError, OverflowError):
+        return False
 
 
 def plain(name: str) -> str:

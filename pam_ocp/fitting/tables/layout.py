@@ -167,7 +167,7 @@ def _names(
     raise Unsaid(
         f"{grid.label}: no line names the {width} columns (the first row of numbers is "
         f"{first!r}); say what they are, from the left, with their units, as "
-        f"columns={_example(width)}"
+        f"columns={_example(width)} (of a record 'time [s]', ...)"
     )
 
 
@@ -191,6 +191,12 @@ def _body(
     """The rows of numbers, all of one width. Raises InputError where one is not."""
     rows, lines, notes = grid.rows[start:], grid.lines[start:], []
     width = len(names)
+    end = len(rows)
+    while end > 1 and not any(is_number(c, grid.decimal) or is_stamp(c) for c in rows[end - 1]):
+        end -= 1
+    if end < len(rows):
+        notes.append(f"{len(rows) - end} rows of words below the numbers left out")
+        rows = rows[:end]
     last = len(rows) - 1
     made: list[Sequence[Any]] = []
     for i, row in enumerate(rows):

@@ -23,7 +23,7 @@ Rows: TypeAlias = NDArray[np.intp]
 
 FEWEST = 400
 """Rows below which a table is taken cell by cell."""
-FINE = 0.012
+FINE = 0.006
 """Of the range: steps between rows of a ramp are smaller, those between cells of a table larger."""
 TURN = 0.1
 """Of the range: a reversal smaller than this is no new branch."""
