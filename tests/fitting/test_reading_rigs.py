@@ -296,6 +296,11 @@ def test_headers_in_words_name_the_variables_of_a_plant(slide):
     np.testing.assert_allclose(record["muscle1.pressure"], [1e5, 2e5, 3e5])
 
 
+def test_a_number_behind_a_name_is_no_unit():
+    record = pam.read_record({"t": [0.0, 1.0], "Druck 1": [1.0, 2.0], "Druck 2": [3.0, 4.0]})
+    assert record.names == ("druck_1", "druck_2")
+
+
 def test_readers_that_need_a_package_say_how_it_is_installed(cases, monkeypatch):
     import sys
 

@@ -102,6 +102,25 @@ def test_rows_with_empty_cells_are_dropped_and_counted(column: str, slide: pam.P
         read_record(holed, slide, empty="refuse")
 
 
+@pytest.mark.parametrize("row", [0, 7, 29])
+def test_a_single_wrong_time_is_dropped_wherever_it_stands(row: int) -> None:
+    t = 0.1 * np.arange(30)
+    wrong = t.copy()
+    wrong[row] = 50.0 if row < 29 else 0.0
+    with pytest.warns(
+        ReadingWarning, match=f"1 rows of a single wrong time dropped .*row {row + 1}"
+    ):
+        record = read_record({"t": wrong, "x": t})
+    np.testing.assert_allclose(record["x"], np.delete(t, row))
+    with pytest.raises(InputError, match="runs backwards|gap"):
+        read_record({"t": wrong, "x": t}, clock="refuse")
+
+
+def test_a_clock_that_never_runs_is_refused() -> None:
+    with pytest.raises(InputError, match="time stands still in row 2"):
+        read_record({"t": np.zeros(30), "x": np.arange(30.0)})
+
+
 def test_a_gap_can_be_allowed(slide: pam.Plant) -> None:
     wide = columns(**{"time [ms]": [0, 10, 20, 900]})
     assert read_record(wide, slide, max_gap=1.0).duration == pytest.approx(0.9)

@@ -126,6 +126,8 @@ def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTabl
 
     factor : seconds per count of the column. What was done is among the notes of the table.
     """
+    if t.size and t.min() == t.max():
+        return raw, t
     t, words = _unwrapped(t, factor)
     notes = [words] if words else []
     steps = np.diff(t)
@@ -192,6 +194,9 @@ def _glitches(t: Array) -> NDArray[np.intp]:
     wrong = []
     for i in np.nonzero(steps <= 0)[0]:
         for j in (int(i), int(i) + 1):
+            if j == 0 or j == t.size - 1:
+                wrong.append(j)
+                break
             if 0 < j < t.size - 1 and 0 < t[j + 1] - t[j - 1] <= 3 * usual:
                 wrong.append(j)
                 break

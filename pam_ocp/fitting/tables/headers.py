@@ -89,7 +89,7 @@ def parse_header(header: str) -> tuple[str, str | None]:
     if match and match["unit"].strip().lower() in SPELLINGS:
         return _absolute(plain(match["name"]), spelled(match["unit"]))
     match = _SUFFIXED.match(text)
-    if match and match["unit"].lower() in SPELLINGS:
+    if match and match["unit"].lower() in SPELLINGS and match["unit"] not in ("1", "-"):
         return _absolute(plain(match["name"]), spelled(match["unit"]))
     return _absolute(plain(header), None)
 
