@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_count, require_positive, require_tolerance
+from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -38,6 +39,7 @@ LOOKS = 10
 """Samples, evenly spread, whose prediction is compared with a finer integration."""
 
 
+@shown
 @dataclass(frozen=True)
 class ClosedLoop:
     """What happened in a closed loop. ``loop["x"]`` and ``loop.t`` are those of its trajectory."""
@@ -70,7 +72,7 @@ class ClosedLoop:
 
         Raises InputError where the loop was not told what is to be reached.
         """
-        require_positive("window", window, "s")
+        window = require_positive("window", window, "s")
         if self.reference is None:
             raise InputError("steady_error: the loop knows no reference; give closed_loop one")
         late = self.t >= self.t[-1] - window

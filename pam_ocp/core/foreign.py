@@ -28,7 +28,15 @@ from .mat import matrices_of
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["read_array", "read_arrays", "read_frame", "read_hdf5", "read_mat", "read_sheets"]
+__all__ = [
+    "frame",
+    "read_array",
+    "read_arrays",
+    "read_frame",
+    "read_hdf5",
+    "read_mat",
+    "read_sheets",
+]
 
 
 @contextmanager
@@ -56,6 +64,17 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
         require_unpacked(path)
         with np.load(path, allow_pickle=False) as archive:
             return dict(archive)
+
+
+def frame(
+    rows: Sequence[Sequence[Any]], columns: Sequence[str], index: Sequence[Any], name: str
+) -> pd.DataFrame:
+    """Rows as a DataFrame with an index of this name. Raises InputError where pandas is missing."""
+    try:
+        import pandas as pd
+    except ImportError:
+        raise InputError("to_pandas needs pandas: pip install pam_ocp[studies]") from None
+    return pd.DataFrame(rows, columns=list(columns), index=pd.Index(index, name=name))
 
 
 def read_frame(path: str | os.PathLike[str]) -> pd.DataFrame:

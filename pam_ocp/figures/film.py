@@ -17,8 +17,8 @@ from ..core.files import atomic_path, require_place
 from ..planning.result import Plan
 from ..plants.hanging import hanging_sketch
 from ..plants.sketch import Disc, Line, Mark, Point, Polygon, Sketch, Spindle
+from .canvas import new_figure
 from .plan import GREY, colours_of, panels_of
-from .trajectory import _figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,7 +84,9 @@ def _film(plan: Plan, motion: Trajectory, length: float) -> tuple[Figure, list[F
     scene = _scene(plan, motion)
     panels = list(panels_of(plan).items())[: CURVES if scene else 6]
     rows = len(panels)
-    figure, axes = _figure(rows, 2 if scene else 1, size=(9.6 if scene else 7.0, 1.4 + 1.25 * rows))
+    figure, axes = new_figure(
+        rows, 2 if scene else 1, size=(9.6 if scene else 7.0, 1.4 + 1.25 * rows)
+    )
     drawn: list[Frame] = []
     if scene:
         grid = axes[0, 0].get_gridspec()

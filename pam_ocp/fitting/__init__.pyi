@@ -7,6 +7,10 @@ from .dynamic.free_run_fit import free_run as free_run
 from .dynamic.plant_fit import PlantFit as PlantFit
 from .dynamic.runs import FreeRun as FreeRun
 from .dynamic.saved_plant import load_plant_fit as load_plant_fit
+from .dynamic.selection import Choice as Choice
+from .dynamic.selection import Structure as Structure
+from .dynamic.selection import Tried as Tried
+from .dynamic.selection import choose as choose
 from .static.bootstrap import Bootstrap as Bootstrap
 from .static.branches import Hysteresis as Hysteresis
 from .static.branches import LackOfFit as LackOfFit

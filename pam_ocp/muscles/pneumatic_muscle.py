@@ -6,19 +6,26 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from .. import courtesy
 from ..core.errors import InputError, require_positive
 from ..core.plausible import doubt
+from ..core.quantities import is_quantity, quantity
+from ..core.shown import shown
 from ..core.stop import locked
 from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
 from .validity import Validity
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Muscle"]
 
 
+@shown
 @locked
 @dataclass(frozen=True)
 class Muscle:
@@ -122,7 +129,18 @@ class Muscle:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
         return replace(self, law=law, rest_length=rest_length)
 
+    def plot(self) -> Figure:
+        """Force and stiffness over contraction, one line per pressure, where it was measured."""
+        return courtesy.plot_muscle(self)
+
+    def _brief(self) -> str:
+        if isinstance(self.rest_length, ca.SX):
+            return f"{self.name}: {self.law.title}"
+        return f"{self.name}: {self.law.title}, rest length {1e3 * self.rest_length:g} mm"
+
     def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
+        p = quantity("p", p, "Pa") if is_quantity(p) else p
+        kappa = quantity("kappa", kappa, "1") if is_quantity(kappa) else kappa
         rest = [*self.law.values.values(), self.rest_length, self.slack_width]
         if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
             self.law.validity.check(f"{self.law.name} law", p, kappa)

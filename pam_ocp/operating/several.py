@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
+from ..core.shown import shown
 from ..core.stop import verb
 from ..plants.plant import Plant, Values
 from .held import Memory, held
@@ -94,6 +95,7 @@ def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> Oper
     return other.point(z)
 
 
+@shown
 @dataclass(frozen=True)
 class Band:
     """The points of rest that differ in what hysteresis keeps, by its ends and its virgin point."""
@@ -122,6 +124,7 @@ class Band:
         return "\n".join(lines)
 
 
+@shown
 class Equilibria(list[OperatingPoint]):
     """Points of rest, a list; with hysteresis ``bands`` tells the band that each one stands for."""
 
@@ -129,7 +132,11 @@ class Equilibria(list[OperatingPoint]):
         super().__init__(points)
         self.bands = bands
 
+    def _brief(self) -> str:
+        return f"{len(self)} points of rest" + (f" of {self[0].plant.name}" if self else "")
 
+
+@shown
 @dataclass(frozen=True)
 class EquilibriumPath:
     """Points of rest along one variable; ``path["x"]`` gives a value at each of them [SI]."""

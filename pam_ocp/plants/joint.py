@@ -19,6 +19,7 @@ from .hanging import GRAVITY
 from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied, as_loads
 from .pair import mirrored_pair, reach
+from .pair_regulator import feeds_of_pair
 from .plant import Plant
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box
 
@@ -119,6 +120,7 @@ class AntagonisticJoint(Plant):
             description="contraction of both muscles at theta = 0",
         )
         pair = []
+        feeds = feeds_of_pair(self, feed, muscles)
         torque = ca.SX(0)
         for i, (part, arm, sign) in enumerate(zip(muscles, arms, (1, -1), strict=True), start=1):
             shortening, radius = self._arm(f"muscle{i}", arm, theta)
@@ -128,7 +130,7 @@ class AntagonisticJoint(Plant):
                 shortening=sign * shortening,
                 rate=sign * radius * omega,
                 pre_contraction=k0,
-                feed=feed,
+                feed=feeds[i - 1],
                 losses=losses,
             )
             torque += sign * radius * attached.force

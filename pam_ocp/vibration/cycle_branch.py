@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_positive
+from ..core.shown import shown
 from ..core.stop import verb
 from ..core.variables import Variable
 from ..numerics.continuation import Walk
@@ -44,6 +45,7 @@ LEAST_COSINE = 0.9
 """Of the angle between neighbouring tangents; steps are shortened where the branch bends more."""
 
 
+@shown
 @dataclass(frozen=True)
 class CycleBranch:
     """Limit cycles along a branch, in the order in which they were found."""

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, PamError, VibrationError
+from ..core.shown import shown
 from ..core.stop import verb
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..operating.along import StabilityPath, stability_path
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["HopfBorder", "HopfPoint", "hopf", "hopf_border"]
 
 
+@shown
 @dataclass(frozen=True)
 class HopfPoint:
     """A point of rest with a pair of eigenvalues +-i omega."""

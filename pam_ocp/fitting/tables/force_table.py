@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.calibration import AMBIENT
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.shown import shown
 from .assign import assigned, require_columns
 from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
@@ -35,6 +36,7 @@ __all__ = ["ForceTable", "TableWords", "read_table", "require_table", "table_of"
 Array: TypeAlias = NDArray[np.float64]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class ForceTable:
     """Static force of one muscle, cell by cell.
