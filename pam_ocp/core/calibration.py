@@ -166,7 +166,7 @@ def _calibrated(
         reading, tree = _gain(where, text, tree)
     if header is not None and header.lower() not in COUNTS:
         said = unit(spelled(header).removesuffix(" abs"))
-        if names and names[0] in _known() and not said.compatible(reading):
+        if names and _is_symbol(names[0]) and not said.compatible(reading):
             raise InputError(
                 f"{where} says {header}, but {text!r} reads {names[0]}; correct one of them"
             )
@@ -180,15 +180,18 @@ def _calibrated(
     return Scale(text, Unit(text, kind), tree, reading.factor, reading.exponents, shift)
 
 
-def _known() -> frozenset[str]:
-    from .units import _SYMBOLS
-
-    return frozenset(_SYMBOLS)
+def _is_symbol(name: str) -> bool:
+    """Whether a word of a calibration is a unit."""
+    try:
+        unit(name)
+    except UnknownNameError:
+        return False
+    return True
 
 
 def _unit_or_count(name: str, header: str | None) -> Unit:
     name = SPELLINGS.get(name.lower(), name)
-    return unit(name) if name in _known() else unit("1")
+    return unit(name) if _is_symbol(name) else unit("1")
 
 
 def _gain(where: str, text: str, tree: _Node) -> tuple[Unit, _Node]:
@@ -347,7 +350,7 @@ def _constant(number: float, units: tuple[tuple[str, int], ...], kind: tuple[int
     exponents, factor = unit("1").exponents, 1.0
     for name, power in units:
         known = SPELLINGS.get(name.lower(), name)
-        if known.lower() in COUNTS or (known not in _known() and not any(kind)):
+        if known.lower() in COUNTS or (not _is_symbol(known) and not any(kind)):
             continue
         one = unit(known)
         exponents = tuple(e + power * o for e, o in zip(exponents, one.exponents, strict=True))

@@ -108,11 +108,11 @@ def test_a_single_wrong_time_is_dropped_wherever_it_stands(row: int) -> None:
     wrong = t.copy()
     wrong[row] = 50.0 if row < 29 else 0.0
     with pytest.warns(
-        ReadingWarning, match=f"1 rows of a single wrong time dropped .*row {row + 1}"
+        ReadingWarning, match=rf"1 rows of a single wrong time dropped .*row {row + 1}"
     ):
         record = read_record({"t": wrong, "x": t})
     np.testing.assert_allclose(record["x"], np.delete(t, row))
-    with pytest.raises(InputError, match="runs backwards|gap"):
+    with pytest.raises(InputError, match=r"runs backwards|gap"):
         read_record({"t": wrong, "x": t}, clock="refuse")
 
 

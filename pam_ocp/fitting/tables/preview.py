@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,6 +124,9 @@ class Preview:
             lines += [f"  {title}: {one}" for one in words]
         return "\n".join(lines)
 
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
     def __repr__(self) -> str:
         state = self.reads_as if self.ok else f"not read yet: {self.problem}"
         return f"Preview({self.source}: {state})"
@@ -134,6 +138,9 @@ class Previews(tuple[Preview, ...]):
     @property
     def ok(self) -> bool:
         return all(p.ok for p in self)
+
+    def _repr_html_(self) -> str:
+        return "".join(p._repr_html_() for p in self)
 
     def __str__(self) -> str:
         return "\n\n".join(map(str, self))
