@@ -272,7 +272,6 @@ def workbooks(folder: Path) -> list[Case]:
         "two_sheets.xlsx",
         {"zero": [["t", "v"], [0, 1], [1, 2]], "M3": [head, *rows()]},
         asks="sheet",
-        answer="M3",
     )
     force = truth["force"].reshape(4, 5).tolist()
     pivot = [

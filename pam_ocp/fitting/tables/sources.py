@@ -28,6 +28,7 @@ from ...core.foreign import (
 )
 from .cells import decimal_of, is_empty
 from .dialect import Grid, Unsaid, grid_of_text
+from .headers import NAMES, parse_header
 from .layout import has_table, require_distinct, tabulated
 from .raw import RawTable
 from .trees import chosen_table
@@ -279,7 +280,7 @@ def _read_sheet(path: Path, how: Reading) -> RawTable:
         grids[name].dialect = said
     filled = {n: g for n, g in grids.items() if any(not is_empty(c) for r in g.rows for c in r)}
     tables = {n: g for n, g in filled.items() if has_table(g)}
-    found = list(tables or filled)
+    found = sorted(tables or filled, key=lambda name: -_promise(filled[name]))
     if len(found) > 1:
         shown = ", ".join(map(repr, found[:8]))
         raise Unsaid(
@@ -289,6 +290,12 @@ def _read_sheet(path: Path, how: Reading) -> RawTable:
     if not found:
         raise InputError(f"{path.name} is empty: it needs a header and at least one row")
     return tabulated((tables or filled)[found[0]], how.columns, how.pivot)
+
+
+def _promise(grid: Grid) -> int:
+    """How many quantities the words at the top of a sheet name."""
+    words = {parse_header(c)[0] for row in grid.rows[:12] for c in row if isinstance(c, str)}
+    return sum(bool(words & names) for names in NAMES.values())
 
 
 def _read_parquet(path: Path, how: Reading) -> RawTable:
