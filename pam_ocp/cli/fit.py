@@ -45,7 +45,8 @@ says comes first. Values are numbers in SI, or texts with a unit; plain keys com
   input_noise = { "muscle1.command" = "0.05 bar" }   # measured inputs err, too; wants noise
   bounds = { damping = [1.0, 100.0] }
   inputs = { "muscle2.command" = "3 bar" }   # constant, and no column
-  columns = { x = "pot" }                 # variable = header; also: units, time
+  columns = { x = "pot" }                 # variable = header; also: units, time, clock, sheet,
+                                          # skip, ... of pam_ocp.read_record
   interpolation = "previous"              # of the inputs: "previous" (held) or "linear";
                                           # by default as the file says, else both are tried
   split = "episode"                       # column at whose changes a file is cut into records
@@ -60,7 +61,10 @@ says comes first. Values are numbers in SI, or texts with a unit; plain keys com
 Exit code: 0, or 1 when the records do not allow the fit (the message says why), 2 for a file or an
 option that cannot be meant.
 """
-_READING = ("columns", "units", "time", "interpolation", "max_gap", "split")
+_READING = (
+    *("columns", "units", "time", "interpolation", "max_gap", "split", "clock", "sample_time"),
+    *("ambient_pressure", "sheet", "skip", "pick", "delimiter", "decimal", "empty"),
+)
 _FITTING = (
     "outputs",
     "delay",

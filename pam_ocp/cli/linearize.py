@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
-from .options import require_places
-from .plants import add_plant, plant_said, values_of
+from .options import pairs, require_places
+from .plants import add_plant, plant_said
 
 __all__ = ["add_linearize"]
 
@@ -61,7 +61,7 @@ def _linearize(options: argparse.Namespace) -> int:
     if options.out and options.out.suffix.lower() != ".json":
         raise InputError(f"--out {options.out}: matrices are written as .json")
     plant = plant_said(options)
-    conditions = values_of("--rest", options.rest)
+    conditions = pairs("--rest", options.rest)
     point = plant.equilibrium(conditions or {v.name: v.start or 0.0 for v in plant.inputs})
     system = linearize(
         plant,

@@ -23,6 +23,7 @@ from .mpc import add_mpc
 from .options import require_places
 from .plan import add_plan
 from .plants import add_plant, muscle_named, plant_said
+from .reading import add_look
 from .report import add_report
 from .simulate import add_compare, add_simulate
 from .static import add_campaign, add_fit, add_fit_holds
@@ -66,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
 
     for add in (
         _add_tour,
+        add_look,
         add_fit,
         add_campaign,
         add_fit_holds,

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.errors import InputError
-from .options import add_allow_code
+from .options import add_allow_code, pairs
 
 if TYPE_CHECKING:
     from ..muscles.pneumatic_muscle import Muscle
     from ..plants.plant import Plant
 
-__all__ = ["add_plant", "muscle_named", "plant_named", "plant_said", "values_of"]
+__all__ = ["PLANT", "add_plant", "add_plant_options", "muscle_named", "plant_named", "plant_said"]
 
 PLANT = (
     "a plant of the library by name, such as HangingLoad or AntagonisticSlide; FILE.py:NAME (a "
@@ -25,6 +23,11 @@ PLANT = (
 def add_plant(command: argparse.ArgumentParser) -> None:
     """PLANT, --muscle, --set and --allow-code."""
     command.add_argument("plant", metavar="PLANT", help=PLANT)
+    add_plant_options(command)
+
+
+def add_plant_options(command: argparse.ArgumentParser) -> None:
+    """--muscle, --set and --allow-code."""
     command.add_argument(
         "--muscle",
         default="DMSP-20-300",
@@ -45,18 +48,7 @@ def add_plant(command: argparse.ArgumentParser) -> None:
 def plant_said(options: argparse.Namespace) -> Plant:
     """The plant that the options of :func:`add_plant` name, with their values."""
     plant = plant_named(options.plant, options.muscle, options.allow_code)
-    return plant.with_values(values_of("--set", options.set))
-
-
-def values_of(option: str, texts: Sequence[str]) -> dict[str, str]:
-    """{NAME: VALUE} of NAME=VALUE; the plant reads the value with its unit."""
-    values = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals or not name.strip() or not value.strip():
-            raise InputError(f"{option} {text}: give NAME=VALUE, as in mass=3.0 or mass='3 kg'")
-        values[name.strip()] = value.strip()
-    return values
+    return plant.with_values(pairs("--set", options.set))
 
 
 def plant_named(name: str, muscle: str, allow_code: bool) -> Plant:

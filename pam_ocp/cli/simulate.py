@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.quantities import quantity
-from .options import require_places
-from .plants import add_plant, plant_said, values_of
+from .options import pairs, require_places
+from .plants import add_plant, plant_said
 
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
@@ -77,7 +77,7 @@ def _simulate(options: argparse.Namespace) -> int:
     _require_endings(options.out)
     plant = plant_said(options)
     inputs = _inputs(plant, options)
-    start = plant.equilibrium(values_of("--rest", options.rest)) if options.rest else None
+    start = plant.equilibrium(pairs("--rest", options.rest)) if options.rest else None
     if options.duration is not None:
         require_count("--samples", options.samples, 2)
         times: Any = np.linspace(
@@ -103,7 +103,7 @@ def _inputs(plant: Plant, options: argparse.Namespace) -> Any:
         if options.input:
             raise InputError("give --inputs FILE, or --input NAME=VALUE, not both")
         return Trajectory.load(options.inputs)
-    given = values_of("--input", options.input)
+    given = pairs("--input", options.input)
     return {
         variable.name: variable.check(variable.number(value, "--input"), "--input")
         for variable, value in ((plant.variable(n), v) for n, v in given.items())

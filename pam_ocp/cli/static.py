@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.quantities import quantity
-from .options import add_allow_code, pairs, require_places
+from .options import pairs, require_places
+from .plants import PLANT, add_plant_options, plant_said
+from .reading import add_reading, reading_options
 
 if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
     from ..fitting.tables.force_table import ForceTable
-    from ..plants.plant import Plant
 
 __all__ = ["add_campaign", "add_fit", "add_fit_holds"]
 
@@ -34,8 +35,9 @@ def add_fit(commands: Any) -> None:
     fit.add_argument(
         "table",
         metavar="TABLE",
-        help="CSV with length (or contraction), pressure, force; units in the header, as in "
-        "length_m,pressure_Pa,force_N; or a bundled table such as DMSP-20-300_static.csv",
+        help="file with length (or contraction), pressure, force; units in the header, as in "
+        "length_m,pressure_Pa,force_N ('pam-ocp look' says what is understood); or a bundled "
+        "table such as DMSP-20-300_static.csv",
     )
     fit.add_argument(
         "--rest-length",
@@ -55,7 +57,7 @@ def add_fit(commands: Any) -> None:
         "spline-3:0,0.1,0.25 (degree and contractions); given several times, or 'all': these are "
         "ranked, and the best at lengths left out is taken",
     )
-    _add_reading(fit)
+    add_reading(fit)
     _add_fixed(fit)
     fit.add_argument("--loss", default="squares", metavar="LOSS", help=LOSSES)
     fit.add_argument(
@@ -103,7 +105,7 @@ def add_campaign(commands: Any) -> None:
         metavar="NAME",
         help="coefficients that muscles of one diameter have in common (default: all)",
     )
-    _add_reading(campaign)
+    add_reading(campaign)
     _add_fixed(campaign)
     campaign.add_argument("--loss", default="squares", metavar="LOSS", help=LOSSES)
     campaign.add_argument(
@@ -125,18 +127,8 @@ def add_fit_holds(commands: Any) -> None:
         "'muscle_pressure [bar],x [mm],side'. side: below (positions rose to the hold) or above.",
     )
     holds.add_argument("holds", metavar="TABLE", help="a hold per row")
-    holds.add_argument(
-        "--plant",
-        required=True,
-        metavar="PLANT",
-        help="a plant of the library by name, FILE.py:NAME, or FILE.toml with a table [plant]",
-    )
-    holds.add_argument(
-        "--muscle", default="DMSP-20-300", metavar="MUSCLE", help="in the catalogue, or a file"
-    )
-    holds.add_argument(
-        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="known values, as mass=2kg"
-    )
+    holds.add_argument("--plant", required=True, metavar="PLANT", help=PLANT)
+    add_plant_options(holds)
     holds.add_argument(
         "--estimate",
         nargs="+",
@@ -147,29 +139,10 @@ def add_fit_holds(commands: Any) -> None:
     holds.add_argument("--measured", nargs="+", metavar="NAME", help="what is compared")
     holds.add_argument("--side", metavar="SIDE", help="below, above, or sequence: from row to row")
     holds.add_argument("--inputs", nargs="+", default=[], metavar="NAME=VALUE", help="constants")
-    _add_reading(holds)
+    add_reading(holds)
     holds.add_argument("--loss", default="squares", metavar="LOSS", help="squares, huber, bisquare")
     holds.add_argument("--out", type=Path, metavar="FILE.json", help="write the fit")
-    add_allow_code(holds)
     holds.set_defaults(run=_fit_holds)
-
-
-def _add_reading(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--columns",
-        nargs="+",
-        default=[],
-        metavar="QUANTITY=HEADER",
-        help="which column holds what, as pressure=P1 force=F; or, of a file without headers, the "
-        "names of all columns from the left, as 'length [mm]' 'pressure [bar]' 'force [N]'",
-    )
-    command.add_argument(
-        "--units",
-        nargs="+",
-        default=[],
-        metavar="QUANTITY=UNIT",
-        help="where headers name none, as pressure=kPa",
-    )
 
 
 def _add_fixed(command: argparse.ArgumentParser) -> None:
@@ -183,13 +156,6 @@ def _add_fixed(command: argparse.ArgumentParser) -> None:
 
 
 # ---- what they do -------------------------------------------------------------------------------
-def _reading(options: argparse.Namespace) -> dict[str, Any]:
-    found: dict[str, Any] = {"units": pairs("--units", options.units)}
-    named = any("=" in text for text in options.columns)
-    found["columns"] = pairs("--columns", options.columns) if named else options.columns
-    return {n: v for n, v in found.items() if v}
-
-
 def _fixed(texts: Sequence[str], laws: Iterable[str]) -> dict[str, float]:
     from ..fitting.static.static import law_class
 
@@ -204,7 +170,7 @@ def _fit(options: argparse.Namespace) -> int:
     from ..muscles.muscle_file import save_muscle
 
     require_places(options.out, options.plot)
-    table = read_table(options.table, rest_length=options.rest_length, **_reading(options))
+    table = read_table(options.table, rest_length=options.rest_length, **reading_options(options))
     laws = options.law or ["six-parameter"]
     if len(laws) > 1 or laws == ["all"]:
         fitted = _ranked(table, laws, options.fixed, options.loss)
@@ -274,7 +240,7 @@ def _campaign(options: argparse.Namespace) -> int:
         shared=options.shared or "all",
         fixed=_fixed(options.fixed, [options.law]),
         loss=options.loss,
-        **_reading(options),
+        **reading_options(options),
     )
     print(result.report())
     if options.out:
@@ -304,7 +270,7 @@ def _fit_holds(options: argparse.Namespace) -> int:
     from ..fitting.static.holds import fit_holds
 
     require_places(options.out)
-    plant = _plant(options)
+    plant = plant_said(options)
     try:
         fit = fit_holds(
             plant,
@@ -317,7 +283,7 @@ def _fit_holds(options: argparse.Namespace) -> int:
                 for n, v in pairs("--inputs", options.inputs).items()
             },
             loss=options.loss,
-            **_reading(options),
+            **reading_options(options),
         )
     except FitError as error:
         print(f"pam-ocp fit-holds: {error}", file=sys.stderr)
@@ -326,26 +292,3 @@ def _fit_holds(options: argparse.Namespace) -> int:
     if options.out:
         print(f"-> {fit.save(options.out)}")
     return 0
-
-
-def _plant(options: argparse.Namespace) -> Plant:
-    from ..core.files import read_toml, reading
-    from ..plants.plant_file import muscle_of, named_plant, plant_of
-
-    if options.plant.endswith(".toml"):
-        content = read_toml(options.plant)
-        with reading(options.plant, "a plant", "give it a table [plant], as for 'pam-ocp plan'"):
-            plant = plant_of(
-                content.get("plant"),
-                f"{options.plant}: plant",
-                Path(options.plant).parent,
-                allow_code=options.allow_code,
-            )
-    else:
-        # a file of code named on the command line: that is the consent
-        muscle = muscle_of(options.muscle, "muscle", Path())
-        plant = named_plant(options.plant, muscle, allow_code=True)
-    values = pairs("--set", options.set)
-    return plant.with_values(
-        {n: quantity(f"set.{n}", v, plant.variable(n).unit) for n, v in values.items()}
-    )

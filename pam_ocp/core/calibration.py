@@ -73,7 +73,7 @@ COUNTS = frozenset(
 )
 """Units of readings that measure nothing yet."""
 _ABSOLUTE = re.compile(
-    r"(?P<rest>.*?)[\s_(,]*\b(?:abs|absolute|absolut|absolu|a)\b\.?\)?\s*$", re.I
+    r"(?P<rest>.*?)[\s_(,]*(?<![^\W_])(?:abs|absolute|absolut|absolu|a)\b\.?\)?\s*$", re.I
 )
 _GAUGE = re.compile(
     r"(?P<rest>.*?)[\s_(,]*\b(?:gauge|gage|rel|relativ|relative|g|ü)\b\.?\)?\s*$", re.I
@@ -87,10 +87,11 @@ MOST_TOKENS, MOST_POWER = 200, 9
 
 @dataclass(frozen=True)
 class Scale:
-    """SI value of a reading: sum of ``terms[i] * reading**i``... as a function of the numbers.
+    """From the numbers that stand in a file to SI.
 
-    unit : as it was said, for messages. formula : None for a plain unit. shift : what is taken off
-    for an absolute pressure [Pa].
+    unit : as it was said, for messages. measured : what it is a unit of. formula : of a
+    calibration; None for a plain unit. reading, kind : SI value and exponents of the unit of its
+    readings. shift : what is taken off for an absolute pressure [Pa].
     """
 
     unit: str
@@ -165,7 +166,7 @@ def _calibrated(
         reading, tree = _gain(where, text, tree)
     if header is not None and header.lower() not in COUNTS:
         said = unit(spelled(header).removesuffix(" abs"))
-        if names and names[0] in _known() and not said.compatible(reading):
+        if names and _is_symbol(names[0]) and not said.compatible(reading):
             raise InputError(
                 f"{where} says {header}, but {text!r} reads {names[0]}; correct one of them"
             )
@@ -173,21 +174,24 @@ def _calibrated(
     _, kind = _value(tree, np.ones(1), reading.exponents, text)
     if base is not None and kind != base.exponents:
         raise InputError(
-            f"{where}: {text!r} gives something else than {base.name}; give each constant its unit, "
-            f"as in 'V * 2 {base.name}/V - 0.3 {base.name}'"
+            f"{where}: {text!r} gives something else than {base.name}; give each constant its "
+            f"unit, as in 'V * 2 {base.name}/V - 0.3 {base.name}'"
         )
     return Scale(text, Unit(text, kind), tree, reading.factor, reading.exponents, shift)
 
 
-def _known() -> frozenset[str]:
-    from .units import _SYMBOLS
-
-    return frozenset(_SYMBOLS)
+def _is_symbol(name: str) -> bool:
+    """Whether a word of a calibration is a unit."""
+    try:
+        unit(name)
+    except UnknownNameError:
+        return False
+    return True
 
 
 def _unit_or_count(name: str, header: str | None) -> Unit:
     name = SPELLINGS.get(name.lower(), name)
-    return unit(name) if name in _known() else unit("1")
+    return unit(name) if _is_symbol(name) else unit("1")
 
 
 def _gain(where: str, text: str, tree: _Node) -> tuple[Unit, _Node]:
@@ -200,7 +204,7 @@ def _gain(where: str, text: str, tree: _Node) -> tuple[Unit, _Node]:
     return _unit_or_count(below, None), ("*", tree, ("reading", below))
 
 
-# ---- grammar: sum of products of powers of readings and constants -----------------------------------
+# ---- grammar: sums of products of powers of readings and constants ------------------------------
 _Node: TypeAlias = tuple[Any, ...]
 _Value: TypeAlias = tuple[Any, tuple[int, ...]]
 
@@ -209,7 +213,8 @@ class _Parser:
     """sum = product {(+|-) product}; product = power {(*|/) power}; power = atom [^ digit]."""
 
     def __init__(self, where: str, text: str) -> None:
-        self.where, self.text, self.tokens, at = where, text, [], 0
+        self.where, self.text, at = where, text, 0
+        self.tokens: list[re.Match[str]] = []
         while at < len(text.rstrip()):
             match = _TOKEN.match(text, at)
             if match is None or len(self.tokens) > MOST_TOKENS:
@@ -345,7 +350,7 @@ def _constant(number: float, units: tuple[tuple[str, int], ...], kind: tuple[int
     exponents, factor = unit("1").exponents, 1.0
     for name, power in units:
         known = SPELLINGS.get(name.lower(), name)
-        if known.lower() in COUNTS or (known not in _known() and not any(kind)):
+        if known.lower() in COUNTS or (not _is_symbol(known) and not any(kind)):
             continue
         one = unit(known)
         exponents = tuple(e + power * o for e, o in zip(exponents, one.exponents, strict=True))

@@ -81,10 +81,6 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "MPa": (_exponents(kg=1, m=-1, s=-2), 1e6),
     "psi": (_exponents(kg=1, m=-1, s=-2), 6894.757293168),
     "atm": (_exponents(kg=1, m=-1, s=-2), 101325.0),
-    "A": (_exponents(A=1), 1.0),
-    "mA": (_exponents(A=1), 1e-3),
-    "V": (_exponents(kg=1, m=2, s=-3, A=-1), 1.0),
-    "mV": (_exponents(kg=1, m=2, s=-3, A=-1), 1e-3),
 }
 
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}

@@ -97,9 +97,12 @@ def number(cell: Any, decimal: str = ".") -> float:
 
 def numbers_of(cells: Sequence[Any], decimal: str = ".") -> tuple[NDArray[np.float64], int | None]:
     """(numbers with NaN for empty cells, index of the first that is no number or None)."""
-    if decimal == ".":
-        try:
-            return np.array(cells, dtype=float).reshape(len(cells)), None
+    plain = cells
+    if decimal == "," and not any("." in c for c in cells if isinstance(c, str)):
+        plain = [c.replace(",", ".") if isinstance(c, str) else c for c in cells]
+    if decimal == "." or plain is not cells:
+        try:  # all at once, where every cell is a plain number
+            return np.array(plain, dtype=float).reshape(len(cells)), None
         except (TypeError, ValueError, OverflowError):
             pass
     found = np.full(len(cells), np.nan)

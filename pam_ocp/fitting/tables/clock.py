@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -34,8 +35,8 @@ PERIODS = (60.0, 3600.0, 86400.0)
 
 @dataclass(frozen=True)
 class Clock:
-    """Times [s] of a record. sample_time : usual step; jitter : standard deviation of the steps up to
-    the largest usual one; longest step, all [s]. kind : what the times were, in words.
+    """Times [s] of a record. sample_time : usual step; jitter : standard deviation of the steps
+    without gaps; longest step, all [s]. kind : what the times were, in words.
     """
 
     header: str
@@ -47,7 +48,13 @@ class Clock:
 
     def __str__(self) -> str:
         kind = f" ({self.kind})" if self.kind else ""
-        gaps = f", {self.gaps} gaps up to {self.longest:g} s" if self.gaps else ""
+        gaps = (
+            f", {self.gaps} gap{'s' * (self.gaps != 1)} up to {self.longest:g} s"
+            if self.gaps
+            else ""
+        )
+        if self.sample_time <= 0:
+            return f"{self.header!r}{kind}: more than one row for each time"
         even = self.jitter < 1e-3 * self.sample_time
         jitter = "even" if even else f"jitter {100 * self.jitter / self.sample_time:.2g} %"
         return f"{self.header!r}{kind}: every {self.sample_time:.4g} s, {jitter}{gaps}"
@@ -119,6 +126,8 @@ def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTabl
 
     factor : seconds per count of the column. What was done is among the notes of the table.
     """
+    if t.size and t.min() == t.max():
+        return raw, t
     t, words = _unwrapped(t, factor)
     notes = [words] if words else []
     steps = np.diff(t)
@@ -134,7 +143,7 @@ def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTabl
             f"the clock stands still: {int(still.sum())} rows of a repeated time dropped (first "
             f"{first})"
         )
-    if t.size >= FEW:
+    if kept.size >= FEW:
         wrong = _glitches(t[kept])
         if wrong.size:
             first = raw.row(int(kept[wrong[0]]))
@@ -185,6 +194,9 @@ def _glitches(t: Array) -> NDArray[np.intp]:
     wrong = []
     for i in np.nonzero(steps <= 0)[0]:
         for j in (int(i), int(i) + 1):
+            if j == 0 or j == t.size - 1:
+                wrong.append(j)
+                break
             if 0 < j < t.size - 1 and 0 < t[j + 1] - t[j - 1] <= 3 * usual:
                 wrong.append(j)
                 break
@@ -216,12 +228,12 @@ def parts_of(
         i = int(np.argmax(wide))
         raise InputError(
             f"{raw.label}: a gap of {steps[i]:g} s before {raw.row(i + 1)} (from {t[i]:g} to "
-            f"{t[i + 1]:g} s, where {usual:g} s are usual); cut there with clock='cut' (read_records "
-            f"then gives all parts, read_record the longest), or allow it with "
+            f"{t[i + 1]:g} s, where {usual:g} s are usual); cut there with clock='cut' "
+            "(read_records then gives all parts, read_record the longest), or allow it with "
             f"max_gap={1.01 * steps[i]:.3g}"
         )
     cuts = [0, *(int(i) + 1 for i in np.nonzero(back | wide)[0]), len(t)]
-    found = [(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b - a >= 2]
+    found = [(a, b) for a, b in pairwise(cuts) if b - a >= 2]
     if not found:
         raise InputError(f"{raw.label}: no two rows follow each other in time; look at {header!r}")
     return found

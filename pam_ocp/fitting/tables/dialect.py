@@ -1,9 +1,9 @@
 """The dialect of a text file: what separates its cells, its decimal sign, its comments.
 
 Each separator with each decimal sign is tried on a sample of the lines. The one is taken in which
-most cells of rows of equal width are numbers or stamps of time, as csv.Sniffer does not see and
-DuckDB's sniffer does (G. van den Burg, A. Nazábal, C. Sutton, Wrangling messy CSV files by detecting
-row and type patterns, Data Min. Knowl. Disc. 33 (2019) 1799-1820).
+most cells of rows of equal width are numbers or stamps of time, as DuckDB's sniffer does
+(G. van den Burg, A. Nazábal, C. Sutton, Wrangling messy CSV files by detecting row and type
+patterns, Data Min. Knowl. Disc. 33 (2019) 1799-1820).
 """
 
 from __future__ import annotations
@@ -19,13 +19,17 @@ from ...core.errors import InputError
 from ...core.files import require_size
 from .cells import is_empty, is_number, is_stamp
 
-__all__ = ["Grid", "grid_of_text"]
+__all__ = ["Grid", "Unsaid", "grid_of_text"]
 
 SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
 """What may stand between cells, the likelier ones first."""
 COMMENTS = ("#", "%", "//", "!")
 SAMPLE = 120
 """Lines that are looked at, from the lower part of the first thousand."""
+
+
+class Unsaid(InputError):
+    """A file can be read once a keyword says what it does not say itself."""
 
 
 @dataclass

@@ -294,18 +294,21 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     kappa = contraction_of(series, words.rest_length)
     p, force, notes = series["pressure"].si, np.array(series["force"].si), list(raw.notes)
     floor = floor_of(force) if words.floor == "found" else words.floor
+    at_floor = np.zeros(force.size, bool) if floor is None else force <= floor
+    force[at_floor] = np.minimum(force[at_floor], 0.0)
     if floor is not None and (floor > 0 or words.floor != "found"):
-        notes.append(_floored(force, float(floor)))
-    rows = ForceTable(
-        p, kappa, force, words.rest_length, raw.label, **read_labels(raw, words.columns)
-    )
+        count = f"{int(at_floor.sum())} rows at or below the floor of the sensor, {floor:g} N"
+        notes.append(f"{count}, count as slack")
+    labels = read_labels(raw, words.columns)
+    branch, run = labels.get("branch", ()), labels.get("run", ())
+    rows = ForceTable(p, kappa, force, words.rest_length, raw.label, branch, run)
     ramp = None if words.ramp is False else ramp_of(p, kappa, force, bool(words.ramp))
     if words.ramp and ramp is None:
         raise InputError(
-            f"{raw.label}: no ramp is found in its {len(rows)} rows (one of pressure and contraction "
-            "held, the other rising and falling in small steps); leave ramp= away"
+            f"{raw.label}: no ramp is found in its {len(rows)} rows (one of pressure and "
+            "contraction held, the other rising and falling in small steps); leave ramp= away"
         )
-    table = rows if ramp is None else _binned(rows, ramp)
+    table = rows if ramp is None else _binned(rows, ramp, at_floor)
     table = replace(table, notes=(*notes, *([f"a ramp: {ramp}"] if ramp else [])))
     check_mixed_pressure(series["pressure"], rows.pressure, rows.force, rows.contraction)
     if not np.any(~table.slack):
@@ -318,22 +321,18 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     return table
 
 
-def _floored(force: Array, floor: float) -> str:
-    """Forces at the sensor's floor become slack, in place."""
-    at = force <= floor
-    force[at] = np.minimum(force[at], 0.0)
-    return f"{int(at.sum())} rows at or below the floor of the sensor, {floor:g} N, count as slack"
-
-
-def _binned(rows: ForceTable, ramp: Ramp) -> ForceTable:
-    """A table of the ramp's cells: means of their rows; slack where half of them are."""
-    parts = [cell.rows for cell in ramp.cells]
-    slack = [float(np.mean(rows.slack[part])) >= 0.5 for part in parts]
+def _binned(rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_]) -> ForceTable:
+    """A table of the ramp's cells: means of their rows. Where half of them show the sensor's floor
+    it is slack; where fewer do it is left out, for their mean would lie too high.
+    """
+    shares = [float(np.mean(at_floor[cell.rows])) for cell in ramp.cells]
+    kept = [(c, share) for c, share in zip(ramp.cells, shares, strict=True) if not 0 < share < 0.5]
+    cells, parts = [c for c, _ in kept], [c.rows for c, _ in kept]
     force = [
-        min(0.0, float(np.median(rows.force[part])))
-        if at
-        else float(np.mean(rows.force[part][~rows.slack[part]]))
-        for part, at in zip(parts, slack, strict=True)
+        min(0.0, float(np.median(rows.force[c.rows])))
+        if share
+        else float(rows.force[c.rows].mean())
+        for c, share in kept
     ]
 
     def common(labels: tuple[str, ...], own: list[str]) -> tuple[str, ...]:
@@ -348,42 +347,36 @@ def _binned(rows: ForceTable, ramp: Ramp) -> ForceTable:
         np.array(force),
         rows.rest_length,
         rows.source,
-        common(rows.branch, [c.branch for c in ramp.cells]),
-        common(rows.run, [c.run for c in ramp.cells]),
-        scatter=np.array([c.scatter for c in ramp.cells]),
-        error=np.array([c.error for c in ramp.cells]),
+        common(rows.branch, [c.branch for c in cells]),
+        common(rows.run, [c.run for c in cells]),
+        scatter=np.array([c.scatter for c in cells]),
+        error=np.array([c.error for c in cells]),
     )
 
 
 def _joined(tables: Sequence[ForceTable]) -> ForceTable:
     """Several tables behind each other."""
-    labels = {}
-    for name in ("branch", "run"):
-        there = [getattr(t, name) for t in tables]
-        labels[name] = (
-            tuple(
-                label
-                for t, own in zip(tables, there, strict=True)
-                for label in own or ("",) * len(t)
-            )
-            if any(there)
-            else ()
-        )
-    arrays = {}
-    for name in ("scatter", "error"):
+
+    def labels(name: str) -> tuple[str, ...]:
+        there = [getattr(t, name) or ("",) * len(t) for t in tables]
+        return tuple(text for own in there for text in own) if any(map(any, there)) else ()
+
+    def numbers(name: str) -> Array | None:
         known = [getattr(t, name) for t in tables]
-        arrays[name] = None if any(k is None for k in known) else np.concatenate(known)
+        return None if any(k is None for k in known) else np.concatenate(known)
+
     return ForceTable(
-        *(
-            np.concatenate([getattr(t, n) for t in tables])
-            for n in ("pressure", "contraction", "force")
-        ),
+        np.concatenate([t.pressure for t in tables]),
+        np.concatenate([t.contraction for t in tables]),
+        np.concatenate([t.force for t in tables]),
         tables[0].rest_length,
         f"{len(tables)} files",
-        **labels,
-        file=tuple(t.source for t in tables for _ in range(len(t))),
-        **arrays,
-        notes=tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
+        labels("branch"),
+        labels("run"),
+        tuple(t.source for t in tables for _ in range(len(t))),
+        numbers("scatter"),
+        numbers("error"),
+        tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
 from .cells import is_empty, is_number, is_stamp
-from .dialect import Grid
+from .dialect import Grid, Unsaid
 from .headers import is_unit
 from .pivot import pivoted
 from .raw import RawTable
@@ -53,7 +53,11 @@ def tabulated(
     kept = [i for i, name in enumerate(found) if name]
     labels = [found[i] for i in kept]
     require_distinct(labels, grid.label)
-    units = {found[i]: str(stated[i]) for i in kept if i < len(stated) and not is_empty(stated[i])}
+    units = {
+        found[i]: str(stated[i]).strip(" []()")
+        for i in kept
+        if i < len(stated) and not is_empty(stated[i])
+    }
     named = (head if names is None and head >= 0 else start) if start else 0
     said = [*grid.dialect]
     said += [f"names in line {grid.lines[head]}"] if names is None and 0 <= head < start else []
@@ -160,10 +164,10 @@ def _names(
         if len(words) == width and not any(is_number(w, grid.decimal) for w in words):
             return [str(w).strip() for w in words]
     first = " ".join(str(c) for c in grid.rows[head + 1])[:60]
-    raise InputError(
+    raise Unsaid(
         f"{grid.label}: no line names the {width} columns (the first row of numbers is "
         f"{first!r}); say what they are, from the left, with their units, as "
-        f"columns={_example(width)}"
+        f"columns={_example(width)} (of a record 'time [s]', ...)"
     )
 
 
@@ -187,6 +191,12 @@ def _body(
     """The rows of numbers, all of one width. Raises InputError where one is not."""
     rows, lines, notes = grid.rows[start:], grid.lines[start:], []
     width = len(names)
+    end = len(rows)
+    while end > 1 and not any(is_number(c, grid.decimal) or is_stamp(c) for c in rows[end - 1]):
+        end -= 1
+    if end < len(rows):
+        notes.append(f"{len(rows) - end} rows of words below the numbers left out")
+        rows = rows[:end]
     last = len(rows) - 1
     made: list[Sequence[Any]] = []
     for i, row in enumerate(rows):

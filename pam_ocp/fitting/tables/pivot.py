@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from ...core.errors import InputError
 from ...core.units import unit
 from .cells import is_empty, is_number, number
-from .dialect import Grid
+from .dialect import Grid, Unsaid
 from .headers import NAMES, is_unit, parse_header
 from .raw import RawTable
 
@@ -37,7 +38,7 @@ def _heads(grid: Grid, row: Sequence[Any]) -> list[tuple[float, str | None, str]
 
 
 def _corner_row(grid: Grid, start: int) -> int | None:
-    """The row that holds what runs across: values that differ, behind a corner that is no number."""
+    """The row that holds what runs across: values that differ, behind a corner without one."""
     for place in (start, start - 1):
         if not 0 <= place < len(grid.rows) - 1 or len(grid.rows[place]) < 3:
             continue
@@ -59,8 +60,8 @@ def looks_pivoted(grid: Grid, start: int) -> bool:
     if place is None:
         return False
     steps = [h[0] for h in _heads(grid, grid.rows[place]) or ()]
-    rising = all(a < b for a, b in zip(steps, steps[1:], strict=False))
-    falling = all(a > b for a, b in zip(steps, steps[1:], strict=False))
+    rising = all(a < b for a, b in pairwise(steps))
+    falling = all(a > b for a, b in pairwise(steps))
     return rising or falling
 
 
@@ -134,7 +135,7 @@ def _quantities(
             down = left[0] if len(left) == 1 else None
     kinds = {_kind(down or ""), _kind(across or "")}
     if "pressure" not in kinds or not kinds & {"length", "contraction"}:
-        raise InputError(
+        raise Unsaid(
             f"{grid.label} looks like a pivot ({len(heads)} values from {heads[0][0]:g} to "
             f"{heads[-1][0]:g} stand across): say what runs down, across and stands in the cells, "
             "as pivot=('contraction [%]', 'pressure [bar]', 'force [N]')"

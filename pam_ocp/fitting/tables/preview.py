@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,9 @@ from ...core.calibration import Scale
 from ...core.errors import InputError
 from ...core.units import unit
 from .assign import assigned
-from .cells import is_empty
-from .clock import find_clock
+from .cells import is_empty, is_stamp
+from .clock import Clock, find_clock, read_clock
+from .dialect import Unsaid
 from .force_table import ForceTable, TableWords, table_of
 from .labels import LABELS
 from .raw import RawTable
@@ -63,9 +65,9 @@ class ColumnView:
 class Preview:
     """What was understood of a source; ``print`` shows it.
 
-    kind : "table" or "record". dialect, notes, doubts : in words. rows : of the source. result : the
-    table, or the records, as they are read; None where they cannot yet, for which ``problem`` says
-    the reason and the remedy. call : Python that reads it so.
+    kind : "table" or "record". dialect, notes, doubts : in words. rows : of the source. result :
+    the table, or the records, as they are read; None where they cannot yet, for which ``problem``
+    says the reason and the remedy. call : Python that reads it so.
     """
 
     source: str
@@ -107,20 +109,23 @@ class Preview:
 
     def __str__(self) -> str:
         what = {"table": "a force table", "record": "a record in time"}[self.kind]
-        lines = [f"{self.source}: {what}, {self.rows} rows"]
+        lines = [f"{self.source}: " + (f"{what}, {self.rows} rows" if self.columns else "?")]
         if self.dialect:
             lines.append(f"  {', '.join(self.dialect)}")
-        lines += ["", *_aligned(self.columns), ""]
+        lines += ["", *_aligned(self.columns), ""] if self.columns else []
         for title, words in (
             ("clock", [self.clock] if self.clock else []),
             ("said", self.notes),
             ("doubt", self.doubts),
             ("reads as", [self.reads_as] if self.result is not None else []),
             ("NOT READ YET", [self.problem] if self.problem else []),
-            ("call", [self.call]),
+            ("call", [self.call] if self.ok else []),
         ):
             lines += [f"  {title}: {one}" for one in words]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
 
     def __repr__(self) -> str:
         state = self.reads_as if self.ok else f"not read yet: {self.problem}"
@@ -133,6 +138,9 @@ class Previews(tuple[Preview, ...]):
     @property
     def ok(self) -> bool:
         return all(p.ok for p in self)
+
+    def _repr_html_(self) -> str:
+        return "".join(p._repr_html_() for p in self)
 
     def __str__(self) -> str:
         return "\n\n".join(map(str, self))
@@ -160,8 +168,8 @@ def look(source: Any, plant: Plant | None = None, **options: Any) -> Preview | P
     options : those of :func:`read_table` or :func:`read_record`; ``kind="table"`` or "record" where
         it is taken for the other one.
 
-    Raises InputError only where no columns are found, or an option cannot be meant; what the columns
-    lack is said in ``problem``.
+    Raises InputError for a file that is damaged or none, or an option that cannot be meant; what
+    must be said before it can be read is said in ``problem``.
     """
     if not is_source(source):
         return Previews(_look(one, plant, dict(options)) for one in sources_of(source))
@@ -180,11 +188,20 @@ def _look(source: Any, plant: Plant | None, options: dict[str, Any]) -> Preview:
     words = RecordWords.of(**for_record) if kind == "record" else RecordWords.of(**shared, **pivot)
     with naming(source), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        raw = loaded(source, words.how)
+        try:
+            raw = loaded(source, words.how)
+        except Unsaid as error:
+            return _unsaid(source, kind, str(error), options)
         kind = kind or _kind(raw, options)
         if kind == "table":
             return _table(source, raw, TableWords.of(**for_table)[1], options)
         return _record(source, raw, plant, RecordWords.of(**for_record), options)
+
+
+def _unsaid(source: Any, kind: str | None, problem: str, options: Mapping[str, Any]) -> Preview:
+    """Of a file whose columns are not known before a keyword says more."""
+    nothing = RawTable(Path(source).name if isinstance(source, str | Path) else "source", {})
+    return _preview(source, kind or "table", nothing, (), None, problem, options, ())
 
 
 def _kind(raw: RawTable, options: Mapping[str, Any]) -> str:
@@ -214,6 +231,7 @@ def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any
         table = table_of(raw, words)
     except InputError as error:
         problem = str(error)
+        meanings = meanings or _named(raw, words)
     for label, names in LABELS.items():
         header = raw.header(label, names, words.columns)
         if header:
@@ -222,6 +240,19 @@ def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any
     if table is not None and words.rest_length is None and "length" in dict(meanings.values()):
         problem = ""
     return _preview(source, "table", raw, columns, table, problem, options, table and table.notes)
+
+
+def _named(raw: RawTable, words: TableWords) -> dict[str, tuple[str, Scale | None]]:
+    """Which columns bear the name of a quantity, whatever their units say."""
+    found: dict[str, tuple[str, Scale | None]] = {}
+    for quantity, (_, names) in QUANTITIES.items():
+        try:
+            header = raw.header(quantity, names, words.columns)
+        except InputError:
+            continue
+        if header is not None and header in raw.columns:
+            found[header] = (quantity, None)
+    return found
 
 
 def _column(
@@ -233,6 +264,8 @@ def _column(
     if meaning in LABELS:
         words = list(dict.fromkeys(str(c) for c in raw.columns[header]))
         return ColumnView(header, meaning, ", ".join(words[:4]), None, None, empty)
+    if any(is_stamp(c) for c in list(raw.columns[header])[:5]):
+        return ColumnView(header, meaning, "dates or times", None, None, empty)
     try:
         values = raw.numbers(header)
     except InputError:
@@ -247,7 +280,7 @@ def _column(
             values = scale.si(values)
             shown = f"{base or 'SI'} by {scale.unit}"
     elif base is not None:
-        shown = f"{base} (none named)" if base != "1" else "1 (none named)"
+        shown = said or f"{base} (none named)"
     if (
         meaning.rpartition(".")[2] == "pressure"
         and values.size
@@ -279,12 +312,15 @@ def _saturated(header: str, values: Any) -> list[str]:
 def _record(
     source: Any, raw: RawTable, plant: Plant | None, words: RecordWords, options: dict[str, Any]
 ) -> Preview:
-    problem, records, clock, notes = "", None, "", []
+    problem, records, clock = "", None, ""
+    notes: list[str] = []
     meanings: dict[str, tuple[str, Scale | None]] = {}
     try:
         raw, header = find_clock(raw, words.time)
         if header is not None:
             meanings[header] = ("time", None)
+            t, kind = read_clock(raw, header, words.units.get("time"))
+            clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
             for variable, name in record_variables(raw, plant, dict(words.columns), header):
                 base = unit(variable.unit) if plant is not None else None
                 meanings[name] = (variable.name, None)

@@ -7,8 +7,10 @@ and the error of its mean, which counts how the rows follow each other.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -21,7 +23,7 @@ Rows: TypeAlias = NDArray[np.intp]
 
 FEWEST = 400
 """Rows below which a table is taken cell by cell."""
-FINE = 0.012
+FINE = 0.006
 """Of the range: steps between rows of a ramp are smaller, those between cells of a table larger."""
 TURN = 0.1
 """Of the range: a reversal smaller than this is no new branch."""
@@ -29,6 +31,8 @@ RESTING = 0.2
 """Of a branch's mean slope: where the ramp is slower, it dwells."""
 BINS = 20
 """Cells over the whole range of a ramp."""
+LAGS = 4
+"""Distances of rows at which their errors are compared."""
 LEAST_ROWS = 3
 """Of a cell."""
 SPANS = 0.004
@@ -37,7 +41,7 @@ SPANS = 0.004
 
 @dataclass(frozen=True)
 class Cell:
-    """Rows that make one cell; scatter [N] of their forces about a line, error [N] of their mean."""
+    """Rows that make one cell; scatter [N] of their forces about a line, error [N] of the mean."""
 
     rows: Rows
     branch: str
@@ -81,7 +85,7 @@ def floor_of(force: Array) -> float | None:
     A value that is clipped stands in many rows exactly, its neighbours by chance in few.
     """
     values, counts = np.unique(force, return_counts=True)
-    if values.size < 5 or counts[0] < max(5, 0.02 * force.size):
+    if values.size < 5 or counts[0] < max(5, 0.002 * force.size):
         return None
     usual = float(np.percentile(counts[1:], 95))
     return float(values[0]) if counts[0] >= 5 * usual else None
@@ -153,7 +157,7 @@ def _levels(still: Array) -> Rows | None:
 def _stretches(labels: Rows) -> Iterator[tuple[int, int]]:
     """(first, behind last) of stretches of one label."""
     cuts = np.concatenate([[0], np.nonzero(np.diff(labels))[0] + 1, [labels.size]])
-    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+    for a, b in pairwise(cuts.tolist()):
         yield int(a), int(b)
 
 
@@ -181,53 +185,73 @@ def _turns(values: Array, least: float) -> list[int]:
     return sorted({*turns, values.size - 1})
 
 
-def _cells(levels: Rows, moving: Array, force: Array, held: str) -> Ramp | None:
-    names = ("inflation", "deflation") if held == "contraction" else ("shortening", "lengthening")
-    span = float(np.ptp(moving))
-    shortest = max(12, moving.size // 2000)
-    pieces: list[tuple[int, str, Rows, Rows]] = []  # level, branch, rows, which of them rest
-    transit = int(np.sum(levels < 0))
+@dataclass(frozen=True)
+class _Piece:
+    """A branch at a level: its rows, and which of them rest."""
+
+    level: int
+    branch: str
+    rows: Rows
+    resting: NDArray[np.bool_]
+
+
+def _pieces(levels: Rows, moving: Array, names: tuple[str, str]) -> tuple[list[_Piece], int]:
+    """(branches from turn to turn at each level, rows that belong to none)."""
+    span, shortest = float(np.ptp(moving)), max(12, moving.size // 2000)
+    found: list[_Piece] = []
+    outside = 0
     for a, b in _stretches(levels):
-        if levels[a] < 0:
+        if levels[a] < 0 or b - a < shortest:
+            outside += b - a
             continue
-        if b - a < shortest:
-            transit += b - a
-            continue
-        turns = _turns(moving[a:b], TURN * span)
-        for first, last in zip(turns[:-1], turns[1:], strict=True):
+        for first, last in pairwise(_turns(moving[a:b], TURN * span)):
             rows = np.arange(a + first, a + last + 1)
-            change = moving[rows[-1]] - moving[rows[0]]
+            change = float(moving[rows[-1]] - moving[rows[0]])
             if rows.size >= 6 and abs(change) > TURN * span:
-                resting = _resting(moving[rows], abs(float(change)))
-                pieces.append((int(levels[a]), names[change < 0], rows, resting))
+                resting = _resting(moving[rows], abs(change))
+                found.append(_Piece(int(levels[a]), names[int(change < 0)], rows, resting))
             else:
-                transit += rows.size
+                outside += rows.size
+    return found, outside
+
+
+def _cells(
+    levels: Rows, moving: Array, force: Array, held: Literal["contraction", "pressure"]
+) -> Ramp | None:
+    names = ("inflation", "deflation") if held == "contraction" else ("shortening", "lengthening")
+    pieces, outside = _pieces(levels, moving, names)
     if not pieces:
         return None
-    share = float(np.mean(np.concatenate([resting for *_, resting in pieces])))
-    stairs = share > 0.5
-    usual = float(np.median([np.sum(~r) for *_, r in pieces]))
+    stairs = float(np.mean(np.concatenate([p.resting for p in pieces]))) > 0.5
+    usual = float(np.median([np.sum(~p.resting) for p in pieces]))
     count = int(np.clip(usual // 8, 5, BINS))
-    edges = np.linspace(moving.min(), moving.max() + 1e-12 * span, count + 1)
-    repeats: dict[tuple[int, str], int] = {}
+    edges = np.linspace(moving.min(), moving.max() + 1e-12 * float(np.ptp(moving)), count + 1)
+    repeats: Counter[tuple[int, str]] = Counter()
     groups: list[tuple[str, str, Rows]] = []
-    for level, branch, rows, resting in pieces:
-        repeats[level, branch] = run = repeats.get((level, branch), 0) + 1
-        parts = _stairs(rows, resting) if stairs else _binned(rows[~resting], moving, edges)
-        groups += [(branch, str(run), part) for part in parts]
-    rho, scatters = _scatter([g[2] for g in groups], moving, force)
-    wide = float(np.sqrt((1 + rho) / (1 - rho)))
+    for piece in pieces:
+        repeats[piece.level, piece.branch] += 1
+        run = str(repeats[piece.level, piece.branch])
+        moved = piece.rows[~piece.resting]
+        parts = _stairs(piece) if stairs else _binned(moved, moving, edges)
+        groups += [(piece.branch, run, part) for part in parts]
+    if not groups:
+        return None
+    rho, wide, scatters = _scatter([rows for *_, rows in groups], moving, force)
     cells = tuple(
-        Cell(rows, branch, run, s, s * wide / np.sqrt(rows.size))
+        Cell(rows, branch, run, s, float(s * wide / np.sqrt(rows.size)))
         for (branch, run, rows), s in zip(groups, scatters, strict=True)
     )
-    dwell = 0 if stairs else int(sum(r.sum() for *_, r in pieces))
-    number = len({level for level, *_ in pieces})
-    most = max(repeats.values())
     return Ramp(
-        "contraction" if held == "contraction" else "pressure",
-        number, len(pieces), most, stairs, dwell, transit, rho, cells,
-    ) if cells else None  # fmt: skip
+        held,
+        levels=len({p.level for p in pieces}),
+        pieces=len(pieces),
+        repeats=max(repeats.values()),
+        stairs=stairs,
+        dwell=0 if stairs else int(sum(p.resting.sum() for p in pieces)),
+        transit=outside,
+        correlation=rho,
+        cells=cells,
+    )
 
 
 def _resting(values: Array, change: float) -> NDArray[np.bool_]:
@@ -245,24 +269,58 @@ def _binned(rows: Rows, moving: Array, edges: Array) -> list[Rows]:
     return [part for part in found if part.size >= LEAST_ROWS]
 
 
-def _stairs(rows: Rows, resting: NDArray[np.bool_]) -> list[Rows]:
+def _stairs(piece: _Piece) -> list[Rows]:
     """The second half of each dwell, when the force has settled."""
-    found = [rows[(a + b) // 2 : b] for a, b in _stretches(resting.astype(np.intp)) if resting[a]]
+    found = [
+        piece.rows[(a + b) // 2 : b]
+        for a, b in _stretches(piece.resting.astype(np.intp))
+        if piece.resting[a]
+    ]
     return [part for part in found if part.size >= LEAST_ROWS]
 
 
-def _scatter(groups: list[Rows], moving: Array, force: Array) -> tuple[float, list[float]]:
-    """(correlation of neighbouring rows, standard deviation of each cell's rows about a line)."""
-    found, products, squares = [], 0.0, 0.0
+def _scatter(groups: list[Rows], moving: Array, force: Array) -> tuple[float, float, list[float]]:
+    """(correlation of neighbouring rows' errors, factor by which it widens the error of a cell's
+    mean, standard deviation of each cell's rows about a line).
+    """
+    found, products, counts = [], [], []
     for rows in groups:
         x = moving[rows] - moving[rows].mean()
         y = force[rows] - force[rows].mean()
         size = float(x @ x)
         rest = y - x * (float(x @ y) / size if size > 0 else 0.0)
-        found.append(float(np.sqrt(rest @ rest / max(1, rows.size - 2))))
-        products += float(rest[1:] @ rest[:-1])
-        squares += float(rest @ rest) * (rows.size - 1) / rows.size
-        # two coefficients of each cell's line take away from the correlation of its residuals
-    rho = products / squares if squares > 0 else 0.0
-    size = float(np.mean([rows.size for rows in groups])) if groups else 1.0
-    return float(np.clip(rho + 2 * (1 + rho) / max(size, 4.0), 0.0, 0.98)), found
+        squares = float(rest @ rest)
+        found.append(float(np.sqrt(squares / max(1, rows.size - 2))))
+        if rows.size >= LAGS + 4 and squares > 0:
+            products.append([rest[k:] @ rest[:-k] / squares for k in range(1, LAGS + 1)])
+            counts.append(rows.size)
+    if not products:
+        return 0.0, 1.0, found
+    one, wide = _memory(np.mean(products, axis=0), int(min(np.median(counts), 80)))
+    return one, wide, found
+
+
+def _memory(seen: Array, n: int) -> tuple[float, float]:
+    """(correlation of neighbours, factor of the error of a mean) of errors whose residuals about
+    lines, n rows each, follow each other as seen.
+
+    Errors are a process that forgets (AR(1), rho) and white noise on it, of shares c and 1 - c.
+    What a line leaves of them is M R M with R_ij = c rho^|i-j| and M = 1 - projector; the pair
+    (rho, c) is taken whose residuals would look as these do.
+    """
+    line = np.linalg.qr(np.column_stack([np.ones(n), np.linspace(-1, 1, n)]))[0]
+    left = np.eye(n) - line @ line.T
+    apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    best = (np.inf, 0.0, 1.0)
+    for rho in np.linspace(0.0, 0.98, 50):
+        slow = rho**apart
+        for share in np.linspace(0.1, 1.0, 10) if rho else (0.0,):
+            matrix = share * slow + (1 - share) * np.eye(n)
+            rest = left @ matrix @ left
+            whole = float(np.trace(rest))
+            expected = [float(np.trace(rest, k)) / whole for k in range(1, LAGS + 1)]
+            misfit = float(np.sum((seen - expected) ** 2))
+            if misfit < best[0]:
+                of_mean = float(matrix.sum()) / n**2 * (n - 2) / whole  # per s^2
+                best = (misfit, float(share * rho), float(np.sqrt(of_mean * n)))
+    return best[1], best[2]

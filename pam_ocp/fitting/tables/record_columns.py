@@ -12,7 +12,7 @@ from ...core.errors import InputError
 from ...core.units import Unit, unit
 from ...core.variables import Variable
 from .cells import is_empty, is_number, is_stamp
-from .headers import MEASURED, NAMES, is_unit, parse_header
+from .headers import MEASURED, NAMES, is_unit, parse_header, words_of
 from .raw import RawTable
 
 if TYPE_CHECKING:
@@ -25,41 +25,18 @@ BEYOND = 20.0
 """A value this many times beyond a variable's bounds was read in a wrong unit."""
 LEAST_PRESSURE = 1e3
 """A record whose pressures stay below this [Pa] was read in a wrong unit."""
-_SI = ("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s")
-_SI += ("V", "A")
-_COMMANDS = frozenset(
-    [
-        "command",
-        "cmd",
-        "set",
-        "setpoint",
-        "set point",
-        "pressure command",
-        "pressure set",
-        "p set",
-        "p cmd",
-        "p soll",
-        "p ref",
-        "p des",
-        "reference",
-        "ref",
-        "target",
-        "soll",
-        "sollwert",
-        "druck soll",
-        "solldruck",
-        "consigne",
-        "consigna",
-        "setpunkt",
-    ]
+_SI = (
+    *("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s"),
+    *("V", "A"),
+)
+_COMMANDS = words_of(
+    """command, cmd, set, setpoint, set point, pressure command, pressure set, p set, p cmd, p soll,
+    p ref, p des, reference, ref, target, soll, sollwert, druck soll, solldruck, consigne, consigna,
+    setpunkt"""
 )
 _PLACES: dict[str, frozenset[str]] = {
-    "x": frozenset(
-        ["x", "position", "pos", "displacement", "weg", "hub", "stroke", "posición", "posizione"]
-    ),
-    "phi": frozenset(
-        ["phi", "φ", "angle", "joint angle", "winkel", "gelenkwinkel", "theta", "q", "ángulo"]
-    ),
+    "x": words_of("x, position, pos, displacement, weg, hub, stroke, posición, posizione"),
+    "phi": words_of("phi, φ, angle, joint angle, winkel, gelenkwinkel, theta, q, ángulo"),
 }
 """Names of a plant's motion: how headers call it."""
 
@@ -85,15 +62,15 @@ def record_scale(
         other = scale_of(where, said, None, None).measured
         if not other.compatible(scale.measured):
             raise InputError(
-                f"{where} says {said} but units[{name!r}] = {wanted!r}; correct the header or leave "
-                f"units away, or give a calibration: '{said} * 2 {wanted}/{said}'"
+                f"{where} says {said} but units[{name!r}] = {wanted!r}; correct the header or "
+                f"leave units away, or give a calibration: '{said} * 2 {wanted}/{said}'"
             )
     if base is not None and not scale.measured.compatible(base):
         shown = {"Pa": "bar", "m": "mm", "rad": "deg"}.get(base.name, base.name)
         reads = text if text.lower() not in COUNTS else "counts"
         raise InputError(
-            f"{where} is in {text}, which is no unit of {name} ({base.name}); correct the header or "
-            f"give units={{{name!r}: ...}}, or a calibration as '{reads} * 2 {shown}/{reads} - "
+            f"{where} is in {text}, which is no unit of {name} ({base.name}); correct the header "
+            f"or give units={{{name!r}: ...}}, or a calibration as '{reads} * 2 {shown}/{reads} - "
             f"0.3 {shown}'"
         )
     return scale

@@ -152,7 +152,9 @@ def read_record(
         decimal=decimal,
     )
     if not is_source(source):
-        raise InputError("source is several: read_records(...) reads a list, a folder or a pattern")
+        folder = isinstance(source, str | Path) and Path(source).is_dir()
+        what = f"{source} is a folder" if folder else "source is several"
+        raise InputError(f"{what}; give a file, or read all of them by read_records(...)")
     with naming(source):
         raw = loaded(source, words.how)
         parts, notes, _ = record_parts(raw, plant, words)
@@ -233,9 +235,9 @@ def record_parts(
     if HELD in raw.columns:
         between = between or interpolation_of(raw.numbers(HELD), raw.label)
         raw = replace(raw, columns={n: c for n, c in raw.columns.items() if n != HELD})
-    for header in words.columns.values():
-        if header not in raw.columns:
-            raise UnknownNameError("column", header, raw.columns)
+    for named in words.columns.values():
+        if named not in raw.columns:
+            raise UnknownNameError("column", named, raw.columns)
     raw, header = find_clock(raw, words.time)
     if header is None:
         raise InputError(
@@ -269,7 +271,6 @@ def record_parts(
     clock = Clock.of(header, kind, t)
     if words.sample_time is not None:
         records = [_even(record, words.sample_time) for record in records]
-        notes.append(f"resampled to even steps of {np.diff(records[0].t[:2])[0]:.4g} s")
     return records, notes, clock
 
 

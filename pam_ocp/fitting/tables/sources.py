@@ -27,7 +27,8 @@ from ...core.foreign import (
     read_sheets,
 )
 from .cells import decimal_of, is_empty
-from .dialect import Grid, grid_of_text
+from .dialect import Grid, Unsaid, grid_of_text
+from .headers import NAMES, parse_header
 from .layout import has_table, require_distinct, tabulated
 from .raw import RawTable
 from .trees import chosen_table
@@ -39,8 +40,8 @@ __all__ = ["ENDINGS", "Reading", "is_source", "load", "naming", "sources_of"]
 class Reading:
     """How a file is to be read, where it does not say it itself.
 
-    columns : names of the columns from the left. skip : lines or rows at the beginning that are left
-    out. sheet : of a workbook, its name or its number from 1. pick : table within nested data.
+    columns : names of the columns from the left. skip : lines or rows at the beginning that are
+    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data.
     delimiter, decimal : of a text. pivot : what runs down, across, and stands in the cells.
     """
 
@@ -66,8 +67,8 @@ class Reading:
         if columns is not None and not isinstance(columns, Mapping):
             if isinstance(columns, str) or not isinstance(columns, Sequence):
                 raise InputError(
-                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from the "
-                    "left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
+                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from "
+                    "the left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
                 )
             names = tuple(None if name is None else str(name) for name in columns)
         pivot = said.pop("pivot", None)
@@ -116,7 +117,7 @@ def is_source(source: Any) -> bool:
 
 
 def sources_of(source: Any) -> list[Any]:
-    """Several sources: of a list, a folder (its readable files by name), or a pattern as "run*.csv".
+    """Several sources: of a list, a folder (its readable files by name), or a pattern.
 
     Raises InputError where there are none.
     """
@@ -146,7 +147,7 @@ def naming(source: Any) -> AbstractContextManager[None]:
     return reading(source, "a table", "save it as CSV anew")
 
 
-# ---- mappings and frames ---------------------------------------------------------------------------
+# ---- mappings and frames -------------------------------------------------------------------------
 def _from_mapping(columns: Mapping[Any, Any], label: str) -> RawTable:
     return RawTable(label, {str(n): np.ravel(v).tolist() for n, v in columns.items()})
 
@@ -176,7 +177,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
     return RawTable(label, {n: list(c)[how.skip :] for n, c in found.items()}, dialect=said)
 
 
-# ---- files -----------------------------------------------------------------------------------------
+# ---- files ---------------------------------------------------------------------------------------
 def _load_file(source: str | Path, how: Reading) -> RawTable:
     path = Path(source)
     if "\0" in str(source) or not os.path.exists(path):
@@ -279,16 +280,22 @@ def _read_sheet(path: Path, how: Reading) -> RawTable:
         grids[name].dialect = said
     filled = {n: g for n, g in grids.items() if any(not is_empty(c) for r in g.rows for c in r)}
     tables = {n: g for n, g in filled.items() if has_table(g)}
-    found = list(tables or filled)
+    found = sorted(tables or filled, key=lambda name: -_promise(filled[name]))
     if len(found) > 1:
         shown = ", ".join(map(repr, found[:8]))
-        raise InputError(
+        raise Unsaid(
             f"{path.name} has {len(found)} sheets with numbers, {shown}: choose one with "
             f"sheet={found[0]!r}"
         )
     if not found:
         raise InputError(f"{path.name} is empty: it needs a header and at least one row")
     return tabulated((tables or filled)[found[0]], how.columns, how.pivot)
+
+
+def _promise(grid: Grid) -> int:
+    """How many quantities the words at the top of a sheet name."""
+    words = {parse_header(c)[0] for row in grid.rows[:12] for c in row if isinstance(c, str)}
+    return sum(bool(words & names) for names in NAMES.values())
 
 
 def _read_parquet(path: Path, how: Reading) -> RawTable:

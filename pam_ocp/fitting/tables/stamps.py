@@ -1,4 +1,4 @@
-"""Times as they are written: seconds, dates, times of day, days of a spreadsheet, seconds of an epoch."""
+"""Times as they are written: seconds, dates, times of day, days of a spreadsheet, epochs."""
 
 from __future__ import annotations
 
@@ -134,9 +134,10 @@ def seconds_of_numbers(values: Array, header: str, said: str | None) -> tuple[Ar
     if known.size < 2:
         return values, ""
     low, high = float(known.min()), float(known.max())
-    if said is None and SERIAL[0] < low and high < SERIAL[1] and parse_header(header)[0] in DATES:
-        if float(np.median(np.abs(np.diff(known)))) < 0.01:
-            return (values - known[0]) * DAY, "days of a spreadsheet"
+    days = said is None and SERIAL[0] < low and high < SERIAL[1]
+    fine = float(np.median(np.abs(np.diff(known)))) < 0.01
+    if days and fine and parse_header(header)[0] in DATES:
+        return (values - known[0]) * DAY, "days of a spreadsheet"
     for least, most, factor in EPOCHS if said is None else EPOCHS[:1]:
         if least <= low and high < most:
             unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[factor]

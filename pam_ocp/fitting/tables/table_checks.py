@@ -69,8 +69,8 @@ def check_pressure(pressure: Series) -> None:
     largest, smallest = pressure.si[top], pressure.si[low]
     if smallest < -max(0.02 * largest, 2e3):
         raise InputError(
-            f"{pressure.shown(low)} is negative beyond noise{_from_ambient(pressure, low)}; pressures "
-            "are gauge pressures >= 0"
+            f"{pressure.shown(low)} is negative beyond noise{_from_ambient(pressure, low)}; "
+            "pressures are gauge pressures >= 0"
         )
     low_end, high_end = LARGEST_PRESSURE
     if not low_end <= largest <= high_end:

@@ -1,4 +1,4 @@
-"""Tables within nested data (MATLAB structures, HDF5, JSON, npz): found, or chosen by their name."""
+"""Tables within nested data (MATLAB structures, HDF5, JSON, npz): found, or chosen by name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, UnknownNameError
-from .dialect import Grid
+from .cells import decimal_of, is_number
+from .dialect import Grid, Unsaid
 
 __all__ = ["Found", "chosen_table"]
 
@@ -22,8 +23,8 @@ MOST_TABLES = 2000
 def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[str, ...]]:
     """(the table of a tree, what was left out).
 
-    pick : its name, as ``run.data`` or ``runs[2]``; needed where there are several. Raises InputError
-    that names them.
+    pick : its name, as ``run.data`` or ``runs[2]``; needed where there are several. Raises an
+    InputError that names them.
     """
     tables = dict(_tables(tree, "", label, 0))
     if pick is not None:
@@ -40,7 +41,7 @@ def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[
     if len(top) > 1:
         shown = ", ".join(f"{n!r} ({_size(tables[n])})" for n in top[:8])
         more = f" and {len(top) - 8} more" if len(top) > 8 else ""
-        raise InputError(
+        raise Unsaid(
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
     return tables[top[0]], _beside(tables, top[0])
@@ -79,6 +80,10 @@ def _of_mapping(
     tree: Mapping[str, Any], name: str, label: str, level: int
 ) -> Iterator[tuple[str, Found]]:
     columns = _columns(tree)
+    headed = None if columns else _headed(tree)
+    if headed is not None:
+        yield name, _grid(headed, label)
+        return
     if columns:
         yield name, columns
     below = [k for k in tree if _vector(tree[k]) is None or not columns]
@@ -95,17 +100,66 @@ def _columns(tree: Mapping[str, Any]) -> dict[str, list[Any]]:
     A matrix of as many rows gives several columns.
     """
     vectors = {str(k): v for k, v in ((k, _vector(v)) for k, v in tree.items()) if v is not None}
-    lengths = Counter(len(v) for v in vectors.values() if len(v) > 1)
+    lengths = Counter(len(v) for v in vectors.values() if len(v) > 1 and not _is_text(v))
     if not lengths:
         return {}
     length = max(lengths, key=lambda n: (lengths[n], n))
     found = {k: v for k, v in vectors.items() if len(v) == length}
+    for key, value in tree.items():
+        for name, column in _signals(value):
+            if len(column) == length:
+                found[name if name not in found else f"{key} {name}"] = column
     for key, value in tree.items():
         matrix = _matrix(value) if isinstance(value, np.ndarray) and value.ndim == 2 else None
         if matrix is not None and min(matrix.shape) >= 2 and length in matrix.shape and found:
             upright = matrix if matrix.shape[0] == length else matrix.T
             found |= {f"{key} {i + 1}": c.tolist() for i, c in enumerate(upright.T)}
     return found if len(found) >= 2 else {}
+
+
+def _signals(value: Any) -> Iterator[tuple[str, list[Any]]]:
+    """Columns one level below those beside them: of a mapping, or of Simulink's "structure with
+    time", which holds values and labels.
+    """
+    several = value if isinstance(value, list | tuple) else [value]
+    for number, one in enumerate(several[:MOST_TABLES], start=1):
+        if not isinstance(one, Mapping):
+            continue
+        values = _vector(one.get("values"))
+        if values is not None:
+            label = one.get("label")
+            text = label.ravel()[0] if isinstance(label, np.ndarray) and label.size else label
+            yield str(text) if text is not None else f"signal {number}", values
+            continue
+        for name, column in one.items():
+            values = _vector(column)
+            if values is not None and not _is_text(values):
+                yield str(name), values
+
+
+def _is_text(cells: Sequence[Any]) -> bool:
+    return all(isinstance(c, str) and not is_number(c, decimal_of([c])) for c in cells)
+
+
+def _headed(tree: Mapping[str, Any]) -> list[list[Any]] | None:
+    """A matrix with the list of its names beside it, as rows; None where there is no such pair."""
+    matrices = []
+    for value in tree.values():
+        if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "biuf":
+            matrices.append(value.tolist())
+        elif isinstance(value, list) and value and all(isinstance(r, list) for r in value):
+            rows = [[_plain(c) for c in row] for row in value]
+            if all(c is not _NESTED for r in rows for c in r):
+                matrices.append(rows)
+    texts = [v for v in map(_vector, tree.values()) if v and len(v) > 1 and _is_text(v)]
+    if len(matrices) != 1:
+        return None
+    for names in texts:
+        if all(len(row) == len(names) for row in matrices[0]):
+            return [names, *matrices[0]]
+        if len(matrices[0]) == len(names):
+            return [names, *map(list, zip(*matrices[0], strict=True))]
+    return None
 
 
 def _vector(value: Any) -> list[Any] | None:
@@ -145,8 +199,6 @@ def _matrix(value: np.ndarray[Any, Any]) -> np.ndarray[Any, Any] | None:
 
 
 def _grid(rows: list[Any], label: str) -> Grid:
-    from .cells import decimal_of
-
     texts = [c for row in rows[:400] for c in row if isinstance(c, str)]
     return Grid(label, rows, list(range(1, len(rows) + 1)), decimal_of(texts))
 
