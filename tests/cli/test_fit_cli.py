@@ -172,7 +172,7 @@ def test_what_cannot_be_meant_ends_with_2_and_a_reason(
 def test_what_was_left_out_of_a_file_is_said_in_a_line(tmp_path: Any) -> None:
     rows = [f"{k},{p},{1e-3 * p * (0.25 - k)}" for k in (0.0, 0.1, 0.2) for p in (1e5, 3e5, 5e5)]
     table = tmp_path / "table.csv"
-    table.write_text("\n".join(["contraction_1,pressure_Pa,force_N", *rows, "0.05,,20"]))
+    table.write_text("\n".join(["contraction,pressure_Pa,force_N", *rows, "0.05,,20"]))
     command = [sys.executable, "-m", "pam_ocp", "fit", str(table), "--law", "max-contraction"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.stderr.startswith("pam-ocp: table.csv: 1 row"), done
