@@ -306,6 +306,8 @@ def simulate_many_threads(pam: Any) -> Any:
 def run(name: str, told: Any) -> None:
     """In the process of its own: says "go", works, and says how it ended and when."""
     end = "nothing"
+    # a shell starts what runs in the background with the signal ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         import warnings
 
@@ -391,6 +393,7 @@ def main() -> None:
     import numpy as np  # noqa: F401
 
     random.seed(options.seed)
+    lost = 0
     print("| verb | sent | over before | swallowed | median [s] | worst [s] |")
     print("|---|---|---|---|---|---|")
     for name in options.verbs or VERBS:
@@ -399,6 +402,7 @@ def main() -> None:
         ends = [shot(name, moment) for moment in moments]
         met = [end for end in ends if end[0] != "over before"]
         wrong = [end[0] for end in met if end[0] != "KeyboardInterrupt"]
+        lost += len(wrong)
         times = [seconds for _, seconds in met] or [float("nan")]
         print(
             f"| {name} | {len(met)} | {len(ends) - len(met)} | {len(wrong)} | "
@@ -410,6 +414,7 @@ def main() -> None:
             ),
             flush=True,
         )
+    sys.exit(lost > 0)
 
 
 if __name__ == "__main__":

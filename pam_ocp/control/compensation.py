@@ -148,10 +148,8 @@ class _Tracking:
         if self.owner.compensate:
             self._memory.move(self._path(t)[0], self.sample_time)
         found = self._pressures(t)
-        if self._now is not None:
-            muscles = self.owner.inverse.muscles
-            pressures = zip(muscles, found.tolist(), strict=True)
-            self._memory.place({f"{m}.pressure": p for m, p in pressures})
+        pressures = zip(self.owner.inverse.muscles, found.tolist(), strict=True)
+        self._memory.place({f"{m}.pressure": p for m, p in pressures})
         return found
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
@@ -187,15 +185,18 @@ class _Rounded:
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         h, middle = self._half, t - self._late
-        at = lambda s: self._reference(max(s, 0.0))  # noqa: E731
         parts = (NODES + 1) / 2
-        later = np.array([at(middle + h * s) for s in parts])
-        before = np.array([at(middle - h * s) for s in parts])
+        later = np.array([self._at(middle + h * s) for s in parts])
+        before = np.array([self._at(middle - h * s) for s in parts])
         weights = WEIGHTS / 2
         x = float(np.sum(weights * (1 - parts) * (later + before)))
         v = float(np.sum(weights * (later - before))) / h
-        a = (at(middle + h) - 2 * at(middle) + at(middle - h)) / h**2
+        a = (self._at(middle + h) - 2 * self._at(middle) + self._at(middle - h)) / h**2
         return x, v, a
+
+    def _at(self, t: float) -> float:
+        """The reference, at rest before the beginning."""
+        return self._reference(max(t, 0.0))
 
 
 class _PressureInputs:
@@ -280,4 +281,4 @@ class _PressureInputs:
 def _start_of(plant: Plant, name: str) -> float:
     """An expression of the plant at its start values."""
     at: Any = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression(name)])
-    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))  # type: ignore[arg-type]
+    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))

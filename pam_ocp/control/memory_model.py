@@ -16,8 +16,8 @@ __all__ = ["MemoryModel"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-PARTS = 8
-"""Steps of the integrator per sample; it is L-stable, so sharp edges do no harm."""
+PARTS = 32
+"""Steps of the integrator per sample: finer than the edge of an element that begins to slide."""
 
 
 class MemoryModel:
@@ -42,27 +42,23 @@ class MemoryModel:
         self.reset()
 
     def _build(self, plant: Plant) -> ca.Function:
-        """(all states and inputs, position at the end, duration, parameters) -> memories then."""
+        """(memories, all states and inputs of each part, durations, parameters) -> memories."""
         z = ca.vertcat(plant.x, plant.u)
         rates = ca.vertcat(*(plant.expression(f"der({n})") for n in self.names))
-        slope = ca.jacobian(rates, z)[:, self._memory]
-        system = ca.Function("rates", [z, plant.p], [rates, ca.densify(slope)])
-        begin, end, duration = (ca.SX.sym("z", z.numel()), ca.SX.sym("end"), ca.SX.sym("h"))
-        position, velocity = self._at
-        m = begin[self._memory]
-        for i in range(PARTS):
-            here = ca.SX(begin)
-            here[position] = begin[position] + (end - begin[position]) * (i + 0.5) / PARTS
-            here[velocity] = (end - begin[position]) / duration
+        slope = ca.densify(ca.jacobian(rates, z)[:, self._memory])
+        system = ca.Function("rates", [z, plant.p], [rates, slope])
+        memory, full, duration = (
+            ca.SX.sym(n, k) for n, k in (("m", len(self.names)), ("z", z.numel()), ("h", 1))
+        )
 
-            def slopes(x: ca.SX, here: ca.SX = here) -> tuple[ca.SX, ca.SX]:
-                full = ca.SX(here)
-                full[self._memory] = x
-                found = system(full, plant.p)
-                return found[0], found[1]
+        def slopes(x: ca.SX) -> tuple[ca.SX, ca.SX]:
+            here = ca.SX(full)
+            here[self._memory] = x
+            found = system(here, plant.p)
+            return found[0], found[1]
 
-            m = rodas3(slopes, m, duration / PARTS)
-        return ca.Function("memory", [begin, end, duration, plant.p], [m])
+        after = rodas3(slopes, memory, duration)
+        return ca.Function("memory", [memory, full, duration, plant.p], [after]).mapaccum(PARTS)
 
     def reset(self) -> None:
         """Begin at the plant's start values."""
@@ -81,6 +77,12 @@ class MemoryModel:
     def move(self, position: float, duration: float) -> None:
         """On to ``position`` in ``duration`` [s] at an even speed."""
         if self._step is not None:
-            found = np.asarray(self._step(self._z, position, duration, self._p)).ravel()
+            begin, velocity = self._z[self._at[0]], self._at[1]
+            parts = np.repeat(self._z[:, None], PARTS, axis=1)
+            parts[self._at[0]] = begin + (position - begin) * (np.arange(PARTS) + 0.5) / PARTS
+            parts[velocity] = (position - begin) / duration
+            steps = np.full((1, PARTS), duration / PARTS)
+            known = np.repeat(self._p[:, None], PARTS, axis=1)
+            found = np.asarray(self._step(self._z[self._memory], parts, steps, known))[:, -1]
             self._z[self._memory] = np.clip(found, self._low, self._high)
         self._z[self._at[0]] = position

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from .atomic import atomic_path, make_folder, require_place
 from .exceptions import InputError, PamError
-from .stop import interruptible
+from .interrupts import interruptible
 
 if sys.version_info >= (3, 11):
     import tomllib

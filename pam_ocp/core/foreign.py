@@ -23,6 +23,7 @@ from .files import (
     require_size,
     require_unpacked,
 )
+from .interrupts import interruptible
 from .mat import matrices_of
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
             return dict(archive)
 
 
+@interruptible()  # pandas is loaded in here
 def frame(
     rows: Sequence[Sequence[Any]], columns: Sequence[str], index: Sequence[Any], name: str
 ) -> pd.DataFrame:

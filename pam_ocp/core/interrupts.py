@@ -16,11 +16,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ContextDecorator, suppress
 from types import CodeType, FrameType, TracebackType
 from typing import Any, TypeVar
 
-__all__ = ["Interrupts", "boundary", "in_main", "undisturbed"]
+__all__ = ["INTERRUPTS", "Interrupts", "boundary", "in_main", "interruptible", "undisturbed"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -34,7 +34,7 @@ TICK = getattr(signal, "SIGURG", signal.SIGFPE)
 """By which our own threads call the main thread: one that nobody uses, and that is ignored."""
 AGAIN = 0.05
 """How often an error is raised again that waits or got lost [s]."""
-PATIENCE = 1.0
+PATIENCE = 0.6
 """How long an import is not disturbed [s]; a second signal does not wait."""
 
 _UNDISTURBED: set[CodeType] = set()
@@ -58,13 +58,10 @@ def in_main() -> bool:
     return threading.current_thread() is threading.main_thread()
 
 
-class Interrupts:
-    """The handlers of signals, wrapped for the time of the outermost verb (in the main thread).
+class Interrupts(ContextDecorator):
+    """The handlers of signals, wrapped for the time of the outermost verb (in the main thread)."""
 
-    due : what a tick raises in a call under way, where no signal asked for anything.
-    """
-
-    def __init__(self, due: Callable[[], BaseException | None]) -> None:
+    def __init__(self) -> None:
         self.depth = 0
         self.native = 0
         """How many of CasADi's calls are under way: only these are broken off by a time limit."""
@@ -72,7 +69,8 @@ class Interrupts:
         """Above zero nothing is raised by a handler: the call looks for it itself."""
         self.error: BaseException | None = None
         """What a handler raised."""
-        self._due = due
+        self.due: Callable[[], BaseException | None] = lambda: None
+        """What a tick raises in a call under way, where no signal asked for anything."""
         self._since = 0.0
         self._before: dict[int, Any] = {}
         if hasattr(os, "register_at_fork"):
@@ -123,26 +121,26 @@ class Interrupts:
         try:
             self._before[number](number, frame)
         except BaseException as error:
-            guard, fragile = _work_under_way(frame)
-            if self.depth == 0 and not guard:  # a verb's end was interrupted, and left us in place
+            never, fragile = _work_under_way(frame)
+            if self.depth == 0 and not never:  # a verb's end was interrupted, and left us in place
                 raise
             first, self.error = self.error is None, error
             if first:
                 self._since = time.monotonic()
                 with suppress(RuntimeError):  # no thread to be had: at the verb's end then
                     _thread.start_new_thread(self._call_again, ())
-            if not (self.held or guard or (fragile and first)):
+            if not (self.held or never or (fragile and first)):
                 raise
 
     def _ticked(self, number: int, frame: FrameType | None) -> None:
         """One of our threads calls: an error waits or got lost, or a time limit is over."""
         if self.held or self.depth == 0:
             return
-        guard, fragile = _work_under_way(frame)
-        if guard:
+        never, fragile = _work_under_way(frame)
+        if never:
             return
         if self.error is None:
-            due = self._due() if self.native else None
+            due = self.due() if self.native else None
             if due is not None:
                 raise due
         elif not _under_way(self.error) and (not fragile or self._waited_long()):
@@ -178,14 +176,20 @@ class Interrupts:
 
 
 def _work_under_way(frame: FrameType | None) -> tuple[bool, bool]:
-    """Whether a guard is at work, or what an error would damage or swallow, up to the verb."""
+    """Up to the verb: whether nothing must be raised (a guard is at work; it would be printed and
+    lost), and whether it had better wait (a module is half loaded).
+    """
     fragile = False
     while frame is not None and frame.f_code not in _BOUNDARIES:
         code = frame.f_code
-        if code in _UNDISTURBED:
+        importing = code.co_filename.startswith("<frozen importlib")
+        if (
+            code in _UNDISTURBED
+            or code.co_name == "__del__"
+            or (importing and code.co_name == "cb")
+        ):
             return True, True
-        fragile |= code.co_filename.startswith("<frozen importlib")
-        fragile |= code.co_name in ("__del__", "__set_name__")
+        fragile |= importing or code.co_name == "__set_name__"
         frame = frame.f_back
     return False, fragile
 
@@ -196,3 +200,15 @@ def _under_way(error: BaseException) -> bool:
     while at is not None and at is not error:
         at = at.__context__
     return at is not None
+
+
+INTERRUPTS = Interrupts()
+
+
+def interruptible() -> Interrupts:
+    """What a signal's handler raises in the ``with`` comes out of it, whatever became of it within.
+
+    Also a decorator. No turns are taken: for what may run while another thread waits for this one,
+    as imports do.
+    """
+    return INTERRUPTS

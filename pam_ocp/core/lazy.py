@@ -11,6 +11,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from .interrupts import interruptible
+
 __all__ = ["from_stub", "lazily", "load"]
 
 
@@ -18,8 +20,6 @@ def load(name: str) -> ModuleType:
     """A module, loaded now. Ctrl-C that arrives meanwhile comes out behind it, as itself (within it
     Python below 3.12 makes a RuntimeError of it where a class is just being made).
     """
-    from .stop import interruptible  # it costs more to load than all the rest of the face
-
     with interruptible():
         return importlib.import_module(name)
 

@@ -23,7 +23,7 @@ from types import FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from .errors import OutOfTime, require_positive
-from .interrupts import Interrupts, boundary, in_main, undisturbed
+from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
 
 __all__ = [
     "LOCK",
@@ -32,7 +32,6 @@ __all__ = [
     "ask",
     "check",
     "deadline",
-    "interruptible",
     "limited",
     "locked",
     "native",
@@ -97,7 +96,8 @@ def _due() -> BaseException | None:
     return TimeIsUp() if _here.deadline.over else None
 
 
-_signals = Interrupts(_due)
+_signals = INTERRUPTS
+_signals.due = _due
 
 
 def deadline() -> Deadline:
@@ -194,14 +194,6 @@ def limited(seconds: float | None) -> AbstractContextManager[None]:
 def spared(seconds: float) -> AbstractContextManager[None]:
     """So many seconds [s] more where the time is up: to finish what there is to show for it."""
     return _Until(Deadline(max(seconds, _here.deadline.remaining())), told=False)
-
-
-def interruptible() -> AbstractContextManager[None]:
-    """What a signal's handler raises in the ``with`` comes out of it, whatever became of it within.
-
-    No turns are taken: for what may run while another thread waits for this one, as imports do.
-    """
-    return _signals
 
 
 def verb(function: Callable[P, R]) -> Callable[P, R]:

@@ -21,6 +21,7 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
+from ..core.interrupts import interruptible
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from .archive import printable
@@ -91,6 +92,7 @@ class FmuCheck:
         return "\n".join(map(printable, lines))
 
 
+@interruptible()
 def check_fmu(
     path: str | os.PathLike[str],
     against: Trajectory | None = None,

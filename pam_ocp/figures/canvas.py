@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from ..core.interrupts import interruptible
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 
@@ -64,6 +65,7 @@ def axis_label(variable: Variable) -> str:
     return "\n".join(filter(None, (quantity_of(variable.unit), unit)))
 
 
+@interruptible()  # matplotlib is loaded in here
 def new_figure(
     rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
 ) -> tuple[Picture, Any]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count, require_instance, require_positive
 from ..core.files import atomic_path, require_place
+from ..core.interrupts import interruptible
 from ..planning.result import Plan
 from ..plants.hanging import hanging_sketch
 from ..plants.sketch import Disc, Line, Mark, Point, Polygon, Sketch, Spindle
@@ -39,6 +40,7 @@ CURVES = 3
 """Panels of curves beside the picture of the plant."""
 
 
+@interruptible()
 def animate_plan(
     plan: Plan, path: str | Path, *, seconds: float | None = None, fps: int = 20
 ) -> Path:

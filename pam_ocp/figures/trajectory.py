@@ -150,20 +150,13 @@ def plot_bode(
         magnitude.loglog(frequency, np.abs(response), color=colour, label=label)
         phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(response))), color=colour)
     magnitude.set_ylabel(f"|{output} / {source}|\n[{_gain_unit(output, source, units)}]")
-    level = magnitude.secondary_yaxis("right", functions=(_decibels, _from_decibels))
+    level = magnitude.twinx()
+    level.set_ylim(*(20 * np.log10(end) for end in magnitude.get_ylim()))
     level.set_ylabel("[dB]")
     magnitude.legend(frameon=False, fontsize="small")
     phase.set_ylabel("phase [deg]")
     phase.set_xlabel("frequency [Hz]")
     return figure
-
-
-def _decibels(gain: Any) -> Any:
-    return 20 * np.log10(np.maximum(gain, 1e-300))
-
-
-def _from_decibels(level: Any) -> Any:
-    return 10 ** (np.asarray(level) / 20)
 
 
 def _gain_unit(output: str, source: str, units: tuple[str, str] | None) -> str:

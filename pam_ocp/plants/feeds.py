@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 import casadi as ca
@@ -12,6 +12,7 @@ import casadi as ca
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
+from .body import limit_strength, moving_half
 from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
 from .dead_time import DeadTime
@@ -65,6 +66,8 @@ class AttachedMuscle:
     """Pulling force with losses [N], >= 0."""
     stiffness: ca.SX
     """Stiffness of the force law at constant pressure [N/m]."""
+    moving_mass: ca.SX = field(default_factory=lambda: ca.SX(0))
+    """Half the mass of its body [kg], which moves with the load; 0 where it has none."""
 
 
 class Feed(Protocol):
@@ -183,13 +186,22 @@ def attach(
             air.warm(lost * rate)
         tension = tension - lost
         force = clamp(tension, symbolic.slack_width)
-    attached = AttachedMuscle(name, symbolic, pressure, contraction, force, stiffness)
+    attached = AttachedMuscle(
+        name,
+        symbolic,
+        pressure,
+        contraction,
+        force,
+        stiffness,
+        moving_half(plant, name, muscle, symbolic),
+    )
+    limit_strength(plant, name, muscle, pressure, force)
     _declare_outputs(plant, attached, tension)
     totals = bool(getattr(feed, "totals", False))
     drawn = None
     if totals and isinstance(feed, GasFeed) and air is not None:
         drawn = feed.drawn(plant, name, air)
-    work = meter_work(plant, name, force, rate, muscle.mass, totals)
+    work = meter_work(plant, name, force, rate, muscle.known_mass, totals)
     if isinstance(feed, GasFeed) and air is not None:
         feed.meter(plant, name, air, drawn, work)
     elif work is not None:

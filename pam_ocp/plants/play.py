@@ -26,9 +26,9 @@ class SlipElements:
     """Springs that hold within -lower (1 + lower_growth kappa) .. upper (1 + upper_growth kappa).
 
     The force of their sum over a history of contractions is a Prandtl-Ishlinskii operator with
-    generalised (asymmetric) play; on each monotone stroke it is a broken line in kappa, so both ways
-    are exact. The elements remember: :meth:`force` and :meth:`contraction` go on from where the last
-    call ended, :meth:`reset` forgets.
+    generalised (asymmetric) play; on each monotone stroke it is a broken line in kappa, so both
+    ways are exact. The elements remember: :meth:`force` and :meth:`contraction` go on from where
+    the last call ended, :meth:`reset` forgets.
 
     stiffness : of each spring [N per unit of contraction]. upper, lower : [N], as many.
 
@@ -94,9 +94,10 @@ class SlipElements:
     def contraction(self, total: Any, slope: float) -> Any:
         """The inverse: kappa (or a history of it) at which slope kappa + force(kappa) = total.
 
-        slope : of a spring beside the elements [N per unit of contraction], > 0: the muscle's own at
-            constant pressure. On each way the sum is a broken line that rises; the break at which it
-            passes ``total`` is found by sorting, and the last piece is solved: exact to rounding.
+        slope : of a spring beside the elements [N per unit of contraction], > 0: the muscle's own
+            at constant pressure. On each way the sum is a broken line that rises; the break at
+            which it passes ``total`` is found by sorting, and the last piece is solved: exact to
+            rounding.
 
         Raises InputError where the sum does not rise (an envelope that falls steeper than
         ``slope``).

@@ -26,10 +26,10 @@ class Preconditioning:
     """F = K kappa [1 - s tanh((m - |kappa|)/width)], m the largest contraction so far (Mullins).
 
     A spring of rubber beside the force law, which on the first way up is K kappa, and below the
-    largest contraction it has seen is softer by up to the part s. A muscle that has been exercised
-    to m = ``reached`` keeps the soft branch up to there; beyond, it goes on along the first one. The
-    state m only rises, so each new contraction dissipates what the rubber lost, and old ones
-    nothing. Where the force law was fitted to an exercised muscle, give K the rubber's share only.
+    largest contraction it has seen is softer by up to the part s. A muscle exercised to m =
+    ``reached`` keeps the soft branch up to there; beyond, it goes on along the first one. The state
+    m only rises, so each new contraction dissipates what the rubber lost, and old ones nothing.
+    Where the force law was fitted to an exercised muscle, give K the rubber's share only.
 
     stiffness : K [N] per unit of contraction. softening : s, 0 .. 1. width : [1].
     reached : contraction to which it has been exercised before; 0 for a virgin one.
@@ -37,7 +37,8 @@ class Preconditioning:
     Rest takes m as it starts, whatever the side from which the load came.
     Source: R. W. Ogden, D. G. Roxburgh, Proc. R. Soc. A 455 (1999) 2861-2877, eta = 1 - (1/r)
     erf[(Wm - W)/m], with tanh for erf and the contraction in place of the energy W (our
-    simplifications: for one spring both grow together). L. Mullins, Rubber Chem. Technol. 42 (1969) 339-362.
+    simplifications: for one spring both grow together). L. Mullins, Rubber Chem. Technol. 42 (1969)
+    339-362. Both are cited from memory, and known from the manuals of finite-element codes.
     """
 
     stiffness: float = 300.0

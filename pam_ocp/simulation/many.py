@@ -14,8 +14,8 @@ from typing import Any, overload
 import numpy as np
 
 from ..core.errors import InputError, require_count
+from ..core.interrupts import interruptible
 from ..core.shown import shown
-from ..core.stop import interruptible
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from .running import CASE_KEYS, Case, Run, split

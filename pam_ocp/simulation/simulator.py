@@ -27,6 +27,9 @@ __all__ = ["evaluated", "simulate"]
 
 Array = NDArray[np.float64]
 
+COLUMNS = 10_000
+"""Samples whose outputs are computed at once."""
+
 
 @verb
 def simulate(
@@ -124,8 +127,12 @@ def evaluated(
 ) -> Trajectory:
     """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed."""
     u = inputs(t)
-    outputs = plant.function(states.T, u.T, plant.vector("parameter"))[1]
-    parts = {"state": states, "input": u, "output": np.asarray(outputs).T}
+    p = plant.vector("parameter")
+    outputs = [  # CasADi's working memory grows with the columns of a call
+        np.asarray(plant.function(states[i : i + COLUMNS].T, u[i : i + COLUMNS].T, p)[1]).T
+        for i in range(0, len(t), COLUMNS)
+    ]
+    parts = {"state": states, "input": u, "output": np.concatenate(outputs)}
     variables = (*plant.states, *plant.inputs, *plant.outputs)
     data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
     columns = {v.name: data[:, i] for i, v in enumerate(variables)}

@@ -14,7 +14,14 @@ from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .optimum import Optimum
 
-__all__ = ["Hysteresis", "LackOfFit", "branch_lines", "hysteresis", "lack_of_fit"]
+__all__ = [
+    "Hysteresis",
+    "LackOfFit",
+    "branch_lines",
+    "hysteresis",
+    "lack_of_fit",
+    "repeats",
+]
 
 SAME_PRESSURE = 0.005
 """Cells whose pressures differ by less than this part of the largest count as repeats."""

@@ -29,6 +29,10 @@ NEAR = 0.1
 """Part of the cost that a step took off, from which on second derivatives of residuals pay."""
 LAST_STEP = 1e-12
 """Part of the cost that a whole Newton step would still take off, from which it is the last."""
+SAME = 1e-6
+"""Part of a cost by which a start that comes down to it leads to the same place."""
+FAR, PATIENCE = 1.5, 25
+"""Times the least cost so far, and evaluations after which a start that is above it is left."""
 DEFINITE = 1e-13
 """Smallest eigenvalue of second derivatives, columns of unit length, that counts as positive."""
 
@@ -91,7 +95,8 @@ class _Descent:
     def run(self) -> Descended:
         active = np.isfinite(self.cost) & ~self.resting.all(axis=1)
         fresh = active.copy()
-        for _ in range(ITERATIONS):
+        least = np.inf
+        for count in range(ITERATIONS):
             check()
             rows = np.nonzero(active)[0]
             if not rows.size:
@@ -123,8 +128,17 @@ class _Descent:
             self.near[good] = fall[better] <= NEAR * cost[better]
             fresh[good], fresh[bad] = True, False
             active[rows[done]] = False
+            least = float(np.min(self.cost[rows[done]], initial=least))
+            active &= ~self._idle(least, count)
             active &= self.damping < LARGEST_DAMPING
         return Descended(self.c, self.cost, self.steps, self.resting)
+
+    def _idle(self, least: float, count: int) -> NDArray[np.bool_]:
+        """Starts that need not be followed: on their way to where another has come, or long on a
+        way from far above it.
+        """
+        same = (self.cost >= least) & (self.cost <= least * (1 + SAME))
+        return same | ((self.cost > FAR * least) & (count > PATIENCE))
 
     def _at(self, c: Array, near: NDArray[np.bool_]) -> tuple[Array, Array, Array, Array]:
         """Cost, J^T r, J^T J and second derivatives of the free coefficients; the last only where
@@ -148,7 +162,7 @@ class _Descent:
         if not rows.size:
             return
         right, normal, second = (held[rows] for held in self.sums)
-        z, low, high = self.c[np.ix_(rows, self.free)], self.low[rows], self.high[rows]
+        z, low, high = self.c[rows][:, self.free], self.low[rows], self.high[rows]
         norms = np.sqrt(np.einsum("mii->mi", normal))
         norms = np.where(norms > 0, norms, 1.0)
         right = right / norms

@@ -340,7 +340,7 @@ class LeastSquares:
                 new = (block[:, [*columns, 0]] * self.weights[part]).transpose(0, 2, 1)
                 good &= np.isfinite(new).all(axis=(1, 2))
                 new = np.where(good[:, None, None], new, 0.0)
-                found = np.linalg.qr(np.concatenate([found, new], axis=1), mode="r")
+                found = np.asarray(np.linalg.qr(np.concatenate([found, new], axis=1), mode="r"))
         return c, found, good
 
     def project(self, values: Array) -> tuple[Array, Array]:

@@ -135,16 +135,14 @@ def _follow(
         sums = problem.sums(_rows(best, free, z))
         right, normal = sums.right[:, free], sums.normal[:, free][:, :, free]
         good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
-        normal, right = (
-            np.where(good[:, None, None], normal, 0.0),
-            np.where(good[:, None], right, 0),
-        )
+        normal[~good], right[~good] = 0.0, 0.0
         norms = np.maximum(np.sqrt(np.einsum("mii->mi", normal)), 1e-300)
-        stays = np.arange(len(free)) == place[:, None]
-        kept = ~stays[:, :, None] & ~stays[:, None, :]
-        normal = np.where(kept, normal / norms[:, :, None] / norms[:, None, :], 0.0)
-        normal += np.eye(len(free)) * np.where(stays, 1.0, 1e-14)[:, :, None]
-        right = np.where(stays, 0.0, right / norms)[:, :, None]
+        stays: Array = np.zeros_like(norms)
+        np.put_along_axis(stays, place[:, None], 1.0, axis=1)
+        normal = normal / norms[:, :, None] / norms[:, None, :]
+        normal = normal * (1 - stays)[:, :, None] * (1 - stays)[:, None, :]
+        normal += np.eye(len(free)) * np.maximum(stays, 1e-14)[:, :, None]
+        right = ((1 - stays) * right / norms)[:, :, None]
         try:
             step = np.linalg.solve(normal, right)[:, :, 0]
         except np.linalg.LinAlgError:  # somewhere the others are not determined
