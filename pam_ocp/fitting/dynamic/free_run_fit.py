@@ -14,10 +14,11 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ... import courtesy
 from ...core.errors import FitError, InputError, UnknownNameError
 from ...core.plausible import outside
 from ...core.signals import Interpolation
@@ -33,6 +34,9 @@ from .rig import Delay, Rig, RunUnknowns, known_rig, unknowns_of
 from .rollout import ASTRAY, Rollout
 from .run_statistics import Spread, spread_of
 from .runs import FreeRun, Runs, runs_of
+
+if TYPE_CHECKING:
+    from .coverage import Coverage
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
@@ -124,13 +128,11 @@ class FreeRunFit:
         found = descend(rollout, unknowns.guess, unknowns.low, unknowns.high, 30)
         return _ran(self.plant, runs, unknowns, self.rig, found.z)
 
-    def coverage(self, other: Any, **options: Any) -> Any:
+    def coverage(self, other: Any, **options: Any) -> Coverage:
         """Where the records of this fit have been, against a record or a signal that is to be
-        predicted: see :func:`coverage`.
+        predicted: see :func:`pam_ocp.fitting.coverage`.
         """
-        from .coverage import coverage
-
-        return coverage(self, other, **options)
+        return courtesy.coverage(self, other, **options)
 
     def __str__(self) -> str:
         shown = self.plant.variable
