@@ -10,7 +10,7 @@ along the motion, makes of the outputs.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -91,7 +91,9 @@ class Coverage:
     far: float
     uncertainty: Mapping[str, tuple[float, float]]
     asked: tuple[Trajectory, ...] = field(repr=False)
-    fit: Any = field(repr=False)
+    seen: tuple[Trajectory, ...] = field(repr=False)
+    plant: Plant = field(repr=False)
+    measured: tuple[str, ...] = field(repr=False)
 
     @property
     def left(self) -> tuple[Reach, ...]:
@@ -139,6 +141,10 @@ class Coverage:
                     f"deviation), {here / there:.1f} times as much as along the records"
                 )
         return tuple(words)
+
+    def seeing(self, *motions: Trajectory) -> Coverage:
+        """What would be left if these motions were measured, too; without uncertainties."""
+        return _compared(self.plant, (*self.seen, *motions), self.asked, self.measured)
 
     def report(self) -> str:
         """Ranges, octaves, and doubts, as text."""
@@ -205,13 +211,30 @@ def coverage(
         raise InputError("the fit holds no records: give one that was fitted here or loaded whole")
     asked = _asked(plant, other, duration, sample, start)
     before = [visited(plant, r) for r in fit.records]
-    names = [v.name for v in (*plant.states, *plant.inputs)]
     measured = _measured(fit)
-    shown = [*names, *(n for n in measured if n not in names)]
-    reaches = tuple(_reach(plant, n, before, asked) for n in shown)
-    bands = tuple(b for v in plant.inputs for b in _bands(v.name, before, asked))
+    found = _compared(plant, before, asked, measured)
     spread = _uncertainty(fit, before, asked, measured) if uncertainty else {}
-    return Coverage(reaches, bands, _far(plant, names, before, asked), spread, tuple(asked), fit)
+    return replace(found, uncertainty=spread)
+
+
+def _compared(
+    plant: Plant,
+    before: Sequence[Trajectory],
+    asked: Sequence[Trajectory],
+    measured: tuple[str, ...],
+) -> Coverage:
+    names = [v.name for v in (*plant.states, *plant.inputs)]
+    shown = [*names, *(n for n in measured if n not in names)]
+    return Coverage(
+        tuple(_reach(plant, n, before, asked) for n in shown),
+        tuple(b for v in plant.inputs for b in _bands(v.name, before, asked)),
+        _far(plant, names, before, asked),
+        {},
+        tuple(asked),
+        tuple(before),
+        plant,
+        measured,
+    )
 
 
 def visited(

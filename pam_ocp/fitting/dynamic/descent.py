@@ -44,6 +44,8 @@ class Descent:
     status: str
     converged: bool
     damped: int
+    timed: bool = False
+    """Whether a time limit ended the search."""
 
 
 def descend(
@@ -61,6 +63,7 @@ def descend(
     """
     z, damping, growth = np.clip(z, low, high), 1e-3, 4.0
     best, count, damped = (problem.cost(z), z), 0, 0
+    timed = False
     status, converged = f"stopped after {evaluations} evaluations", False
     try:
         while count < evaluations:
@@ -96,7 +99,8 @@ def descend(
         if not count:
             raise
         status = "the time limit ended the search; the best until then is kept"
-    return Descent(best[1], best[0], count, status, converged, damped)
+        timed = True
+    return Descent(best[1], best[0], count, status, converged, damped, timed)
 
 
 def _step(

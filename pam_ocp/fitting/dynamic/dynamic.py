@@ -170,7 +170,7 @@ def _roundings(
     """Widths with which the search begins, of parameters that are not sought themselves."""
     sought = {plant.parameters[m].name for g in unknowns.groups for m in g.members}
     if isinstance(given, bool):
-        declared = {v.name: v.widest for v in plant.parameters if given}
+        declared = {v.name: v.widest for v in plant.parameters if given and v.widest > 0}
         found = {n: w for n, w in declared.items() if w > float(plant.variable(n).start or 0.0)}
     else:
         found = {plant.variable(n).name: require_positive("widest", w) for n, w in given.items()}
@@ -198,8 +198,8 @@ def _narrowed(
             iterations=min(task.iterations or NARROWING, NARROWING),
         )
         found = estimate(stage, sigma, delays, True, delay)
-        if found.solution.timed:
-            break
+        if not found.solution.found:
+            break  # where this led is no better a start than the plant's own values
         delay = found.delay if delays[0] < delays[1] else None
         task = replace(stage.refined(found, stage.degree), plant=plant, iterations=task.iterations)
     return task

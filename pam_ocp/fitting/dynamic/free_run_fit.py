@@ -25,6 +25,7 @@ from ...core.signals import Interpolation
 from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
+from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, student_t
 from .between import decided
 from .descent import Descent, descend
@@ -42,6 +43,8 @@ __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
 GRACE = 20.0
 """For what is told of a fit that a time limit ended [s]."""
+ASTRAY_COST = 1.0
+"""Mean squared error, in parts of the measured variance, from which runs count as astray."""
 FIRST = 4
 """A search over many runs begins with horizons of so many samples, which grow this many times."""
 
@@ -148,7 +151,7 @@ class FreeRunFit:
             ]
         if self.spread is None:
             lines += [f"    {n} = {shown(n).shown(v)}" for n, v in self.values.items()]
-        lines += [f"    {c}" for c in self.coefficients.values()]
+        lines += [coefficient_line(c, self.interval(n)) for n, c in self.coefficients.items()]
         if self.at_bound:
             lines.append(f"    at the edge of their range: {', '.join(self.at_bound)}")
         lines += [f"    {text}" for text in (self.inputs_ran,) if text]
@@ -243,10 +246,9 @@ def fit_free_run(
     """Fit parameters so that free runs (see :func:`free_run`) stay near what was measured.
 
     Least squares over all samples of all runs, each variable in units of its spread, several
-    horizons with equal weight, by damped Gauss-Newton steps with exact derivatives. Horizons grow
-    from a few samples to the whole, so that a start far from the truth does not lead the runs
-    astray. It finds the minimum nearest to the plant's values: friction makes several, so start
-    from more than one.
+    horizons with equal weight, by damped Gauss-Newton steps with exact derivatives. Where runs go
+    astray at the plant's values, horizons grow from a few samples to the whole. It finds the
+    minimum nearest to the plant's values: friction makes several, so start from more than one.
 
     free : names, tuples or patterns of parameters, as for :func:`fit_plant`.
     delay : dead time of the inputs [s], for all or ``{input or pattern: ...}``; (low, high) is
@@ -257,7 +259,8 @@ def fit_free_run(
     correct : True to estimate how much of its error a run takes up at each sample of ``warm_up``
         (measured states and their velocities), and {other state: [measured variables]} for those.
     bounds : {free parameter: (low, high)}, within those of its variable.
-    begin_short : whether horizons grow; by default where runs are longer than 16 samples.
+    begin_short : whether horizons grow; by default where runs of more than 16 samples go astray at
+        the plant's values.
     evaluations : of all runs with their derivatives, at most. Other arguments as for
         :func:`free_run`. Where a record does not say how its inputs ran between samples, both ways
         are fitted and the likelier counts.
@@ -337,49 +340,66 @@ class _Search:
         self, records: Sequence[Trajectory], rollout: Rollout, z: Array
     ) -> tuple[float, Descent]:
         """Horizon by horizon; the search over the full ones has what evaluations are left."""
-        u, spent, before = self.unknowns, 0, rollout.cost(z)
-        stages = self._stages(rollout)
-        if not stages:
+        u, spent, guess, before = self.unknowns, 0, z, rollout.cost(z)
+        for h in self._stages(rollout, z, before):
+            part = self._shorter(records, h)
+            if spent == 0:
+                _require_sense(part, z, u)
+            found = self._search(part, z, f"{h:g} s", spent, max(self.evaluations // 6, 2))
+            spent, z = found.evaluations, found.z
+            if found.timed:
+                return before, found
+        if spent == 0:
             _require_sense(rollout, z, u)
-        for name, part in [*((f"{h:g} s", self._shorter(records, h)) for h in stages), ("", None)]:
-            of_stage = rollout if part is None else part
-            if part is not None and spent == 0:
-                _require_sense(of_stage, z, u)
-            budget = (
-                max(self.evaluations - spent, 1) if part is None else max(self.evaluations // 6, 2)
-            )
+        elif not rollout.cost(z) < before:
+            z = guess  # short runs say little of what takes long
+        budget = max(self.evaluations - spent, 1)
+        return before, self._search(rollout, z, "full horizon", spent, budget)
 
-            def told(
-                count: int, cost: float, _: Array, name: str = name, spent: int = spent
-            ) -> None:
-                self.report(name or "full horizon", spent + count, cost)
+    def _search(self, rollout: Rollout, z: Array, stage: str, spent: int, budget: int) -> Descent:
+        u = self.unknowns
+        found = descend(
+            rollout,
+            z,
+            u.low,
+            u.high,
+            budget,
+            lambda count, cost, _: self.report(stage, spent + count, cost),
+        )
+        return replace(found, evaluations=spent + found.evaluations)
 
-            found = descend(of_stage, z, u.low, u.high, budget, told)
-            spent += found.evaluations
-            z = found.z
-            if "time limit" in found.status:
-                break
-        return before, replace(found, evaluations=spent)
-
-    def _stages(self, rollout: Rollout) -> list[float]:
-        """Horizons [s] before the full one, from short to long."""
+    def _stages(self, rollout: Rollout, z: Array, cost: float) -> list[float]:
+        """Horizons [s] before the full one, from short to long, where runs go astray at once."""
         runs = rollout.runs
         longest = int(runs.length.max())
-        if self.begin_short is False or (self.begin_short is None and longest <= FIRST**2):
-            return []
+        if self.begin_short is None:
+            wanted = longest > FIRST**2 and (cost > ASTRAY_COST or rollout.normal(z)[3] > 0)
+        else:
+            wanted = self.begin_short
         found, h = [], longest
-        while h > FIRST**2:
+        while wanted and h > FIRST**2:
             h = max(h // FIRST, FIRST)
             found.append(h)
         return [float(runs.t[h - 1]) for h in reversed(found)]
 
     def _shorter(self, records: Sequence[Trajectory], horizon: float) -> Rollout:
-        """Runs of this length, as many of them as cover the records once."""
-        options = dict(self.options)
+        """Runs of this length: as many as cover the records once, or the same cut short where
+        states have starts of their own.
+        """
+        options, u = dict(self.options), self.unknowns
         every = options["every"]
-        options |= {"horizon": horizon, "every": horizon if every is None else max(every, horizon)}
-        runs = runs_of(self.plant, records, **options)
-        return Rollout(self.plant, runs, self.unknowns, self.rig)
+        if every is None:
+            records = [r.at(r.t[: self._samples(r, horizon)]) for r in records]
+        else:
+            same = bool(u.starts or u.own_starts)
+            options |= {"horizon": horizon, "every": every if same else max(every, horizon)}
+        return Rollout(self.plant, runs_of(self.plant, records, **options), u, self.rig)
+
+    def _samples(self, record: Trajectory, horizon: float) -> int:
+        """Of the past and a horizon, at the begin of a record."""
+        sampling = record.duration / (len(record) - 1)
+        before = self.options["history"] - 1 + round(self.options["warm_up"] / sampling)
+        return int(min(len(record), before + round(horizon / sampling) + 1))
 
     def _result(
         self,
@@ -449,18 +469,25 @@ def _rig_of(plant: Plant, runs: Runs, u: RunUnknowns, known: Rig, z: Array) -> R
 
 
 def _require_sense(rollout: Rollout, z: Array, unknowns: RunUnknowns) -> None:
-    residuals = rollout.residuals(z)
-    if np.any(np.abs(residuals) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
+    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
         raise FitError(
             "the free runs diverge at the plant's values; start elsewhere with "
             "plant.with_values(...), or raise steps"
         )
-    square = rollout.normal(z)[2]
+    _, _, square, damped = rollout.normal(z)
+    # a correction may begin where the runs need none
     fixed = unknowns.places("corrections")
     dead = [
         n
         for j, n in enumerate(unknowns.names)
         if not square[j, j] > 0 and j not in fixed and unknowns.low[j] < unknowns.high[j]
     ]
-    if dead:
+    if not dead:
+        return
+    if not damped:
         raise FitError(f"{', '.join(dead)} has no influence on the free runs; leave it out of free")
+    raise FitError(
+        f"what {', '.join(dead)} does to the free runs cannot be told: {damped} of them part ways "
+        "or diverge so soon that their sensitivities mean nothing, and the others do not depend on "
+        "it; take a shorter horizon or more steps, or start elsewhere with plant.with_values(...)"
+    )

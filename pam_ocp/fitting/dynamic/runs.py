@@ -58,14 +58,21 @@ class FreeRun:
         """Mean squared error in each record (records, ny), of the runs that are as long as
         ``horizon``; NaN where a record has none.
         """
-        squares = self._squares(self._samples(horizon) if horizon is not None else None)
+        squares, record = self._squares(), self.record
+        if horizon is not None:
+            count = self._samples(horizon)
+            squares, record = self._squares(count), record[self._long(count)]
         found = np.full((records, len(self.names)), np.nan)
         for r in range(records):
-            own = squares[self.record == r]
+            own = squares[record == r]
             seen = ~np.isnan(own)
             if seen.any():
                 found[r] = np.where(seen, own, 0.0).sum(axis=(0, 1)) / seen.sum(axis=(0, 1))
         return found
+
+    def _long(self, count: int) -> NDArray[np.bool_]:
+        """Which runs last so many samples."""
+        return np.asarray(~np.isnan(self.measured[:, count - 1, 0]))
 
     def _samples(self, horizon: float) -> int:
         return int(np.searchsorted(self.t, horizon * (1 + 1e-9), side="right"))
@@ -79,8 +86,7 @@ class FreeRun:
         )
         if count is None:
             return np.asarray(squares)
-        long = ~np.isnan(self.measured[:, count - 1, 0])
-        return np.asarray(squares[long, :count])
+        return np.asarray(squares[self._long(count), :count])
 
     @property
     def diverged(self) -> NDArray[np.bool_]:

@@ -49,30 +49,31 @@ class FreeRunStructure:
         options = {**model.options, "outputs": list(model.training.names), **self.judged}
         horizons = options.pop("horizon")
         several = [horizons] if isinstance(horizons, float | int) else list(horizons or [None])
-        rig = model.rig
-        columns = []
-        for h in several:
-            long = [i for i, r in enumerate(records) if h is None or _reaches(r, h, options)]
-            rows = np.full((len(records), len(model.training.names)), np.nan)
-            if long:
-                runs = free_run(
-                    model.plant,
-                    [records[i] for i in long],
-                    horizon=h,
-                    delay=rig.delays,
-                    gains=rig.gains,
-                    offsets=rig.offsets,
-                    starts=rig.starts,
-                    corrections=rig.corrections,
-                    **options,
-                )
-                rows[long] = runs.losses(len(long))
-            columns.append(rows)
-        return np.concatenate(columns, axis=1)
+        shortest = min(several) if several[0] is not None else None
+        long = [i for i, r in enumerate(records) if _reaches(r, shortest, options)]
+        found = np.full((len(records), len(several), len(model.training.names)), np.nan)
+        if long:
+            rig = model.rig
+            runs = free_run(
+                model.plant,
+                [records[i] for i in long],
+                horizon=several if shortest is not None else None,
+                delay=rig.delays,
+                gains=rig.gains,
+                offsets=rig.offsets,
+                starts=rig.starts,
+                corrections=rig.corrections,
+                **options,
+            )
+            for k, h in enumerate(several):
+                found[long, k] = runs.losses(len(long), h)
+        return found.reshape(len(records), -1)
 
 
-def _reaches(record: Trajectory, horizon: float, options: Mapping[str, Any]) -> bool:
+def _reaches(record: Trajectory, horizon: float | None, options: Mapping[str, Any]) -> bool:
     """Whether a run of this horizon, with its past, lies in the record."""
+    if horizon is None:
+        return True
     sampling = record.duration / (len(record) - 1)
     before = (options["history"] - 1) * sampling + options["warm_up"]
     every = options["every"]
