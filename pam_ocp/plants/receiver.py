@@ -17,7 +17,7 @@ from ..muscles.gas import (
     air_mass,
     energy_balance,
 )
-from .airflow import Air, Place, holding
+from .airflow import Air, Place, boundless, holding
 from .components import component
 from .kinds import SUPPLIES
 from .sources import PressureRegulator, Source
@@ -87,10 +87,12 @@ class Receiver:
                 f"{self.name}.{key}", value, description=f"{words} of {self.name}", **attributes
             )
 
+        highest = 0.0 if self.source is None else self.source.highest
         pressure = plant.state(
             f"{self.name}.air_pressure",
             unit="Pa",
             min=0.0,
+            max=1.2 * max(self.pressure, highest, 1e5),
             start=self.pressure,
             nominal=1e5,
             description=f"gauge pressure in {self.name}",
@@ -112,7 +114,8 @@ class Receiver:
         place, net = holding(plant, Air(pressure + p0, warm))
         inflow = ca.SX(0)
         if self.source is not None:
-            inflow = self.source.fill(plant, declare, place, p0).mass
+            around = boundless(Air(p0, outside))
+            inflow = self.source.fill(plant, declare, place, around).mass
         if self.wall_conductance is None:
             plant.der(pressure, GAS_CONSTANT * warm * net.mass / volume)
         else:

@@ -19,6 +19,8 @@ __all__ = ["Around", "LumpedTube", "Tube", "TubeComponent"]
 
 VISCOSITY = 1.82e-5
 """Of air at 20 degrees Celsius [Pa.s]."""
+MEETING = (64 / 0.3164) ** (4 / 3)
+"""Reynolds number where the laminar and Blasius' friction are equal: 1187."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +96,9 @@ class LumpedTube:
     """A tube of n segments with volume, friction and inertia: sound runs through it in time.
 
     Per segment of length dx = length/n, bore A: dp/dt = n_p R T (m_in - m_out)/(A dx), and for the
-    flow m out of it towards the muscle dm/dt = (A/dx)(p - p_next - friction). Friction is the larger
-    of the laminar 128 mu dx m/(pi d^4 rho) and the turbulent after Blasius, 0.3164 Re^(-1/4)
-    (dx/d) m^2/(2 rho A^2); the two meet at Re = 1187.
+    flow m out of it towards the muscle dm/dt = (A/dx)(p - p_next - friction). Friction goes from
+    the laminar 128 mu dx m/(pi d^4 rho) at small Reynolds numbers to the turbulent after Blasius,
+    0.3164 Re^(-1/4) (dx/d) m^2/(2 rho A^2): laminar times [1 + (Re/1187)^4]^(3/16).
 
     length, diameter : [m], inside. segments : n >= 1, each with two states.
     exponent : polytropic n_p of the air in it; 1.4 gives the speed of sound sqrt(n_p R T), 1 that
@@ -156,8 +158,8 @@ class LumpedTube:
 def _friction(flow: ca.SX, density: ca.SX, diameter: Any, length: Any) -> ca.SX:
     """Loss of pressure [Pa] along a piece of tube, with the flow's sign."""
     bore = math.pi / 4 * diameter**2
-    reynolds = ca.fabs(flow) * diameter / (bore * VISCOSITY)
+    reynolds = flow * diameter / (bore * VISCOSITY)
     laminar = 32 * VISCOSITY * length / (diameter**2 * bore * density)
-    # f = 64/Re or 0.3164 Re^(-1/4), as a factor on the laminar loss: without a root at rest
-    turbulent = ca.fmax(reynolds * 0.3164 ** (4 / 3) / 64 ** (4 / 3), 1.0) ** 0.75
+    # f = 64/Re blended with 0.3164 Re^(-1/4), as a factor on the laminar loss: smooth at rest
+    turbulent = (1 + (reynolds / MEETING) ** 4) ** (3 / 16)
     return ca.SX(flow * laminar * turbulent)
