@@ -20,6 +20,10 @@ __all__ = ["Air", "Place", "Stream", "between", "boundless", "holding", "through
 ROUNDING = 1e-5
 """Flows in tubes [kg/s] below this carry air of both temperatures: some 1 % of a usual flow."""
 
+COLDEST = 20.0
+"""No stream is colder [K]: trial steps of integrators go below zero, where its density has no root.
+"""
+
 
 @dataclass(frozen=True)
 class Air:
@@ -100,4 +104,5 @@ def _upwind(one: Place, two: Place, flow: Any) -> ca.SX:
     here, there = ca.SX(one.air.temperature), ca.SX(two.air.temperature)
     if ca.is_equal(here, there):
         return here
-    return ca.SX(there + smooth_step((flow + 1) / 2) * (here - there))
+    mixed = there + smooth_step((flow + 1) / 2) * (here - there)
+    return ca.SX(ca.fmax(mixed, COLDEST))

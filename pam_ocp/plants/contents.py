@@ -30,7 +30,14 @@ class Warmth:
 
 def _temperature_state(plant: Declares, name: str, start: float, words: str) -> ca.SX:
     return plant.state(
-        name, unit="K", min=COLDEST, max=HOTTEST, start=start, nominal=30.0, description=words
+        name,
+        unit="K",
+        min=COLDEST,
+        max=HOTTEST,
+        start=start,
+        nominal=30.0,
+        memory="settling",
+        description=words,
     )
 
 

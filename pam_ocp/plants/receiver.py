@@ -95,6 +95,7 @@ class Receiver:
             max=1.2 * max(self.pressure, highest, 1e5),
             start=self.pressure,
             nominal=1e5,
+            memory="" if self.source is None else "settling",
             description=f"gauge pressure in {self.name}",
         )
         volume = declare("volume", self.volume, unit="m3", min=1e-9, nominal=1e-3)
@@ -109,6 +110,7 @@ class Receiver:
                 max=1000.0,
                 start=self.temperature,
                 nominal=30.0,
+                memory="settling",
                 description=f"temperature of the air in {self.name}",
             )
         place, net = holding(plant, Air(pressure + p0, warm))

@@ -22,6 +22,9 @@ VISCOSITY = 1.82e-5
 MEETING = (64 / 0.3164) ** (4 / 3)
 """Reynolds number where the laminar and Blasius' friction are equal: 1187."""
 
+LEAST_PRESSURE = 1e3
+"""Of the air whose density is asked for [Pa absolute]: trial steps of integrators go below zero."""
+
 
 @dataclass(frozen=True)
 class Around:
@@ -143,11 +146,13 @@ class LumpedTube:
                 f"{around.name}.tube_flow{i}",
                 unit="kg/s",
                 nominal=1e-3,
+                memory="settling",
                 description=f"air out of segment {i} of the tube of {around.name}",
             )
             place, net = holding(plant, Air(node + around.ambient, around.temperature))
             between(place, after, flow)
-            density = (place.air.absolute + after.air.absolute) / (2 * warm)
+            mean = (place.air.absolute + after.air.absolute) / 2
+            density = ca.fmax(mean, LEAST_PRESSURE) / warm
             drop = place.air.absolute - after.air.absolute - _friction(flow, density, diameter, step)
             plant.der(node, exponent * warm / (bore * step) * net.mass)
             plant.der(flow, bore / step * drop)

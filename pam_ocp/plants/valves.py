@@ -219,6 +219,7 @@ class GasFeed(ABC):
             max=top,
             start=top / 2,
             nominal=1e5,
+            memory="settling" if tube else "",
             description=f"gauge pressure in {tube}{name}",
         )
 
