@@ -1,5 +1,4 @@
-"""The air in a muscle as states of a plant: pressure alone, or with its temperature and the wall's.
-"""
+"""The air in a muscle as states of a plant: pressure alone, or with temperatures."""
 
 from __future__ import annotations
 

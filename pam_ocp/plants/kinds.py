@@ -29,9 +29,7 @@ FEEDS: Registry[Callable[..., Any]] = Registry("feed", __package__, argument="fe
 DAMPINGS: Registry[Callable[..., Any]] = Registry("damping", __package__, argument="damping")
 LOSSES: Registry[Callable[..., Any]] = Registry("loss", __package__, argument="losses")
 LOADS: Registry[Callable[..., Any]] = Registry("load", __package__, argument="loads")
-TUBES: Registry[Callable[..., Any]] = Registry(
-    "tube", __package__, argument="tube", default="Tube"
-)
+TUBES: Registry[Callable[..., Any]] = Registry("tube", __package__, argument="tube", default="Tube")
 SPOOLS: Registry[Callable[..., Any]] = Registry("spool", __package__, argument="spool")
 SUPPLIES: Registry[Callable[..., Any]] = Registry("supply", __package__, argument="supply")
 SOURCES: Registry[Callable[..., Any]] = Registry("source", __package__, argument="source")

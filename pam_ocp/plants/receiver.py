@@ -46,8 +46,8 @@ class Receiver:
     """A receiver of finite volume: what one muscle draws from it is missing to the others.
 
     volume : [m3], with the manifold. pressure : gauge pressure at the start [Pa].
-    source : what fills it, ``PressureRegulator(...)`` (default) or ``Compressor(...)``; None: nothing
-        does, and it is emptied.
+    source : what fills it, ``PressureRegulator(...)`` (default) or ``Compressor(...)``; None:
+        nothing does, and it is emptied.
     wall_conductance : heat from its wall to its air [W/K]: its temperature becomes the state
         ``<name>.air_temperature``, 0 is adiabatic; None holds it isothermal.
     temperature : of the surroundings and the wall [K]. ambient : [Pa absolute].

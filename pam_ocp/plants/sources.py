@@ -12,7 +12,7 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.dead_zone import smooth_step, two_ways
 from ..muscles.gas import REFERENCE_DENSITY, REFERENCE_TEMPERATURE, conductance_from_flow
-from .airflow import Air, Place, Stream, boundless, between, through
+from .airflow import Air, Place, Stream, between, boundless, through
 from .kinds import SOURCES
 
 __all__ = ["Compressor", "PressureRegulator", "Source"]
@@ -130,9 +130,7 @@ class PressureRegulator:
         self, plant: Declares, declare: Callable[..., Any], receiver: Place, outside: Place
     ) -> Stream:
         """See :class:`Source`."""
-        top = declare(
-            "set_pressure", self.pressure, unit="Pa", min=0.0, nominal=1e5, tunable=True
-        )
+        top = declare("set_pressure", self.pressure, unit="Pa", min=0.0, nominal=1e5, tunable=True)
         line = declare("line_pressure", self.line, unit="Pa", min=0.0, nominal=1e5, tunable=True)
         conductance = declare(
             "conductance", self.conductance, unit="m3/(s.Pa)", min=0.0, nominal=1e-8

@@ -107,8 +107,8 @@ class LumpedTube:
     exponent : polytropic n_p of the air in it; 1.4 gives the speed of sound sqrt(n_p R T), 1 that
         of slow changes in a narrow tube.
 
-    The one-dimensional balance of mass and momentum, lumped; so in Krichel and Sawodny (2014) and in
-    the literature on lines before. Left out: the air's kinetic energy (Mach numbers to some 0.3),
+    The one-dimensional balance of mass and momentum of the textbooks, lumped (Krichel and Sawodny
+    (2014) treat long pneumatic lines; not read, so no form of theirs is claimed). Left out: the air's kinetic energy (Mach numbers to some 0.3),
     frequency-dependent friction, a temperature of its own (what leaves it is as warm as the
     surroundings), a soft wall. The number of segments limits what it shows: n segments carry waves
     to about n/4 per passage time length/343 m/s.
@@ -123,7 +123,9 @@ class LumpedTube:
         require_positive("LumpedTube.length", self.length, "m")
         require_positive("LumpedTube.diameter", self.diameter, "m")
         if self.segments != int(self.segments) or not 1 <= self.segments <= 100:
-            raise InputError(f"LumpedTube.segments = {self.segments} must be a whole number 1 .. 100")
+            raise InputError(
+                f"LumpedTube.segments = {self.segments} must be a whole number 1 .. 100"
+            )
         if not 1 <= require_finite("LumpedTube.exponent", self.exponent) <= 1.67:
             raise InputError(f"LumpedTube.exponent = {self.exponent:g} must lie in 1 .. 1.67")
 
@@ -153,7 +155,9 @@ class LumpedTube:
             between(place, after, flow)
             mean = (place.air.absolute + after.air.absolute) / 2
             density = ca.fmax(mean, LEAST_PRESSURE) / warm
-            drop = place.air.absolute - after.air.absolute - _friction(flow, density, diameter, step)
+            drop = (
+                place.air.absolute - after.air.absolute - _friction(flow, density, diameter, step)
+            )
             plant.der(node, exponent * warm / (bore * step) * net.mass)
             plant.der(flow, bore / step * drop)
             after = place

@@ -286,7 +286,9 @@ class GasFeed(ABC):
         return drawn, Stream(vented.mass + leaked.mass, vented.carried + leaked.carried)
 
 
-def _outputs(plant: Declares, name: str, shown: Sequence[tuple[str, ca.SX, str, float, str]]) -> None:
+def _outputs(
+    plant: Declares, name: str, shown: Sequence[tuple[str, ca.SX, str, float, str]]
+) -> None:
     for key, value, unit, nominal, words in shown:
         plant.output(
             f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
@@ -305,8 +307,8 @@ class SpoolValve(GasFeed):
         critically lapped valve (0) is rounded over 1e-4.
     exhaust_overlap : on the exhaust's side; by default the same.
     offset : where the spool stands at command 0, part of the travel (a zero out of true).
-    spool : ``FirstOrderSpool(...)`` or ``SecondOrderSpool(...)``: its own motion, 2 to 20 ms, as the
-        state ``<name>.valve.spool``; None leaves it out.
+    spool : ``FirstOrderSpool(...)`` or ``SecondOrderSpool(...)``: its own motion, 2 to 20 ms, as
+        the state ``<name>.valve.spool``; None leaves it out.
 
     Controllers choose ``<name>.opening`` instead of the command, how far the way from the supply
     (> 0) or to ambient (< 0) is open, and send the command that gives exactly that; see
@@ -348,9 +350,7 @@ class SpoolValve(GasFeed):
             return parts[0] / travels[0], parts[1] / travels[1]
 
         def inverse(w: ca.SX) -> ca.SX:
-            up, down = (
-                dead_zone_inverse(t * w, o) for t, o in zip(travels, overlaps, strict=True)
-            )
+            up, down = (dead_zone_inverse(t * w, o) for t, o in zip(travels, overlaps, strict=True))
             return (up if ca.is_equal(*overlaps) else ca.if_else(w >= 0, up, down)) - offset
 
         if self.spool is not None:

@@ -1,4 +1,4 @@
-"""Air by its energy: limits in closed form, hand-written equations through SciPy, conserved energy."""
+"""Air by its energy: limits in closed form, hand-written equations, conserved energy."""
 
 from __future__ import annotations
 
@@ -58,9 +58,7 @@ def test_with_perfect_heat_choked_venting_is_exponential():
 def test_choked_filling_is_a_straight_line_in_time(heat, exponent, warm):
     source = 9e5 + P0
     flow = source * C * RHO0 * math.sqrt(T0 / warm)
-    motion = run(
-        chamber(heat, supply=9e5, supply_temperature=warm), 1.0, 0.012, pressure=0.0
-    )
+    motion = run(chamber(heat, supply=9e5, supply_temperature=warm), 1.0, 0.012, pressure=0.0)
     assert motion["m.pressure"][-1] + P0 < B * source
     entering = warm if heat == 0 else T0
     line = P0 + exponent * R * entering * flow / V * motion.t
@@ -74,7 +72,7 @@ def test_unchoked_filling_agrees_with_scipy(heat):
     source = 3e5 + P0
 
     def rate(t, z):
-        p, m = z
+        p, _m = z
         r = min(p / source, 0.999)
         flow = source * C * RHO0 * math.sqrt(1 - ((r - B) / (1 - B)) ** 2)
         return [(G if heat == 0 else 1.0) * R * T0 * flow / V, flow]
@@ -107,7 +105,14 @@ def test_a_closed_muscle_is_compressed_by_the_exponent_of_the_limit(heat, expone
 
 
 # ---- hand-written equations --------------------------------------------------------------------
-A1, A2, A3, A4, A5, A6 = -4.00180705, 292.4620246, -0.32930845, -9.33564098, 294.0538256, -280.498151
+A1, A2, A3, A4, A5, A6 = (
+    -4.00180705,
+    292.4620246,
+    -0.32930845,
+    -9.33564098,
+    294.0538256,
+    -280.498151,
+)
 L0, D0, DEAD = 0.2, 0.02, 20e-6
 HEAT, POWER, CAPACITY, OUTWARD, STIFF = 40.0, 0.5, 20.0, 0.5, 2e-3
 MASS, SUPPLY, OVERLAP, LEAK = 8.0, 5e5 + P0, 0.02, 2e-10
@@ -119,7 +124,9 @@ def warm_plant():
         heat=PressureHeatTransfer(HEAT, POWER),
         rubber=Rubber(CAPACITY, OUTWARD, stiffening=STIFF),
     )
-    feed = pam.feeds.SpoolValve(conductance=C, supply=5e5, supply_temperature=300.0, gas=gas, leak=LEAK)
+    feed = pam.feeds.SpoolValve(
+        conductance=C, supply=5e5, supply_temperature=300.0, gas=gas, leak=LEAK
+    )
     return pam.HangingLoad("DMSP-20-200N", MASS, damping=60.0, feed=feed)
 
 

@@ -45,7 +45,7 @@ def test_it_rests_and_its_linear_model_is_that_of_differences(name):
     plant = hanging(FEEDS[name])
     point = plant.equilibrium({"x": 0.03})
     assert np.abs(plant.function(point.x, point.u, plant.vector("parameter"))[0]).max() < 1e-5
-    x = point.x + 1e-3 * plant.vector("state", attribute="nominal")
+    x = point.x + 0.1 * plant.vector("state", attribute="nominal")
     u = point.u + 0.2
     p = plant.vector("parameter")
     a = np.asarray(plant.jacobians(x, u, p)[0])
@@ -64,11 +64,19 @@ def test_its_fmu_moves_as_it_does_in_python(name, fmi, tmp_path):
     plant = hanging(FEEDS[name])
     t = np.linspace(0, 0.5, 51)
     command = 0.25 * np.sign(np.sin(20 * t))
-    start = {"x": 0.03, **{v.name: 3e5 for v in plant.states if v.name.startswith("muscle.") and "pressure" in v.name}}
+    start = {
+        "x": 0.03,
+        **{
+            v.name: 3e5
+            for v in plant.states
+            if v.name.startswith("muscle.") and "pressure" in v.name
+        },
+    }
     motion = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start, rtol=1e-11)
     fmu = pam.export_fmu(plant, tmp_path / "plant.fmu", platforms="native", fmi=fmi)
     check = pam.check_fmu(fmu, against=motion)
-    assert check.findings == () and set(check.deviations) == {"CoSimulation", "ModelExchange"}
+    assert check.findings == ()
+    assert set(check.deviations) == {"CoSimulation", "ModelExchange"}
     assert check.largest < 1e-6
     assert np.ptp(motion["x"]) > 1e-3
 
@@ -100,17 +108,18 @@ def noisy(plant, seed):
     return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "free"),
     [
         ("heat", {"muscle.gas.heat_transfer": 20.0, "muscle.gas.conductance": 2.2e-8}),
         ("receiver", {"receiver.volume": 1.3e-3}),
         ("first-order spool", {"muscle.valve.time": 5e-3, "muscle.valve.offset": 0.0}),
-        ("tube", {"muscle.gas.tube_diameter": 3e-3}),
     ],
 )
 def test_a_fit_has_the_truth_within_its_intervals(name, free):
-    plant = hanging(FEEDS[name])
+    bottle = SpoolValve(supply=Receiver(1e-3, source=Compressor(2e-4, pressure=7e5)))
+    plant = hanging(bottle if name == "receiver" else FEEDS[name])
     fit = pam.fit_plant(plant.with_values(free), noisy(plant, 3), list(free))
     intervals = fit.intervals()
     for parameter in free:
