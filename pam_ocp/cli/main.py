@@ -16,6 +16,7 @@ from ..core.errors import InputError, PamError
 from ..core.stop import limited
 from .components import add_components
 from .fit import add_fit_plant
+from .ladder import add_ladder
 from .mpc import add_mpc
 from .options import add_allow_code, require_places
 from .plan import add_plan
@@ -57,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_tour,
         _add_fit,
         add_fit_plant,
+        add_ladder,
         _add_export,
         _add_check,
         _add_loads,

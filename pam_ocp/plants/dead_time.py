@@ -112,6 +112,7 @@ def delay_line(
             display_unit=variable.display_unit,
             start=float(variable.start or 0.0),
             nominal=variable.nominal,
+            memory="settling",  # what plans begin with: a command that stood, not one sent before
             description=f"{variable.name} as it was {part:.3g} dead times ago",
         )
         for i, part in enumerate(places, start=1)
