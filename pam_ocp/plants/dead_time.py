@@ -50,8 +50,11 @@ class DeadTime:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", require_positive("DeadTime.time", self.time, "s"))
-        require_count("DeadTime.order", self.order, 1, HIGHEST_DEGREE)
-        require_count("DeadTime.cells", self.cells)
+        for argument, most in (("order", HIGHEST_DEGREE), ("cells", None)):
+            value = getattr(self, argument)
+            whole = int(value) if isinstance(value, float) and value.is_integer() else value
+            require_count(f"DeadTime.{argument}", whole, 1, most)
+            object.__setattr__(self, argument, whole)  # files know no whole numbers
 
     @property
     def places(self) -> Array:

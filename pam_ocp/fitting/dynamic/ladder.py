@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import FitError, InputError, OutOfTime, require_count
-from ...core.stop import TimeIsUp, check, spared, verb
+from ...core.stop import TimeIsUp, check, limited, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.feeds import Regulator
 from ...plants.plant import Plant
@@ -42,6 +42,8 @@ FARTHEST = 100.0
 """Error in spreads from which runs count as diverged at the start."""
 MARGIN = 0.01
 """Models whose errors differ by less than this part count as equally good, however sure it is."""
+FIRST_RATE = 1e6
+"""Of pressures [Pa/s], where no rung before tells it."""
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 
@@ -156,7 +158,6 @@ class Ladder:
     __str__ = report
 
 
-@verb
 def fit_ladder(
     build: Builder | Sequence[Rung],
     records: Trajectory | Sequence[Trajectory],
@@ -193,7 +194,7 @@ def fit_ladder(
     outputs : what is compared; by default all states and outputs that the records hold.
     folds : of parts of the records (at least 3), each predicted once by a fit to the others. Whole
         records are the parts where there are as many, else each is cut.
-    steps : of the integration in each sampling interval; by default of 2.5 ms.
+    steps : of the integration in each sampling interval; by default of 1.25 ms.
     bounds : {free parameter: (low, high)}.
     level : of intervals and of the significance of differences.
     executor : any ``concurrent.futures.Executor`` for the fits without folds; take processes.
@@ -216,20 +217,37 @@ def fit_ladder(
     student_t(level, 1)  # refuses what is no level
     parts = _parts(chosen, require_count("folds", folds, 3))
     fold = _folds(chosen, parts, folds)
+    task = _Task(chosen, names, parts, fold, steps, dict(bounds or {}))
+    with limited(time_limit):
+        found = _climbed_all(ladder, task, executor, progress)
+        with spared(REPORTING):
+            return Ladder(
+                tuple(_compared(found, level)),
+                tuple(parts),
+                fold,
+                tuple(names),
+                len(chosen),
+                level,
+                time.perf_counter() - began,
+                tuple(r.name for r in ladder[len(found) :]),
+            )
+
+
+def _climbed_all(
+    ladder: Sequence[Rung],
+    task: _Task,
+    executor: Executor | None,
+    progress: Callable[[str], None] | None,
+) -> list[RungFit]:
+    """The rungs for which there is time."""
     found: list[RungFit] = []
     values: dict[str, float] = {}
-    rate, left = 1e6, [r.name for r in ladder]
+    rate = FIRST_RATE
     try:
         for rung in ladder:
-            fit, values, rate = _climbed(
-                _Task(chosen, names, parts, fold, steps, dict(bounds or {})),
-                rung,
-                values,
-                rate,
-                executor,
-            )
+            check()
+            fit, values, rate = _climbed(task, rung, values, rate, executor)
             found.append(fit)
-            left.remove(rung.name)
             if progress is not None:
                 progress(f"{fit.name}: {fit.failure or f'error {fit.score:.4f}'}")
     except TimeIsUp:
@@ -240,17 +258,7 @@ def fit_ladder(
             ) from None
     if all(r.failure for r in found):
         raise FitError(f"no rung could be fitted: {found[0].failure}")
-    with spared(REPORTING):
-        return Ladder(
-            tuple(_compared(found, level)),
-            tuple(parts),
-            fold,
-            tuple(names),
-            len(chosen),
-            level,
-            time.perf_counter() - began,
-            tuple(left),
-        )
+    return found
 
 
 # ---- arguments ----------------------------------------------------------------------------------
@@ -365,6 +373,7 @@ def _climbed(
     return fit, {**before, **{n: values[n] for n in kept}}, fastest
 
 
+@verb
 def _best_start(
     task: _Task,
     plants: Sequence[Plant],
@@ -421,6 +430,7 @@ def _left_out(
     return {i: loss for losses in found for i, loss in losses.items()}
 
 
+@verb
 def _one_fold(
     task: _Task,
     rung: Rung,
@@ -433,6 +443,7 @@ def _one_fold(
     return task.losses(errors, fold)
 
 
+@verb
 def _fitted(
     task: _Task,
     plant: Plant,

@@ -27,11 +27,11 @@ from .experiment import ParameterGroup
 
 __all__ = ["WholeRuns", "scaled"]
 
-SETTLING = 2e-3 * 2.0 ** np.arange(12)
-"""Steps [s] in which a plant comes to rest before a record begins: 8 s in all."""
+SETTLING = np.concatenate([2e-3 * 2.0 ** np.arange(12), np.full(8, 0.5)])
+"""Steps [s] in which a plant comes to rest before a record begins: 12 s in all."""
 NEWTON = 8
 """Steps of Newton's method from one sample's point of rest to the next, in static runs."""
-STEP = 2.5e-3
+STEP = 1.25e-3
 """Longest step [s] where no number of steps is given."""
 ASTRAY = 1e3
 """Stands for an error, in spreads, that is no number or beyond: a run that diverged."""
@@ -175,11 +175,12 @@ class WholeRuns:
         step = np.searchsorted(ends, at - 1e-12, side="left")
         step = np.maximum(step, min(first, len(ends) - 1))
         part = np.clip(1 - (ends[step] - at) / course.h[step], 0.0, 1.0)
-        if not late:
+        if not late and self._time is None:
             step, part = course.sample, np.ones(len(course.sample))
         before = np.maximum(step - 1, 0)
         inputs = course.begin[:, step], course.end[:, step]
-        return x[:, before], x[:, step], *inputs, course.h[step][None], part[None]
+        moving = at > ends[first - 1]  # before that a sample shows the start, whatever the delay
+        return x[:, before], x[:, step], *inputs, course.h[step][None], part[None], moving[None]
 
     def _accumulated(self, step: ca.Function, n: int) -> ca.Function:
         key = (step.name(), n)
@@ -238,8 +239,7 @@ def _course(
         sample = len(SETTLING) - 1 + NEWTON * np.arange(1, at.shape[1] + 1)
         return _Course(h, begin, end, sample, len(SETTLING), record.array(outputs), {})
     span = np.diff(record.t)
-    longest = STEP / 2 if any(v.memory == "held" for v in plant.states) else STEP
-    steps = steps or max(1, int(np.ceil(np.median(span) / longest - 1e-6)))
+    steps = steps or max(1, int(np.ceil(np.median(span) / STEP - 1e-6)))
     part = np.arange(steps + 1) / steps
     slope = np.zeros((at.shape[0], len(span))) if held else np.diff(at, axis=1)
     edges = at[:, :-1, None] + slope[:, :, None] * part
@@ -307,7 +307,7 @@ def _functions(
     s2 = ca.solve(matrix, a2 @ (s + h * s1) + b2 - 2 * s1)
     moved = s + 1.5 * h * s1 + 0.5 * h * s2
     # read inside of a step: the cubic through the states and their rates at its ends
-    begin, part = ca.SX.sym("begin", nx), ca.SX.sym("part")
+    begin, part, moving = ca.SX.sym("begin", nx), ca.SX.sym("part"), ca.SX.sym("moving")
     s_begin = ca.SX.sym("s_begin", nx, nz)
     u = early + part * (late - early)
     inside = _cubic(begin, x, h * rates(begin, early), h * rates(x, late), part)
@@ -316,7 +316,7 @@ def _functions(
     y = show(inside, u, p)
     y_slopes = ca.jacobian(y, x) @ s + ca.jacobian(y, begin) @ s_begin + ca.jacobian(y, z)
     if time is not None and time[0] is not None:
-        y_slopes[:, time[0]] -= ca.jacobian(y, part) * time[1] / h
+        y_slopes[:, time[0]] -= moving * ca.jacobian(y, part) * time[1] / h
     column = ca.vec(s)
     both = ca.vertcat(begin, ca.vec(s_begin)), ca.vertcat(x, column)
     return (
@@ -327,10 +327,10 @@ def _functions(
             [ca.vertcat(after, ca.vec(moved))],
             {"cse": True},
         ),
-        ca.Function("read", [begin, x, early, late, h, part, z], [y], {"cse": True}),
+        ca.Function("read", [begin, x, early, late, h, part, moving, z], [y], {"cse": True}),
         ca.Function(
             "slope",
-            [*both, early, late, h, part, z],
+            [*both, early, late, h, part, moving, z],
             [ca.densify(ca.vec(y_slopes))],
             {"cse": True},
         ),
