@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
+from .quantities import is_quantity, quantity
 from .system import HasInputs
 from .variables import Causality
 
@@ -179,8 +180,12 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
     return {v.name: (inputs.t, inputs[v.name]) for v in plant.inputs}
 
 
-def numbers(argument: str, value: Any) -> Array:
-    """``value`` as an array of finite numbers; InputError when it is none."""
+def numbers(argument: str, value: Any, unit: str = "") -> Array:
+    """``value`` as an array of finite numbers, which may be texts such as "3 bar" where ``unit`` is
+    known; InputError when it is none.
+    """
+    if unit and isinstance(value, list | tuple):
+        value = [quantity(argument, v, unit) if is_quantity(v) else v for v in value]
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 import casadi as ca
@@ -12,27 +12,43 @@ import casadi as ca
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
+from .body import limit_strength, moving_half
 from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
 from .dead_time import DeadTime
 from .kinds import FEEDS
 from .meters import meter_pneumatics, meter_work
 from .pair_regulator import PairRegulator
+from .quick_exhaust import QuickExhaust
+from .receiver import Receiver
 from .regulator import Regulator, in_si, pressure_attributes
-from .valves import GasFeed, OnOffValves, SpoolValve, Tube
+from .sources import Compressor, PressureRegulator
+from .spools import FirstOrderSpool, SecondOrderSpool
+from .tubes import LumpedTube, Tube
+from .valve_catalogue import valve, valve_names
+from .valves import Filling, GasFeed, OnOffValves, SpoolValve
 
 __all__ = [
     "AttachedMuscle",
+    "Compressor",
     "DeadTime",
     "Feed",
+    "FirstOrderSpool",
     "IdealPressure",
+    "LumpedTube",
     "OnOffValves",
     "PairRegulator",
+    "PressureRegulator",
+    "QuickExhaust",
+    "Receiver",
     "Regulator",
+    "SecondOrderSpool",
     "SpoolValve",
     "Tube",
     "as_feed",
     "attach",
+    "valve",
+    "valve_names",
 ]
 
 
@@ -50,6 +66,8 @@ class AttachedMuscle:
     """Pulling force with losses [N], >= 0."""
     stiffness: ca.SX
     """Stiffness of the force law at constant pressure [N/m]."""
+    moving_mass: ca.SX = field(default_factory=lambda: ca.SX(0))
+    """Half the mass of its body [kg], which moves with the load; 0 where it has none."""
 
 
 class Feed(Protocol):
@@ -133,6 +151,7 @@ def attach(
     contraction = pre_contraction + shortening / symbolic.rest_length
     relative_rate = rate / symbolic.rest_length
     bounded = _within_reach(contraction)
+    air: Filling | None = None
     if isinstance(feed, GasFeed):
         air = feed.fill(plant, name, symbolic, bounded, relative_rate)
         pressure = air.pressure
@@ -149,6 +168,10 @@ def attach(
     tension = symbolic.tension(pressure, bounded)
     gain = ca.jacobian(tension, pressure)
     force = symbolic.force(pressure, bounded)
+    stiffness = symbolic.stiffness(pressure, bounded)
+    if air is not None and air.stiffening is not None:
+        tension, stiffness = _warmed(symbolic, pressure, bounded, air.stiffening)
+        force = clamp(tension, symbolic.slack_width)
     if losses:
         motion = Motion(symbolic, pressure, bounded, relative_rate)
         lost = sum((loss.force(plant, name, motion) for loss in losses), ca.SX(0))
@@ -159,20 +182,43 @@ def attach(
             nominal=100.0,
             description=f"friction, hysteresis and creep of {name} against its contraction",
         )
+        if air is not None and air.warm is not None:
+            air.warm(lost * rate)
         tension = tension - lost
         force = clamp(tension, symbolic.slack_width)
     attached = AttachedMuscle(
-        name, symbolic, pressure, contraction, force, symbolic.stiffness(pressure, bounded)
+        name,
+        symbolic,
+        pressure,
+        contraction,
+        force,
+        stiffness,
+        moving_half(plant, name, muscle, symbolic),
     )
+    limit_strength(plant, name, muscle, pressure, force)
     _declare_outputs(plant, attached, tension)
     totals = bool(getattr(feed, "totals", False))
-    drawn = feed.drawn(plant, name, air) if totals and isinstance(feed, GasFeed) else None
-    work = meter_work(plant, name, force, rate, muscle.mass, totals)
-    if isinstance(feed, GasFeed):
+    drawn = None
+    if totals and isinstance(feed, GasFeed) and air is not None:
+        drawn = feed.drawn(plant, name, air)
+    work = meter_work(plant, name, force, rate, muscle.known_mass, totals)
+    if isinstance(feed, GasFeed) and air is not None:
         feed.meter(plant, name, air, drawn, work)
     elif work is not None:
         meter_pneumatics(plant, name, pressure, gain, rate, work)
     return attached
+
+
+def _warmed(
+    muscle: Muscle, pressure: ca.SX, contraction: ca.SX, stiffening: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """(tension, stiffness) of a muscle whose wall's own force has grown by a part of it."""
+    kappa = ca.SX.sym("kappa")
+    tension = muscle.tension(pressure, kappa) + stiffening * muscle.tension(ca.SX(0), kappa)
+    force = clamp(tension, muscle.slack_width)
+    both = ca.vertcat(tension, -ca.jacobian(force, kappa) / muscle.rest_length)
+    at = ca.substitute(both, kappa, contraction)
+    return at[0], at[1]
 
 
 def _within_reach(contraction: ca.SX) -> ca.SX:

@@ -121,7 +121,7 @@ class AntagonisticJoint(Plant):
         )
         pair = []
         feeds = feeds_of_pair(self, feed, muscles)
-        torque = ca.SX(0)
+        torque, carried, turning = ca.SX(0), ca.SX(0), ca.SX(0)
         for i, (part, arm, sign) in enumerate(zip(muscles, arms, (1, -1), strict=True), start=1):
             shortening, radius = self._arm(f"muscle{i}", arm, theta)
             attached = self.add_muscle(
@@ -134,8 +134,14 @@ class AntagonisticJoint(Plant):
                 losses=losses,
             )
             torque += sign * radius * attached.force
+            # of a body at the end of a lever r(theta): m r (r theta'' + r' theta'^2)
+            carried += attached.moving_mass * radius**2
+            turning += attached.moving_mass * radius * ca.jacobian(ca.SX(radius), theta) * omega**2
             pair.append(attached)
-        self._move(theta, omega, moment, torque, (link_mass, link_length), damping, loads, limits)
+        bodies = carried, turning
+        self._move(
+            theta, omega, moment, torque, (link_mass, link_length), damping, loads, limits, bodies
+        )
         even = limits is None or limits[0] == -limits[1]
         one_arm = moment_arm2 is None and not callable(moment_arm)
         if muscles[0] == muscles[1] and one_arm and even and not loads:
@@ -206,8 +212,11 @@ class AntagonisticJoint(Plant):
         damping: Damping | float | None,
         loads: Sequence[Load],
         limits: tuple[float, float] | None,
+        bodies: tuple[ca.SX, ca.SX],
     ) -> None:
-        """Outputs and the equation of motion."""
+        """Outputs and the equation of motion. bodies : inertia [kg m2] and torque of the muscles'
+        own masses.
+        """
         stiffness = -ca.jacobian(torque, theta)
         self.output(
             "torque", torque, unit="N.m", nominal=10.0, description="of both muscles on the joint"
@@ -255,7 +264,9 @@ class AntagonisticJoint(Plant):
         )
         weight = mass * g * length * ca.sin(theta)
         self.der(theta, omega)
-        self.der(omega, (torque - weight - c * omega + outside) / (moment + added))
+        carried, turning = bodies
+        pulls = torque - weight - turning - c * omega + outside
+        self.der(omega, pulls / (moment + carried + added))
 
 
 def _range(

@@ -17,7 +17,11 @@ __all__ = [
     "LOADS",
     "LOSSES",
     "PLANTS",
+    "QUICK_EXHAUSTS",
     "SENSORS",
+    "SOURCES",
+    "SPOOLS",
+    "SUPPLIES",
     "TUBES",
 ]
 
@@ -27,6 +31,12 @@ FEEDS: Registry[Callable[..., Any]] = Registry("feed", __package__, argument="fe
 DAMPINGS: Registry[Callable[..., Any]] = Registry("damping", __package__, argument="damping")
 LOSSES: Registry[Callable[..., Any]] = Registry("loss", __package__, argument="losses")
 LOADS: Registry[Callable[..., Any]] = Registry("load", __package__, argument="loads")
-TUBES: Registry[Callable[..., Any]] = Registry("tube", __package__, argument="tube")
+TUBES: Registry[Callable[..., Any]] = Registry("tube", __package__, argument="tube", default="Tube")
+SPOOLS: Registry[Callable[..., Any]] = Registry("spool", __package__, argument="spool")
+SUPPLIES: Registry[Callable[..., Any]] = Registry("supply", __package__, argument="supply")
+SOURCES: Registry[Callable[..., Any]] = Registry("source", __package__, argument="source")
+QUICK_EXHAUSTS: Registry[Callable[..., Any]] = Registry(
+    "quick exhaust", __package__, argument="quick_exhaust"
+)
 DEAD_TIMES: Registry[Callable[..., Any]] = Registry("dead time", __package__, argument="dead_time")
 SENSORS: Registry[Callable[..., Any]] = Registry("sensor", __package__, argument="sensors")

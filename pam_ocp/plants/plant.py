@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, UnknownNameError
 from ..core.expressions import scalar_expression
+from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality, Variable
 from ..muscles.dead_zone import dead_zone, dead_zone_inverse
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["Given", "Plant", "Values", "by_name", "require_plant"]
 
 Values = Mapping[str, Any]
+Part = TypeVar("Part")
 Given: TypeAlias = "Values | OperatingPoint"
 """Values by name, or those of a point."""
 
@@ -117,6 +119,7 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
     )
 
 
+@shown
 @locked
 class Plant:
     """A system to move: states x, inputs u, parameters p; x' = f(x, u, p), y = g(x, u, p).
@@ -149,6 +152,8 @@ class Plant:
         self._mirror: dict[str, tuple[float, str]] = {}
         self._openings: tuple[Opening, ...] = ()
         self._flow_paths: tuple[FlowPath, ...] = ()
+        self._shared: dict[str, tuple[Any, Any]] = {}
+        self._gathered: list[tuple[ca.SX, list[ca.SX]]] = []
         self._delay_lines: tuple[DelayLine, ...] = ()
         self._system: _System | None = None
 
@@ -250,6 +255,40 @@ class Plant:
             description=f"effect of {name_of} beyond its dead zone",
         )
         return symbol
+
+    def shared(self, name: str, component: Any, declare: Callable[[], Part]) -> Part:
+        """What several parts of the plant use in common, such as two muscles one receiver.
+
+        ``declare()`` declares its variables and is called at the first mention of ``name`` only;
+        later ones get what it gave then. Raises InputError where the name means another component.
+        """
+        self._open()
+        if name not in self._shared:
+            self._shared[name] = (component, declare())
+        known, part = self._shared[name]
+        if known != component:
+            raise InputError(
+                f"plant {self.name!r}: two different parts are called {name!r}; give one of them "
+                "another name=, or both parts the same component"
+            )
+        found: Part = part
+        return found
+
+    def gathered(self) -> tuple[ca.SX, Callable[[Any], None]]:
+        """A sum whose terms are not known yet: (its symbol, what adds a term to it).
+
+        The symbol may stand in any equation; when the plant is finished, the sum of all terms (0
+        without any) takes its place. Terms must not hold such symbols themselves.
+        """
+        self._open()
+        symbol, terms = ca.SX.sym(f"gathered{len(self._gathered)}"), list[ca.SX]()
+        self._gathered.append((symbol, terms))
+
+        def add(term: Any) -> None:
+            self._open()
+            terms.append(scalar_expression("a term of a sum", term))
+
+        return symbol, add
 
     def delayed(
         self, command: ca.SX, dead_time: DeadTime | float, name: str | None = None
@@ -477,6 +516,10 @@ class Plant:
         if not self.states:
             raise InputError(f"plant {self.name!r} has no state")
         self._stated = dict(self._expressions)
+        if self._gathered:
+            sums = [sum(terms, ca.SX(0)) for _, terms in self._gathered]
+            self._stated = self._replaced([symbol for symbol, _ in self._gathered], sums)
+            self._expressions = dict(self._stated)
         if any(image not in self._variables for _, image in self._mirror.values()):
             self._mirror = {}  # a sensor's filter on one side alone
         if self._flow_paths:

@@ -187,7 +187,8 @@ def _component(where: str, argument: str, value: Any) -> Any:
     if kinds is None:
         raise InputError(f"{where} = {value!r}: give a value, not a table")
     given = dict(table(where, value))
-    kind = given.pop("kind", next(iter(kinds)) if len(kinds) == 1 else None)
+    usual = kinds.default or (next(iter(kinds)) if len(kinds) == 1 else None)
+    kind = given.pop("kind", usual)
     if kind is None:
         raise InputError(f"{where}.kind is missing; give one of {', '.join(kinds)}")
     return _built(where, kinds, kinds.name(f"{where}.kind", kind), given)

@@ -109,7 +109,8 @@ class AntagonisticSlide(Plant):
         c = as_damping(damping, ConstantDamping()).coefficient(self, m, stiffness)
         self.der(x, v)
         outside, added = applied(self, loads, Coordinate(x, v))
-        self.der(v, (pair[0].force - pair[1].force - c * v + outside) / (m + added))
+        moving = m + pair[0].moving_mass + pair[1].moving_mass + added
+        self.der(v, (pair[0].force - pair[1].force - c * v + outside) / moving)
         self.output(
             "stiffness",
             stiffness,

@@ -27,6 +27,9 @@ __all__ = ["evaluated", "simulate"]
 
 Array = NDArray[np.float64]
 
+COLUMNS = 10_000
+"""Samples whose outputs are computed at once."""
+
 
 @verb
 def simulate(
@@ -90,7 +93,7 @@ def simulate(
     if start is not None and not isinstance(start, Mapping):
         plant = plant.with_values(by_name("start", start, "input"))
     times = _times(inputs, duration, t)
-    _check_numerics(rtol, step, max_steps)
+    step = _check_numerics(rtol, step, max_steps)
     events = (events,) if isinstance(events, str) else tuple(events)
     x0 = plant.vector("state", _start(plant, inputs, start))
     u = signals(plant, inputs, times, interpolation)
@@ -124,8 +127,12 @@ def evaluated(
 ) -> Trajectory:
     """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed."""
     u = inputs(t)
-    outputs = plant.function(states.T, u.T, plant.vector("parameter"))[1]
-    parts = {"state": states, "input": u, "output": np.asarray(outputs).T}
+    p = plant.vector("parameter")
+    outputs = [  # CasADi's working memory grows with the columns of a call
+        np.asarray(plant.function(states[i : i + COLUMNS].T, u[i : i + COLUMNS].T, p)[1]).T
+        for i in range(0, len(t), COLUMNS)
+    ]
+    parts = {"state": states, "input": u, "output": np.concatenate(outputs)}
     variables = (*plant.states, *plant.inputs, *plant.outputs)
     data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
     columns = {v.name: data[:, i] for i, v in enumerate(variables)}
@@ -133,18 +140,18 @@ def evaluated(
     return Trajectory(t, columns, variables, between, events, inputs)
 
 
-def _check_numerics(rtol: float, step: float | None, max_steps: int) -> None:
+def _check_numerics(rtol: float, step: float | None, max_steps: int) -> float | None:
+    """The step [s]; InputError where one of these is none."""
     require_tolerance("rtol", rtol)
-    if step is not None:
-        require_positive("step", step, "s")
     require_count("max_steps", max_steps)
+    return None if step is None else require_positive("step", step, "s")
 
 
 def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
     if t is not None:
         if duration is not None:
             raise InputError("give duration or t, not both")
-        times = numbers("t", t)
+        times = numbers("t", t, "s")
         if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
             raise InputError("t must hold at least two times that rise from sample to sample")
         return times
