@@ -19,6 +19,7 @@ from ..core.interrupts import interruptible
 from ..core.stop import limited
 from .components import add_components
 from .fit import add_fit_plant
+from .ladder import add_ladder
 from .linearize import add_linearize
 from .mpc import add_mpc
 from .options import require_places
@@ -88,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         add_campaign,
         add_fit_holds,
         add_fit_plant,
+        add_ladder,
         _add_export,
         _add_check,
         _add_loads,

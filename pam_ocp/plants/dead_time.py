@@ -50,8 +50,11 @@ class DeadTime:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", require_positive("DeadTime.time", self.time, "s"))
-        require_count("DeadTime.order", self.order, 1, HIGHEST_DEGREE)
-        require_count("DeadTime.cells", self.cells)
+        for argument, most in (("order", HIGHEST_DEGREE), ("cells", None)):
+            value = getattr(self, argument)
+            whole = int(value) if isinstance(value, float) and value.is_integer() else value
+            require_count(f"DeadTime.{argument}", whole, 1, most)
+            object.__setattr__(self, argument, whole)  # files know no whole numbers
 
     @property
     def places(self) -> Array:
@@ -112,6 +115,7 @@ def delay_line(
             display_unit=variable.display_unit,
             start=float(variable.start or 0.0),
             nominal=variable.nominal,
+            memory="settling",  # what plans begin with: a command that stood, not one sent before
             description=f"{variable.name} as it was {part:.3g} dead times ago",
         )
         for i, part in enumerate(places, start=1)

@@ -43,8 +43,9 @@ def _rebuilt(plant: Plant) -> Plant:
         if v.causality == "parameter":
             symbols[v.name] = made.parameter(v.name, attributes.pop("start"), **attributes)
         else:
-            kind = "input" if v.name in outlets else v.causality
-            symbols[v.name] = declare[kind](v.name, **attributes)
+            late = {"memory": ""} if v.name in outlets else {}
+            kind = "input" if late else v.causality
+            symbols[v.name] = declare[kind](v.name, **{**attributes, **late})
     defined = [v for v in plant.variables if v.causality in ("output", "constraint")]
     stated = [f"der({v.name})" for v in made.states] + [v.name for v in defined]
     found = ca.substitute(

@@ -351,3 +351,51 @@ def test_a_filter_on_one_muscle_alone_ends_the_symmetry() -> None:
 def test_what_cannot_be_is_refused(make: Any, words: str) -> None:
     with pytest.raises(InputError, match=words):
         make()
+
+
+# ---- what is done with them ----------------------------------------------------------------------
+def test_an_fmu_of_the_whole_rig_agrees_to_a_millionth(tmp_path: Any) -> None:
+    plant = rig()
+    sensor = pam.plants.Sensor(gain=50.0, zero=0.2, filter=0.01, resolution=0.01, unit="V")
+    plant.add_sensor("x", sensor)
+    t, start = np.arange(0, 0.3, 0.01), plant.equilibrium(difference=0.0)
+    u = np.repeat(np.random.default_rng(6).uniform(-1.5, 1.5, 3), 10)
+    motion = pam.simulate(plant, {"difference": u}, t=t, start=start, rtol=1e-11)
+    path = pam.export_fmu(plant, tmp_path / "rig.fmu", platforms="native")
+    assert pam.check_fmu(path, motion, tolerance=1e-6).ok
+
+
+def test_a_plan_with_dead_time_begins_with_a_command_that_stood() -> None:
+    late = rig(slew=None, venting_slew=None, venting_lag=None)
+    plan = pam.plan(late, stops=[{"x": -0.006}, {"x": 0.006}], minimise="time")
+    assert plan.success
+    first = [plan.trajectory[f"difference.delay{i}"][0] for i in (1, 2, 3)]
+    np.testing.assert_allclose(first, plan.trajectory["difference"][0], atol=1e-4)
+    prompt = rig(slew=None, venting_slew=None, venting_lag=None, dead_time=None)
+    sooner = pam.plan(prompt, stops=[{"x": -0.006}, {"x": 0.006}], minimise="time")
+    assert plan.duration > sooner.duration
+
+
+def test_a_problem_file_takes_all_of_it() -> None:
+    from pam_ocp.plants.plant_file import plant_of
+
+    plant = plant_of(
+        {
+            "arrangement": "AntagonisticSlide",
+            "muscle": "DMSP-20-200N",
+            "feed": {
+                "kind": "PairRegulator",
+                "base": "2.5 bar",
+                "gain": "0.8 bar/V",
+                "slew": "6 bar/s",
+                "venting_lag": "90 ms",
+                "dead_time": {"time": "20 ms", "order": 3},
+            },
+            "sensors": {"x": {"zero": "1 mm", "filter": "10 ms"}},
+        }
+    )
+    values = {v.name: v.start for v in plant.parameters}
+    assert values["muscle2.slew"] == 6e5
+    assert values["difference.dead_time"] == 0.02
+    assert values["x.zero"] == 1e-3
+    assert [v.name for v in plant.inputs] == ["difference"]
