@@ -3,9 +3,9 @@ from . import experiments as experiments
 from .dynamic.coverage import Coverage as Coverage
 from .dynamic.coverage import coverage as coverage
 from .dynamic.dynamic import fit_plant as fit_plant
-from .dynamic.free_run_fit import FreeRunFit as FreeRunFit
 from .dynamic.free_run_fit import fit_free_run as fit_free_run
 from .dynamic.free_run_fit import free_run as free_run
+from .dynamic.free_run_result import FreeRunFit as FreeRunFit
 from .dynamic.ladder import Ladder as Ladder
 from .dynamic.ladder import fit_ladder as fit_ladder
 from .dynamic.plant_fit import PlantFit as PlantFit

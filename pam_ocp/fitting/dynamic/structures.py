@@ -16,7 +16,8 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .dynamic import fit_plant
 from .experiment import groups
-from .free_run_fit import FreeRunFit, fit_free_run, free_run
+from .free_run_fit import fit_free_run, free_run
+from .free_run_result import FreeRunFit
 from .plant_fit import PlantFit
 
 __all__ = ["ArxModel", "ArxStructure", "FreeRunStructure", "PlantStructure"]
