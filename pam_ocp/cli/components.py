@@ -60,11 +60,13 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
     from ..planning.solvers.solver import SOLVERS
     from ..plants.kinds import (
         DAMPINGS,
+        DEAD_TIMES,
         FEEDS,
         LOADS,
         LOSSES,
         PLANTS,
         QUICK_EXHAUSTS,
+        SENSORS,
         SOURCES,
         SPOOLS,
         SUPPLIES,
@@ -77,6 +79,8 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         (FEEDS, "of plants: `feed = { kind = ... }`"),
         (LOSSES, "of plants: `losses = [{ kind = ... }]`"),
         (DAMPINGS, "of plants: `damping = { kind = ... }`"),
+        (DEAD_TIMES, "of regulators: `dead_time = { ... }`, or its time alone"),
+        (SENSORS, "of a state or output of a plant: `sensors = { x = { ... } }`"),
         (TUBES, "of valves: `tube = { ... }`"),
         (SPOOLS, "of a spool valve: `spool = { kind = ... }`"),
         (SUPPLIES, "of valves, in place of a constant pressure: `supply = { ... }`"),

@@ -6,7 +6,6 @@ line, tables in the docs, error messages) reads the registry; none of them lists
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import pkgutil
 import re
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from .errors import InputError, UnknownNameError
+from .lazy import load
 
 __all__ = ["Argument", "Registry", "Units", "registries", "registry_of"]
 
@@ -121,10 +121,10 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         return self._kinds
 
     def _import_room(self) -> None:
-        room = importlib.import_module(self.room)
+        room = load(self.room)
         for found in pkgutil.walk_packages(room.__path__, f"{self.room}."):
             if not found.name.endswith("_server"):  # scripts of other processes
-                importlib.import_module(found.name)
+                load(found.name)
         self._complete = True
 
     def __iter__(self) -> Iterator[str]:

@@ -12,11 +12,13 @@ from ..core.registry import Registry
 
 __all__ = [
     "DAMPINGS",
+    "DEAD_TIMES",
     "FEEDS",
     "LOADS",
     "LOSSES",
     "PLANTS",
     "QUICK_EXHAUSTS",
+    "SENSORS",
     "SOURCES",
     "SPOOLS",
     "SUPPLIES",
@@ -36,3 +38,5 @@ SOURCES: Registry[Callable[..., Any]] = Registry("source", __package__, argument
 QUICK_EXHAUSTS: Registry[Callable[..., Any]] = Registry(
     "quick exhaust", __package__, argument="quick_exhaust"
 )
+DEAD_TIMES: Registry[Callable[..., Any]] = Registry("dead time", __package__, argument="dead_time")
+SENSORS: Registry[Callable[..., Any]] = Registry("sensor", __package__, argument="sensors")

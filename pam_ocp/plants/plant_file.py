@@ -80,10 +80,10 @@ def plant_of(
     """The Plant that a ``[plant]`` table describes.
 
     content : ``arrangement`` (a plant of the library, or FILE.py:NAME), ``muscle`` (see
-        :func:`muscle_of`), ``set`` ({parameter or start value: value}), and the arguments of the
-        arrangement by name. Components are tables with their ``kind``, as
-        ``feed = { kind = "Regulator", lag = "50 ms" }``; losses and loads are lists of them.
-        Values are SI numbers or texts with a unit.
+        :func:`muscle_of`), ``set`` ({parameter or start value: value}), ``sensors`` ({state or
+        output: its sensor}), and the arguments of the arrangement by name. Components are tables
+        with their ``kind``, as ``feed = { kind = "Regulator", lag = "50 ms" }``; losses and loads
+        are lists of them. Values are SI numbers or texts with a unit.
     where : what is read, for messages. folder : of the file; other files are looked for there.
     allow_code : the table may name a plant as FILE.py:NAME, which runs that file.
 
@@ -96,15 +96,18 @@ def plant_of(
             f"{where}.arrangement is missing; give one of {', '.join(PLANTS)}, or FILE.py:NAME"
         )
     values = table(f"{where}.set", content.pop("set", {}))
+    sensors = table(f"{where}.sensors", content.pop("sensors", {}))
     part = muscle_of(content.pop("muscle", None), f"{where}.muscle", folder)
     if ":" in name:
-        known_keys(where, content, ("arrangement", "muscle", "set"))
+        known_keys(where, content, ("arrangement", "muscle", "set", "sensors"))
         plant = named_plant(name, part, folder, allow_code=allow_code)
     else:
         if "muscle2" in content:
             content["muscle2"] = muscle_of(content["muscle2"], f"{where}.muscle2", folder)
         known = PLANTS.name(f"{where}.arrangement", name, OWN)
         plant = _built(where, PLANTS, known, content, part)
+    for sensed, said in sensors.items():
+        plant.add_sensor(sensed, _component(f"{where}.sensors.{sensed}", "sensors", said))
     return plant.with_values(
         {n: quantity(f"{where}.set.{n}", v, plant.variable(n).unit) for n, v in values.items()}
     )

@@ -19,6 +19,7 @@ import numpy as np
 
 from ...core.errors import FitError, InputError
 from ...core.plausible import outside
+from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
@@ -32,6 +33,7 @@ from .runs import FreeRun, runs_of
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class FreeRunFit:
     """A plant fitted to free runs.

@@ -7,18 +7,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ... import courtesy
 from ...core.errors import UnknownNameError
+from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ..static.correlation import neighbours, widening
-from ..statistics import Array, Coefficient, Linearisation, student_t
+from ..statistics import Array, Coefficient, Linearisation, coefficient_frame, student_t
 from .transcribe import FitMethod
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 __all__ = ["PlantFit"]
 
@@ -29,6 +35,7 @@ COLOURED = 0.3
 """Correlation of neighbouring residuals from which intervals are called too narrow."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class PlantFit:
     """A plant fitted to records.
@@ -211,6 +218,14 @@ class PlantFit:
     def report(self, level: float = 0.95) -> str:
         """The fit as text: agreement, parameters ± standard error, correlations, warnings."""
         return courtesy.plant_report(self, level)
+
+    def plot(self) -> Figure:
+        """Each record and the fitted plant's motion over each other, and their difference."""
+        return courtesy.plot_records(self.comparisons)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The parameters as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
+        return coefficient_frame(self.coefficients, self.intervals())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""

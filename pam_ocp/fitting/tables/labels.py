@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .sources import RawTable
+from .raw import RawTable
 
 __all__ = ["LABELS", "read_labels"]
 
