@@ -110,8 +110,8 @@ class LumpedTube:
     The one-dimensional balance of mass and momentum of the textbooks, lumped (Krichel and Sawodny
     (2014) treat long pneumatic lines; not read, so no form of theirs is claimed). Left out: the
     air's kinetic energy (Mach numbers to some 0.3), frequency-dependent friction, a temperature of
-    its own (what leaves it is as warm as the surroundings), a soft wall. The number of segments limits what it shows: n segments carry waves
-    to about n/4 per passage time length/343 m/s.
+    its own (what leaves it is as warm as the surroundings), a soft wall. The number of segments
+    limits what it shows: n segments carry waves to about n/4 per passage time length/343 m/s.
     """
 
     length: float = 1.0
