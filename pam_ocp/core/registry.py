@@ -6,6 +6,8 @@ line, tables in the docs, error messages) reads the registry; none of them lists
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import inspect
 import pkgutil
 import re
@@ -16,6 +18,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from .errors import InputError, UnknownNameError
 from .lazy import load
+from .quantities import is_quantity, quantity
 
 __all__ = ["Argument", "Registry", "Units", "registries", "registry_of"]
 
@@ -101,6 +104,8 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
             self._units[key] = {
                 n: (u,) if isinstance(u, str) else tuple(u) for n, u in (units or {}).items()
             }
+            if dataclasses.is_dataclass(made) and isinstance(made, type):
+                _with_units(made, self._units[key])
             return made
 
         return entered
@@ -169,13 +174,43 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         return arguments(made, self._units[name]) if callable(made) else {}
 
 
+def _with_units(cls: type, units: Mapping[str, tuple[str, ...]]) -> None:
+    """Let a class take texts such as "0.5 N/mm" for its quantities: they become numbers in SI."""
+    plain = cls.__init__
+    signature = inspect.signature(plain)
+
+    @functools.wraps(plain)
+    def converting(self: Any, *args: Any, **kwargs: Any) -> None:
+        if any(map(_holds_quantity, (*args, *kwargs.values()))):
+            bound = signature.bind_partial(self, *args, **kwargs)
+            for name, argument in arguments(cls, units).items():
+                if argument.units and name in bound.arguments:
+                    where = f"{cls.__name__}.{name}"
+                    bound.arguments[name] = _in_si(where, bound.arguments[name], argument.units)
+            args, kwargs = bound.args[1:], bound.kwargs
+        plain(self, *args, **kwargs)
+
+    setattr(cls, "__init__", converting)  # noqa: B010 - a type checker sees the plain one
+
+
+def _holds_quantity(value: Any) -> bool:
+    return is_quantity(value) or (isinstance(value, list | tuple) and any(map(is_quantity, value)))
+
+
+def _in_si(where: str, value: Any, units: tuple[str, ...]) -> Any:
+    if isinstance(value, list | tuple):
+        return tuple(_in_si(where, v, units) for v in value)
+    return quantity(where, value, *units) if is_quantity(value) else value
+
+
 def arguments(
     made: Callable[..., Any], units: Mapping[str, tuple[str, ...]]
 ) -> dict[str, Argument]:
     """The arguments of a class or function; a plain number's unit is "1"."""
     found = {}
     for name, parameter in inspect.signature(made).parameters.items():
-        number = "float" in str(parameter.annotation) and name not in _roles()
+        kind = str(parameter.annotation)  # "Loss | float" is a component, or a number for one
+        number = kind == "float" or ("float" in kind and name not in _roles())
         own = units.get(name, ("1",) if number else ())
         found[name] = Argument(name, own, parameter.default)
     return found

@@ -7,6 +7,7 @@ import textwrap
 
 import pytest
 
+import pam_ocp as pam
 from pam_ocp.core.errors import InputError, UnknownNameError
 from pam_ocp.core.registry import Registry, registries, registry_of
 
@@ -124,3 +125,15 @@ def test_names_are_known_whatever_was_imported_first():
         text = textwrap.dedent(code.format(module=module, name=name))
         done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
         assert expected in done.stdout.split(), done.stderr
+
+
+def test_components_take_texts_with_units_for_all_their_quantities():
+    """What "0.0003 MPa" or "5 %" gives is what the number in SI gives."""
+    spring = pam.loads.Spring("0.5 N/mm", rest="5 mm")
+    assert (spring.stiffness, spring.rest) == (pytest.approx(500.0), pytest.approx(0.005))
+    creep = pam.losses.Creep(stiffness=["0.3 kN", 200.0], time=("200 ms", 2.0))
+    assert creep == pam.losses.Creep(stiffness=(300.0, 200.0), time=(0.2, 2.0))
+    assert pam.feeds.SpoolValve(overlap="5 %").overlap == pytest.approx(0.05)
+    assert pam.feeds.Tube(lag="20 ms").lag == pytest.approx(0.02)
+    with pytest.raises(pam.InputError, match=r"Tube\.lag = '20 mm'.*something else"):
+        pam.feeds.Tube(lag="20 mm")
