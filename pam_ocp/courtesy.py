@@ -19,11 +19,15 @@ from .core.lazy import lazily
 if TYPE_CHECKING:
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
+    from .figures.html import html_of as html_of
     from .figures.loop import plot_closed_loop as plot_closed_loop
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
+    from .figures.trajectory import plot_fit as plot_fit
+    from .figures.trajectory import plot_muscle as plot_muscle
     from .figures.trajectory import plot_record as plot_record
+    from .figures.trajectory import plot_records as plot_records
     from .figures.trajectory import plot_trajectory as plot_trajectory
     from .figures.vibration import plot_backbone as plot_backbone
     from .figures.vibration import plot_border as plot_border
@@ -50,6 +54,7 @@ _HOMES: dict[str, str] = {
     "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
     "force_report": "fitting.static.report",
+    "html_of": "figures.html",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",
     "plot_backbone": "figures.vibration",
@@ -58,11 +63,14 @@ _HOMES: dict[str, str] = {
     "plot_closed_loop": "figures.loop",
     "plot_energy": "figures.vibration",
     "plot_envelope": "figures.vibration",
+    "plot_fit": "figures.trajectory",
     "plot_multipliers": "figures.vibration",
+    "plot_muscle": "figures.trajectory",
     "plot_pareto": "figures.plan",
     "plot_phase": "figures.vibration",
     "plot_plan": "figures.plan",
     "plot_record": "figures.trajectory",
+    "plot_records": "figures.trajectory",
     "plot_robust": "figures.plan",
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",

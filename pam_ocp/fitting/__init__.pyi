@@ -6,7 +6,10 @@ from .dynamic.dynamic import fit_plant as fit_plant
 from .dynamic.free_run_fit import fit_free_run as fit_free_run
 from .dynamic.free_run_fit import free_run as free_run
 from .dynamic.free_run_result import FreeRunFit as FreeRunFit
+from .dynamic.ladder import Ladder as Ladder
+from .dynamic.ladder import fit_ladder as fit_ladder
 from .dynamic.plant_fit import PlantFit as PlantFit
+from .dynamic.rungs import Rung as Rung
 from .dynamic.runs import FreeRun as FreeRun
 from .dynamic.saved_plant import load_plant_fit as load_plant_fit
 from .dynamic.selection import Choice as Choice
@@ -21,7 +24,11 @@ from .static.branches import Hysteresis as Hysteresis
 from .static.branches import LackOfFit as LackOfFit
 from .static.branches import hysteresis as hysteresis
 from .static.branches import lack_of_fit as lack_of_fit
+from .static.campaign import fit_campaign as fit_campaign
+from .static.campaign_result import Campaign as Campaign
 from .static.force_fit import ForceFit as ForceFit
+from .static.holds import fit_holds as fit_holds
+from .static.holds_fit import HoldsFit as HoldsFit
 from .static.ranking import ComparedLaw as ComparedLaw
 from .static.ranking import LawComparison as LawComparison
 from .static.ranking import compare_laws as compare_laws
@@ -34,5 +41,8 @@ from .statistics import Prediction as Prediction
 from .statistics import SolverStatistics as SolverStatistics
 from .tables.force_table import ForceTable as ForceTable
 from .tables.force_table import read_table as read_table
+from .tables.preview import Preview as Preview
+from .tables.preview import look as look
+from .tables.raw import ReadingWarning as ReadingWarning
 from .tables.records import read_record as read_record
 from .tables.records import read_records as read_records

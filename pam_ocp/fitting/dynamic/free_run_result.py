@@ -13,6 +13,7 @@ import numpy as np
 from ... import courtesy
 from ...core.errors import UnknownNameError
 from ...core.plausible import outside
+from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["FreeRunFit", "ran"]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class FreeRunFit:
     """A plant fitted to free runs.

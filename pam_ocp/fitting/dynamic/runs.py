@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_instance, require_positive
+from ...core.shown import shown
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -22,6 +23,7 @@ FAR = 100.0
 """Ranges of a measured variable by which a run must be off to count as diverged."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class FreeRun:
     """Runs of a plant from many starts, beside what was measured.
