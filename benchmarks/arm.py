@@ -86,7 +86,8 @@ def yardsticks() -> dict[str, dict[str, ArxStructure]]:
     def made(seen: Sequence[int], order: int, lag: int) -> ArxStructure:
         outputs = [angles[j - 1] for j in seen]
         inputs = [muscles[k] for j in seen for k in (2 * j - 2, 2 * j - 1)]
-        return ArxStructure(outputs, inputs, order, HORIZONS, EVERY, lag=lag)
+        # from the same starts as the grey boxes, which need two samples of the past
+        return ArxStructure(outputs, inputs, order, HORIZONS, EVERY, first=0.05, lag=lag)
 
     orders = (2, 5, 8, 15, 30)
     own = {

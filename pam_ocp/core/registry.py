@@ -176,7 +176,7 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
 
 def _with_units(cls: type, units: Mapping[str, tuple[str, ...]]) -> None:
     """Let a class take texts such as "0.5 N/mm" for its quantities: they become numbers in SI."""
-    plain = cls.__init__
+    plain: Callable[..., None] = vars(cls)["__init__"]
     signature = inspect.signature(plain)
 
     @functools.wraps(plain)

@@ -13,7 +13,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from .rig import Delay, Rig, RunUnknowns, known_rig, unknowns_of
 from .rollout import ASTRAY, Rollout
 from .run_statistics import spread_of
 from .runs import FreeRun, Runs, runs_of
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
