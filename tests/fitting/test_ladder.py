@@ -54,7 +54,7 @@ def climbed(record: pam.Trajectory, **options: Any) -> Ladder:
 
 @pytest.fixture(scope="module")
 def ladder(record: pam.Trajectory) -> Ladder:
-    return climbed(record, steps=6)
+    return climbed(record)
 
 
 # ---- free runs -----------------------------------------------------------------------------------
