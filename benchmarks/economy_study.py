@@ -5,9 +5,6 @@ Run:  python benchmarks/economy_study.py [tasks] [seed] [--limit SECONDS]
 """
 
 import argparse
-import multiprocessing
-import resource
-import warnings
 
 import numpy as np
 import verdict_study
@@ -24,29 +21,6 @@ def economical(seed):
         index += 1
 
 
-def _child(connection, index, seed, limit):
-    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
-    warnings.simplefilter("ignore")
-    connection.send(verdict_study.judged(index, verdict_study.drawn(index, seed, False)))
-
-
-def limited(index, seed, limit):
-    """The verdict on one task; "over time" when its process was ended."""
-    here, there = multiprocessing.Pipe()
-    process = multiprocessing.get_context("fork").Process(
-        target=_child, args=(there, index, seed, limit)
-    )
-    process.start()
-    there.close()
-    try:
-        return here.recv()
-    except EOFError:
-        words = verdict_study.drawn(index, seed, False).words
-        return {"verdict": "over time", "seconds": limit, "words": words, "why": ""}
-    finally:
-        process.join()
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("count", nargs="?", type=int, default=20)
@@ -55,7 +29,7 @@ def main():
     arguments = parser.parse_args()
     results = []
     for index, _ in zip(economical(arguments.seed), range(arguments.count), strict=False):
-        results.append(limited(index, arguments.seed, arguments.limit))
+        results.append(verdict_study.limited(index, arguments.seed, False, arguments.limit))
         each = results[-1]
         print(
             f"{index:4d} {each['verdict']:22s} {each['seconds']:6.1f} s  {each['words']}\n"

@@ -322,6 +322,7 @@ def run(name: str, told: Any) -> None:
         end = "KeyboardInterrupt"
     except BaseException as error:
         end = f"{type(error).__name__}: {error}".splitlines()[0]
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # over before
     told.write(f"{time.monotonic()} {end}\n")
     told.flush()
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from .figures.vibration import plot_multipliers as plot_multipliers
     from .figures.vibration import plot_phase as plot_phase
     from .figures.vibration import plot_stability as plot_stability
+    from .fitting.dynamic.coverage import coverage as coverage
     from .fitting.dynamic.outcome import validate as validate
     from .fitting.dynamic.plant_report import plant_report as plant_report
     from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 
 _HOMES: dict[str, str] = {
     "closed_loop": "control.loop",
+    "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
     "force_report": "fitting.static.report",
     "html_of": "figures.html",

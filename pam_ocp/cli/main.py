@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -41,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     try:
         seconds = None if options.command == "check" else options.time_limit
-        with _terminable(), interruptible(), limited(seconds):
+        with _plain_warnings(), _terminable(), interruptible(), limited(seconds):
             return int(options.run(options) or 0)
     except PamError as error:
         print(f"pam-ocp {options.command}: {error}", file=sys.stderr)
@@ -52,6 +53,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """A warning is a line that says what it says, without a place in our code."""
+    before = warnings.formatwarning
+
+    def plain(message: Warning | str, *_: Any, **__: Any) -> str:
+        return f"pam-ocp: {message}\n"
+
+    warnings.formatwarning = plain
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -326,7 +342,6 @@ def _show(options: argparse.Namespace) -> int:
 
 def muscle_text(muscle: Any) -> str:
     """A muscle's source and a table of its force [N] over pressure and contraction."""
-    import warnings
 
     from ..muscles.validity import ValidityWarning
 

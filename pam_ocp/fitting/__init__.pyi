@@ -1,9 +1,11 @@
 # Names of pam_ocp.fitting, loaded at their first use.
 from . import experiments as experiments
+from .dynamic.coverage import Coverage as Coverage
+from .dynamic.coverage import coverage as coverage
 from .dynamic.dynamic import fit_plant as fit_plant
-from .dynamic.free_run_fit import FreeRunFit as FreeRunFit
 from .dynamic.free_run_fit import fit_free_run as fit_free_run
 from .dynamic.free_run_fit import free_run as free_run
+from .dynamic.free_run_result import FreeRunFit as FreeRunFit
 from .dynamic.ladder import Ladder as Ladder
 from .dynamic.ladder import fit_ladder as fit_ladder
 from .dynamic.plant_fit import PlantFit as PlantFit
@@ -14,6 +16,9 @@ from .dynamic.selection import Choice as Choice
 from .dynamic.selection import Structure as Structure
 from .dynamic.selection import Tried as Tried
 from .dynamic.selection import choose as choose
+from .dynamic.structures import ArxStructure as ArxStructure
+from .dynamic.structures import FreeRunStructure as FreeRunStructure
+from .dynamic.structures import PlantStructure as PlantStructure
 from .static.bootstrap import Bootstrap as Bootstrap
 from .static.branches import Hysteresis as Hysteresis
 from .static.branches import LackOfFit as LackOfFit

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -18,14 +18,12 @@ from ..core.registry import Registry
 from .law import FloatOrSX
 from .pneumatic_muscle import Muscle
 
-if TYPE_CHECKING:
-    from .heat import HeatTransfer, Rubber
-
 __all__ = [
     "AMBIENT_PRESSURE",
     "BraidVolume",
     "ConsistentVolume",
     "Gas",
+    "HeatTransfer",
     "PolynomialVolume",
     "Volume",
     "air_mass",
@@ -74,6 +72,13 @@ VOLUMES: Registry[Callable[..., Volume]] = Registry("volume", __package__, argum
 GASES: Registry[Callable[..., Gas]] = Registry("gas", __package__, argument="gas")
 HEATS: Registry[Callable[..., Any]] = Registry("heat transfer", __package__, argument="heat")
 RUBBERS: Registry[Callable[..., Any]] = Registry("rubber", __package__, argument="rubber")
+
+
+class HeatTransfer(Protocol):
+    """How well heat passes between the air in a muscle and the inside of its wall."""
+
+    def coefficient(self, absolute: ca.SX, temperature: ca.SX, declare: Declare) -> ca.SX:
+        """h [W/(m2.K)] at the air's absolute pressure [Pa] and temperature [K]."""
 
 
 def _diameter(muscle: Muscle, own: float | None, declare: Declare) -> FloatOrSX:
@@ -263,7 +268,7 @@ class Gas:
     temperature: float = REFERENCE_TEMPERATURE
     ambient: float = AMBIENT_PRESSURE
     heat: HeatTransfer | None = None
-    rubber: Rubber | None = None
+    rubber: Any = None
 
     def __post_init__(self) -> None:
         if self.heat is not None and not hasattr(self.heat, "coefficient"):
@@ -322,7 +327,7 @@ class Gas:
         total, slope, area = (
             ca.substitute(e, kappa, ca.SX(contraction)) for e in (filled + dead, slope, area)
         )
-        return Chamber(total, slope, exponent, temperature, ambient, area)
+        return Chamber(total, slope, ca.SX(exponent), temperature, ambient, area)
 
 
 def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None) -> Any:

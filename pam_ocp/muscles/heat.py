@@ -5,21 +5,14 @@ temperature.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 
 from ..core.errors import require_finite, require_positive
-from .gas import HEATS, REFERENCE_TEMPERATURE, RUBBERS, Declare
+from .gas import HEATS, REFERENCE_TEMPERATURE, RUBBERS, Declare, HeatTransfer
 
 __all__ = ["ConstantHeatTransfer", "HeatTransfer", "PressureHeatTransfer", "Rubber"]
-
-
-class HeatTransfer(Protocol):
-    """How well heat passes between the air in a muscle and the inside of its wall."""
-
-    def coefficient(self, absolute: ca.SX, temperature: ca.SX, declare: Declare) -> ca.SX:
-        """h [W/(m2.K)] at the air's absolute pressure [Pa] and temperature [K]."""
 
 
 def _declared(value: float, declare: Declare, words: str) -> Any:

@@ -12,8 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import casadi as ca
 import numpy as np
 
+from .problem.problem import Problem
 from .result import Solved
 from .run import Run
 from .sharpen import gains, sharpened
@@ -57,6 +59,21 @@ def ladder(mesh: Mesh) -> list[Mesh]:
         found.insert(0, coarse)
         mesh, coarse = coarse, coarsened(coarse)
     return found
+
+
+def _nothing(problem: Problem) -> bool:
+    """Whether no motion has an objective below 0: it counts positive work, say, and no more."""
+    goal = problem.objective
+    if any(goal.peaks) or not goal.final.is_zero():  # all other weights are >= 0
+        return False
+    counted = ca.vertcat(*(a.symbol for a in problem.auxiliaries if a.low >= 0))
+    parts = ca.Function("parts", [counted], [goal.integrand], {"allow_free": True})
+    if not counted.numel() or parts.has_free():
+        return False
+    slopes = ca.jacobian(goal.integrand, counted)
+    alone = ca.substitute(goal.integrand, counted, ca.DM.zeros(counted.shape))
+    every = ca.vertcat(ca.vec(slopes), alone)
+    return every.is_constant() and bool(np.all(np.asarray(ca.DM(every)) >= 0))
 
 
 def _legs(mesh: Mesh) -> int:
@@ -121,11 +138,13 @@ class Climb:
     def settled(self, found: Solved, tolerance: float) -> Solved:
         """The solution on finer and finer meshes, until they can gain no more than this."""
         self.rungs = [found]
-        before = float("nan")
+        before, bounded = float("nan"), _nothing(found.program.problem)
         while not self.gap <= tolerance and not found.outcome.stopped:
             gained = gains(found)
             left = float("nan") if gained is None else self._part(float(gained.sum()), found)
             self._estimate(left, before)
+            if bounded:  # no more can be gained than there is
+                self.gap = float(np.fmin(self.gap, self._part(found.outcome.objective, found)))
             if self.gap <= tolerance:
                 break
             mesh = sharpened(found.program.mesh, gained)

@@ -12,9 +12,17 @@ from typing import Any
 import casadi as ca
 
 from ..core.system import Declares
-from ..muscles.gas import iso6358
+from ..muscles.dead_zone import smooth_step
+from ..muscles.gas import LAMINAR_RATIO, iso6358
 
 __all__ = ["Air", "Place", "Stream", "between", "boundless", "holding", "through"]
+
+ROUNDING = 1e-5
+"""Flows in tubes [kg/s] below this carry air of both temperatures: some 1 % of a usual flow."""
+
+COLDEST = 20.0
+"""No stream is colder [K]: trial steps of integrators go below zero, where its density has no root.
+"""
 
 
 @dataclass(frozen=True)
@@ -60,17 +68,16 @@ def holding(plant: Declares, air: Air) -> tuple[Place, Stream]:
     return Place(air, receive), Stream(mass, carried)
 
 
-def between(one: Place, two: Place, mass: Any, forward: Any = None) -> Stream:
+def between(one: Place, two: Place, mass: Any) -> Stream:
     """A flow from one place to another [kg/s], taken from the one and given to the other.
 
-    It has the temperature of where it comes from; forward : whether that is ``one``, by default
-    the flow's own sign.
+    It has the temperature of where it comes from; below ``ROUNDING`` the two are mixed.
     """
-    temperature = one.air.temperature
-    if not ca.is_equal(ca.SX(temperature), ca.SX(two.air.temperature)):
-        forward = mass >= 0 if forward is None else forward
-        temperature = ca.if_else(forward, temperature, two.air.temperature)
-    stream = Stream(ca.SX(mass), ca.SX(mass * temperature))
+    return _passed(one, two, ca.SX(mass), _upwind(one, two, mass / ROUNDING))
+
+
+def _passed(one: Place, two: Place, mass: ca.SX, temperature: ca.SX) -> Stream:
+    stream = Stream(mass, ca.SX(mass * temperature))
     one.receive(Stream(-stream.mass, -stream.carried))
     two.receive(stream)
     return stream
@@ -79,10 +86,23 @@ def between(one: Place, two: Place, mass: Any, forward: Any = None) -> Stream:
 def through(
     one: Place, two: Place, conductance: Any, critical_ratio: Any, opening: Any = 1.0
 ) -> Stream:
-    """The flow through an orifice by ISO 6358; its density is that of the air upstream."""
-    high, low = one.air, two.air
-    temperature, forward = high.temperature, high.absolute >= low.absolute
-    if not ca.is_equal(ca.SX(temperature), ca.SX(low.temperature)):
-        temperature = ca.if_else(forward, temperature, low.temperature)
-    mass = opening * iso6358(high.absolute, low.absolute, conductance, critical_ratio, temperature)
-    return between(one, two, mass, forward)
+    """The flow through an orifice by ISO 6358, of the temperature upstream.
+
+    Within the laminar part of the flow (pressures nearly equal) the two temperatures are mixed.
+    """
+    high, low = one.air.absolute, two.air.absolute
+    laminar = (high - low) / ((1 - LAMINAR_RATIO) * ca.fmax(high, low))
+    temperature = _upwind(one, two, laminar)
+    mass = opening * iso6358(high, low, conductance, critical_ratio, temperature)
+    return _passed(one, two, ca.SX(mass), temperature)
+
+
+def _upwind(one: Place, two: Place, flow: Any) -> ca.SX:
+    """The temperature of ``one`` from flow 1 on, of ``two`` below -1, smooth between: a kink would
+    stop solvers.
+    """
+    here, there = ca.SX(one.air.temperature), ca.SX(two.air.temperature)
+    if ca.is_equal(here, there):
+        return here
+    mixed = there + smooth_step((flow + 1) / 2) * (here - there)
+    return ca.SX(ca.fmax(mixed, COLDEST))

@@ -1,4 +1,4 @@
-"""The air in a muscle as states of a plant: pressure alone, or with its temperature and the wall's."""
+"""The air in a muscle as states of a plant: pressure alone, or with temperatures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,14 @@ class Warmth:
 
 def _temperature_state(plant: Declares, name: str, start: float, words: str) -> ca.SX:
     return plant.state(
-        name, unit="K", min=COLDEST, max=HOTTEST, start=start, nominal=30.0, description=words
+        name,
+        unit="K",
+        min=COLDEST,
+        max=HOTTEST,
+        start=start,
+        nominal=30.0,
+        memory="settling",
+        description=words,
     )
 
 

@@ -17,7 +17,7 @@ from ..muscles.gas import (
     air_mass,
     energy_balance,
 )
-from .airflow import Air, Place, holding
+from .airflow import Air, Place, boundless, holding
 from .components import component
 from .kinds import SUPPLIES
 from .sources import PressureRegulator, Source
@@ -46,8 +46,8 @@ class Receiver:
     """A receiver of finite volume: what one muscle draws from it is missing to the others.
 
     volume : [m3], with the manifold. pressure : gauge pressure at the start [Pa].
-    source : what fills it, ``PressureRegulator(...)`` (default) or ``Compressor(...)``; None: nothing
-        does, and it is emptied.
+    source : what fills it, ``PressureRegulator(...)`` (default) or ``Compressor(...)``; None:
+        nothing does, and it is emptied.
     wall_conductance : heat from its wall to its air [W/K]: its temperature becomes the state
         ``<name>.air_temperature``, 0 is adiabatic; None holds it isothermal.
     temperature : of the surroundings and the wall [K]. ambient : [Pa absolute].
@@ -87,12 +87,15 @@ class Receiver:
                 f"{self.name}.{key}", value, description=f"{words} of {self.name}", **attributes
             )
 
+        highest = 0.0 if self.source is None else self.source.highest
         pressure = plant.state(
             f"{self.name}.air_pressure",
             unit="Pa",
             min=0.0,
+            max=1.2 * max(self.pressure, highest, 1e5),
             start=self.pressure,
             nominal=1e5,
+            memory="" if self.source is None else "settling",
             description=f"gauge pressure in {self.name}",
         )
         volume = declare("volume", self.volume, unit="m3", min=1e-9, nominal=1e-3)
@@ -107,12 +110,14 @@ class Receiver:
                 max=1000.0,
                 start=self.temperature,
                 nominal=30.0,
+                memory="settling",
                 description=f"temperature of the air in {self.name}",
             )
         place, net = holding(plant, Air(pressure + p0, warm))
         inflow = ca.SX(0)
         if self.source is not None:
-            inflow = self.source.fill(plant, declare, place, p0).mass
+            around = boundless(Air(p0, outside))
+            inflow = self.source.fill(plant, declare, place, around).mass
         if self.wall_conductance is None:
             plant.der(pressure, GAS_CONSTANT * warm * net.mass / volume)
         else:

@@ -84,6 +84,7 @@ class SecondOrderSpool:
             f"{name}.valve.rate",
             unit="1/s",
             nominal=10.0,
+            memory="settling",
             description=f"rate of the spool of {name}",
         )
         frequency = plant.parameter(
@@ -117,6 +118,7 @@ def _position_state(plant: Declares, name: str) -> ca.SX:
         min=-FARTHEST,
         max=FARTHEST,
         nominal=0.1,
+        memory="settling",
         description=f"position of the spool of {name}: -1 exhaust, 0 closed, 1 supply",
     )
 

@@ -19,6 +19,11 @@ __all__ = ["Around", "LumpedTube", "Tube", "TubeComponent"]
 
 VISCOSITY = 1.82e-5
 """Of air at 20 degrees Celsius [Pa.s]."""
+MEETING = (64 / 0.3164) ** (4 / 3)
+"""Reynolds number where the laminar and Blasius' friction are equal: 1187."""
+
+LEAST_PRESSURE = 1e3
+"""Of the air whose density is asked for [Pa absolute]: trial steps of integrators go below zero."""
 
 
 @dataclass(frozen=True)
@@ -94,19 +99,19 @@ class LumpedTube:
     """A tube of n segments with volume, friction and inertia: sound runs through it in time.
 
     Per segment of length dx = length/n, bore A: dp/dt = n_p R T (m_in - m_out)/(A dx), and for the
-    flow m out of it towards the muscle dm/dt = (A/dx)(p - p_next - friction). Friction is the larger
-    of the laminar 128 mu dx m/(pi d^4 rho) and the turbulent after Blasius, 0.3164 Re^(-1/4)
-    (dx/d) m^2/(2 rho A^2); the two meet at Re = 1187.
+    flow m out of it towards the muscle dm/dt = (A/dx)(p - p_next - friction). Friction goes from
+    the laminar 128 mu dx m/(pi d^4 rho) at small Reynolds numbers to the turbulent after Blasius,
+    0.3164 Re^(-1/4) (dx/d) m^2/(2 rho A^2): laminar times [1 + (Re/1187)^4]^(3/16).
 
     length, diameter : [m], inside. segments : n >= 1, each with two states.
     exponent : polytropic n_p of the air in it; 1.4 gives the speed of sound sqrt(n_p R T), 1 that
         of slow changes in a narrow tube.
 
-    The one-dimensional balance of mass and momentum, lumped; so in Krichel and Sawodny (2014) and in
-    the literature on lines before. Left out: the air's kinetic energy (Mach numbers to some 0.3),
-    frequency-dependent friction, a temperature of its own (what leaves it is as warm as the
-    surroundings), a soft wall. The number of segments limits what it shows: n segments carry waves
-    to about n/4 per passage time length/343 m/s.
+    The one-dimensional balance of mass and momentum of the textbooks, lumped (Krichel and Sawodny
+    (2014) treat long pneumatic lines; not read, so no form of theirs is claimed). Left out: the
+    air's kinetic energy (Mach numbers to some 0.3), frequency-dependent friction, a temperature of
+    its own (what leaves it is as warm as the surroundings), a soft wall. The number of segments
+    limits what it shows: n segments carry waves to about n/4 per passage time length/343 m/s.
     """
 
     length: float = 1.0
@@ -143,11 +148,13 @@ class LumpedTube:
                 f"{around.name}.tube_flow{i}",
                 unit="kg/s",
                 nominal=1e-3,
+                memory="settling",
                 description=f"air out of segment {i} of the tube of {around.name}",
             )
             place, net = holding(plant, Air(node + around.ambient, around.temperature))
             between(place, after, flow)
-            density = (place.air.absolute + after.air.absolute) / (2 * warm)
+            mean = (place.air.absolute + after.air.absolute) / 2
+            density = ca.fmax(mean, LEAST_PRESSURE) / warm
             drop = (
                 place.air.absolute - after.air.absolute - _friction(flow, density, diameter, step)
             )
@@ -160,8 +167,8 @@ class LumpedTube:
 def _friction(flow: ca.SX, density: ca.SX, diameter: Any, length: Any) -> ca.SX:
     """Loss of pressure [Pa] along a piece of tube, with the flow's sign."""
     bore = math.pi / 4 * diameter**2
-    reynolds = ca.fabs(flow) * diameter / (bore * VISCOSITY)
+    reynolds = flow * diameter / (bore * VISCOSITY)
     laminar = 32 * VISCOSITY * length / (diameter**2 * bore * density)
-    # f = 64/Re or 0.3164 Re^(-1/4), as a factor on the laminar loss: without a root at rest
-    turbulent = ca.fmax(reynolds * 0.3164 ** (4 / 3) / 64 ** (4 / 3), 1.0) ** 0.75
+    # f = 64/Re blended with 0.3164 Re^(-1/4), as a factor on the laminar loss: smooth at rest
+    turbulent = (1 + (reynolds / MEETING) ** 4) ** (3 / 16)
     return ca.SX(flow * laminar * turbulent)

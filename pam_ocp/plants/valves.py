@@ -219,6 +219,7 @@ class GasFeed(ABC):
             max=top,
             start=top / 2,
             nominal=1e5,
+            memory="settling" if tube else "",
             description=f"gauge pressure in {tube}{name}",
         )
 
@@ -306,8 +307,8 @@ class SpoolValve(GasFeed):
         critically lapped valve (0) is rounded over 1e-4.
     exhaust_overlap : on the exhaust's side; by default the same.
     offset : where the spool stands at command 0, part of the travel (a zero out of true).
-    spool : ``FirstOrderSpool(...)`` or ``SecondOrderSpool(...)``: its own motion, 2 to 20 ms, as the
-        state ``<name>.valve.spool``; None leaves it out.
+    spool : ``FirstOrderSpool(...)`` or ``SecondOrderSpool(...)``: its own motion, 2 to 20 ms, as
+        the state ``<name>.valve.spool``; None leaves it out.
 
     Controllers choose ``<name>.opening`` instead of the command, how far the way from the supply
     (> 0) or to ambient (< 0) is open, and send the command that gives exactly that; see

@@ -17,6 +17,9 @@ STOPS = '[[stops]]\nx = "-10 mm"\n[[stops]]\nx = "10 mm"\n'
 COMMANDS = {
     "plan": [TABLE + STOPS],
     "export": [TABLE],
+    "simulate": [TABLE],
+    "linearize": [TABLE],
+    "fit-holds": [TABLE],
     "mpc": [TABLE, NAMED],
     "fit-plant": ['free = ["mass"]\n' + TABLE, 'free = ["mass"]\n' + NAMED],
 }
@@ -35,7 +38,11 @@ def test_code_named_in_a_file_runs_with_consent_only(command, content, tmp_path,
     (tmp_path / "mine.py").write_text(CODE)
     file = tmp_path / "file.toml"
     file.write_text(content)
-    words = [command, "--plant", str(file)] if command == "fit-plant" else [command, str(file)]
+    words = [command, str(file)]
+    if command.startswith("fit-"):
+        words = [command, "--plant", str(file)]
+    if command == "fit-holds":
+        words += ["holds.csv", "--estimate", "mass"]
     assert main(words) == 2
     said = capsys.readouterr().err
     assert "would run the Python file" in said

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -128,12 +125,3 @@ def test_what_it_cannot_track_is_refused():
         HysteresisCompensation(plant, stiffness=1e4)
     with pytest.raises(InputError, match="relative degree"):
         HysteresisCompensation(pam.SeriesLoad(MUSCLE))
-
-
-@pytest.mark.slow
-def test_the_page_shows_a_loop_that_is_compensated(capsys):
-    page = (Path(__file__).parents[2] / "docs" / "control.md").read_text("utf-8")
-    block = re.findall(r"```python\n(.*?)```", page, re.S)[-1]
-    exec(compile(block, "control.md", "exec"), {"pam": pam})
-    without, compensated = (float(line.split()[1]) for line in capsys.readouterr().out.splitlines())
-    assert compensated < without / 4

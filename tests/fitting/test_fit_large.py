@@ -11,7 +11,7 @@ import pam_ocp as pam
 from pam_ocp.fitting import ForceTable, compare_laws, fit_force
 from pam_ocp.fitting.static import local_optimum
 from pam_ocp.fitting.static.branches import repeats
-from pam_ocp.fitting.static.correlation import RHO, Order, _meats
+from pam_ocp.fitting.static.correlation import RHO, Order, _meats, surprise
 
 LAW = pam.muscle("DMSP-20-300").law
 
@@ -92,6 +92,21 @@ def test_the_bootstrap_counts_errors_that_follow_each_other(method):
     ratios = [found.stderr[n] / fit.coefficients[n].stderr for n in fit.free]
     assert 0.75 < np.median(ratios) < 1.3
     assert np.median(np.array([*found.stderr.values()]) / plain) > 1.25
+
+
+def test_the_likelihood_of_errors_that_follow_each_other_is_that_of_a_normal_vector():
+    random = np.random.default_rng(7)
+    r = lfilter([1.0], [1.0, -0.6], random.normal(size=40))
+    follows = np.arange(40) % 20 > 0
+    steps = np.abs(np.subtract.outer(np.arange(40), np.arange(40)))
+    same = np.equal.outer(np.arange(40) // 20, np.arange(40) // 20)
+    wanted = []
+    for rho in RHO:
+        dense = np.where(same, rho**steps, 0.0)
+        variance = r @ np.linalg.solve(dense, r) / 40
+        wanted.append(40 * np.log(variance) + np.linalg.slogdet(dense)[1])
+    found = surprise(r, [Order("so", np.arange(40), follows)], 2.0)
+    assert found == pytest.approx(min(wanted) + 2.0)
 
 
 def test_criteria_do_not_take_a_ramp_for_many_pieces_of_evidence():

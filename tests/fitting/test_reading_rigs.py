@@ -296,6 +296,25 @@ def test_headers_in_words_name_the_variables_of_a_plant(slide):
     np.testing.assert_allclose(record["muscle1.pressure"], [1e5, 2e5, 3e5])
 
 
+@pytest.mark.parametrize(
+    ("heads", "words"),
+    [(("Richtung", "Zyklus"), ("auf", "ab")), (("sens", "essai"), ("gonflage", "dégonflage"))],
+)
+def test_branches_and_repeats_are_read_in_other_languages(heads, words):
+    columns = {"kappa": [0.0, 0.0], "p_bar": [1.0, 2.0], "F_N": [9.0, 8.0]}
+    table = pam.read_table({**columns, heads[0]: list(words), heads[1]: [1, 2]})
+    assert table.branch == ("inflation", "deflation")
+    assert table.run == ("1", "2")
+
+
+def test_a_displacement_is_asked_for_the_rest_length():
+    columns = {"displacement [mm]": [0.0, 15.0], "p_bar": [1.0, 2.0], "F_N": [9.0, 8.0]}
+    with pytest.raises(InputError, match=r"units=\{'length': '300 mm - x'\}"):
+        pam.read_table(columns, rest_length=REST)
+    said = {"columns": {"length": "displacement [mm]"}, "units": {"length": "300 mm - x"}}
+    assert pam.read_table(columns, rest_length=REST, **said).contraction == pytest.approx([0, 0.05])
+
+
 def test_a_number_behind_a_name_is_no_unit():
     record = pam.read_record({"t": [0.0, 1.0], "Druck 1": [1.0, 2.0], "Druck 2": [3.0, 4.0]})
     assert record.names == ("druck_1", "druck_2")

@@ -1,4 +1,4 @@
-"""What the pages of docs/ show runs as it stands there, block after block in a folder of its own."""
+"""What the pages of docs/ show runs as it stands there, block after block."""
 
 import re
 from pathlib import Path

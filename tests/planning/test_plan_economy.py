@@ -196,3 +196,15 @@ def test_the_least_air_is_what_the_supply_gives_along_the_motion():
     y = np.asarray(plant.function(x.T, u.T, plant.vector("parameter"))[1], float)
     flow = y[[v.name for v in plant.outputs].index("muscle.supply_flow")]
     assert 1e3 * trapezoid(flow, t) == pytest.approx(plan.objective, rel=1e-3)
+
+
+def test_a_motion_that_costs_nothing_has_settled_whatever_its_gradients_say(monkeypatch):
+    # the weight pulls the muscle out: no work is taken from it, and no less can be
+    large = lambda found: np.ones(len(found.program.mesh.intervals))  # noqa: E731
+    monkeypatch.setattr(climb, "gains", large)
+    plant = pam.HangingLoad(MUSCLE, 10.0)
+    plan = pam.plan(plant, [{"x": 0.03}, {"x": 0.01}], duration=1.0, minimise="work")
+    assert plan.verified
+    assert abs(plan.objective) < 1e-6
+    assert abs(plan.statistics["objective_gap"]) < 1e-3
+    assert plan.statistics["intervals"] == 50

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from .transcribe import FitMethod
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from .coverage import Coverage
 
 __all__ = ["PlantFit"]
 
@@ -187,6 +189,11 @@ class PlantFit:
     def warnings(self) -> tuple[str, ...]:
         """What to know before the parameters are trusted; empty when there is nothing."""
         found = []
+        if self.status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
+            found.append(
+                f"the search did not come to its end ({self.status} after {self.iterations} "
+                "iterations): these are the best values until then"
+            )
         for lost, _, words in self.linearisation.hardly_seen():
             if lost or any(n in words for n in self.parameters):
                 found.append(
@@ -226,6 +233,12 @@ class PlantFit:
     def to_pandas(self) -> pd.DataFrame:
         """The parameters as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
         return coefficient_frame(self.coefficients, self.intervals())
+
+    def coverage(self, other: Any, **options: Any) -> Coverage:
+        """Where the records of this fit have been, against a record or a signal that is to be
+        predicted: see :func:`pam_ocp.fitting.coverage`.
+        """
+        return courtesy.coverage(self, other, **options)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""

@@ -197,11 +197,11 @@ def choose(
         winner, ranked = _pick(prices, outer, rule, level)
         per_fold, nested = [], np.full((len(fold), len(names)), np.nan)
         for k in range(count):
-            inner = {
-                n: _gathered(found, n, fold, [(i, k) for i in range(count) if i != k])
-                for n in given
-            }
-            taken, _ = _pick(prices, {n: x[fold != k] for n, x in inner.items()}, rule, level)
+            taken = winner
+            if len(given) > 1:
+                others = [(i, k) for i in range(count) if i != k]
+                inner = {n: _gathered(found, n, fold, others)[fold != k] for n in given}
+                taken, _ = _pick(prices, inner, rule, level)
             per_fold.append(taken)
             nested[fold == k] = outer[taken][fold == k]
         model = given[winner].fit(chosen_records) if refit else None
@@ -331,7 +331,9 @@ def _fits(
 ) -> dict[str, dict[tuple[int, ...], _Fitted]]:
     """Every structure without every fold, and without every pair of folds (sorted)."""
     count = int(fold.max()) + 1
-    left_out = [*((k,) for k in range(count)), *itertools.combinations(range(count), 2)]
+    left_out: list[tuple[int, ...]] = [(k,) for k in range(count)]
+    if len(structures) > 1:  # of one alone there is nothing to choose
+        left_out += itertools.combinations(range(count), 2)
     # long fits first: the last worker is not left alone with one
     tasks = [(n, out) for n in structures for out in left_out]
     tasks.sort(key=lambda task: -structures[task[0]].complexity)

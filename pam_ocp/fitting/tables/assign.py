@@ -9,7 +9,7 @@ from typing import Any
 from ...core.calibration import AMBIENT, COUNTS, Scale, scale_of
 from ...core.errors import InputError, UnknownNameError
 from ...core.units import unit
-from .headers import is_unit, parse_header
+from .headers import is_unit, parse_header, words_of
 from .labels import LABELS
 from .raw import RawTable
 from .table_checks import QUANTITIES
@@ -114,10 +114,17 @@ def require_columns(raw: RawTable, found: Mapping[str, Any]) -> None:
     near = _near_headers(quantity, [h for h in raw.columns if h not in taken], raw)
     hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
     shown = repr(near[0]) if near else "..."
+    moved = bool(near) and parse_header(near[0])[0] in _DISPLACEMENTS
+    less = ", units={'length': '300 mm - x'} (the rest length less what it moved)" if moved else ""
     raise InputError(
         f"{raw.label} has no column for the {words} among {', '.join(map(repr, raw.columns))}: "
-        f"{hint}Name it {example!r} or give columns={{{quantity!r}: {shown}}}"
+        f"{hint}Name it {example!r} or give columns={{{quantity!r}: {shown}}}{less}"
     )
+
+
+_DISPLACEMENTS = words_of(
+    "displacement, stroke, travel, shortening, hub, weg, verschiebung, course, carrera, corsa"
+)
 
 
 def _near_headers(quantity: str, headers: Iterable[str], raw: RawTable) -> list[str]:
