@@ -153,6 +153,7 @@ def test_an_executor_finds_the_same(record: pam.Trajectory, ladder: Ladder) -> N
     np.testing.assert_allclose(again["static"].losses, ladder["static"].losses, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_more_than_the_record_asks_for_is_not_chosen(record: pam.Trajectory) -> None:
     found = climbed(record, rungs=("dead time", "friction"))
     assert found.chosen.name == "dead time"
