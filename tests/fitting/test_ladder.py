@@ -54,7 +54,7 @@ def climbed(record: pam.Trajectory, **options: Any) -> Ladder:
 
 @pytest.fixture(scope="module")
 def ladder(record: pam.Trajectory) -> Ladder:
-    return climbed(record, steps=6)
+    return climbed(record)
 
 
 # ---- free runs -----------------------------------------------------------------------------------
@@ -153,6 +153,7 @@ def test_an_executor_finds_the_same(record: pam.Trajectory, ladder: Ladder) -> N
     np.testing.assert_allclose(again["static"].losses, ladder["static"].losses, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_more_than_the_record_asks_for_is_not_chosen(record: pam.Trajectory) -> None:
     found = climbed(record, rungs=("dead time", "friction"))
     assert found.chosen.name == "dead time"

@@ -28,7 +28,7 @@ from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, student_t
 from .experiment import ParameterGroup, groups, measured_names
 from .rungs import LADDER, Builder, Rung, rungs_of, starting
-from .whole_runs import WholeRuns, scaled
+from .whole_runs import WholeRuns, scaled, usual_steps
 
 __all__ = ["Ladder", "RungFit", "fit_ladder"]
 
@@ -44,6 +44,10 @@ MARGIN = 0.01
 """Models whose errors differ by less than this part count as equally good, however sure it is."""
 FIRST_RATE = 1e6
 """Of pressures [Pa/s], where no rung before tells it."""
+ACCURATE = 0.02
+"""Error of the integration that values are content with, in parts of the residuals."""
+MOST_STEPS = 32
+"""In a sampling interval, however small the residuals are."""
 REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 
@@ -194,7 +198,8 @@ def fit_ladder(
     outputs : what is compared; by default all states and outputs that the records hold.
     folds : of parts of the records (at least 3), each predicted once by a fit to the others. Whole
         records are the parts where there are as many, else each is cut.
-    steps : of the integration in each sampling interval; by default of 1.25 ms.
+    steps : of the integration in each sampling interval; by default of 1.25 ms. Values are found
+        with as many more as the residuals ask for.
     bounds : {free parameter: (low, high)}.
     level : of intervals and of the significance of differences.
     executor : any ``concurrent.futures.Executor`` for the fits without folds; take processes.
@@ -217,7 +222,8 @@ def fit_ladder(
     student_t(level, 1)  # refuses what is no level
     parts = _parts(chosen, require_count("folds", folds, 3))
     fold = _folds(chosen, parts, folds)
-    task = _Task(chosen, names, parts, fold, steps, dict(bounds or {}))
+    number = usual_steps(chosen) if steps is None else require_count("steps", steps)
+    task = _Task(chosen, names, parts, fold, number, dict(bounds or {}))
     with limited(time_limit):
         found = _climbed_all(ladder, task, executor, progress)
         with spared(REPORTING):
@@ -303,7 +309,7 @@ class _Task:
     outputs: Sequence[str]
     parts: Sequence[Part]
     fold: NDArray[np.intp]
-    steps: int | None
+    steps: int
     bounds: Mapping[str, tuple[float, float]]
 
     def runs(self, plant: Plant, unknowns: Sequence[ParameterGroup], static: bool) -> WholeRuns:
@@ -341,12 +347,10 @@ def _climbed(
         plants = starting(rung, before, rate)
         bounds = {n: b for n, b in task.bounds.items() if n in _labels(plants[0], rung)}
         plant = _best_start(task, plants, rung, bounds)
-        weigh = np.ones(len(task.outputs))
-        for last in (False, True):  # the second time each variable in units of its residuals
-            plant, sizes, coefficients = _fitted(
-                task, plant, rung, bounds, None, EVALUATIONS, weigh, last
-            )
-            weigh = weigh if last else 1 / np.maximum(sizes, 1e-6)
+        even = np.ones(len(task.outputs))
+        plant, sizes, _ = _fitted(task, plant, rung, bounds, None, EVALUATIONS, even)
+        weigh = 1 / np.maximum(sizes, 1e-6)  # each variable in units of its residuals
+        plant, coefficients, task = _accurate(task, plant, rung, bounds, weigh)
         seconds = time.process_time() - clock
         losses = _left_out(task, plant, rung, bounds, weigh, executor)
     except FitError as error:
@@ -371,6 +375,33 @@ def _climbed(
     freed = {m for g in groups(plant, rung.free, {}) for m in g.members}
     kept = {plant.parameters[m].name for m in freed}
     return fit, {**before, **{n: values[n] for n in kept}}, fastest
+
+
+def _accurate(
+    task: _Task,
+    plant: Plant,
+    rung: Rung,
+    bounds: Mapping[str, tuple[float, float]],
+    weigh: Array,
+) -> tuple[Plant, dict[str, Coefficient], _Task]:
+    """The fit with steps so short that halving them changes little, measured by the residuals;
+    and the task with these steps.
+    """
+    while True:
+        plant, sizes, found = _fitted(task, plant, rung, bounds, None, EVALUATIONS, weigh, True)
+        finer = replace(task, steps=2 * task.steps)
+        if rung.static or finer.steps > MOST_STEPS:
+            return plant, found, task
+        gaps = [b - a for a, b in zip(_errors(task, plant), _errors(finer, plant), strict=True)]
+        gap = np.sqrt(np.mean(np.concatenate(gaps) ** 2, axis=0))
+        if np.all(gap <= ACCURATE * np.maximum(sizes, 1e-6)):
+            return plant, found, task
+        task = finer
+
+
+@verb
+def _errors(task: _Task, plant: Plant) -> list[Array]:
+    return task.runs(plant, (), False).errors(np.empty(0))
 
 
 @verb

@@ -25,7 +25,7 @@ from ...plants.undelayed import without_dead_times
 from ..statistics import Array
 from .experiment import ParameterGroup
 
-__all__ = ["WholeRuns", "scaled"]
+__all__ = ["WholeRuns", "scaled", "usual_steps"]
 
 SETTLING = np.concatenate([2e-3 * 2.0 ** np.arange(12), np.full(8, 0.5)])
 """Steps [s] in which a plant comes to rest before a record begins: 12 s in all."""
@@ -76,6 +76,7 @@ class WholeRuns:
         lines, plant = plant.delay_lines, plant if self._time is None else without_dead_times(plant)
         driven = {} if self._time is None else {line.outlet: line.source for line in lines}
         self.outputs, self._nx, self._nz = tuple(outputs), len(plant.states), len(unknowns)
+        steps = steps or usual_steps(records)
         self._courses = [_course(plant, r, outputs, steps, static, driven) for r in records]
         self.measured = [c.measured for c in self._courses]
         self.spread = _spread(plant, outputs, self.measured) if spread is None else spread
@@ -212,7 +213,7 @@ def _course(
     plant: Plant,
     record: Trajectory,
     outputs: Sequence[str],
-    steps: int | None,
+    steps: int,
     static: bool,
     driven: Mapping[str, str],
 ) -> _Course:
@@ -239,7 +240,6 @@ def _course(
         sample = len(SETTLING) - 1 + NEWTON * np.arange(1, at.shape[1] + 1)
         return _Course(h, begin, end, sample, len(SETTLING), record.array(outputs), {})
     span = np.diff(record.t)
-    steps = steps or max(1, int(np.ceil(np.median(span) / STEP - 1e-6)))
     part = np.arange(steps + 1) / steps
     slope = np.zeros((at.shape[0], len(span))) if held else np.diff(at, axis=1)
     edges = at[:, :-1, None] + slope[:, :, None] * part
@@ -367,6 +367,12 @@ def _parameters(plant: Plant, unknowns: Sequence[ParameterGroup], z: ca.SX) -> c
         for member in group.members:
             p[member] = z[j] * group.scale
     return p
+
+
+def usual_steps(records: Sequence[Trajectory]) -> int:
+    """Steps in each sampling interval where none are given."""
+    usual = min(float(np.median(np.diff(r.t))) for r in records)
+    return max(1, int(np.ceil(usual / STEP - 1e-6)))
 
 
 def scaled(unknowns: Sequence[ParameterGroup]) -> tuple[Array, Array, Array]:
