@@ -88,7 +88,7 @@ def rooms(graph: Mapping[str, set[str]]) -> Graph:
     def room(name: str) -> str:
         return name.split(".")[1] if "." in name else ""
 
-    outside = {"", "courtesy", "data"}
+    outside = {"", "__main__", "courtesy", "data"}
     found: Graph = {room(name): set() for name in graph if room(name) not in outside}
     for name, others in graph.items():
         if room(name) in found:

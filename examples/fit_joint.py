@@ -36,7 +36,7 @@ import casadi as ca
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.fitting.dynamic.free_run_fit import FreeRun, FreeRunFit, fit_free_run, free_run
+from pam_ocp.fitting import FreeRun, FreeRunFit, fit_free_run, free_run
 from pam_ocp.muscles.law import clamp
 
 if TYPE_CHECKING:

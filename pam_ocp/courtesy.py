@@ -19,11 +19,15 @@ from .core.lazy import lazily
 if TYPE_CHECKING:
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
+    from .figures.html import html_of as html_of
     from .figures.loop import plot_closed_loop as plot_closed_loop
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
+    from .figures.trajectory import plot_fit as plot_fit
+    from .figures.trajectory import plot_muscle as plot_muscle
     from .figures.trajectory import plot_record as plot_record
+    from .figures.trajectory import plot_records as plot_records
     from .figures.trajectory import plot_trajectory as plot_trajectory
     from .figures.vibration import plot_backbone as plot_backbone
     from .figures.vibration import plot_border as plot_border
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
     from .figures.vibration import plot_multipliers as plot_multipliers
     from .figures.vibration import plot_phase as plot_phase
     from .figures.vibration import plot_stability as plot_stability
+    from .fitting.dynamic.coverage import coverage as coverage
     from .fitting.dynamic.outcome import validate as validate
     from .fitting.dynamic.plant_report import plant_report as plant_report
     from .fitting.dynamic.saved_plant import write_plant_fit as write_plant_fit
@@ -46,8 +51,10 @@ if TYPE_CHECKING:
 
 _HOMES: dict[str, str] = {
     "closed_loop": "control.loop",
+    "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
     "force_report": "fitting.static.report",
+    "html_of": "figures.html",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",
     "plot_backbone": "figures.vibration",
@@ -56,11 +63,14 @@ _HOMES: dict[str, str] = {
     "plot_closed_loop": "figures.loop",
     "plot_energy": "figures.vibration",
     "plot_envelope": "figures.vibration",
+    "plot_fit": "figures.trajectory",
     "plot_multipliers": "figures.vibration",
+    "plot_muscle": "figures.trajectory",
     "plot_pareto": "figures.plan",
     "plot_phase": "figures.vibration",
     "plot_plan": "figures.plan",
     "plot_record": "figures.trajectory",
+    "plot_records": "figures.trajectory",
     "plot_robust": "figures.plan",
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import locale
+import os
+import random
 import signal
 from collections.abc import Callable
 from itertools import pairwise
@@ -101,8 +104,20 @@ def fmu(request, fmus):
     return fmus[request.param]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--shuffle", type=int, metavar="SEED", help="modules and their tests in random order"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark each test with its room: ``pytest -m planning``."""
+    seed = config.getoption("--shuffle")
+    if seed is not None:  # modules stay together: what they share is made once
+        places: dict[Path, float] = {}
+        chance = random.Random(seed)
+        chance.shuffle(items)
+        items.sort(key=lambda item: places.setdefault(item.path, chance.random()))
     for item in items:
         room = item.path.parent.name
         if room in ROOMS:
@@ -111,6 +126,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """The rooms are the folders of the tests; Ctrl-C works though a shell's background bars it."""
+    if "PAM_TEST_LOCALE" in os.environ:  # as programs with windows do, which load FMUs
+        locale.setlocale(locale.LC_ALL, "")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     for room in ROOMS:

@@ -12,10 +12,12 @@ from __future__ import annotations
 import argparse
 import collections
 import contextlib
+import gzip
 import io
 import json
 import random
 import re
+import sys
 import tempfile
 import time
 import traceback
@@ -28,6 +30,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+
+sys.path.insert(0, str(Path(__file__).parent / "fitting"))
+import rig_files
 from conftest import benchmark_slide
 from scipy.io import savemat
 
@@ -36,7 +41,7 @@ from pam_ocp.cli import mpc as mpc_command
 from pam_ocp.cli.main import _parser
 from pam_ocp.core.errors import InputError, PlanWarning
 from pam_ocp.core.plausible import UnitWarning
-from pam_ocp.fitting import fit_plant, read_record
+from pam_ocp.fitting import ReadingWarning, fit_plant, look, read_record
 from pam_ocp.fitting.dynamic.saved_plant import load_plant_fit
 from pam_ocp.fitting.static.force_fit import ForceFit
 
@@ -159,6 +164,7 @@ def readers(folder: Path, planned: bool = True) -> list[Reader]:
             file = folder / f"{kind}{'_z' if ' ' in ending else ''}{ending.split()[0]}"
             write(file)
             found.append(Reader(f"{kind} {ending}", file, read))
+    found += _of_rigs(folder)
     found += _toml_readers(folder)
     found += _fits(folder)
     loop = pam.closed_loop(
@@ -173,6 +179,25 @@ def readers(folder: Path, planned: bool = True) -> list[Reader]:
         plan.save(folder / "plan.npz")
         load = lambda f: pam.load_plan(f, slide)  # noqa: E731
         found.append(Reader("load_plan", folder / "plan.npz", load, weight=0.5))
+    return found
+
+
+def _of_rigs(folder: Path) -> list[Reader]:
+    """What rigs write, in all shapes; the first reading answers what the sentence asks for."""
+    found = []
+    for case in rig_files.all_cases(folder / "rig"):
+        if not isinstance(case.source, Path) or case.source.is_dir():
+            continue
+        options = dict(case.given)
+        if case.asks and case.answer != rig_files.FROM_SENTENCE:
+            options[case.asks] = case.answer
+        elif case.asks:
+            options |= {"clock": "cut"} if case.kind == "record" else {"kind": "record"}
+        read = read_record if case.kind == "record" else pam.read_table
+        if "kind" in options:
+            read = look
+        chosen = lambda f, r=read, o=options: r(f, **o)  # noqa: E731
+        found.append(Reader(f"rig {case.name}", case.source, chosen, weight=0.25))
     return found
 
 
@@ -342,6 +367,11 @@ def _zipped(members: dict[str, bytes]) -> bytes:
     return made.getvalue()
 
 
+def _gzipped(r: random.Random, data: bytes) -> bytes:
+    """Damaged before it was packed."""
+    return gzip.compress(r.choice([_truncated, _worded, _doubled])(r, gzip.decompress(data)))
+
+
 def _arrays(r: random.Random, data: bytes) -> bytes:
     """An array of another kind, shape or value; or what stands beside them as JSON."""
     with np.load(io.BytesIO(data)) as file:
@@ -351,10 +381,10 @@ def _arrays(r: random.Random, data: bytes) -> bytes:
     if name == "meta":
         arrays[name] = np.array(_json(r, str(old).encode()).decode())
     elif old.size:
-        odd = np.array(old, dtype=float)
+        odd, row = np.array(old, dtype=float), np.atleast_1d(old)
         odd.flat[r.randrange(odd.size)] = r.choice([np.nan, np.inf, 1e308, -1.0])
         arrays[name] = r.choice(
-            [odd, old.astype(str), old.astype(complex), old[:-1], old.T, old[None], old[:0], -old,
+            [odd, old.astype(str), old.astype(complex), row[:-1], old.T, old[None], row[:0], -old,
              np.array(3.0), np.array("x"), old.astype("M8[s]"), np.array([None, {}])]
         )  # fmt: skip
     made = io.BytesIO()
@@ -371,6 +401,7 @@ SPECIAL: dict[str, list[Damage]] = {
     ".xlsx": [_archive] * 6,
     ".npz": [_archive] * 3 + [_arrays] * 6,
     ".csv": [_worded] * 4,
+    ".gz": [_gzipped] * 6,
     ".tsv": [_worded] * 4,
 }
 
@@ -408,7 +439,7 @@ def outcome(reader: Reader, damage: str, file: Path) -> Outcome:
         except Exception as error:
             kind = "raw"
             words = f"{type(error).__name__}: {error} " + traceback.format_exc()[-300:]
-    own = (PlanWarning, pam.muscles.ValidityWarning, UnitWarning)
+    own = (PlanWarning, pam.muscles.ValidityWarning, UnitWarning, ReadingWarning)
     foreign = [w for w in warned if not issubclass(w.category, own)]
     if foreign and kind in ("sentence", "read"):
         kind, words = "warning", f"{foreign[0].category.__name__} {foreign[0].message}"

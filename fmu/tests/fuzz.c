@@ -3,7 +3,10 @@
    sources of an exported FMU under the address and undefined-behaviour sanitizers; ends with 0 when
    every refused call came with a log line and every accepted one without.
 
-   fuzz CALLS SEED */
+   fuzz CALLS SEED
+
+   With GUIDED defined the choices are the bytes of libFuzzer, which looks for those that reach new
+   code: clang -fsanitize=fuzzer,address,undefined -DGUIDED. */
 #define MAX_STEPS 300 /* nonsense values may make the plant as stiff as they like */
 #include "fmu.c"
 
@@ -11,24 +14,38 @@
 
 #include "face.h"
 
-static unsigned long long random_state;
+static long calls = 0, refused = 0, silent = 0;
 
-static unsigned long long random_bits(void) {
+#ifdef GUIDED
+static const uint8_t *choices;
+static size_t left;
+
+static unsigned choose(unsigned n) {
+    unsigned found = 0;
+    for (unsigned most = n; most > 0 && left > 0; most >>= 8, left--) found = found << 8 | *choices++;
+    return found % n;
+}
+
+static bool more(void) { return left > 0; }
+#else
+static unsigned long long random_state;
+static long wanted;
+
+static unsigned choose(unsigned n) {
     random_state ^= random_state << 13;
     random_state ^= random_state >> 7;
     random_state ^= random_state << 17;
-    return random_state;
+    return (unsigned)(random_state >> 33) % n;
 }
 
-static unsigned choose(unsigned n) { return (unsigned)(random_bits() >> 33) % n; }
+static bool more(void) { return calls < wanted; }
+#endif
 
 static double random_number(void) {
     static const double ODD[] = {0.0, -1.0, 1e300, -1e300, 1e-300, NAN, INFINITY, -INFINITY};
     if (choose(6) == 0) return ODD[choose(8)];
     return ((double)choose(2000001) / 1e6 - 1.0) * (choose(2) ? 1.0 : 1e5);
 }
-
-static long calls = 0, refused = 0, silent = 0;
 
 /* Count a refused call, and whether it was refused without a word. */
 static void judge(int answer, long lines_before, unsigned what) {
@@ -174,11 +191,8 @@ static void step_call(void *c, int k) {
 #endif
 }
 
-int main(int argc, char **argv) {
-    const long wanted = argc > 1 ? atol(argv[1]) : 100000;
-    random_state = argc > 2 ? strtoull(argv[2], NULL, 10) : 1;
-    random_state = random_state * 2862933555777941757ull + 3037000493ull;
-    for (calls = 0; calls < wanted; calls++) {
+static void run(void) {
+    for (calls = 0; more(); calls++) {
         int k = (int)choose(SLOTS);
         if (instance[k] == NULL) {
             instance[k] = create_any((int)choose(2), choose(10) == 0 ? "wrong" : MODEL_TOKEN);
@@ -205,7 +219,30 @@ int main(int argc, char **argv) {
         F(fmi2FreeFMUstate, fmi3FreeFMUState)(last, &state[k]);
         F(fmi2FreeInstance, fmi3FreeInstance)(last);
         F(fmi2FreeInstance, fmi3FreeInstance)(instance[k]);
+        instance[k] = state[k] = NULL;
+        time_of[k] = 0.0;
     }
+}
+
+#ifdef GUIDED
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
+    choices = data, left = size;
+    memset(bytes, 0, sizeof bytes);
+    memset(references, 0, sizeof references);
+    memset(values, 0, sizeof values);
+    run();
+    if (silent != 0) abort();
+    return 0;
+}
+#else
+int main(int argc, char **argv) {
+    wanted = argc > 1 ? atol(argv[1]) : 100000;
+    random_state = argc > 2 ? strtoull(argv[2], NULL, 10) : 1;
+    random_state = random_state * 2862933555777941757ull + 3037000493ull;
+    run();
     printf("%ld calls, %ld refused, %ld lines, %ld silent\n", calls, refused, lines, silent);
     return silent != 0;
 }
+#endif

@@ -54,11 +54,24 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
     """(registry, where its names are given), in the order of the page."""
     from ..control.kinds import CONTROLLERS, ESTIMATORS
     from ..control.mpc.sqp import QP_SOLVERS
-    from ..muscles.gas import GASES, VOLUMES
+    from ..muscles.gas import GASES, HEATS, RUBBERS, VOLUMES
     from ..muscles.law import LAWS
     from ..planning.problem.costs import COSTS
     from ..planning.solvers.solver import SOLVERS
-    from ..plants.kinds import DAMPINGS, FEEDS, LOADS, LOSSES, PLANTS, TUBES
+    from ..plants.kinds import (
+        DAMPINGS,
+        DEAD_TIMES,
+        FEEDS,
+        LOADS,
+        LOSSES,
+        PLANTS,
+        QUICK_EXHAUSTS,
+        SENSORS,
+        SOURCES,
+        SPOOLS,
+        SUPPLIES,
+        TUBES,
+    )
 
     return (
         (PLANTS, "`arrangement` of a `[plant]`, or named on the command line"),
@@ -66,8 +79,16 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         (FEEDS, "of plants: `feed = { kind = ... }`"),
         (LOSSES, "of plants: `losses = [{ kind = ... }]`"),
         (DAMPINGS, "of plants: `damping = { kind = ... }`"),
+        (DEAD_TIMES, "of regulators: `dead_time = { ... }`, or its time alone"),
+        (SENSORS, "of a state or output of a plant: `sensors = { x = { ... } }`"),
         (TUBES, "of valves: `tube = { ... }`"),
+        (SPOOLS, "of a spool valve: `spool = { kind = ... }`"),
+        (SUPPLIES, "of valves, in place of a constant pressure: `supply = { ... }`"),
+        (SOURCES, "of a receiver: `source = { kind = ... }`"),
+        (QUICK_EXHAUSTS, "of valves with a tube: `quick_exhaust = { ... }`"),
         (GASES, "of valves: `gas = { ... }`"),
+        (HEATS, "of a gas: `heat = { kind = ... }`"),
+        (RUBBERS, "of a gas with heat: `rubber = { ... }`"),
         (VOLUMES, "of a gas: `volume = { kind = ... }`"),
         (LAWS, "`law` of a muscle file, of `fit_force` and `pam-ocp fit`"),
         (COSTS, "terms of `minimise` and `budgets`"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import InputError
 from ..core.files import read_toml, reading
 from ..core.quantities import known_keys, pair, quantity, table
-from .options import add_allow_code, require_places
+from .options import add_allow_code, pairs, require_places
 
 if TYPE_CHECKING:
     from ..core.trajectory import Trajectory
@@ -45,7 +45,8 @@ says comes first. Values are numbers in SI, or texts with a unit; plain keys com
   input_noise = { "muscle1.command" = "0.05 bar" }   # measured inputs err, too; wants noise
   bounds = { damping = [1.0, 100.0] }
   inputs = { "muscle2.command" = "3 bar" }   # constant, and no column
-  columns = { x = "pot" }                 # variable = header; also: units, time
+  columns = { x = "pot" }                 # variable = header; also: units, time, clock, sheet,
+                                          # skip, ... of pam_ocp.read_record
   interpolation = "previous"              # of the inputs: "previous" (held) or "linear";
                                           # by default as the file says, else both are tried
   split = "episode"                       # column at whose changes a file is cut into records
@@ -60,7 +61,10 @@ says comes first. Values are numbers in SI, or texts with a unit; plain keys com
 Exit code: 0, or 1 when the records do not allow the fit (the message says why), 2 for a file or an
 option that cannot be meant.
 """
-_READING = ("columns", "units", "time", "interpolation", "max_gap", "split")
+_READING = (
+    *("columns", "units", "time", "interpolation", "max_gap", "split", "clock", "sample_time"),
+    *("ambient_pressure", "sheet", "skip", "pick", "delimiter", "decimal", "empty"),
+)
 _FITTING = (
     "outputs",
     "delay",
@@ -197,7 +201,7 @@ def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
         given = getattr(options, name)
         study[name] = given or [(folder or Path()) / n for n in _list(name, study.get(name, []))]
     if options.noise is not None:
-        study["noise"] = _pairs("--noise", options.noise)
+        study["noise"] = pairs("--noise", options.noise)
     described = study.get("plant", options.plant)
     if isinstance(described, Mapping):
         changed = {"muscle": _from_here(options.muscle)} if options.muscle else {}
@@ -215,7 +219,7 @@ def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
             folder,
             allow_code=typed or options.allow_code,
         )
-    values = {**table("set", study.get("set", {})), **_pairs("--set", options.set)}
+    values = {**table("set", study.get("set", {})), **pairs("--set", options.set)}
     return study, plant.with_values(
         {n: quantity(f"set.{n}", v, plant.variable(n).unit) for n, v in values.items()}
     )
@@ -283,16 +287,6 @@ def _list(where: str, value: Any) -> list[Any]:
     if not isinstance(value, list):
         raise InputError(f"{where} = {value!r}: give a list, as [{value!r}]")
     return value
-
-
-def _pairs(option: str, texts: list[str]) -> dict[str, str]:
-    found = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals or not value:
-            raise InputError(f"{option} {text}: give NAME=VALUE, as mass=2kg or mass=2.0")
-        found[name.strip()] = value
-    return found
 
 
 def _variables(plant: Plant) -> str:

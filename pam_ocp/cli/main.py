@@ -7,18 +7,28 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from .. import __version__
 from ..core.errors import InputError, PamError
+from ..core.interrupts import interruptible
 from ..core.stop import limited
 from .components import add_components
 from .fit import add_fit_plant
+from .ladder import add_ladder
+from .linearize import add_linearize
 from .mpc import add_mpc
-from .options import add_allow_code, require_places
+from .options import require_places
 from .plan import add_plan
+from .plants import add_plant, muscle_named, plant_said
+from .reading import add_look
+from .report import add_report
+from .simulate import add_compare, add_simulate
+from .static import add_campaign, add_fit, add_fit_holds
 
 __all__ = ["main"]
 
@@ -31,7 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 2
     try:
-        with _terminable(), limited(None if options.command == "check" else options.time_limit):
+        seconds = None if options.command == "check" else options.time_limit
+        with _plain_warnings(), _terminable(), interruptible(), limited(seconds):
             return int(options.run(options) or 0)
     except PamError as error:
         print(f"pam-ocp {options.command}: {error}", file=sys.stderr)
@@ -44,24 +55,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """A warning is a line that says what it says, without a place in our code."""
+    before = warnings.formatwarning
+
+    def plain(message: Warning | str, *_: Any, **__: Any) -> str:
+        return f"pam-ocp: {message}\n"
+
+    warnings.formatwarning = plain
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="pam-ocp",
         description="Pneumatic artificial muscles: fit a measured muscle, plan its optimal motion, "
         "export the plant as an FMU.",
-        epilog="Start with 'pam-ocp tour': it does all of it on a bundled measured muscle.",
+        epilog="Start with 'pam-ocp tour': it does all of it on a bundled measured muscle. "
+        "Exit codes: 0 done; 1 checked, and something was found; 2 bad input; 3 planned, but not "
+        "verified; 130 interrupted; 143 ended.",
     )
+    parser.add_argument("--version", action="version", version=f"pam-ocp {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
 
     for add in (
         _add_tour,
-        _add_fit,
+        add_look,
+        add_fit,
+        add_campaign,
+        add_fit_holds,
         add_fit_plant,
+        add_ladder,
         _add_export,
         _add_check,
         _add_loads,
         _add_muscles,
         add_components,
+        add_simulate,
+        add_compare,
+        add_linearize,
+        add_report,
         add_plan,
         add_mpc,
     ):
@@ -107,77 +144,13 @@ def _add_tour(commands: Any) -> None:
     tour.set_defaults(run=_tour)
 
 
-def _add_fit(commands: Any) -> None:
-    fit = commands.add_parser("fit", help="fit a force law to a measured table")
-    fit.add_argument(
-        "table",
-        metavar="TABLE",
-        help="CSV with length (or contraction), pressure, force; units in the header, as in "
-        "length_m,pressure_Pa,force_N; or a bundled table such as DMSP-20-300_static.csv",
-    )
-    fit.add_argument(
-        "--rest-length",
-        type=float,
-        metavar="M",
-        help="length at zero pressure and load, in metres (needed unless the table holds "
-        "contractions)",
-    )
-    fit.add_argument(
-        "--diameter", type=float, metavar="M", help="inner diameter at rest, in metres"
-    )
-    fit.add_argument(
-        "--law",
-        default="six-parameter",
-        metavar="LAW",
-        help="force law (default: six-parameter); also polynomial-1-3 (degrees), "
-        "spline-3:0,0.1,0.25 "
-        "(degree and contractions)",
-    )
-    fit.add_argument(
-        "--loss",
-        default="squares",
-        metavar="LOSS",
-        help="squares (default); bisquare, where some cells are measured wrong; huber; l1",
-    )
-    fit.add_argument("--name", metavar="NAME", help="name of the muscle in the muscle file")
-    fit.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="write the muscle file (.toml, .json) that the other commands take",
-    )
-    fit.add_argument(
-        "--plot", type=Path, metavar="FILE.png", help="draw measurement, law and residuals"
-    )
-    fit.set_defaults(run=_fit)
-
-
 def _add_export(commands: Any) -> None:
     export = commands.add_parser(
         "export",
         help="export a plant as an FMU",
         description="Export a plant as an FMU for Model Exchange and Co-Simulation.",
     )
-    export.add_argument(
-        "plant",
-        metavar="PLANT",
-        help="a plant of the library by name, such as HangingLoad or AntagonisticSlide; "
-        "FILE.py:NAME "
-        "(a Plant, or a function that returns one); or FILE.toml with a table [plant]",
-    )
-    export.add_argument(
-        "--muscle",
-        default="DMSP-20-300",
-        metavar="MUSCLE",
-        help="name in the catalogue, or a muscle file (default: DMSP-20-300)",
-    )
-    export.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="value of a parameter or start value, in SI (may be repeated)",
-    )
+    add_plant(export)
     export.add_argument(
         "--fmi",
         choices=("2.0", "3.0"),
@@ -200,7 +173,6 @@ def _add_export(commands: Any) -> None:
             f"{rest})",
         )
     export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
-    add_allow_code(export)
     export.set_defaults(run=_export)
 
 
@@ -242,10 +214,18 @@ def _add_loads(commands: Any) -> None:
         help="name in the catalogue, or a muscle file (default: DMSP-20-400N)",
     )
     loads.add_argument(
-        "--masses", type=float, nargs="+", default=[5, 10, 20, 50, 100], metavar="KG"
+        "--masses",
+        nargs="+",
+        default=[5, 10, 20, 50, 100],
+        metavar="KG",
+        help="numbers in kg, or with a unit, such as '500 g'",
     )
     loads.add_argument(
-        "--pressures", type=float, nargs="+", default=[1, 2, 3, 4, 5, 6], metavar="BAR"
+        "--pressures",
+        nargs="+",
+        default=[1, 2, 3, 4, 5, 6],
+        metavar="BAR",
+        help="numbers in bar, or with a unit, such as '300 kPa'",
     )
     loads.add_argument(
         "--out", type=Path, metavar="DIR", help="write loads.csv and loads.png into this folder"
@@ -281,75 +261,17 @@ def _tour(options: argparse.Namespace) -> int:
     return 0
 
 
-def _fit(options: argparse.Namespace) -> int:
-    from ..fitting.static.static import fit_force
-    from ..fitting.tables.force_table import read_table
-    from ..muscles.muscle_file import save_muscle
-
-    require_places(options.out, options.plot)
-    table = read_table(options.table, rest_length=options.rest_length)
-    fitted = fit_force(table, options.law, loss=options.loss)
-    print(fitted.report())
-    if options.plot:
-        from ..figures.saved import save_figure
-        from ..figures.trajectory import plot_fit
-
-        print(f"-> {save_figure(plot_fit(fitted), options.plot)}")
-    if options.out:
-        length = table.rest_length if options.rest_length is None else options.rest_length
-        if length is None:
-            raise InputError("--rest-length is needed to write a muscle file")
-        name = options.name or Path(options.table).stem
-        muscle = fitted.muscle(rest_length=length, diameter=options.diameter, name=name)
-        print(f"-> {save_muscle(muscle, options.out)}")
-    return 0
-
-
 def _export(options: argparse.Namespace) -> int:
     from ..export import export_fmu
 
     target: Path | None = options.out
     require_places(target)
-    plant = _plant(options.plant, options.muscle, options.allow_code)
-    values = {}
-    for text in options.set:
-        name, equals, number = text.partition("=")
-        try:
-            values[name.strip()] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise InputError(f"--set {text}: give NAME=VALUE with a number in SI, as in mass=3.0")
-    plant = plant.with_values(values)
+    plant = plant_said(options)
     target = target or Path(f"{plant.name}.fmu")
     chosen = {"inputs": options.input, "outputs": options.output}
     fmu = export_fmu(plant, target, fmi=options.fmi, platforms=options.platform, **chosen)
     print(f"-> {fmu}")
     return 0
-
-
-def _plant(name: str, muscle_name: str, allow_code: bool) -> Any:
-    """A plant by its name, from a user's file (FILE.py:NAME), or from a table (FILE.toml).
-
-    A file named on the command line is run; one named in another file only with ``allow_code``.
-    """
-    from ..core.files import read_toml, reading
-    from ..plants.plant_file import named_plant, plant_of
-
-    if name.endswith(".toml"):
-        content = read_toml(name)
-        with reading(name, "a plant", "give it a table [plant], as for 'pam-ocp plan'"):
-            where = f"{name}: plant"
-            folder = Path(name).parent
-            return plant_of(content.get("plant"), where, folder, allow_code=allow_code)
-    return named_plant(name, _muscle(muscle_name), allow_code=True)
-
-
-def _muscle(name: str, rest_length: float | None = None) -> Any:
-    from ..muscles.catalogue import muscle
-    from ..muscles.muscle_file import ENDINGS, load_muscle
-
-    return load_muscle(name) if name.endswith(ENDINGS) else muscle(name, rest_length=rest_length)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -368,14 +290,26 @@ def _loads(options: argparse.Namespace) -> int:
     from ..studies.loads import load_study
 
     folder = make_folder(options.out) if options.out else None
-    study = load_study(
-        _muscle(options.muscle), options.masses, [p * 1e5 for p in options.pressures]
-    )
+    masses = [_in("--masses", m, "kg") for m in options.masses]
+    pressures = [_in("--pressures", p, "bar") for p in options.pressures]
+    study = load_study(muscle_named(options.muscle), masses, pressures)
     print(study)
     if folder:
         print(f"-> {study.save(folder / 'loads.csv')}")
         print(f"-> {save_figure(study.plot(), folder / 'loads.png')}")
     return 0
+
+
+def _in(option: str, value: str | float, unit: str) -> float:
+    """In SI, of a text with a unit, or of a number in ``unit``."""
+    from ..core.quantities import quantity
+    from ..core.units import unit as unit_of
+
+    text = str(value)
+    try:
+        return float(text) * unit_of(unit).factor
+    except ValueError:
+        return quantity(option, text, unit)
 
 
 def _muscles(options: argparse.Namespace) -> int:
@@ -392,8 +326,12 @@ def _muscles(options: argparse.Namespace) -> int:
 def _show(options: argparse.Namespace) -> int:
     if options.name is None:
         raise InputError("muscles show: give the NAME of a muscle; 'pam-ocp muscles' lists them")
-    muscle = _muscle(options.name, options.rest_length)
+    from ..muscles.catalogue import attribution, muscle_names
+
+    muscle = muscle_named(options.name, options.rest_length)
     print(muscle_text(muscle))
+    if options.name in muscle_names():
+        print(f"\n{attribution(options.name)}")
     if options.plot:
         from ..figures.saved import save_figure
         from ..figures.trajectory import plot_muscle
@@ -404,7 +342,6 @@ def _show(options: argparse.Namespace) -> int:
 
 def muscle_text(muscle: Any) -> str:
     """A muscle's source and a table of its force [N] over pressure and contraction."""
-    import warnings
 
     from ..muscles.validity import ValidityWarning
 

@@ -8,6 +8,7 @@ import argparse
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,7 @@ DEFAULTS: dict[str, Any] = {
     "estimator": {},
     "reference": {},
     "noise": {},
+    "sensors": {},
     "disturbances": {},
 }
 """What a problem file may hold, and what holds without it."""
@@ -50,6 +52,8 @@ keys come first:
   real = { mass = "2.6 kg" }              # what is different on the real side
   start = { x = 0.0, stiffness = 2e4 }    # the run starts at rest there
   noise = { x = "0.02 mm" }              # standard deviations; default: what the estimator expects
+
+  sensors = { x = { delay = "4 ms", resolution = "0.01 mm", filter = "2 ms" } }
 
   [plant]                                 # as for 'pam-ocp plan', or a name: plant = "hanging_load"
   arrangement = "AntagonisticSlide"
@@ -245,11 +249,23 @@ def _set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:
             "estimator": estimator,
             "disturbances": disturbances,
             "noise": _values("noise", plant, study["noise"]) or None,
+            "sensors": _sensors(study["sensors"]),
             "parameters": _values("real", plant, study["real"]),
             "start": begin,
             "seed": study["seed"],
         },
     )
+
+
+def _sensors(given: Mapping[str, Any]) -> dict[str, Any]:
+    from ..simulation.instruments import Instrument
+
+    known = [f.name for f in fields(Instrument)]
+    found = {}
+    for name, said in table("sensors", given).items():
+        known_keys(f"sensors.{name}", table(f"sensors.{name}", said), known)
+        found[name] = Instrument(**said)
+    return found
 
 
 def _plant(study: Mapping[str, Any]) -> Plant:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
+from ..core.errors import InputError
 from ..core.files import require_place
 
-__all__ = ["add_allow_code", "require_places"]
+__all__ = ["add_allow_code", "pairs", "require_places"]
 
 
 def add_allow_code(command: argparse.ArgumentParser) -> None:
@@ -25,3 +27,14 @@ def require_places(*targets: Path | None) -> None:
     for target in targets:
         if target is not None:
             require_place(target)
+
+
+def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    """{name: value} of texts NAME=VALUE. Raises InputError."""
+    found = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not value or not name.strip():
+            raise InputError(f"{option} {text}: give NAME=VALUE, as mass=2kg or mass=2.0")
+        found[name.strip()] = value
+    return found

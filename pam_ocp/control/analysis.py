@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_positive
+from ..core.shown import shown
 from ..core.stop import verb
 from ..operating.linear import linearize, modes
 from ..operating.resting_point import EquilibriumError, OperatingPoint
@@ -49,6 +50,7 @@ def frequency_response(system: control.StateSpace, hertz: ArrayLike) -> NDArray[
 
 
 # ---- margins ------------------------------------------------------------------------------------
+@shown
 @dataclass(frozen=True)
 class Margins:
     """Of a loop broken at each of its inputs in turn, the others closed; and of all at once.

@@ -11,6 +11,7 @@ from ..core.errors import InputError, UnknownNameError, require_positive
 from ..core.variables import Variable
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant
+from ..simulation.instruments import Instrument, readers_of
 from .controller import Observer
 from .references import Source, source
 from .sides import Side
@@ -90,7 +91,7 @@ class Actuators:
 
 
 class Sensors:
-    """What is measured of the side: all states and outputs by name, with noise."""
+    """What is measured of the side: all states and outputs by name, by instruments, with noise."""
 
     def __init__(
         self,
@@ -98,6 +99,7 @@ class Sensors:
         estimator: Observer | None,
         noise: Mapping[str, float] | None,
         seed: int,
+        instruments: Mapping[str, Instrument] | None = None,
     ) -> None:
         self.names = [v.name for v in side.variables if v.causality in ("state", "output")]
         alias = {n.replace(".", "_"): n for n in self.names}
@@ -114,9 +116,20 @@ class Sensors:
         if unknown:
             raise InputError(f"noise: {unknown[0]} is not measured; name states or outputs")
         self._random = np.random.default_rng(seed)
+        known = {v.name: v for v in side.variables if v.name in self.names}
+        known |= {n: known[full] for n, full in alias.items()}
+        for name in instruments or {}:
+            if name not in known:
+                raise UnknownNameError("measured variable of the real side", name, self.names)
+        self._readers = readers_of(instruments, known, seed)
+        if noise is None:  # an instrument has its own
+            self.noise = {n: s for n, s in self.noise.items() if n not in self._readers}
 
-    def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
+    def __call__(self, t: float, values: Mapping[str, float]) -> dict[str, float]:
         seen = {n: values[n] for n in self.names}
+        for name, reader in self._readers.items():
+            reader.tell(t, values[name])
+            seen[name] = reader.read(t)
         for name, deviation in self.noise.items():
             seen[name] += deviation * float(self._random.standard_normal())
         return seen

@@ -55,8 +55,8 @@ def pid_controller(
 
     Inputs ``reference``, ``position`` and ``feedforward.<command>``; outputs ``<command>``.
     """
-    require_positive("filter_time", filter_time, "s")
-    require_positive("windup_time", windup_time, "s")
+    filter_time = require_positive("filter_time", filter_time, "s")
+    windup_time = require_positive("windup_time", windup_time, "s")
     measured = plant.variable(position)
     inversion = Inversion(plant)
     doors = {inversion.opening_of(n) or plant.variable(n).name: w for n, w in weights.items()}
@@ -155,7 +155,7 @@ def state_feedback_controller(
             f"feedback is a {type(feedback).__name__}, not a StateFeedback, such as lqr(plant, "
             "point)"
         )
-    require_positive("windup_time", windup_time, "s")
+    windup_time = require_positive("windup_time", windup_time, "s")
     plant, point = feedback.point.plant, feedback.point
     built = Plant(name, f"state feedback of {plant.name}")
     states = [v.name for v in plant.states]

@@ -5,7 +5,7 @@ stiffness).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
 import casadi as ca
@@ -39,7 +39,8 @@ class InverseDynamics:
     constant damping, taut muscles), the same as :class:`Allocation` and ``Muscle.pressure`` then.
     Pressures are kept within the plant's range: where not both are possible the acceleration comes
     before the stiffness, and the nearest to each is taken.
-    States other than position, velocity and pressures are taken at their start values.
+    States other than position, velocity and pressures are taken at their start values, or as the
+    call gives them.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -71,6 +72,7 @@ class InverseDynamics:
         self.low, self.high = (
             np.array([getattr(plant.variable(n), a) for n in pressures]) for a in ("min", "max")
         )
+        self._where = where
         self._z = np.concatenate([plant.vector("state"), plant.vector("input")])
         self._p = plant.vector("parameter")
         self._function = self._build(pressures)
@@ -94,15 +96,25 @@ class InverseDynamics:
         return ca.Function("inverse", [z, plant.p], [column, ca.densify(slopes)])
 
     def __call__(
-        self, position: float, velocity: float, acceleration: float, stiffness: float | None = None
+        self,
+        position: float,
+        velocity: float,
+        acceleration: float,
+        stiffness: float | None = None,
+        states: Mapping[str, float] | None = None,
     ) -> Array:
-        """Pressures [Pa], one per muscle. Raises InputError when a pair lacks its stiffness."""
+        """Pressures [Pa], one per muscle. Raises InputError when a pair lacks its stiffness.
+
+        states : values of other states (memories), kept until the next call that names them.
+        """
         if (len(self.muscles) == 2) != (stiffness is not None):
             raise InputError(
                 f"{self.plant.name!r} has {len(self.muscles)} muscle(s): give a stiffness for a "
                 "pair and none for a single one"
             )
         target = np.array([acceleration] if stiffness is None else [acceleration, stiffness])
+        for name, value in (states or {}).items():
+            self._z[self._where[name]] = value
         self._z[list(self._at)] = position, velocity
         both = list(range(len(self.muscles)))
         pressures, miss = self._solved((self.low + self.high) / 2, target, both, both)

@@ -319,7 +319,7 @@ def lqr(
     output that the inputs cannot move).
     """
     require_plant(plant)
-    require_positive("sample_time", sample_time, "s")
+    sample_time = require_positive("sample_time", sample_time, "s")
     inversion, at = inside(plant, at)
     plant = at.plant
     if isinstance(effort, Mapping):

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_count, require_positive, require_tolerance
+from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Given, Plant, Values
+from ..simulation.instruments import Instrument
 from .channels import Actuators, Sensors
 from .controller import Controller, Estimate, Measured, Observer, Tracking
 from .mpc_statistics import MpcStatistics
@@ -38,6 +40,7 @@ LOOKS = 10
 """Samples, evenly spread, whose prediction is compared with a finer integration."""
 
 
+@shown
 @dataclass(frozen=True)
 class ClosedLoop:
     """What happened in a closed loop. ``loop["x"]`` and ``loop.t`` are those of its trajectory."""
@@ -70,7 +73,7 @@ class ClosedLoop:
 
         Raises InputError where the loop was not told what is to be reached.
         """
-        require_positive("window", window, "s")
+        window = require_positive("window", window, "s")
         if self.reference is None:
             raise InputError("steady_error: the loop knows no reference; give closed_loop one")
         late = self.t >= self.t[-1] - window
@@ -120,6 +123,7 @@ def closed_loop(
     parameters: Values | None = None,
     disturbances: Mapping[str, Any] | None = None,
     noise: Mapping[str, float] | None = None,
+    sensors: Mapping[str, Instrument] | None = None,
     seed: int = 0,
     delay: int | None = None,
     parts: int = 1,
@@ -151,6 +155,8 @@ def closed_loop(
         over each sample; the controller is not told.
     noise : {measured name: standard deviation [SI]}, normal and white, from ``seed``. By default
         what the estimator expects, or none.
+    sensors : {measured name: Instrument}: bias, drift, steps, filter, sample and hold, delay. Its
+        noise takes the place of what the estimator expects; ``noise`` comes on top.
     delay : samples between measuring and acting (computing time); before the first, start values.
         By default what the controller reckons with (``Mpc(delay=1)``), or 0.
     parts : samples recorded per ``sample_time``.
@@ -185,7 +191,7 @@ def closed_loop(
             estimator,
             real,
             inputs,
-            Sensors(real, estimator, noise, seed),
+            Sensors(real, estimator, noise, seed, sensors),
             inputs.disturbances(disturbances or {}),
             [dict(real.inputs)] * waits,
         )
@@ -263,7 +269,7 @@ class _Run:
         """What the controller is given at this moment, the inputs before still acting."""
         for name, acts in self.disturbances.items():
             self.side.inputs[name] = acts(t)
-        measured = self.sensors(self.side.values())
+        measured = self.sensors(t, self.side.values())
         if self.estimator is not None:
             names = self.estimator.deviations
             self.estimator.correct({n: measured[n] for n in names}, self._controls)

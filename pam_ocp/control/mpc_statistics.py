@@ -9,6 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.shown import shown
+
 __all__ = ["MpcStatistics", "MpcStep"]
 
 Array: TypeAlias = NDArray[np.float64]
@@ -34,6 +36,7 @@ class MpcStep:
     """IPOPT failed too: the inputs are those of the plan before, one step on."""
 
 
+@shown
 @dataclass(frozen=True)
 class MpcStatistics:
     """Of all calls of :meth:`Mpc.control` so far; the first call, which starts cold, apart."""

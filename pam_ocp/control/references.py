@@ -95,7 +95,7 @@ def moves(stops: Sequence[float], begins: Sequence[float], duration: float) -> R
 
     stops : n + 1 positions; begins : n times [s] at which the moves begin; each lasts ``duration``.
     """
-    require_positive("duration", duration, "s")
+    duration = require_positive("duration", duration, "s")
     if len(stops) != len(begins) + 1 or any(b - a < duration for a, b in pairwise(begins)):
         raise InputError(
             f"moves: {len(stops)} stops need {len(stops) - 1} rising begins, at least duration = "

@@ -60,9 +60,10 @@ class Givens:
         q: Array = self._start.copy()
         for name, value in (values or {}).items():
             full = self.name(name)
-            number = require_finite(full, value)
-            if not full.startswith("der("):
-                number = self.plant.variable(full).check(number)
+            if full.startswith("der("):
+                number = require_finite(full, value)
+            else:
+                number = self.plant.variable(full).check(value, full)
             q[self.names.index(full)] = number
         return q
 
@@ -90,7 +91,8 @@ class Step:
     substeps: int = 2
 
     def __post_init__(self) -> None:
-        require_positive("sample_time", self.length, "s")
+        length = require_positive("sample_time", self.length, "s")
+        object.__setattr__(self, "length", length)
         if self.method not in get_args(StepMethod):
             raise InputError(f"method = {self.method!r}: choose 'rk4' or 'rosenbrock'")
         require_count("substeps", self.substeps)

@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .exceptions import WriteError
+from .interrupts import interruptible
 
 if sys.platform != "win32":
     import fcntl
@@ -50,9 +51,10 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise _refused(target, error) from None
     try:
-        yield temporary
-        _settled(temporary, mode)
-        temporary.replace(place)
+        with interruptible():
+            yield temporary
+            _settled(temporary, mode)
+            temporary.replace(place)
     except OSError as error:
         if isinstance(error, WriteError):
             raise

@@ -22,7 +22,7 @@ from .exceptions import (
     VibrationError,
     WriteError,
 )
-from .quantities import quantity
+from .quantities import is_quantity, quantity
 
 __all__ = [
     "ExportError",
@@ -80,7 +80,7 @@ def require_finite(argument: str, value: Any, unit: str = "") -> float:
 
     A text such as "20 mm" is a number too, where ``unit`` is known.
     """
-    if isinstance(value, str):
+    if is_quantity(value):
         value = quantity(argument, value, *([unit] if unit else []))
     try:
         number = math.nan if isinstance(value, bool) else float(value)

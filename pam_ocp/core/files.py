@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from .atomic import atomic_path, make_folder, require_place
 from .exceptions import InputError, PamError
+from .interrupts import interruptible
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -38,6 +39,7 @@ __all__ = [
     "read_npz",
     "read_toml",
     "reading",
+    "require_ending",
     "require_file",
     "require_format",
     "require_place",
@@ -111,7 +113,8 @@ def reading(
     """
     name = os.fspath(path)
     try:
-        with np.errstate(all="ignore"):  # numbers beyond all bounds are said by checks
+        # numbers beyond all bounds are said by checks; libraries are loaded in here
+        with interruptible(), np.errstate(all="ignore"):
             yield
     except InputError as error:
         said = _short(str(error))
@@ -146,6 +149,12 @@ def _short(words: str) -> str:
     words = " ".join(words.split())
     half = MOST_WORDS // 2
     return words if len(words) <= MOST_WORDS else f"{words[:half]} ... {words[-half:]}"
+
+
+def require_ending(path: str | os.PathLike[str], ending: str, what: str) -> None:
+    """InputError unless the name of a file ends so (in small or capital letters)."""
+    if Path(path).suffix.lower() != ending:
+        raise InputError(f"path = {os.fspath(path)!r}: the name of {what} ends in {ending}")
 
 
 def require_file(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import warnings
 from collections.abc import Iterator, Sequence
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .exceptions import InputError
+from .exceptions import InputError, UnknownNameError
 from .files import (
     MOST_SHEET_BYTES,
     MOST_SHEET_CELLS,
@@ -22,16 +23,25 @@ from .files import (
     require_size,
     require_unpacked,
 )
+from .interrupts import interruptible
 from .mat import matrices_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["read_arrays", "read_frame", "read_mat", "read_sheet"]
+__all__ = [
+    "frame",
+    "read_array",
+    "read_arrays",
+    "read_frame",
+    "read_hdf5",
+    "read_mat",
+    "read_sheets",
+]
 
 
 @contextmanager
-def _library(path: str | os.PathLike[str], kind: str) -> Iterator[None]:
+def _library(path: str | os.PathLike[str], kind: str, extra: str = "studies") -> Iterator[None]:
     """A block in which a library reads: its errors become one sentence, its warnings none."""
     with (
         reading(path, kind, "save it anew, or as CSV", foreign=True),
@@ -44,7 +54,7 @@ def _library(path: str | os.PathLike[str], kind: str) -> Iterator[None]:
         except ImportError as missing:
             raise InputError(
                 f"{os.fspath(path)}: reading {kind} needs a package that is not installed "
-                f"({missing}): pip install pam_ocp[studies], or save the table as CSV"
+                f"({missing}): pip install pam_ocp[{extra}], or save the table as CSV"
             ) from None
 
 
@@ -55,6 +65,18 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
         require_unpacked(path)
         with np.load(path, allow_pickle=False) as archive:
             return dict(archive)
+
+
+@interruptible()  # pandas is loaded in here
+def frame(
+    rows: Sequence[Sequence[Any]], columns: Sequence[str], index: Sequence[Any], name: str
+) -> pd.DataFrame:
+    """Rows as a DataFrame with an index of this name. Raises InputError where pandas is missing."""
+    try:
+        import pandas as pd
+    except ImportError:
+        raise InputError("to_pandas needs pandas: pip install pam_ocp[studies]") from None
+    return pd.DataFrame(rows, columns=list(columns), index=pd.Index(index, name=name))
 
 
 def read_frame(path: str | os.PathLike[str]) -> pd.DataFrame:
@@ -72,53 +94,90 @@ def read_frame(path: str | os.PathLike[str]) -> pd.DataFrame:
         return pd.read_parquet(path, engine="pyarrow")
 
 
-def read_sheet(path: str | os.PathLike[str]) -> tuple[list[str], list[Sequence[Any]]]:
-    """(headers, rows) of the first sheet of an .xlsx file; empty rows and columns are left out.
+def read_sheets(
+    path: str | os.PathLike[str], sheet: str | int | None = None
+) -> dict[str, list[Sequence[Any]]]:
+    """{name: rows} of the sheets of an .xlsx file, all or one; empty rows are empty.
 
-    Rows are read one by one and counted: what a sheet says of its own size is not believed.
-    Raises InputError, also without openpyxl.
+    sheet : its name, or its number from 1. Rows are read one by one and counted: what a sheet says
+    of its own size is not believed. Raises InputError, also without openpyxl, and UnknownNameError.
     """
     require_file(path)
-    name = Path(path).name
     with _library(path, "an .xlsx file"):
         from openpyxl import load_workbook
 
         require_unpacked(path, MOST_SHEET_BYTES)
         book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
         try:
-            sheet = book.worksheets[0]
-            sheet.reset_dimensions()
-            rows: list[Sequence[Any]] = []
-            cells = 0
-            for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
-                cells += len(row) + 1
-                require_size(name, number, len(row))
-                if cells > MOST_SHEET_CELLS:
-                    raise InputError(
-                        f"{name} has more than the {MOST_SHEET_CELLS} cells allowed in a "
-                        "spreadsheet; save it as CSV"
-                    )
-                if any(cell is not None and cell != "" for cell in row):
-                    rows.append(row)
+            names = [s.title for s in book.worksheets]
+            chosen = names if sheet is None else [_sheet_named(path, names, sheet)]
+            budget = MOST_SHEET_CELLS
+            found: dict[str, list[Sequence[Any]]] = {}
+            for name in chosen:
+                found[name] = _rows(path, book[name], budget)
+                budget -= sum(len(row) + 1 for row in found[name])
         finally:
             book.close()
-    if not rows:
-        return [], []
-    kept = [i for i, head in enumerate(rows[0]) if head is not None]
-    kept += [
-        i
-        for i in range(len(rows[0]), max(map(len, rows)))
-        if any(len(row) > i and row[i] is not None for row in rows)
-    ]
-    heads = [str(rows[0][i]) if i < len(rows[0]) else f"column {i + 1}" for i in kept]
-    return heads, [[row[i] if i < len(row) else None for i in kept] for row in rows[1:]]
+    return found
 
 
-def read_mat(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The matrices of a MAT file (-v6, -v7) by name. Raises InputError."""
-    content = content_of(path)
+def _sheet_named(path: str | os.PathLike[str], names: list[str], sheet: str | int) -> str:
+    if isinstance(sheet, int) and not isinstance(sheet, bool) and 1 <= sheet <= len(names):
+        return names[sheet - 1]
+    if sheet not in names:
+        raise UnknownNameError(f"sheet of {Path(path).name}", str(sheet), names)
+    return str(sheet)
+
+
+def _rows(path: str | os.PathLike[str], sheet: Any, budget: int) -> list[Sequence[Any]]:
+    name = Path(path).name
+    sheet.reset_dimensions()
+    rows: list[Sequence[Any]] = []
+    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        budget -= len(row) + 1
+        require_size(name, number, len(row))
+        if budget < 0:
+            raise InputError(
+                f"{name} has more than the {MOST_SHEET_CELLS} cells allowed in a "
+                "spreadsheet; save it as CSV"
+            )
+        rows.append(row)
+    return rows
+
+
+def read_array(path: str | os.PathLike[str]) -> Any:
+    """The array of an .npy file. Raises InputError."""
+    require_file(path)
+    with _library(path, "an .npy file"):
+        return np.load(path, allow_pickle=False, mmap_mode=None)
+
+
+def read_mat(path: str | os.PathLike[str], content: bytes | None = None) -> dict[str, Any]:
+    """What a MAT file holds, by name; see :func:`pam_ocp.core.mat.matrices_of`.
+
+    Of version 7.3, which is HDF5, the same by h5py. content : of the file, where it was packed.
+    Raises InputError, also without h5py.
+    """
+    content = content_of(path) if content is None else content
+    if content[:10] == b"MATLAB 7.3" or content[:4] == b"\x89HDF":
+        return read_hdf5(path, content)
     with reading(path, "a .mat file", "save it anew, or as CSV"):
         return matrices_of(content, MOST_UNPACKED)
+
+
+def read_hdf5(path: str | os.PathLike[str], content: bytes | None = None) -> dict[str, Any]:
+    """The groups and datasets of an HDF5 file, nested by name. Raises InputError, also without
+    h5py.
+    """
+    require_file(path)
+    with _library(path, "an HDF5 file (MATLAB -v7.3)", "hdf5"):
+        import h5py
+
+        from .hdf5 import tree_of
+
+        source = path if content is None else io.BytesIO(content)
+        with h5py.File(source, "r") as file:
+            return tree_of(file, MOST_UNPACKED)
 
 
 def _require_bytes(path: str | os.PathLike[str], size: int) -> None:

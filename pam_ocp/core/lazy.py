@@ -11,15 +11,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-__all__ = ["from_stub", "lazily"]
+from .interrupts import interruptible
+
+__all__ = ["from_stub", "lazily", "load"]
 
 
-def _module(name: str) -> ModuleType:
-    """A module, loaded now. Ctrl-C that arrives meanwhile comes out as itself: Python below 3.12
-    makes a RuntimeError of it where a class is just being made.
+def load(name: str) -> ModuleType:
+    """A module, loaded now. Ctrl-C that arrives meanwhile comes out behind it, as itself (within it
+    Python below 3.12 makes a RuntimeError of it where a class is just being made).
     """
-    from .stop import interruptible  # it costs more to load than all the rest of the face
-
     with interruptible():
         return importlib.import_module(name)
 
@@ -36,7 +36,7 @@ def lazily(
     def __getattr__(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        value = getattr(_module(f"{package}.{homes[name]}"), name)
+        value = getattr(load(f"{package}.{homes[name]}"), name)
         vars(sys.modules[module])[name] = value
         return value
 
@@ -68,8 +68,8 @@ def from_stub(
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         place, submodule = homes[name]
         if submodule:
-            return _module(f"{place}.{name}")
-        value = getattr(_module(place), name)
+            return load(f"{place}.{name}")
+        value = getattr(load(place), name)
         vars(sys.modules[module])[name] = value
         return value
 

@@ -1,4 +1,4 @@
-"""MAT files of version 5 (MATLAB's -v6 and -v7): their matrices of numbers and of characters.
+"""MAT files of version 5 (MATLAB's -v6 and -v7): numbers, text, cells and structures.
 
 SciPy's reader runs past its buffers in damaged files, which kills the process; this one reads
 slices of what is there. Format: MathWorks, MAT-File Format, R2024a, chapter 1.
@@ -37,16 +37,36 @@ _STORED = {
     17: "u2",  # UTF-16
 }
 """Kinds of elements that hold numbers."""
-_MATRIX, _PACKED = 14, 15
-_CHARACTERS, _DOUBLE, _LAST = 4, 6, 15
-"""Classes of matrices; from double on they are numbers."""
+_UTF8, _MATRIX, _PACKED = 16, 14, 15
+_CELL, _STRUCTURE, _CHARACTERS, _DOUBLE, _LAST, _OPAQUE = 1, 2, 4, 6, 15, 17
+"""Classes of matrices; from double to the last they are numbers."""
 _COMPLEX = 0x0800
+MOST_ENTRIES = 1_000_000
+"""Of all cells and structures of a file, each of which becomes an object of Python."""
+MOST_LEVELS = 16
+"""Cells and structures within each other."""
 
 
-def matrices_of(content: bytes, most: int) -> dict[str, Array]:
-    """{name: matrix} of a file's content; cells, structures and objects are left out.
+class _Budget:
+    """What may still be made of a file."""
 
-    most : bytes that it may unpack to.
+    def __init__(self) -> None:
+        self.entries = MOST_ENTRIES
+
+    def take(self, entries: int, level: int) -> None:
+        self.entries -= entries
+        if self.entries < 0:
+            raise ValueError(f"its cells and structures have more than {MOST_ENTRIES} entries")
+        if level > MOST_LEVELS:
+            raise ValueError(f"it is nested more than {MOST_LEVELS} deep")
+
+
+def matrices_of(content: bytes, most: int) -> dict[str, Any]:
+    """{name: what it holds} of a file's content.
+
+    Matrices are arrays, rows of characters arrays of text, cells arrays of objects, structures
+    dicts (several: lists of dicts). Objects (tables, timeseries), sparse matrices and functions are
+    left out. most : bytes that it may unpack to.
 
     Raises InputError for another version, and ValueError, struct.error or zlib.error where it is
     damaged.
@@ -54,7 +74,7 @@ def matrices_of(content: bytes, most: int) -> dict[str, Array]:
     order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER])
     if order is None or content[:10] != b"MATLAB 5.0":
         raise InputError("it is no MAT file of version 5; save it with -v7, or as CSV")
-    found = {}
+    found, budget, objects = {}, _Budget(), []
     for kind, part in _elements(content[_HEADER:], order):
         if kind == _PACKED:
             unpacker = zlib.decompressobj()
@@ -66,9 +86,16 @@ def matrices_of(content: bytes, most: int) -> dict[str, Array]:
                 raise ValueError("a packed matrix is cut off")
             kind, part = next(_elements(part, order))
         if kind == _MATRIX:
-            name, matrix = _matrix(part, order)
-            if matrix is not None:
-                found[name] = matrix
+            name, value = _matrix(part, order, budget)
+            if value is None and name:
+                objects.append(name)
+            elif name:
+                found[name] = value
+    if objects and not found:
+        raise InputError(
+            f"{', '.join(objects[:5])} is an object (such as a table), which only MATLAB reads; "
+            "save a structure, as S = table2struct(T, 'ToScalar', true), or CSV by writetable(T)"
+        )
     return found
 
 
@@ -89,22 +116,80 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         at = end
 
 
-def _matrix(content: bytes, order: str) -> tuple[str, Array | None]:
+def _matrix(content: bytes, order: str, budget: _Budget, level: int = 0) -> tuple[str, Any]:
+    """(name, what it holds); None for what is left out."""
+    if not content:  # an entry of a cell that was never set
+        return "", np.empty((0, 0))
     parts = list(_elements(content, order))
     flags = int(_numbers(*parts[0], order)[0])
-    kind, shape = flags & 0xFF, [int(n) for n in _numbers(*parts[1], order)]
+    kind = flags & 0xFF
+    if kind == _OPAQUE:
+        return parts[1][1].decode("ascii"), None
+    shape = [int(n) for n in _numbers(*parts[1], order)]
     name = parts[2][1].decode("ascii")
+    if len(shape) < 2 or min(shape) < 0:
+        raise ValueError(f"variable {name!r} has the shape {shape}")
+    if kind == _CELL:
+        return name, _cells(parts[3:], shape, order, budget, level)
+    if kind == _STRUCTURE:
+        return name, _structure(parts[3:], shape, order, budget, level)
     if kind != _CHARACTERS and not _DOUBLE <= kind <= _LAST:
         return name, None
     if flags & _COMPLEX:
         raise InputError(f"variable {name!r} is complex; save its parts as real numbers")
-    numbers = _numbers(*parts[3], order)
-    if len(shape) < 2 or min(shape) < 0 or float(np.prod(np.array(shape, float))) != numbers.size:
+    stored, data = parts[3]
+    if kind == _CHARACTERS and stored == _UTF8 and shape[0] == 1:  # characters of several bytes
+        return name, np.array([data.decode("utf-8").rstrip()])
+    numbers = _numbers(stored, data, order)
+    if float(np.prod(np.array(shape, float))) != numbers.size:
         raise ValueError(f"variable {name!r} has {numbers.size} entries, its shape says {shape}")
     matrix = numbers.reshape(shape, order="F")
     if kind != _CHARACTERS:
         return name, matrix
-    return name, np.array(["".join(map(chr, row)).rstrip() for row in matrix])
+    return name, np.array(["".join(map(chr, row)).rstrip() for row in matrix.reshape(shape[0], -1)])
+
+
+def _inside(
+    parts: list[tuple[int, bytes]], order: str, budget: _Budget, level: int
+) -> Iterator[Any]:
+    budget.take(len(parts), level + 1)
+    for kind, part in parts:
+        if kind != _MATRIX:
+            raise ValueError(f"an element of kind {kind} stands where a matrix is expected")
+        yield _matrix(part, order, budget, level + 1)[1]
+
+
+def _cells(
+    parts: list[tuple[int, bytes]], shape: list[int], order: str, budget: _Budget, level: int
+) -> Array:
+    count = float(np.prod(np.array(shape, float)))
+    if count != len(parts):
+        raise ValueError(f"a cell array has {len(parts)} entries, its shape says {shape}")
+    made = np.empty(len(parts), dtype=object)
+    for i, value in enumerate(_inside(parts, order, budget, level)):
+        made[i] = value
+    return made.reshape(shape, order="F")
+
+
+def _structure(
+    parts: list[tuple[int, bytes]], shape: list[int], order: str, budget: _Budget, level: int
+) -> Any:
+    """A dict, or a list of dicts where there are several (or none)."""
+    width = int(_numbers(*parts[0], order)[0])
+    letters = parts[1][1]
+    if width <= 0 or len(letters) % width:
+        raise ValueError(f"names of fields are {width} long, {len(letters)} bytes hold them")
+    names = [
+        letters[i : i + width].split(b"\0")[0].decode("utf-8")
+        for i in range(0, len(letters), width)
+    ]
+    count = float(np.prod(np.array(shape, float)))
+    if count * len(names) != len(parts) - 2:
+        raise ValueError(f"a structure has {len(parts) - 2} entries, its shape says {shape}")
+    values = iter(_inside(parts[2:], order, budget, level))
+    budget.take(int(count), level + 1)
+    made = [{name: next(values) for name in names} for _ in range(int(count) if names else 0)]
+    return made[0] if len(made) == 1 else made
 
 
 def _numbers(kind: int, content: bytes, order: str) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 from .exceptions import InputError, UnknownNameError
 from .units import unit as unit_of
 
-__all__ = ["known_keys", "pair", "quantity", "table"]
+__all__ = ["is_quantity", "known_keys", "pair", "quantity", "table"]
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
@@ -37,6 +37,8 @@ def quantity(where: str, value: Any, *units: str) -> float:
         a unit of another kind is refused. ``inf`` and ``-inf`` are numbers.
     """
     expected = " or ".join(repr(u) for u in units) or "a plain number"
+    if hasattr(value, "magnitude") and hasattr(value, "units"):
+        return _of_pint(where, value, expected, units)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise InputError(f"{where} = {value!r}: give a number in SI, or a text as '15 mm'")
     if not isinstance(value, str):
@@ -58,6 +60,22 @@ def quantity(where: str, value: Any, *units: str) -> float:
     if not any(measured.compatible(unit_of(u)) for u in units):
         raise InputError(f"{where} = {value!r}: this measures something else than {expected}")
     return number * measured.factor
+
+
+def is_quantity(value: Any) -> bool:
+    """Whether this is a number with its unit: a text, or a quantity of pint."""
+    return isinstance(value, str) or (hasattr(value, "magnitude") and hasattr(value, "units"))
+
+
+def _of_pint(where: str, value: Any, expected: str, units: tuple[str, ...]) -> float:
+    """The SI value of a quantity of pint's."""
+    for unit in units or ("1",):
+        wanted = "" if unit == "1" else re.sub(r"(?<=[A-Za-z])(\d)", r"**\1", unit)
+        try:
+            return float(value.to(wanted.replace(".", "*")).magnitude)
+        except Exception:  # pint's own errors, which are not known here
+            continue
+    raise InputError(f"{where} = {value}: this measures something else than {expected}")
 
 
 def pair(where: str, value: Any, *units: str) -> tuple[float | None, float | None]:

@@ -6,7 +6,6 @@ line, tables in the docs, error messages) reads the registry; none of them lists
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import pkgutil
 import re
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from .errors import InputError, UnknownNameError
+from .lazy import load
 
 __all__ = ["Argument", "Registry", "Units", "registries", "registry_of"]
 
@@ -57,7 +57,8 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
     noun : what one of them is called ("load"). argument : of plants and components that takes one
     (or several), by which a problem file finds this registry.
     room : package whose modules define them; all are imported when the registry is first read, so
-    that a new file needs no mention anywhere.
+    that a new file needs no mention anywhere. default : the one that a file means by a table
+    without ``kind``, where there are several.
 
         LOADS: Registry[type[Load]] = Registry("load", "pam_ocp.plants", argument="loads")
 
@@ -66,8 +67,8 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         class Spring: ...
     """
 
-    def __init__(self, noun: str, room: str, *, argument: str = "") -> None:
-        self.noun, self.argument, self.room = noun, argument, room
+    def __init__(self, noun: str, room: str, *, argument: str = "", default: str = "") -> None:
+        self.noun, self.argument, self.room, self.default = noun, argument, room, default
         self._kinds: dict[str, Kind] = {}
         self._homes: dict[str, str] = {}
         self._units: dict[str, dict[str, tuple[str, ...]]] = {}
@@ -120,10 +121,10 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         return self._kinds
 
     def _import_room(self) -> None:
-        room = importlib.import_module(self.room)
+        room = load(self.room)
         for found in pkgutil.walk_packages(room.__path__, f"{self.room}."):
             if not found.name.endswith("_server"):  # scripts of other processes
-                importlib.import_module(found.name)
+                load(found.name)
         self._complete = True
 
     def __iter__(self) -> Iterator[str]:

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
+from .quantities import is_quantity, quantity
 from .system import HasInputs
 from .variables import Causality
 
-__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "signals"]
+__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "joined", "signals"]
 
 Array: TypeAlias = NDArray[np.float64]
 Interpolation: TypeAlias = Literal["previous", "linear"]
@@ -153,7 +154,7 @@ def signals(
         _one(variable, given.get(variable.name, variable.start), t, interpolation)
         for variable in plant.inputs
     ]
-    return _joined(pieces, t)
+    return joined(pieces, t)
 
 
 def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
@@ -179,8 +180,12 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
     return {v.name: (inputs.t, inputs[v.name]) for v in plant.inputs}
 
 
-def numbers(argument: str, value: Any) -> Array:
-    """``value`` as an array of finite numbers; InputError when it is none."""
+def numbers(argument: str, value: Any, unit: str = "") -> Array:
+    """``value`` as an array of finite numbers, which may be texts such as "3 bar" where ``unit`` is
+    known; InputError when it is none.
+    """
+    if unit and isinstance(value, list | tuple):
+        value = [quantity(argument, v, unit) if is_quantity(v) else v for v in value]
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
@@ -260,7 +265,7 @@ def _from_function(
     return PiecewisePolynomial(breaks, np.array([c for _, c in done])[:, :, None])
 
 
-def _joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:
+def joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:
     """Several signals on the union of their breaks, over [t[0], t[-1]]."""
     inside = [p.breaks[(p.breaks > t[0]) & (p.breaks < t[-1])] for p in pieces]
     breaks = merged(np.concatenate([t[[0, -1]], *inside]))

@@ -2,8 +2,8 @@
 
 CasADi swallows what Python raises inside its calls: the error of a signal's handler comes back as
 RuntimeError, as the status of a failed solve, or not at all. So for the time of a verb the handlers
-of signals are wrapped: what they raise is kept, breaks off the call, and is raised again behind it,
-at the latest where the verb ends. A time limit goes the same way.
+of signals are wrapped (core/interrupts.py): what they raise breaks off the call, and is raised
+again behind it. A time limit goes the same way.
 
 CasADi's objects are not thread safe (two threads on one plant end the process): verbs take turns,
 by one lock.
@@ -11,19 +11,19 @@ by one lock.
 
 from __future__ import annotations
 
-import _thread
+import difflib
 import functools
 import inspect
 import math
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from types import FrameType, FunctionType, TracebackType
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from types import FunctionType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from .errors import OutOfTime, require_positive
+from .interrupts import INTERRUPTS, boundary, in_main, undisturbed
 
 __all__ = [
     "LOCK",
@@ -32,7 +32,6 @@ __all__ = [
     "ask",
     "check",
     "deadline",
-    "interruptible",
     "limited",
     "locked",
     "native",
@@ -47,13 +46,6 @@ C = TypeVar("C", bound=type)
 
 LOCK = threading.RLock()
 """Held by whatever builds or evaluates CasADi's objects."""
-
-SIGNALS = tuple(
-    getattr(signal, name)
-    for name in ("SIGINT", "SIGTERM", "SIGALRM", "SIGBREAK")
-    if hasattr(signal, name)
-)
-"""Whose handlers, where they are Python's, may raise to end a verb."""
 
 
 class TimeIsUp(BaseException):
@@ -97,73 +89,15 @@ class _Here(threading.local):
     deadline = Deadline(math.inf)
 
 
-class _Signals:
-    """The handlers of signals, wrapped for the time of the outermost verb (in the main thread)."""
-
-    def __init__(self) -> None:
-        self.depth = 0
-        self.native = 0
-        """How many of CasADi's calls are under way: only these are broken off by a time limit."""
-        self.held = 0
-        """Above zero nothing is raised by a handler: the call looks for it itself."""
-        self.error: BaseException | None = None
-        """What a handler raised."""
-        self._before: dict[int, Callable[[int, FrameType | None], Any]] = {}
-        self._ticked = False
-
-    def __enter__(self) -> None:
-        if threading.current_thread() is not threading.main_thread():
-            return
-        if self.depth == 0:
-            self.error, self._ticked = None, False
-            for number in SIGNALS:
-                before = signal.getsignal(number)
-                if callable(before) and before != self._arrived:
-                    self._before[number] = before
-                    signal.signal(number, self._arrived)
-        # last, and no call behind it: what a handler raises above leaves the depth as it was
-        self.depth += 1
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if threading.current_thread() is not threading.main_thread():
-            return
-        if self.depth > 1:
-            self.depth -= 1
-            return
-        # first: what a handler raises below leaves handlers that the next verb takes over
-        pending, self.error, self.depth = self.error, None, 0
-        for number, before in self._before.items():
-            signal.signal(number, before)
-        self._before.clear()
-        if pending is not None and pending is not error:
-            raise pending
-
-    def _arrived(self, number: int, frame: FrameType | None) -> None:
-        if self._ticked and number == signal.SIGINT:
-            self._ticked = False
-            if self.native and not self.held and _here.deadline.over:
-                raise TimeIsUp
-            return
-        try:
-            self._before[number](number, frame)
-        except BaseException as error:
-            self.error = error
-            if not self.held:
-                raise
-
-    def tick(self) -> None:
-        """From another thread, when a time limit is over: break off the call under way."""
-        if self.native and not self.held and signal.SIGINT in self._before:
-            self._ticked = True
-            _thread.interrupt_main()
+_here = _Here()
 
 
-_here, _signals = _Here(), _Signals()
+def _due() -> BaseException | None:
+    return TimeIsUp() if _here.deadline.over else None
+
+
+_signals = INTERRUPTS
+_signals.due = _due
 
 
 def deadline() -> Deadline:
@@ -173,20 +107,17 @@ def deadline() -> Deadline:
 
 def check() -> None:
     """For loops: raise what a signal asked for, or TimeIsUp."""
-    if _signals.error is not None and _in_main():
+    if _signals.error is not None and in_main():
         raise _signals.error
     _here.deadline.check()
 
 
 def ask() -> bool:
     """For a solver's iteration callback: whether it should end here."""
-    return (_signals.error is not None and _in_main()) or _here.deadline.over
+    return (_signals.error is not None and in_main()) or _here.deadline.over
 
 
-def _in_main() -> bool:
-    return threading.current_thread() is threading.main_thread()
-
-
+@boundary
 def native(function: Callable[..., R], *args: Any, held: bool = False, **kwargs: Any) -> R:
     """A call of CasADi's that may take long, which signals and time limits break off.
 
@@ -195,10 +126,11 @@ def native(function: Callable[..., R], *args: Any, held: bool = False, **kwargs:
     """
     with LOCK, _signals:
         check()
-        mine = _in_main()
-        _signals.native += mine
-        _signals.held += mine and held
+        mine = in_main()
+        before = _signals.native, _signals.held
         try:
+            _signals.native += mine
+            _signals.held += mine and held
             found = function(*args, **kwargs)
         except BaseException:
             if mine and _signals.error is not None:
@@ -206,8 +138,8 @@ def native(function: Callable[..., R], *args: Any, held: bool = False, **kwargs:
             _here.deadline.check()
             raise
         finally:
-            _signals.native -= mine
-            _signals.held -= mine and held
+            if mine:
+                _signals.native, _signals.held = before
         if mine and _signals.error is not None:
             raise _signals.error
         if held:
@@ -215,74 +147,90 @@ def native(function: Callable[..., R], *args: Any, held: bool = False, **kwargs:
         return found
 
 
-@contextmanager
-def limited(seconds: float | None) -> Iterator[None]:
+class _Until:
+    """A deadline for what stands in the ``with``; no signal parts it from its end."""
+
+    def __init__(self, moment: Deadline | None, told: bool) -> None:
+        self._moment, self._told, self._outer = moment, told, _here.deadline
+        self._timer: threading.Timer | None = None
+
+    @undisturbed
+    def __enter__(self) -> None:
+        moment = self._moment
+        if moment is None:
+            return
+        if moment.end != math.inf and in_main():
+            # the margin: who wakes too early would find time left
+            self._timer = threading.Timer(moment.remaining() + 1e-3, _signals.tick)
+            self._timer.daemon = True
+            self._timer.start()
+        _here.deadline = moment
+
+    @undisturbed
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        own, _here.deadline = _here.deadline, self._outer
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._told and isinstance(error, TimeIsUp) and own.over and not self._outer.over:
+            raise OutOfTime(f"{own} was over before there was a result; allow more time") from None
+
+
+def limited(seconds: float | None) -> AbstractContextManager[None]:
     """A time limit [s] for what stands in the ``with``: OutOfTime when it is over.
 
     Limits nest: the one that ends first counts. None for no limit of its own.
     """
-    outer = _here.deadline
     if seconds is None:
-        yield
-        return
-    own = Deadline(require_positive("time_limit", seconds, "s"), outer)
-    try:
-        with _until(own):
-            yield
-    except TimeIsUp:
-        if outer.over or not own.over:
-            raise
-        raise OutOfTime(f"{own} was over before there was a result; allow more time") from None
+        return _Until(None, told=False)
+    own = Deadline(require_positive("time_limit", seconds, "s"), _here.deadline)
+    return _Until(own, told=True)
 
 
-@contextmanager
-def spared(seconds: float) -> Iterator[None]:
+def spared(seconds: float) -> AbstractContextManager[None]:
     """So many seconds [s] more where the time is up: to finish what there is to show for it."""
-    with _until(Deadline(max(seconds, _here.deadline.remaining()))):
-        yield
-
-
-@contextmanager
-def _until(moment: Deadline) -> Iterator[None]:
-    outer, timer = _here.deadline, None
-    _here.deadline = moment
-    if moment.end != math.inf and _in_main():
-        # the margin: who wakes too early would find time left
-        timer = threading.Timer(moment.remaining() + 1e-3, _signals.tick)
-        timer.daemon = True
-        timer.start()
-    try:
-        yield
-    finally:
-        _here.deadline = outer
-        if timer is not None:
-            timer.cancel()
-
-
-def interruptible() -> AbstractContextManager[None]:
-    """What a signal's handler raises in the ``with`` comes out of it, whatever became of it within.
-
-    No turns are taken: for what may run while another thread waits for this one, as imports do.
-    """
-    return _signals
+    return _Until(Deadline(max(seconds, _here.deadline.remaining())), told=False)
 
 
 def verb(function: Callable[P, R]) -> Callable[P, R]:
     """A public verb: threads take turns, signals end it, and ``time_limit=`` among its keywords."""
 
-    argument = inspect.signature(function).parameters.get("time_limit")
+    signature = inspect.signature(function)
+    argument = signature.parameters.get("time_limit")
     default = None if argument is None else argument.default
 
     @functools.wraps(function)
+    @boundary
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        require_known_keywords(function.__qualname__, signature, kwargs)
         seconds: Any = kwargs.get("time_limit", default)
         if seconds is None:
-            with LOCK, _signals:
+            with _signals, LOCK:
                 return function(*args, **kwargs)
-        with limited(seconds), LOCK, _signals:
+        with _signals, limited(seconds), LOCK:
             return function(*args, **kwargs)
 
     return called
+
+
+def require_known_keywords(
+    name: str, signature: inspect.Signature, given: Mapping[str, Any]
+) -> None:
+    """TypeError that names the nearest keywords, where one is given that a function has not."""
+    known = signature.parameters
+    wrong = next((n for n in given if n not in known), None)
+    if wrong is None or any(p.kind is p.VAR_KEYWORD for p in known.values()):
+        return
+    near = difflib.get_close_matches(wrong, known, 3, 0.6)
+    has = " or ".join(near) if near else ", ".join(n for n in known if n != "self")
+    raise TypeError(
+        f"{name.removesuffix('.__init__')}() has no argument {wrong!r}; "
+        + (f"did you mean {has}?" if near else f"it has {has}")
+    )
 
 
 def turns(function: Callable[P, R]) -> Callable[P, R]:

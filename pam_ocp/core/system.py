@@ -6,7 +6,7 @@ Rooms below the plants (and the parts that a plant is made of) name these protoc
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from .variables import Causality, Variable
 
 __all__ = ["Declares", "HasInputs", "System"]
+
+Part = TypeVar("Part")
 
 
 class Declares(Protocol):
@@ -47,6 +49,11 @@ class Declares(Protocol):
         paths: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
         **attributes: Any,
     ) -> list[ca.SX]: ...
+
+    def shared(self, name: str, component: Any, declare: Callable[[], Part]) -> Part: ...
+
+    def gathered(self) -> tuple[ca.SX, Callable[[Any], None]]: ...
+    def delayed(self, command: ca.SX, dead_time: Any, name: str | None = None) -> ca.SX: ...
 
 
 class HasInputs(Protocol):

@@ -30,7 +30,8 @@ from .files import (
     require_size,
     write_npz,
 )
-from .foreign import read_frame
+from .foreign import frame, read_frame
+from .shown import shown
 from .signals import Interpolation, PiecewisePolynomial
 from .variables import Causality, Variable, variable_of
 
@@ -72,6 +73,7 @@ class Event:
     rising: bool
 
 
+@shown
 class Trajectory:
     """Time series of named variables on common times.
 
@@ -204,6 +206,21 @@ class Trajectory:
         """
         return Trajectory(self.t, self._columns, self.variables, interpolation, self.events)
 
+    def __getattr__(self, name: str) -> Array:
+        """``trajectory.muscle1_pressure``: the samples of one variable, for completion by tab."""
+        columns = self.__dict__.get("_columns", {})
+        for column in columns:
+            if column.replace(".", "_") == name:
+                found: Array = columns[column]
+                return found
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *(n.replace(".", "_") for n in self.names)})
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.names)
+
     def __repr__(self) -> str:
         return (
             f"<Trajectory {self.t[0]:g} .. {self.t[-1]:g} s, {len(self)} samples of "
@@ -283,11 +300,8 @@ class Trajectory:
 
     def to_pandas(self) -> pd.DataFrame:
         """A DataFrame with one column per variable, indexed by time [s]."""
-        try:
-            import pandas as pd
-        except ImportError:
-            raise InputError("to_pandas needs pandas: pip install pam_ocp[studies]") from None
-        return pd.DataFrame(dict(self._columns), index=pd.Index(self.t, name="time"))
+        table = np.column_stack(list(self._columns.values()))
+        return frame(table, list(self._columns), self.t, "time")  # type: ignore[arg-type]
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
@@ -380,6 +394,7 @@ class Deviation:
         return self.largest / self.variable.nominal
 
 
+@shown
 @dataclass(frozen=True)
 class Comparison:
     """Differences of two trajectories, one Deviation per shared variable."""

@@ -49,11 +49,15 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "m": (_exponents(m=1), 1.0),
     "mm": (_exponents(m=1), 1e-3),
     "cm": (_exponents(m=1), 1e-2),
+    "um": (_exponents(m=1), 1e-6),
     "in": (_exponents(m=1), 0.0254),
     "l": (_exponents(m=3), 1e-3),
     "s": (_exponents(s=1), 1.0),
     "ms": (_exponents(s=1), 1e-3),
+    "us": (_exponents(s=1), 1e-6),
     "min": (_exponents(s=1), 60.0),
+    "h": (_exponents(s=1), 3600.0),
+    "d": (_exponents(s=1), 86400.0),
     "Hz": (_exponents(s=-1), 1.0),
     "K": (_exponents(K=1), 1.0),
     "rad": (_exponents(rad=1), 1.0),
@@ -61,8 +65,14 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "N": (_exponents(kg=1, m=1, s=-2), 1.0),
     "kN": (_exponents(kg=1, m=1, s=-2), 1e3),
     "lbf": (_exponents(kg=1, m=1, s=-2), 4.4482216152605),
+    "mN": (_exponents(kg=1, m=1, s=-2), 1e-3),
+    "kgf": (_exponents(kg=1, m=1, s=-2), 9.80665),
     "J": (_exponents(kg=1, m=2, s=-2), 1.0),
     "W": (_exponents(kg=1, m=2, s=-3), 1.0),
+    "V": (_exponents(kg=1, m=2, s=-3, A=-1), 1.0),
+    "mV": (_exponents(kg=1, m=2, s=-3, A=-1), 1e-3),
+    "A": (_exponents(A=1), 1.0),
+    "mA": (_exponents(A=1), 1e-3),
     "Pa": (_exponents(kg=1, m=-1, s=-2), 1.0),
     "hPa": (_exponents(kg=1, m=-1, s=-2), 1e2),
     "mbar": (_exponents(kg=1, m=-1, s=-2), 1e2),
@@ -70,9 +80,23 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "bar": (_exponents(kg=1, m=-1, s=-2), 1e5),
     "MPa": (_exponents(kg=1, m=-1, s=-2), 1e6),
     "psi": (_exponents(kg=1, m=-1, s=-2), 6894.757293168),
+    "atm": (_exponents(kg=1, m=-1, s=-2), 101325.0),
 }
 
-_TOKEN = re.compile(r"(?P<symbol>[A-Za-z%]+|1)(?P<power>-?\d+)?$")
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6}
+
+
+def _symbol(name: str) -> tuple[tuple[int, ...], float] | None:
+    """Exponents and factor of a symbol, with a prefix or without; None when it is not known."""
+    if name in _SYMBOLS:
+        return _SYMBOLS[name]
+    prefix, plain = _PREFIXES.get(name[:1]), name[1:]
+    if prefix is None or plain not in ("m", "s", "l", "Hz", "N", "J", "W", "Pa", "rad", "bar"):
+        return None
+    return _SYMBOLS[plain][0], prefix * _SYMBOLS[plain][1]
+
+
+_TOKEN = re.compile(r"(?P<symbol>[A-Za-z%µ]+|1)(?P<power>-?\d+)?$")
 
 
 @cache
@@ -89,10 +113,11 @@ def unit(name: str) -> Unit:
     for part, sign in ((numerator, 1), (denominator.strip("()"), -1)):
         for token in filter(None, part.strip("()").split(".")):
             match = _TOKEN.match(token)
-            if match is None or match["symbol"] not in _SYMBOLS:
+            known = match and _symbol(match["symbol"])
+            if match is None or known is None:
                 raise UnknownNameError("unit", name, _SYMBOLS)
             power = sign * int(match["power"] or 1)
-            base, scale = _SYMBOLS[match["symbol"]]
+            base, scale = known
             exponents = [e + power * b for e, b in zip(exponents, base, strict=True)]
             factor *= scale**power
     return Unit(name, tuple(exponents), factor)

@@ -13,7 +13,8 @@ import numpy as np
 from . import units
 from .errors import InputError
 from .plausible import doubt, meant_within
-from .quantities import quantity
+from .quantities import is_quantity, quantity
+from .shown import shown
 
 __all__ = ["Causality", "Memory", "Variable", "variable_of"]
 
@@ -26,6 +27,7 @@ ROUNDING = 1e-6
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*$")
 
 
+@shown
 @dataclass(frozen=True)
 class Variable:
     """A named quantity.
@@ -104,7 +106,7 @@ class Variable:
 
         InputError when it is no number. Infinite and NaN pass here.
         """
-        if isinstance(value, str):
+        if is_quantity(value):
             return quantity(f"{self.name}: {argument}", value, self.unit)
         if isinstance(value, bool | np.bool_) or np.ndim(value) > 0:
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number")
@@ -160,6 +162,10 @@ class Variable:
         """``value`` [unit] as text in the display unit: ``shown(2e5) == "2 bar"``."""
         text = f"{value / self.display_factor + 0.0:.6g}"
         return text if self.display_unit == "1" else f"{text} {self.display_unit}"
+
+    def _brief(self) -> str:
+        start = "" if self.start is None else f" = {self.shown(self.start)}"
+        return f"{self.causality} {self.label}{start}"
 
     @property
     def label(self) -> str:

@@ -21,6 +21,8 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
+from ..core.interrupts import interruptible
+from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from .archive import printable
 from .isolation import run_alone
@@ -30,6 +32,7 @@ __all__ = ["FmuCheck", "check_fmu"]
 Array: TypeAlias = NDArray[np.float64]
 
 
+@shown
 @dataclass(frozen=True)
 class FmuCheck:
     """What :func:`check_fmu` found. ``print`` it for a report; ``ok`` for a verdict."""
@@ -89,6 +92,7 @@ class FmuCheck:
         return "\n".join(map(printable, lines))
 
 
+@interruptible()
 def check_fmu(
     path: str | os.PathLike[str],
     against: Trajectory | None = None,
@@ -133,8 +137,8 @@ def check_fmu(
     """
     file = Path(path)
     require_positive("tolerance", tolerance)
-    require_positive("duration", duration, "s")
-    require_positive("time_limit", time_limit, "s")
+    duration = require_positive("duration", duration, "s")
+    time_limit = require_positive("time_limit", time_limit, "s")
     require_instance("against", against, Trajectory, "give a Trajectory, or none", none=True)
     values = {n: require_finite(f"parameters: {n}", v) for n, v in (parameters or {}).items()}
     if not file.is_file():

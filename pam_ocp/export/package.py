@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..core.errors import InputError, UnknownNameError, require_positive
-from ..core.files import atomic_path
+from ..core.files import atomic_path, require_ending
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant, require_plant
@@ -126,6 +126,7 @@ def write_fmu(
     equations : for the documentation; by default those of the plant.
     shown : states and outputs that are outputs of the FMU; by default all.
     """
+    require_ending(path, ".fmu", "an FMU")
     chosen = compiler.platforms_named(platforms)
     identifier = model_identifier(plant.name)
     with atomic_path(path) as temporary:  # first of all: is there a place to write to?
@@ -198,8 +199,8 @@ def checked(
     require_plant(plant)
     if fmi not in ("2.0", "3.0"):
         raise UnknownNameError("FMI version", fmi, ("2.0", "3.0"))
-    require_positive("step_size", step_size, "s")
-    require_positive("stop_time", stop_time, "s")
+    step_size = require_positive("step_size", step_size, "s")
+    stop_time = require_positive("stop_time", stop_time, "s")
     if not 1e-11 <= require_positive("tolerance", tolerance) <= 1e-2:
         raise InputError(f"tolerance = {tolerance:g} must lie in 1e-11 .. 1e-2")
     fixed = 0.0 if fixed_step is None else require_positive("fixed_step", fixed_step, "s")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ..core.errors import InputError, UnknownNameError, require_positive
-from ..core.files import atomic_path
+from ..core.files import atomic_path, require_ending
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
@@ -60,8 +60,9 @@ def export_ssp(
 
     Raises InputError (an open input, units that do not fit), UnknownNameError, ExportError.
     """
-    require_positive("step_size", step_size, "s")
-    require_positive("stop_time", stop_time, "s")
+    require_ending(path, ".ssp", "a system")
+    step_size = require_positive("step_size", step_size, "s")
+    stop_time = require_positive("stop_time", stop_time, "s")
     if not components:
         raise InputError("components is empty: name at least one Plant or Trajectory")
     plants = {Variable(n, "parameter").name: _variables(n, c) for n, c in components.items()}

@@ -1,3 +1,4 @@
 # Names of pam_ocp.figures, loaded at their first use.
 from .film import animate_plan as animate_plan
 from .plan import plot_costates as plot_costates
+from .report import write_report as write_report

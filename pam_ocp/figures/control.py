@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..control.analysis import BodeCloud, Margins, ModeMap, Stroke, frequency_response
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
-from .trajectory import COLOURS, _draw, _figure
+from .canvas import COLOURS, draw, new_figure
 
 if TYPE_CHECKING:
     import control
@@ -46,7 +46,7 @@ def plot_tracking(
     wanted = {first.variable(n).name: f for n, f in (reference or {}).items()}
     panels = [(first.variable(n).name, False) for n in names]
     panels += [(n, True) for n, _ in panels if n in wanted]
-    figure, axes = _figure(len(panels), size=(8.5, 1.0 + 1.8 * len(panels)), sharex=True)
+    figure, axes = new_figure(len(panels), size=(8.5, 1.0 + 1.8 * len(panels)), sharex=True)
     for ax, (name, error) in zip(axes[:, 0], panels, strict=True):
         variable = first.variable(name)
         for i, (label, run) in enumerate(runs.items()):
@@ -62,7 +62,7 @@ def plot_tracking(
                     ls=line,
                 )
             else:
-                _draw(ax, run, name, colour, linewidth=1.4, label=label, linestyle=line)
+                draw(ax, run, name, colour, linewidth=1.4, label=label, linestyle=line)
         if not error and name in wanted:
             goal = np.array([wanted[name](t) for t in first.t]) / variable.display_factor
             ax.plot(first.t, goal, color="#222222", lw=1.0, ls="--", label="reference")
@@ -80,7 +80,7 @@ def plot_tracking(
 def plot_bode_cloud(cloud: BodeCloud, level: float = 0.95, title: str = "") -> Figure:
     """Every response thinly, the nominal one on top; below, magnitudes over the nominal one, with
     the band that holds ``level`` of them."""
-    figure, axes = _figure(3, size=(8, 8), sharex=True)
+    figure, axes = new_figure(3, size=(8, 8), sharex=True)
     magnitude, phase, relative = axes[:, 0]
     size = np.abs(cloud.nominal)
     for i, response in enumerate(cloud.responses):
@@ -115,7 +115,7 @@ def plot_loop(
 
     loops : {label: loop gain broken at the inputs}, as ``StateFeedback.loop``.
     """
-    figure, axes = _figure(2, size=(8, 6), sharex=True)
+    figure, axes = new_figure(2, size=(8, 6), sharex=True)
     upper, lower = axes[:, 0]
     frequency = np.geomspace(*hertz, 600)
     for i, (label, loop) in enumerate(loops.items()):
@@ -148,7 +148,7 @@ def plot_stroke(strokes: Mapping[str, Stroke], title: str = "") -> Figure:
     )
     first = next(iter(strokes.values()))
     variable = first.points[0].plant.variable(first.name)
-    figure, axes = _figure(len(panels), size=(8, 9.5), sharex=True)
+    figure, axes = new_figure(len(panels), size=(8, 9.5), sharex=True)
     for ax, (attribute, label) in zip(axes[:, 0], panels, strict=True):
         for i, (name, stroke) in enumerate(strokes.items()):
             values = getattr(stroke, attribute)
@@ -170,7 +170,7 @@ def plot_mode_map(found: ModeMap, title: str = "") -> Figure:
     """Contours of natural frequency and damping ratio over the two axes;
     blank without equilibrium.
     """
-    figure, axes = _figure(1, 2, size=(11, 4.6))
+    figure, axes = new_figure(1, 2, size=(11, 4.6))
     (outer, rows), (inner, columns) = found.axes.items()
     x, y = found.plant.variable(outer), found.plant.variable(inner)
     panels = (

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count, require_instance, require_positive
 from ..core.files import atomic_path, require_place
+from ..core.interrupts import interruptible
 from ..planning.result import Plan
 from ..plants.hanging import hanging_sketch
 from ..plants.sketch import Disc, Line, Mark, Point, Polygon, Sketch, Spindle
+from .canvas import new_figure
 from .plan import GREY, colours_of, panels_of
-from .trajectory import _figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,6 +40,7 @@ CURVES = 3
 """Panels of curves beside the picture of the plant."""
 
 
+@interruptible()
 def animate_plan(
     plan: Plan, path: str | Path, *, seconds: float | None = None, fps: int = 20
 ) -> Path:
@@ -84,7 +86,9 @@ def _film(plan: Plan, motion: Trajectory, length: float) -> tuple[Figure, list[F
     scene = _scene(plan, motion)
     panels = list(panels_of(plan).items())[: CURVES if scene else 6]
     rows = len(panels)
-    figure, axes = _figure(rows, 2 if scene else 1, size=(9.6 if scene else 7.0, 1.4 + 1.25 * rows))
+    figure, axes = new_figure(
+        rows, 2 if scene else 1, size=(9.6 if scene else 7.0, 1.4 + 1.25 * rows)
+    )
     drawn: list[Frame] = []
     if scene:
         grid = axes[0, 0].get_gridspec()

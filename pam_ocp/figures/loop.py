@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.trajectory import Trajectory
-from .trajectory import COLOURS, _draw, _figure
+from .canvas import COLOURS, draw, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,11 +33,11 @@ def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
     controls = [n for n in real.named("input") if not real.variable(n).disturbance]
     unknown = [] if loop.estimate is None else _unknowns(loop.estimate, real)
     rows = len(shown) + (wanted is not None) + 1 + len(unknown) + (loop.statistics is not None)
-    figure, axes = _figure(rows, size=(8.5, 1.0 + 1.7 * rows))
+    figure, axes = new_figure(rows, size=(8.5, 1.0 + 1.7 * rows))
     free = iter(axes[:, 0])
     for name in shown:
         ax = next(free)
-        _draw(ax, real, name, COLOURS[0])
+        draw(ax, real, name, COLOURS[0])
         if wanted is not None:
             goal = wanted[name] / real.variable(name).display_factor
             ax.plot(real.t, goal, "k:", lw=1.0, drawstyle="steps-post", label="reference")
@@ -46,7 +46,7 @@ def plot_closed_loop(loop: ClosedLoop, title: str = "") -> Figure:
         _draw_error(next(free), real, wanted, shown[0])
     ax = next(free)
     for i, name in enumerate(controls):
-        _draw(ax, real, name, COLOURS[i % len(COLOURS)], linewidth=1.2)
+        draw(ax, real, name, COLOURS[i % len(COLOURS)], linewidth=1.2)
     ax.set_ylabel(f"inputs [{real.variable(controls[0]).display_unit}]" if controls else "inputs")
     if loop.estimate is not None:
         for name in unknown:

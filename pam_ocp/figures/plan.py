@@ -14,7 +14,7 @@ import numpy as np
 from ..core.errors import require_instance
 from ..core.variables import Variable
 from ..planning.result import Plan
-from .trajectory import COLOURS, _figure
+from .canvas import COLOURS, axis_label, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,12 +81,12 @@ def plot_plan(plan: Plan) -> Figure:
     limits = limits_along(plan)
     touched = _touched(limits)
     heights = [1.6] * len(panels) + ([0.45 + 0.17 * len(touched)] if touched else [])
-    figure, axes = _figure(len(heights), size=(9, 0.8 + sum(heights)), sharex=True)
+    figure, axes = new_figure(len(heights), size=(9, 0.8 + sum(heights)), sharex=True)
     if touched:
         axes[0, 0].get_gridspec().set_height_ratios(heights)
-    for ax, (unit, names) in zip(axes[:, 0], panels.items(), strict=False):
+    for ax, names in zip(axes[:, 0], panels.values(), strict=False):
         _panel(ax, plan, names, limits)
-        ax.set_ylabel("" if unit == "1" else f"{_quantity(plan, names)}\n[{unit}]")
+        ax.set_ylabel(axis_label(plan.trajectory.variable(names[0])))
     if touched:
         _chart(axes[-1, 0], touched, plan.duration)
     for ax in axes[:, 0]:
@@ -101,22 +101,6 @@ def plot_plan(plan: Plan) -> Figure:
     axes[-1, 0].set_xlabel("time [s]")
     axes[-1, 0].set_xlim(0.0, plan.duration)
     return figure
-
-
-def _quantity(plan: Plan, names: Sequence[str]) -> str:
-    """What a panel shows, where its unit has a usual name."""
-    unit = plan.trajectory.variable(names[0]).unit
-    return {
-        "m": "position",
-        "rad": "angle",
-        "m/s": "velocity",
-        "rad/s": "velocity",
-        "Pa": "pressure",
-        "N": "force",
-        "N.m": "torque",
-        "N/m": "stiffness",
-        "N.m/rad": "stiffness",
-    }.get(unit, "")
 
 
 def _panel(ax: Axes, plan: Plan, names: Sequence[str], limits: Sequence[Limit]) -> None:
@@ -252,7 +236,7 @@ def plot_costates(plan: Plan) -> Figure:
     for v in plan.plant.states:
         if not _COPY.search(v.name):
             groups.setdefault(v.display_unit, []).append(v)
-    figure, axes = _figure(len(groups), size=(9, 1.0 + 1.7 * len(groups)), sharex=True)
+    figure, axes = new_figure(len(groups), size=(9, 1.0 + 1.7 * len(groups)), sharex=True)
     for ax, (unit, variables) in zip(axes[:, 0], groups.items(), strict=True):
         colours = colours_of([v.name for v in variables])
         for v in variables:
@@ -281,7 +265,7 @@ def plot_pareto(front: Pareto) -> Figure:
     """The second objective over the first, with the knee;
     plans that are not verified crossed out.
     """
-    figure, axes = _figure(1, size=(6.5, 4.5))
+    figure, axes = new_figure(1, size=(6.5, 4.5))
     ax = axes[0, 0]
     x, y = (
         front.values[:, i] / v.display_factor for i, v in enumerate((front.first, front.second))
@@ -314,7 +298,7 @@ def plot_robust(robust: RobustPlan) -> Figure:
         ("nominal plan", robust.nominal_members, robust.nominal_unseen),
         ("robust plan", robust.members, robust.unseen),
     )
-    figure, axes = _figure(len(widths), 2, size=(10, 1.0 + 2.6 * len(widths)), sharex=False)
+    figure, axes = new_figure(len(widths), 2, size=(10, 1.0 + 2.6 * len(widths)), sharex=False)
     for row, name in zip(axes, widths, strict=True):
         variable = robust.members.plant.variable(name)
         factor = variable.display_factor

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from ..core.errors import WriteError
 from ..core.files import atomic_path
+from ..core.interrupts import interruptible
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["save_figure"]
 
 
+@interruptible()
 def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float = 130) -> Path:
     """Write a figure as the file's name ends (.png, .pdf, .svg, ...), all of it or nothing.
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.trajectory import Trajectory
+from .canvas import COLOURS, MARKS, STROKES, axis_label, draw, layered, new_figure
 
 if TYPE_CHECKING:
     import control
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from ..fitting.static.static import ForceFit
@@ -26,37 +26,9 @@ __all__ = [
     "plot_load_study",
     "plot_muscle",
     "plot_record",
+    "plot_records",
     "plot_trajectory",
 ]
-
-COLOURS = ("#1b6ca8", "#c8553d", "#4c956c", "#7b5ea7", "#c98b14", "#5b6770")
-
-
-def _figure(
-    rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
-) -> tuple[Figure, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex)
-    for ax in axes.ravel():
-        ax.grid(True, color="#dddddd", linewidth=0.6)
-        ax.set_axisbelow(True)
-        ax.spines[["top", "right"]].set_visible(False)
-    return figure, axes
-
-
-def _draw(ax: Axes, trajectory: Trajectory, name: str, colour: str, **style: Any) -> None:
-    variable = trajectory.variable(name)
-    values = trajectory[name] / variable.display_factor
-    held = variable.causality == "input" and trajectory.interpolation == "previous"
-    ax.plot(
-        trajectory.t,
-        values,
-        color=colour,
-        drawstyle="steps-post" if held else "default",
-        **{"linewidth": 1.6, "label": variable.name, **style},
-    )
 
 
 def plot_trajectory(trajectory: Trajectory, names: Sequence[str] | None = None) -> Figure:
@@ -67,14 +39,13 @@ def plot_trajectory(trajectory: Trajectory, names: Sequence[str] | None = None) 
     panels: dict[str, list[str]] = {}
     for name in chosen:
         panels.setdefault(trajectory.variable(name).display_unit, []).append(name)
-    figure, axes = _figure(len(panels), size=(8, 1.2 + 1.7 * len(panels)), sharex=True)
-    for ax, (unit, members) in zip(axes[:, 0], panels.items(), strict=True):
-        for i, name in enumerate(members):
-            dashed = trajectory.variable(name).causality == "input"
-            _draw(
-                ax, trajectory, name, COLOURS[i % len(COLOURS)], linestyle="--" if dashed else "-"
-            )
-        ax.set_ylabel("" if unit == "1" else unit)
+    figure, axes = new_figure(len(panels), size=(8, 1.2 + 1.7 * len(panels)), sharex=True)
+    for ax, members in zip(axes[:, 0], panels.values(), strict=True):
+        for name, style in zip(members, layered(len(members)), strict=True):
+            if trajectory.variable(name).causality == "input":
+                style["linestyle"] = "--"
+            draw(ax, trajectory, name, **style)
+        ax.set_ylabel(axis_label(trajectory.variable(members[0])))
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
     axes[-1, 0].set_xlabel("time [s]")
     return figure
@@ -83,7 +54,7 @@ def plot_trajectory(trajectory: Trajectory, names: Sequence[str] | None = None) 
 def plot_fit(fit: ForceFit, title: str = "") -> Figure:
     """Measured and fitted force over contraction, one line per pressure; residuals below."""
     table = fit.table
-    figure, axes = _figure(2, size=(8, 7), sharex=True)
+    figure, axes = new_figure(2, size=(8, 7), sharex=True)
     upper, lower = axes[:, 0]
     pressures = np.unique(table.pressure)
     shade = _colours(pressures)
@@ -140,12 +111,12 @@ def plot_comparison(
     reference: Trajectory, other: Trajectory, names: Sequence[str], labels: tuple[str, str]
 ) -> Figure:
     """Two trajectories over each other, and their difference in units of nominal below."""
-    figure, axes = _figure(len(names) + 1, size=(8, 2.0 + 1.6 * len(names)), sharex=True)
+    figure, axes = new_figure(len(names) + 1, size=(8, 2.0 + 1.6 * len(names)), sharex=True)
     there = other if np.array_equal(reference.t, other.t) else other.at(reference.t)
     for i, (ax, name) in enumerate(zip(axes[:, 0], names, strict=False)):
         colour = COLOURS[i % len(COLOURS)]
-        _draw(ax, reference, name, "#bbbbbb", linewidth=3.5, label=labels[0])
-        _draw(ax, there, name, colour, linewidth=1.1, label=labels[1])
+        draw(ax, reference, name, "#bbbbbb", linewidth=3.5, label=labels[0])
+        draw(ax, there, name, colour, linewidth=1.1, label=labels[1])
         ax.set_ylabel(reference.variable(name).label)
         ax.legend(frameon=False, fontsize="small", loc="upper right")
         difference = np.abs(there[name] - reference[name]) / reference.variable(name).nominal
@@ -163,9 +134,13 @@ def plot_bode(
     output: str,
     source: str,
     hertz: tuple[float, float] = (0.1, 100.0),
+    units: tuple[str, str] | None = None,
 ) -> Figure:
-    """Bode diagram from one input to one output, for each named system."""
-    figure, axes = _figure(2, size=(8, 6), sharex=True)
+    """Bode diagram from one input to one output, for each named system; decibels on the right.
+
+    units : of output and source, for the axis; by default both are called SI.
+    """
+    figure, axes = new_figure(2, size=(8, 6), sharex=True)
     magnitude, phase = axes[:, 0]
     frequency = np.geomspace(*hertz, 600)
     for i, (label, system) in enumerate(systems.items()):
@@ -174,43 +149,54 @@ def plot_bode(
         colour = COLOURS[i % len(COLOURS)]
         magnitude.loglog(frequency, np.abs(response), color=colour, label=label)
         phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(response))), color=colour)
-    magnitude.set_ylabel(f"|{output} / {source}| (SI)")
+    magnitude.set_ylabel(f"|{output} / {source}|\n[{_gain_unit(output, source, units)}]")
+    level = magnitude.twinx()
+    level.set_ylim(*(20 * np.log10(end) for end in magnitude.get_ylim()))
+    level.set_ylabel("[dB]")
     magnitude.legend(frameon=False, fontsize="small")
     phase.set_ylabel("phase [deg]")
     phase.set_xlabel("frequency [Hz]")
     return figure
 
 
+def _gain_unit(output: str, source: str, units: tuple[str, str] | None) -> str:
+    return "SI" if units is None else f"{units[0]} per {units[1]}"
+
+
 def plot_record(comparison: RecordComparison) -> Figure:
     """Measured and simulated over each other, and the residual, for each compared variable."""
-    names = [a.name for a in comparison.agreements]
-    figure, axes = _figure(len(names), 2, size=(11, 1.0 + 2.1 * len(names)), sharex=True)
-    for row, agreement in zip(axes, comparison.agreements, strict=True):
+    return plot_records([comparison])
+
+
+def plot_records(comparisons: Sequence[RecordComparison]) -> Figure:
+    """The same of several records, one below the other."""
+    rows = [(c, a) for c in comparisons for a in c.agreements]
+    figure, axes = new_figure(len(rows), 2, size=(11, 1.0 + 2.1 * len(rows)))
+    for (left, right), (comparison, agreement) in zip(axes, rows, strict=True):
         variable = comparison.measured.variable(agreement.name)
-        _draw(
-            row[0], comparison.measured, agreement.name, "#888888", linewidth=2.6, label="measured"
-        )
-        _draw(
-            row[0],
+        draw(left, comparison.measured, agreement.name, "#888888", linewidth=2.6, label="measured")
+        draw(
+            left,
             comparison.simulated,
             agreement.name,
             COLOURS[0],
             linewidth=1.2,
             label="simulated",
         )
-        row[0].set_ylabel(variable.label)
-        row[0].set_title(f"fit {agreement.fit_percent:.1f} %", loc="left", fontsize="small")
-        row[0].legend(frameon=False, fontsize="small")
+        left.set_ylabel(variable.label)
+        left.set_title(f"fit {agreement.fit_percent:.1f} %", loc="left", fontsize="small")
+        left.legend(frameon=False, fontsize="small")
         residual = comparison.measured[agreement.name] - comparison.simulated[agreement.name]
-        row[1].plot(
+        right.plot(
             comparison.measured.t, residual / variable.display_factor, color=COLOURS[1], lw=1.2
         )
-        row[1].axhline(0.0, color="#555555", lw=0.8)
-        row[1].set_title(
+        right.axhline(0.0, color="#555555", lw=0.8)
+        right.set_title(
             f"measured - simulated, RMSE {variable.shown(agreement.rmse)}",
             loc="left",
             fontsize="small",
         )
+        right.sharex(left)
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
     return figure
@@ -229,14 +215,19 @@ def plot_load_study(title: str, lines: Mapping[str, Mapping[str, Sequence[float]
         ("settling_time", "settling time [s]", 1.0),
         ("air", "air for the step [mg]", 1e6),
     )
-    figure, axes = _figure(3, 2, size=(10, 9), sharex=True)
+    figure, axes = new_figure(3, 2, size=(10, 9), sharex=True)
     for ax, (name, words, factor) in zip(axes.ravel(), panels, strict=True):
+        most = 0.0
         for i, (label, columns) in enumerate(lines.items()):
             bars = [p / 1e5 for p in columns["pressure"]]
             values = [v * factor for v in columns[name]]
-            ax.plot(bars, values, "o-", ms=4, color=COLOURS[i % len(COLOURS)], label=label)
+            mark, line = MARKS[i % len(MARKS)], STROKES[i % len(STROKES)]
+            ax.plot(
+                bars, values, line, marker=mark, ms=4, color=COLOURS[i % len(COLOURS)], label=label
+            )
+            most = max(most, *(v for v in values if np.isfinite(v)), 0.0)
         ax.set_ylabel(words)
-        ax.set_ylim(bottom=0.0)
+        ax.set_ylim(0.0, 1.08 * most or 1.0)  # a constant must not lie on the frame
     axes[0, 0].legend(frameon=False, fontsize="small")
     axes[0, 0].set_title(title, loc="left", fontsize="medium")
     for ax in axes[-1]:
@@ -250,7 +241,7 @@ def plot_muscle(muscle: Muscle) -> Figure:
 
     from ..muscles.validity import ValidityWarning
 
-    figure, axes = _figure(1, 2, size=(11, 4.6))
+    figure, axes = new_figure(1, 2, size=(11, 4.6))
     low, high = muscle.contraction_range
     kappa = np.linspace(min(low, 0.0), high, 300)
     pressures = np.linspace(muscle.pressure_range[0], muscle.pressure_range[1], 7)[1:]

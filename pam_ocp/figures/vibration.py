@@ -13,7 +13,7 @@ from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..numerics.newton import Array
 from ..plants.plant import Plant
-from .trajectory import COLOURS, _figure
+from .canvas import COLOURS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,7 @@ def plot_phase(
             f"state: {position.name} has no velocity among the states; name a position"
         )
     velocity = plant.variable(rate)
-    figure, axes = _figure(1, size=(6.4, 5.2))
+    figure, axes = new_figure(1, size=(6.4, 5.2))
     ax = axes[0, 0]
     if values is None:
         colours: list[Any] = [COLOURS[i % len(COLOURS)] for i in range(len(trajectories))]
@@ -93,7 +93,7 @@ def plot_envelope(motion: FreeVibration) -> Figure:
     """
     variable = motion.point.plant.variable(motion.state)
     factor = variable.display_factor
-    figure, axes = _figure(2, size=(8, 5.5), sharex=True)
+    figure, axes = new_figure(2, size=(8, 5.5), sharex=True)
     upper, lower = axes[:, 0]
     t = motion.trajectory.t
     upper.plot(
@@ -131,7 +131,7 @@ def _readable(ax: Axes, values: Array) -> None:
 
 def plot_backbone(curves: Mapping[str, Backbone]) -> Figure:
     """Frequency over amplitude, one line for each named backbone."""
-    figure, axes = _figure(1, size=(7, 4.2))
+    figure, axes = new_figure(1, size=(7, 4.2))
     ax = axes[0, 0]
     for i, (name, curve) in enumerate(curves.items()):
         variable = curve.point.plant.variable(curve.state)
@@ -155,7 +155,7 @@ def plot_backbone(curves: Mapping[str, Backbone]) -> Figure:
 
 def plot_energy(energy: Energy) -> Figure:
     """Energies over time; below, the power that the resistance takes."""
-    figure, axes = _figure(2, size=(8, 5.5), sharex=True)
+    figure, axes = new_figure(2, size=(8, 5.5), sharex=True)
     upper, lower = axes[:, 0]
     # the zero of the potential is arbitrary: here its smallest value
     shift = energy.potential.min()
@@ -174,7 +174,7 @@ def plot_stability(path: StabilityPath) -> Figure:
     """Eigenvalues in the complex plane along the path, and the growth rate over the parameter."""
     variable = path.plant.variable(path.parameter)
     values = path.values / variable.display_factor
-    figure, axes = _figure(1, 2, size=(10, 4.4))
+    figure, axes = new_figure(1, 2, size=(10, 4.4))
     plane, growth = axes[0]
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -197,7 +197,7 @@ def plot_border(border: HopfBorder) -> Figure:
     """The border over the two parameters, coloured by what is born there; frequency below."""
     point = next(p for p in border.points if p is not None)
     first, second = (point.plant.variable(n) for n in (border.parameter, border.over))
-    figure, axes = _figure(2, size=(7.5, 6.5), sharex=True)
+    figure, axes = new_figure(2, size=(7.5, 6.5), sharex=True)
     upper, lower = axes[:, 0]
     x = border.values / second.display_factor
     y = border.border / first.display_factor
@@ -225,7 +225,7 @@ def plot_border(border: HopfBorder) -> Figure:
 
 def plot_multipliers(cycle: LimitCycle) -> Figure:
     """Floquet multipliers in the complex plane, with the unit circle."""
-    figure, axes = _figure(1, size=(5, 5))
+    figure, axes = new_figure(1, size=(5, 5))
     ax = axes[0, 0]
     angle = np.linspace(0, 2 * np.pi, 200)
     ax.plot(np.cos(angle), np.sin(angle), color="#888888", lw=1.0)
@@ -245,7 +245,7 @@ def plot_branch(branch: CycleBranch, state: str) -> Figure:
     """Amplitude and frequency over the parameter; stable parts solid, unstable ones dashed."""
     plant = branch.cycles[0].plant
     variable, swings = plant.variable(branch.parameter), plant.variable(state)
-    figure, axes = _figure(2, size=(7.5, 6.5), sharex=True)
+    figure, axes = new_figure(2, size=(7.5, 6.5), sharex=True)
     x = branch.values / variable.display_factor
     rows = (branch.amplitudes(state) / swings.display_factor, 1 / branch.periods)
     for ax, y in zip(axes[:, 0], rows, strict=True):

@@ -8,17 +8,22 @@ to unit length before its rank is judged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite
+from ..core.foreign import frame
 from ..muscles.law import ForceLaw
+from ..numerics.elementwise import Elementwise
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = [
     "Coefficient",
@@ -26,6 +31,12 @@ __all__ = [
     "Prediction",
     "SerialErrors",
     "SolverStatistics",
+    "coefficient_frame",
+    "elementwise",
+    "forces",
+    "forces_and_slopes",
+    "in_blocks",
+    "second_places",
     "sensitivity",
     "student_t",
 ]
@@ -34,6 +45,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-9
 """Singular values below this times the largest count as zero (columns of unit length)."""
+BLOCK, SMALLEST_BLOCK = 16384, 256
+"""Values that are held for each operation of a law's functions; places at least."""
 NEARLY_DEPENDENT = 100.0
 """Condition number of the scaled Jacobian from which a fit says what the data hardly see."""
 
@@ -41,12 +54,75 @@ NEARLY_DEPENDENT = 100.0
 @cache
 def sensitivity(law: type[ForceLaw]) -> ca.Function:
     """CasADi function (p, kappa, coefficients) -> (tension, exact dF/dcoefficients as a row)."""
+    p, kappa, c, tension = _expression(law)
+    both = [ca.densify(tension), ca.densify(ca.jacobian(tension, c))]
+    return ca.Function("sensitivity", [p, kappa, c], both)
+
+
+def _expression(law: type[ForceLaw]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     function = law.function()
     p, kappa = ca.SX.sym("p"), ca.SX.sym("kappa")
     c = ca.SX.sym("c", function.size1_in(2))
-    tension = function(p, kappa, c)[0]
-    both = [ca.densify(tension), ca.densify(ca.jacobian(tension, c))]
-    return ca.Function("sensitivity", [p, kappa, c], both)
+    return p, kappa, c, function(p, kappa, c)[0]
+
+
+@cache
+def elementwise(law: type[ForceLaw], order: int) -> Elementwise:
+    """(p, kappa, *coefficients) -> tension (order 0), and its gradient in the coefficients (1), and
+    what is not zero by structure in the upper triangle of its second derivatives (2).
+    """
+    p, kappa, c, tension = _expression(law)
+    found = [ca.densify(tension)]
+    if order:
+        found.append(ca.densify(ca.jacobian(tension, c)))
+    if order > 1:
+        found.append(ca.triu(ca.hessian(tension, c)[0]))
+    return Elementwise(ca.Function("law", [p, kappa, c], found))
+
+
+@cache
+def second_places(law: type[ForceLaw]) -> tuple[tuple[int, int], ...]:
+    """(row, column), row <= column, of the second derivatives that :func:`elementwise` gives."""
+    _, _, c, tension = _expression(law)
+    rows, columns = ca.triu(ca.hessian(tension, c)[0]).sparsity().get_triplet()
+    return tuple(zip(rows, columns, strict=True))
+
+
+def forces(law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array) -> Array:
+    """Tension (m, n) at places (n,) for coefficients (m, all)."""
+    found = np.empty((len(coefficients), len(p)))
+    for part, block in in_blocks(law, 0, p, kappa, coefficients):
+        found[:, part] = block[:, 0]
+    return found
+
+
+def forces_and_slopes(
+    law: type[ForceLaw], p: Array, kappa: Array, coefficients: Array
+) -> tuple[Array, Array]:
+    """Tension (m, n) and its derivatives (m, n, all) at places (n,) for coefficients (m, all)."""
+    m, size = coefficients.shape
+    both = np.empty((m, 1 + size, len(p)))
+    for part, block in in_blocks(law, 1, p, kappa, coefficients):
+        both[:, :, part] = block
+    return both[:, 0], both[:, 1:].transpose(0, 2, 1)
+
+
+def in_blocks(
+    law: type[ForceLaw], order: int, p: Array, kappa: Array, coefficients: Array
+) -> Iterator[tuple[slice, Array]]:
+    """The outputs (m, outputs, block) of :func:`elementwise`, so many places at a time as a cache
+    holds. The array is used again for the next block.
+    """
+    function, (m, n) = elementwise(law, order), (len(coefficients), len(p))
+    columns = coefficients.T[:, :, None]
+    step = min(n, max(SMALLEST_BLOCK, BLOCK // max(m, 1)))
+    room = np.empty((m, function.outputs, step))
+    for low in range(0, n, step or 1):
+        part = slice(low, min(low + step, n))
+        found = room[:, :, : part.stop - low]
+        for i, value in enumerate(function(p[None, part], kappa[None, part], *columns)):
+            found[:, i] = value
+        yield part, found
 
 
 def student_t(level: float, dof: int) -> float:
@@ -71,6 +147,18 @@ class Coefficient:
     unit: str
     held: bool
     description: str = ""
+
+
+def coefficient_frame(
+    coefficients: Mapping[str, Coefficient], intervals: Mapping[str, tuple[float, float]]
+) -> pd.DataFrame:
+    """Coefficients as a DataFrame by name: value, stderr, low, high, unit, held, description."""
+    rows = [
+        (c.value, c.stderr, *intervals.get(n, (c.value, c.value)), c.unit, c.held, c.description)
+        for n, c in coefficients.items()
+    ]
+    head = ("value", "stderr", "low", "high", "unit", "held", "description")
+    return frame(rows, head, list(coefficients), "name")
 
 
 @dataclass(frozen=True)
@@ -117,6 +205,7 @@ class SerialErrors:
     weights, sizes : (g,), how likely each rho is, and the variances that it gives to the
     coefficients, in
     those of ``correlation``. dof : degrees of freedom.
+    values, spreads : (g,), each rho, and the standard deviation of an error with it.
     """
 
     order: str
@@ -127,6 +216,8 @@ class SerialErrors:
     weights: Array = field(repr=False)
     sizes: Array = field(repr=False)
     dof: int
+    values: Array = field(repr=False)
+    spreads: Array = field(repr=False)
 
     def reach(self, level: float) -> float:
         """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
@@ -166,7 +257,7 @@ class Linearisation:
         """Lengths of the columns; singular values and right vectors with columns of unit length."""
         norms = np.linalg.norm(self.jacobian, axis=0)
         norms = np.where(norms > 0, norms, 1.0)
-        scaled = self.jacobian / norms
+        scaled = np.linalg.qr(self.jacobian / norms, mode="r")  # all that its SVD is wanted for
         if self.active is None or not len(self.active):
             _, s, vt = np.linalg.svd(scaled, full_matrices=False)
             return norms, s, vt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any, cast
@@ -17,7 +18,16 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
-__all__ = ["catalogue_entry", "muscle", "muscle_names", "summary", "transfer_note"]
+__all__ = [
+    "Attribution",
+    "attribution",
+    "attribution_table",
+    "catalogue_entry",
+    "muscle",
+    "muscle_names",
+    "summary",
+    "transfer_note",
+]
 
 
 @cache
@@ -41,12 +51,59 @@ def catalogue_entry(name: str) -> dict[str, Any]:
 
     Keys: ``law``, ``coefficients``, ``pressure_range`` [Pa], ``contraction_range`` [1],
     ``construction``, ``obtained``, ``source``, and where known ``rest_length`` [m],
-    ``diameter`` [m], ``mass`` [kg], ``note``, ``data`` (a bundled table).
+    ``diameter`` [m], ``mass`` [kg], ``mass_per_length`` [kg/m], ``end_mass`` [kg], ``note``,
+    ``data`` (a bundled table). :func:`attribution` has the rest.
     Raises UnknownNameError with the nearest names.
     """
     if name not in muscle_names():
         raise UnknownNameError("muscle", name, muscle_names())
     return dict(_catalogue()[name])
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """Whose numbers those of a muscle of the catalogue are, and how far they can be trusted."""
+
+    name: str
+    measured: str
+    """What was measured."""
+    by: str
+    where: str
+    source: str
+    obtained: str
+    """"published", "transcribed" or "fitted here"."""
+    confidence: str
+    """"high", "medium" or "low"."""
+    sure: str
+    """Why, in a sentence."""
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name}: {self.measured}, by {self.by} ({self.where}).\n"
+            f"Source ({self.obtained}): {self.source}.\n"
+            f"Confidence: {self.confidence}. {self.sure}"
+        )
+
+
+def attribution(name: str) -> Attribution:
+    """What is measured in an entry of the catalogue, where, by whom, and how sure it is.
+
+    Raises UnknownNameError with the nearest names.
+    """
+    entry = catalogue_entry(name)
+    keys = ("measured", "measured_by", "measured_where", "source", "obtained", "confidence", "sure")
+    return Attribution(name, *(entry[key] for key in keys))
+
+
+def attribution_table() -> str:
+    """The attributions of all muscles as a table in Markdown: docs/muscles.md has it."""
+    head = ("muscle", "measured", "by, where", "source", "confidence")
+    rows = [head, ("---",) * len(head)]
+    for a in map(attribution, muscle_names()):
+        whose = f"{a.by}; {a.where}"
+        said = f"{a.confidence}: {a.sure}"
+        rows.append((f"`{a.name}`", a.measured, whose, f"{a.source} ({a.obtained})", said))
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
 def summary(name: str) -> str:
@@ -89,6 +146,8 @@ def muscle(name: str, *, rest_length: float | None = None) -> Muscle:
         source=entry["source"],
         note=" ".join(f"{entry.get('note', '')} {transfer_note()}".split()),
         mass=entry.get("mass"),
+        mass_per_length=entry.get("mass_per_length", 0.0),
+        end_mass=entry.get("end_mass", 0.0),
         construction=entry["construction"],
         obtained=entry["obtained"],
     ).with_rest_length(length)

@@ -14,6 +14,7 @@ __all__ = [
     "beyond_dead_zone",
     "dead_zone",
     "dead_zone_inverse",
+    "smooth_step",
     "two_ways",
 ]
 
@@ -60,6 +61,12 @@ def dead_zone_inverse(effect: ca.SX, width: ca.SX) -> ca.SX:
     return ca.SX(ca.sign(effect) * ca.if_else(size >= half, size + half, 2 * half * s))
 
 
+def smooth_step(z: ca.SX) -> ca.SX:
+    """0 below z = 0, 1 above z = 1, z^3 (10 - 15 z + 6 z^2) between: two continuous derivatives."""
+    z = ca.fmax(ca.fmin(z, 1.0), 0.0)
+    return ca.SX(z**3 * (10 - 15 * z + 6 * z**2))
+
+
 def two_ways(opening: ca.SX) -> tuple[ca.SX, ca.SX]:
     """(filling, venting) of a signed opening: max(w, 0) and max(-w, 0), their difference always w.
 
@@ -67,6 +74,5 @@ def two_ways(opening: ca.SX) -> tuple[ca.SX, ca.SX]:
     ``ROUNDING`` the ways are mixed smoothly: the slope at zero is the mean of both, whatever the
     last digits of w; there one of the two is slightly negative.
     """
-    z = ca.fmax(ca.fmin((opening / ROUNDING + 1) / 2, 1.0), 0.0)
-    share = z**3 * (10 - 15 * z + 6 * z**2)
+    share = smooth_step((opening / ROUNDING + 1) / 2)
     return ca.SX(opening * share), ca.SX(opening * (share - 1))

@@ -23,6 +23,7 @@ __all__ = [
     "BraidVolume",
     "ConsistentVolume",
     "Gas",
+    "HeatTransfer",
     "PolynomialVolume",
     "Volume",
     "air_mass",
@@ -35,6 +36,10 @@ __all__ = [
 
 GAS_CONSTANT = 287.05
 """Dry air [J/(kg K)]."""
+ADIABATIC_EXPONENT = 1.4
+"""Of air, cp/cv."""
+HEAT_CAPACITY = GAS_CONSTANT * ADIABATIC_EXPONENT / (ADIABATIC_EXPONENT - 1)
+"""cp of air [J/(kg K)]."""
 AMBIENT_PRESSURE = 101325.0
 """Standard atmosphere [Pa absolute]."""
 REFERENCE_TEMPERATURE = 293.15
@@ -65,6 +70,15 @@ class Volume(Protocol):
 
 VOLUMES: Registry[Callable[..., Volume]] = Registry("volume", __package__, argument="volume")
 GASES: Registry[Callable[..., Gas]] = Registry("gas", __package__, argument="gas")
+HEATS: Registry[Callable[..., Any]] = Registry("heat transfer", __package__, argument="heat")
+RUBBERS: Registry[Callable[..., Any]] = Registry("rubber", __package__, argument="rubber")
+
+
+class HeatTransfer(Protocol):
+    """How well heat passes between the air in a muscle and the inside of its wall."""
+
+    def coefficient(self, absolute: ca.SX, temperature: ca.SX, declare: Declare) -> ca.SX:
+        """h [W/(m2.K)] at the air's absolute pressure [Pa] and temperature [K]."""
 
 
 def _diameter(muscle: Muscle, own: float | None, declare: Declare) -> FloatOrSX:
@@ -183,13 +197,18 @@ def air_mass(absolute: Any, volume: Any, temperature: Any = REFERENCE_TEMPERATUR
 
 @dataclass(frozen=True)
 class Chamber:
-    """Expressions of a gas in a plant: total volume [m3], its slope over kappa, constants."""
+    """Expressions of a gas in a plant: total volume [m3], its slope over kappa, constants.
+
+    temperature : of the surroundings [K], and of the gas where it has none of its own.
+    area : of the wall that the gas touches [m2].
+    """
 
     volume: ca.SX
     slope: ca.SX
     exponent: ca.SX
     temperature: ca.SX
     ambient: ca.SX
+    area: ca.SX
 
     def pressure_rate(self, absolute: ca.SX, mass_flow: Any, rate: Any) -> ca.SX:
         """dp/dt = n (R T mdot - p_abs dV/dt)/V [Pa/s]; rate = dkappa/dt [1/s]."""
@@ -197,16 +216,47 @@ class Chamber:
         return ca.SX(self.exponent * (supplied - absolute * self.slope * rate) / self.volume)
 
 
+def energy_balance(
+    absolute: Any,
+    temperature: Any,
+    volume: Any,
+    volume_rate: Any,
+    mass_flow: Any,
+    carried: Any,
+    heat: Any,
+) -> tuple[Any, Any]:
+    """(dp/dt [Pa/s], dT/dt [K/s]) of air in a volume [m3] that changes by ``volume_rate`` [m3/s].
+
+    mass_flow : into it [kg/s]. carried : sum of the flows into it, each times the temperature of
+    the air that flows [kg.K/s]. heat : flow of heat into it [W].
+
+    From U = cv m T = p V/(g - 1) and dU/dt = cp carried - p dV/dt + heat with p V = m R T:
+    dp/dt = [g R carried - g p dV/dt + (g - 1) heat]/V, and dT/T = dp/p + dV/V - dm/m; g = 1.4. An
+    ideal gas of one temperature and pressure, without kinetic energy.
+    """
+    g = ADIABATIC_EXPONENT
+    pressing = g * (GAS_CONSTANT * carried - absolute * volume_rate) + (g - 1) * heat
+    growing = pressing + absolute * volume_rate - GAS_CONSTANT * temperature * mass_flow
+    return pressing / volume, temperature * growing / (absolute * volume)
+
+
 @GASES.register(units={"dead_volume": "m3", "temperature": "K", "ambient": "Pa"})
 @dataclass(frozen=True)
 class Gas:
-    """How the air in a muscle behaves: dp_abs/dt = n (R T mdot - p_abs dV/dt)/V.
+    """How the air in a muscle behaves: dp_abs/dt = n (R T mdot - p_abs dV/dt)/V, or by its energy.
 
     volume : ``ConsistentVolume()`` (default), ``BraidVolume(...)`` or ``PolynomialVolume(...)``.
     dead_volume : of fittings and hose, added at every contraction [m3].
     exponent : polytropic n; 1 isothermal (slow) .. 1.4 adiabatic (fast). The default 1.2 between
         them is our choice.
     temperature : of supply and gas [K]. ambient : [Pa absolute].
+    heat : ``ConstantHeatTransfer(...)`` or ``PressureHeatTransfer(...)`` to the wall: the air's
+        temperature becomes the state ``<name>.temperature``, by the balance of its energy
+        (:func:`energy_balance`), and ``temperature`` is that of the surroundings; the exponent is
+        not used. No transfer is n = 1.4 (for venting; what is filled in comes warm), perfect
+        transfer n = 1.
+    rubber : with heat, the wall's own temperature: ``Rubber(...)``; None holds it at that of the
+        surroundings.
 
     Source: R T mdot = d(p V)/dt for n = 1 and the energy balance without heat for n = 1.4; the
     polytropic form between them is the usual one in pneumatics.
@@ -217,8 +267,16 @@ class Gas:
     exponent: float = 1.2
     temperature: float = REFERENCE_TEMPERATURE
     ambient: float = AMBIENT_PRESSURE
+    heat: HeatTransfer | None = None
+    rubber: Any = None
 
     def __post_init__(self) -> None:
+        if self.heat is not None and not hasattr(self.heat, "coefficient"):
+            raise InputError(
+                f"Gas.heat = {self.heat!r}: give a component, such as ConstantHeatTransfer(30.0)"
+            )
+        if self.rubber is not None and self.heat is None:
+            raise InputError("Gas.rubber is warmed by the air: give heat=, how heat gets there")
         require_positive("Gas.dead_volume", self.dead_volume, "m3", zero=True)
         require_positive("Gas.temperature", self.temperature, "K")
         require_positive("Gas.ambient", self.ambient, "Pa")
@@ -240,16 +298,20 @@ class Gas:
             nominal=1e-5,
             description="volume of fittings and hose",
         )
-        exponent = declare(
-            "exponent", self.exponent, min=1.0, max=1.67, description="polytropic exponent"
-        )
+        exponent = self.exponent
+        if self.heat is None:
+            exponent = declare(
+                "exponent", self.exponent, min=1.0, max=1.67, description="polytropic exponent"
+            )
         temperature = declare(
             "temperature",
             self.temperature,
             unit="K",
             min=1.0,
             nominal=300.0,
-            description="temperature of the air",
+            description="temperature of the air"
+            if self.heat is None
+            else "temperature of the surroundings",
         )
         ambient = declare(
             "ambient",
@@ -260,8 +322,12 @@ class Gas:
             description="absolute pressure of the surroundings",
         )
         slope = ca.jacobian(filled, kappa)
-        total, slope = (ca.substitute(e, kappa, ca.SX(contraction)) for e in (filled + dead, slope))
-        return Chamber(total, slope, exponent, temperature, ambient)
+        length = muscle.rest_length * (1 - kappa)
+        area = 2 * ca.sqrt(math.pi * filled * length)  # of a cylinder of this volume and length
+        total, slope, area = (
+            ca.substitute(e, kappa, ca.SX(contraction)) for e in (filled + dead, slope, area)
+        )
+        return Chamber(total, slope, ca.SX(exponent), temperature, ambient, area)
 
 
 def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None) -> Any:
@@ -340,6 +406,12 @@ def conductance_from_flow(
     return flow / 60e3 / (upstream * subsonic)
 
 
-def specific_exergy(absolute: Any, ambient: Any, temperature: Any) -> Any:
-    """Work that air at this pressure and ambient temperature can do: R T ln(p/p0) [J/kg]."""
-    return GAS_CONSTANT * temperature * ca.log(absolute / ambient)
+def specific_exergy(absolute: Any, ambient: Any, temperature: Any, own: Any = None) -> Any:
+    """Work that air at this pressure and ambient temperature can do: R T ln(p/p0) [J/kg].
+
+    own : the air's temperature [K] where it is another one; more by cp (T_own - T - T ln(T_own/T)).
+    """
+    exergy = GAS_CONSTANT * temperature * ca.log(absolute / ambient)
+    if own is None:
+        return exergy
+    return exergy + HEAT_CAPACITY * (own - temperature - temperature * ca.log(own / temperature))

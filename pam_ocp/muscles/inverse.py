@@ -61,9 +61,10 @@ def solve_pressure(
         low, high = np.where(error < 0, p, low), np.where(error < 0, high, p)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = p - error / slope
+        # a step of rounding ends it: at a root an end of the bracket is the iterate itself
+        settled = np.abs(newton - p) <= 1e-14 * np.abs(p) + 1e-12
         inside = (newton > low) & (newton < high)
-        following = np.where(inside, newton, (low + high) / 2)
-        settled = np.abs(following - p) <= 1e-15 * np.abs(p) + 1e-12
+        following = np.where(inside | settled, newton, (low + high) / 2)
         p = following
         if np.all(settled | (error == 0)):
             break

@@ -36,6 +36,10 @@ _PLAIN = (
     "mass",
     "construction",
     "obtained",
+    "mass_per_length",
+    "end_mass",
+    "burst_pressure",
+    "pull_off",
 )
 _RANGES = ("pressure_range", "contraction_range")
 

@@ -6,19 +6,26 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from .. import courtesy
 from ..core.errors import InputError, require_positive
 from ..core.plausible import doubt
+from ..core.quantities import is_quantity, quantity
+from ..core.shown import shown
 from ..core.stop import locked
 from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
-from .validity import Validity
+from .validity import Validity, warn_beyond
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Muscle"]
 
 
+@shown
 @locked
 @dataclass(frozen=True)
 class Muscle:
@@ -34,7 +41,13 @@ class Muscle:
     pressure_range, contraction_range : where the law was measured ([Pa gauge], [1]).
         Numbers outside give a ValidityWarning, once for each muscle.
     name, source, note : what it is, where its numbers come from, what to know before use.
-    mass : mass of the muscle [kg], or None; for energy and power per mass.
+    mass : mass of the muscle [kg], or None; for energy and power per mass. By default that of its
+        body, where this is given.
+    mass_per_length, end_mass : of the muscle's body [kg/m], and of both its ends together [kg]; the
+        body then moves along in plants, half of it (see :attr:`body_mass`). 0: no body.
+    burst_pressure : [Pa] at which the tube bursts, or None. pull_off : force [N] that pulls the
+        ends off, or None. Plans stay below both (the path constraints ``<name>.to_burst`` and
+        ``<name>.to_pull_off``); numbers beyond give a ValidityWarning, once for each muscle.
     construction : "braided", "netted" or "embedded", the classes of the source paper, or "".
     obtained : "published", "transcribed" or "fitted here", or "".
 
@@ -53,6 +66,10 @@ class Muscle:
     mass: float | None = None
     construction: str = ""
     obtained: str = ""
+    mass_per_length: float = 0.0
+    end_mass: float = 0.0
+    burst_pressure: float | None = None
+    pull_off: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, ForceLaw):
@@ -68,6 +85,7 @@ class Muscle:
                 number = require_positive(argument, value, unit)
                 doubt(argument, number, unit)
                 object.__setattr__(self, argument, number)
+        self._check_body()
         own = self.law.values.get("rest_length", self.rest_length)
         symbolic = isinstance(own, ca.SX) or isinstance(self.rest_length, ca.SX)
         if not symbolic and not math.isclose(own, self.rest_length, rel_tol=1e-12):
@@ -82,6 +100,29 @@ class Muscle:
                     f"{argument} = ({low:g}, {high:g}): the lower end must be the smaller"
                 )
         doubt("pressure_range", self.pressure_range[1], "Pa")
+
+    def _check_body(self) -> None:
+        for argument, unit in (("mass_per_length", "kg/m"), ("end_mass", "kg")):
+            number = require_positive(argument, getattr(self, argument), unit, zero=True)
+            object.__setattr__(self, argument, number)
+        for argument, unit in (("burst_pressure", "Pa"), ("pull_off", "N")):
+            if getattr(self, argument) is not None:
+                number = require_positive(argument, getattr(self, argument), unit)
+                object.__setattr__(self, argument, number)
+
+    @property
+    def body_mass(self) -> FloatOrSX:
+        """Rest length x mass per length + ends [kg].
+
+        One end of the muscle is fixed, the other moves with the load: half of this mass moves.
+        """
+        return self.rest_length * self.mass_per_length + self.end_mass
+
+    @property
+    def known_mass(self) -> float | None:
+        """``mass``, or that of the body; None where neither is given [kg]."""
+        body = self.body_mass
+        return self.mass if self.mass is not None or not body else float(body)
 
     # ---- force and stiffness ---------------------------------------------------------------
     def tension(self, p: Any, kappa: Any) -> Any:
@@ -122,12 +163,35 @@ class Muscle:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
         return replace(self, law=law, rest_length=rest_length)
 
+    def plot(self) -> Figure:
+        """Force and stiffness over contraction, one line per pressure, where it was measured."""
+        return courtesy.plot_muscle(self)
+
+    def _brief(self) -> str:
+        if isinstance(self.rest_length, ca.SX):
+            return f"{self.name}: {self.law.title}"
+        return f"{self.name}: {self.law.title}, rest length {1e3 * self.rest_length:g} mm"
+
     def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
+        p = quantity("p", p, "Pa") if is_quantity(p) else p
+        kappa = quantity("kappa", kappa, "1") if is_quantity(kappa) else kappa
         rest = [*self.law.values.values(), self.rest_length, self.slack_width]
         if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
             self.law.validity.check(f"{self.law.name} law", p, kappa)
             self._measured.check(f"muscle {self.name!r}", p, kappa)
-        return evaluate(_clamped(type(self.law)), index, p, kappa, rest)
+        found = evaluate(_clamped(type(self.law)), index, p, kappa, rest)
+        if not isinstance(found, (ca.SX, ca.MX)):
+            self._check_strength(p, found if index == 0 else None)
+        return found
+
+    def _check_strength(self, p: Any, force: Any) -> None:
+        """Warn, once, where numbers are beyond what the muscle bears."""
+        if self.burst_pressure is not None:
+            subject = f"strength of muscle {self.name!r}"
+            warn_beyond(subject, "pressure", p, self.burst_pressure, "Pa", "its tube gives")
+        if self.pull_off is not None and force is not None:
+            subject = f"strength of muscle {self.name!r}"
+            warn_beyond(subject, "force", force, self.pull_off, "N", "its ends give")
 
     @property
     def _measured(self) -> Validity:

@@ -12,7 +12,7 @@ import numpy as np
 from ..core.plausible import outside
 from ..core.variables import Variable
 
-__all__ = ["Validity", "ValidityWarning", "forget_warnings"]
+__all__ = ["Validity", "ValidityWarning", "forget_warnings", "warn_beyond"]
 
 Range = tuple[float, float]
 UNLIMITED: Range = (-math.inf, math.inf)
@@ -57,6 +57,23 @@ class Validity:
                 ValidityWarning,
                 stacklevel=outside(),
             )
+
+
+def warn_beyond(
+    subject: str, quantity: str, values: Any, largest: float, unit: str, gives_way: str
+) -> None:
+    """Warn, once for each ``subject`` and quantity, where a number lies above what is borne."""
+    if (subject, quantity) in _WARNED or not np.size(values):
+        return
+    most = float(np.max(values))
+    if most > largest * (1 + ROUNDING):
+        _WARNED.add((subject, quantity))
+        warnings.warn(
+            f"{subject}: {quantity} = {most:g} {unit} is above {largest:g} {unit}, at which "
+            f"{gives_way} way",
+            ValidityWarning,
+            stacklevel=outside(),
+        )
 
 
 def forget_warnings() -> None:

@@ -66,6 +66,7 @@ def stability_path(
     /,
     *,
     memory: Memory = "virgin",
+    time_limit: float | None = None,
     **more: float,
 ) -> StabilityPath:
     """Eigenvalues of the plant along a path of equilibria.
@@ -75,6 +76,8 @@ def stability_path(
     parameter : name of the parameter (or the input) that varies. values : (n,) [its unit].
     conditions, memory : as for :func:`pam_ocp.equilibrium`: one condition for each input (a varied
         input is one).
+
+    time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Each point is continued from the last by Newton with exact Jacobians.
     Raises UnknownNameError, InputError for values out of range, EquilibriumError where no point of

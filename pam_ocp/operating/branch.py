@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.stop import verb
+from ..core.stop import TimeIsUp, deadline, verb
 from ..numerics.continuation import ImplicitCurve, Walk
 from ..numerics.newton import NewtonError
 from ..plants.plant import Plant, Values
@@ -63,7 +63,8 @@ def equilibrium_branch(
     The path ends where the variable reaches ``stop`` or comes back to ``start``, where it leaves
     the bounds of a variable, or after ``max_points``; ``path.end`` says which unless ``stop`` was
     reached. ``path.folds`` are the turning points, found to 1e-9.
-    time_limit : [s]; OutOfTime when it is over before there is a result.
+    time_limit : [s]; when it is over, the path so far is returned, and ``path.end`` says so
+        (OutOfTime before the first point).
 
     Raises InputError for bad conditions, EquilibriumError when there is no point of rest at
     ``start``.
@@ -83,25 +84,28 @@ def equilibrium_branch(
         branch.curve, place, tangent, length, longest, SHORTEST * step, GROWTH, LEAST_COSINE
     )
     places, folds, end = [place], [], f"after {max_points} points"
-    while len(places) < max_points:
-        place, tangent = walk.place, walk.tangent
-        try:
-            length = walk.advance()
-        except NewtonError:
-            end = "the branch cannot be followed further (it may branch here)"
-            break
-        if outside := branch.leaves(walk.place):
-            end = f"{outside} reaches the end of its range"
-            break
-        if branch.rate(walk.place, walk.tangent) * branch.rate(place, tangent) < 0:
-            folds.append(branch.fold(place, tangent, length))
-        value = branch.value(walk.place)
-        if not min(start, stop) <= value <= max(start, stop):
-            border = stop if (value - stop) * (stop - start) > 0 else start
-            places.append(branch.crossing(place, tangent, length, border))
-            end = "" if border == stop else "the branch comes back to the start value"
-            break
-        places.append(walk.place)
+    try:
+        while len(places) < max_points:
+            place, tangent = walk.place, walk.tangent
+            try:
+                length = walk.advance()
+            except NewtonError:
+                end = "the branch cannot be followed further (it may branch here)"
+                break
+            if outside := branch.leaves(walk.place):
+                end = f"{outside} reaches the end of its range"
+                break
+            if branch.rate(walk.place, walk.tangent) * branch.rate(place, tangent) < 0:
+                folds.append(branch.fold(place, tangent, length))
+            value = branch.value(walk.place)
+            if not min(start, stop) <= value <= max(start, stop):
+                border = stop if (value - stop) * (stop - start) > 0 else start
+                places.append(branch.crossing(place, tangent, length, border))
+                end = "" if border == stop else "the branch comes back to the start value"
+                break
+            places.append(walk.place)
+    except TimeIsUp:
+        end = f"{deadline()} was over"
     return EquilibriumPath(
         branch.variable.name,
         np.array([branch.value(w) for w in places]),

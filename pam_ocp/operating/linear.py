@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.errors import InputError, require_instance, require_positive
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
+from ..core.units import unit
 from ..plants.inversion import Inversion, in_dead_zone
 from ..plants.plant import Plant, Values, require_plant
 from .held import Memory
@@ -105,6 +106,16 @@ class _Selection:
     plant: Plant
     inputs: Sequence[str]
     outputs: Sequence[str]
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Of variables that do not count in SI."""
+
+    def unit(self, name: str) -> str:
+        return self.units.get(name, self.plant.variable(name).unit)
+
+    def factors(self, names: Sequence[str]) -> Array:
+        """SI value per unit, of each."""
+        own = (unit(self.plant.variable(n).unit).factor for n in names)
+        return np.array([unit(self.unit(n)).factor / f for n, f in zip(names, own, strict=True)])
 
     @classmethod
     def of(
@@ -145,11 +156,12 @@ class _Selection:
         if dt:
             a, b = held(a, b, np.array([v.nominal for v in variables]), dt)
         states = [v.name for v in variables]
+        x, u, y = (self.factors(names) for names in (states, self.inputs, self.outputs))
         system = control.ss(
-            a,
-            b,
-            c,
-            d,
+            a * x / x[:, None],
+            b * u / x[:, None],
+            c * x / y[:, None],
+            d * u / y[:, None],
             dt,
             name=self.plant.name,
             states=_plain(states),
@@ -160,7 +172,7 @@ class _Selection:
         system.units = dict(
             zip(
                 _plain([*states, *self.inputs, *self.outputs]),
-                (self.plant.variable(n).unit for n in (*states, *self.inputs, *self.outputs)),
+                (self.unit(n) for n in (*states, *self.inputs, *self.outputs)),
                 strict=True,
             )
         )
@@ -191,6 +203,7 @@ def linearize(
     outputs: Sequence[str] | None = None,
     dt: float | None = None,
     stuck: bool = False,
+    units: Mapping[str, str] | Literal["display"] | None = None,
 ) -> control.StateSpace:
     """The plant near a point as python-control's StateSpace: x' = A x + B u, y = C x + D u.
 
@@ -205,8 +218,12 @@ def linearize(
         by Riccati equations wants them out (``lqr`` and ``kalman`` see to it themselves). Transfer
         functions are the same; see :mod:`pam_ocp.operating.stuck`.
 
+    units : {variable: unit} in which signals and states count, as {"x": "mm", "muscle.pressure":
+        "bar"}, or "display" for bar, mm and deg throughout; by default SI. Numbers of like size
+        serve what computes from polynomials (``ss2tf``, zeros), and eyes.
+
     Jacobians are exact (CasADi); signals keep the plant's names with ``_`` for ``.``, since
-    python-control reads a dot as system.signal. Units are SI: ``system.units`` = {signal: unit}
+    python-control reads a dot as system.signal. ``system.units`` = {signal: unit}
     (python-control itself has none, so systems that it computes from this one lack it).
     """
     plant, x, u = point_of(plant, at)
@@ -214,10 +231,31 @@ def linearize(
     chosen = _Selection.of(plant, inputs, outputs)
     a, b, c, d = chosen.matrices(x[None, :], rows)
     step = 0.0 if dt is None else require_positive("dt", dt, "s")
+    chosen = replace(chosen, units=_units_of(plant, units))
     if not stuck:
         return chosen.system((a[0], b[0], c[0], d[0]), step)
     follow = OperatingPoint(plant, x, u).stuck
     return chosen.system((*follow.reduced(a[0], b[0], c[0]), d[0]), step, follow.kept.tolist())
+
+
+def _units_of(plant: Plant, units: Mapping[str, str] | str | None) -> dict[str, str]:
+    """{variable: unit it is to count in}, where that is not its SI unit."""
+    require_instance("units", units, (Mapping, str), "give {variable: unit}", none=True)
+    if units is None:
+        return {}
+    if isinstance(units, str):
+        if units != "display":
+            raise InputError(f"units = {units!r}: give {{variable: unit}}, 'display', or None")
+        return {v.name: v.display_unit for v in plant.variables}
+    found = {}
+    for name, wanted in units.items():
+        variable = plant.variable(name)
+        if not unit(wanted).compatible(unit(variable.unit)):
+            raise InputError(
+                f"units[{name!r}] = {wanted!r}: this measures something else than {variable.unit!r}"
+            )
+        found[variable.name] = wanted
+    return found
 
 
 # ---- along a motion -----------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.shown import shown
 from ..plants.plant import Plant
 from .held import held_names
 from .stuck import Stuck
@@ -21,6 +22,7 @@ MARGIN = 1e-8
 """Real parts of poles within this part of the fastest pole count as zero."""
 
 
+@shown
 @dataclass(frozen=True)
 class OperatingPoint:
     """States, inputs and outputs of a plant at one point; ``point["x"]`` gives a value [SI]."""
@@ -85,6 +87,10 @@ class OperatingPoint:
         if largest > margin:
             return "unstable"
         return "stable" if largest < -margin else "marginal"
+
+    def _brief(self) -> str:
+        shown = (f"{n} = {self.plant.variable(n).shown(v)}" for n, v in self.values.items())
+        return f"of {self.plant.name}, {self.stability}: {', '.join(shown)}"
 
     def __str__(self) -> str:
         return "\n".join(

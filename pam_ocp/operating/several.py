@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
-from ..core.stop import verb
+from ..core.shown import shown
+from ..core.stop import TimeIsUp, deadline, spared, verb
 from ..plants.plant import Plant, Values
 from .held import Memory, held
 from .rest import Rest, posed
@@ -52,32 +53,48 @@ def equilibria(
     :func:`equilibrium`) the points of rest with just that memory. Raises InputError for bad
     conditions, EquilibriumError when there is none.
 
-    time_limit : [s]; OutOfTime when it is over before there is a result.
+    time_limit : [s]; when it is over, what was found is returned (without bands), and ``.ended``
+        says so; OutOfTime when that is nothing.
     """
     given = {**(conditions or {}), **more}
     search = posed(Search, plant, given, free, memory=memory or "virgin")
     require_count("starts", starts, 1)
     found: list[Array] = []
-    for guess in search.starts(starts, seed, reach=5.0):
-        for rough in (search.newton(guess, steps=30), search.nearest(guess)):
-            point = search.converged(rough)
-            if point is None:
-                continue
-            if all(np.abs((point - other) / search.nominal).max() > SAME for other in found):
-                found.append(point)
-            break
-    if not found:
-        raise EquilibriumError(why_not(search, search.nearest(search.start)))
-    points = [search.point(z) for z in sorted(found, key=lambda z: tuple(z / search.nominal))]
-    if memory is not None or not search.pinned:
-        return Equilibria(points)
-    ends = {side: held(search.plant, side) for side in ("below", "above")}
-    return Equilibria(
-        points,
-        tuple(
-            Band(p, *(_end(search, p, ends[side]) for side in ("below", "above"))) for p in points
-        ),
-    )
+    bands: tuple[Band, ...] = ()
+    ended = ""
+    try:
+        for guess in search.starts(starts, seed, reach=5.0):
+            _search_from(search, guess, found)
+        if not found:
+            raise EquilibriumError(why_not(search, search.nearest(search.start)))
+        points = _sorted(search, found)
+        if memory is None and search.pinned:
+            bands = tuple(_band(search, point) for point in points)
+    except TimeIsUp:
+        if not found:
+            raise
+        points, ended = _sorted(search, found), f"{deadline()} was over"
+    return Equilibria(points, bands, ended)
+
+
+def _search_from(search: Search, guess: Array, found: list[Array]) -> None:
+    """Add the point of rest to which a guess leads, unless it is there."""
+    for rough in (search.newton(guess, steps=30), search.nearest(guess)):
+        point = search.converged(rough)
+        if point is None:
+            continue
+        if all(np.abs((point - other) / search.nominal).max() > SAME for other in found):
+            found.append(point)
+        return
+
+
+def _sorted(search: Search, found: list[Array]) -> list[OperatingPoint]:
+    return [search.point(z) for z in sorted(found, key=lambda z: tuple(z / search.nominal))]
+
+
+def _band(search: Search, point: OperatingPoint) -> Band:
+    below, above = (_end(search, point, held(search.plant, s)) for s in ("below", "above"))
+    return Band(point, below, above)
 
 
 def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> OperatingPoint | None:
@@ -94,6 +111,7 @@ def _end(rest: Rest, point: OperatingPoint, memory: Mapping[str, float]) -> Oper
     return other.point(z)
 
 
+@shown
 @dataclass(frozen=True)
 class Band:
     """The points of rest that differ in what hysteresis keeps, by its ends and its virgin point."""
@@ -122,14 +140,27 @@ class Band:
         return "\n".join(lines)
 
 
+@shown
 class Equilibria(list[OperatingPoint]):
-    """Points of rest, a list; with hysteresis ``bands`` tells the band that each one stands for."""
+    """Points of rest, a list; with hysteresis ``bands`` tells the band that each one stands for.
 
-    def __init__(self, points: Iterable[OperatingPoint] = (), bands: tuple[Band, ...] = ()) -> None:
+    ended : why the search was broken off; "" when it was not.
+    """
+
+    def __init__(
+        self,
+        points: Iterable[OperatingPoint] = (),
+        bands: tuple[Band, ...] = (),
+        ended: str = "",
+    ) -> None:
         super().__init__(points)
-        self.bands = bands
+        self.bands, self.ended = bands, ended
+
+    def _brief(self) -> str:
+        return f"{len(self)} points of rest" + (f" of {self[0].plant.name}" if self else "")
 
 
+@shown
 @dataclass(frozen=True)
 class EquilibriumPath:
     """Points of rest along one variable; ``path["x"]`` gives a value at each of them [SI]."""
@@ -171,12 +202,16 @@ def equilibrium_path(
     folds. What hysteresis keeps (``memory``, see :func:`equilibrium`) is the same along the path.
     Raises InputError for bad conditions, EquilibriumError when the first point does not exist.
 
-    time_limit : [s]; OutOfTime when it is over before there is a result.
+    time_limit : [s]; when it is over, the path so far is returned, and ``end`` says so (OutOfTime
+        before the first point).
     """
     points: list[OperatingPoint] = []
     done: list[float] = []
     end = ""
     for value in values:
+        if points and deadline().over:
+            end = f"{deadline()} was over"
+            break
         given = {**(conditions or {}), **more, name: float(value)}
         if not points:
             points.append(equilibrium(plant, given, free=free, memory=memory))
@@ -186,7 +221,8 @@ def equilibrium_path(
             except InputError as error:  # the value itself leaves its range
                 end = str(error)
                 break
-            point = rest.converged(rest.newton(rest.vector(points[-1]), steps=30))
+            with spared(1.0):  # one more than the time allows, and the loop ends
+                point = rest.converged(rest.newton(rest.vector(points[-1]), steps=30))
             if point is None:
                 shown = plant.variable(name).shown
                 end = f"no neighbour within the bounds from {shown(done[-1])} to {shown(value)}"

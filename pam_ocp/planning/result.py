@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, PlanError
+from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
@@ -27,6 +28,7 @@ from .transcription.transcription import Program
 from .verdict import TOLERANCE, Verdict
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
 __all__ = ["Plan", "Solved"]
@@ -43,6 +45,7 @@ class Solved:
     solution: Solution
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A planned motion, or a failed attempt at one; :attr:`verdict` says whether to trust it.
@@ -211,6 +214,13 @@ class Plan:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
         return courtesy.save_plan(self, path)
 
+    def to_pandas(self) -> pd.DataFrame:
+        """The motion as a DataFrame, one column per variable, indexed by time [s]."""
+        return self.trajectory.to_pandas()
+
+    def _brief(self) -> str:
+        return f"of {self.plant.name}, {self.duration:.6g} s: {self.verdict}"
+
     def plot(self) -> Figure:
         """Motion, velocities, pressures with commands, forces, stiffness; active bounds shaded."""
         return courtesy.plot_plan(self)
@@ -218,11 +228,12 @@ class Plan:
     def __str__(self) -> str:
         s = self.statistics
         verdict = str(self.verdict)
+        counted = self._problem.objective.words if self._problem else ""
         lines = [
             f"{verdict if self.verified else verdict.upper()[:12] + verdict[12:]}",
             f"plan of {self.plant.name}: {self.status}",
             f"duration   {self.duration:.6g} s ({' + '.join(f'{d:.6g}' for d in self.durations)})",
-            f"objective  {self.objective:.6g}",
+            f"objective  {self.objective:.6g}" + (f" = {counted}" if counted else ""),
             f"solver     {s.get('solver', 'IPOPT')}, {s['iterations']} iterations, "
             f"{s['solve_seconds']:.3f} s (built in {s['build_seconds']:.3f} s; {s['variables']} "
             f"variables, {s['constraints']} constraints)",

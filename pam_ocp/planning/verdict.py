@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..core.shown import shown
+
 __all__ = ["TOLERANCE", "Verdict"]
 
 TOLERANCE = 1e-3
@@ -14,6 +16,7 @@ GROWTH = 1e3
 """Times by which errors grow along a motion that is called unstable."""
 
 
+@shown
 @dataclass(frozen=True)
 class Verdict:
     """What the solver and an independent replay say of a plan, against one tolerance.

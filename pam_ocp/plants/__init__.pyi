@@ -10,4 +10,6 @@ from .joint import AntagonisticJoint as AntagonisticJoint
 from .plant import Plant as Plant
 from .regulated import PositionFeedback as PositionFeedback
 from .regulated import RegulatedLoad as RegulatedLoad
+from .sensors import Sensor as Sensor
 from .slide import AntagonisticSlide as AntagonisticSlide
+from .undelayed import without_dead_times as without_dead_times

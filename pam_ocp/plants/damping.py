@@ -171,7 +171,8 @@ class DirectionalDamping:
     def festo(cls) -> DirectionalDamping:
         """B = 2.90 contracting; relaxing 1.57 to 372 kPa, then 0.311 + 0.00338 P (N.s/mm, kPa).
 
-        Source: a published set for a Festo muscle, 150-550 kPa (attribution unconfirmed).
+        Source: J. L. Serres et al., Comput. Methods Biomech. Biomed. Engin. 12(4) (2009) 423-430,
+        doi 10.1080/10255840802654327, as printed in its abstract, for 150-550 kPa.
         """
         return cls([(2.90e3, 0.0)], [(1.57e3, 0.0), (0.311e3, 3.38e-3)])
 

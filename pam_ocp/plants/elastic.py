@@ -86,11 +86,10 @@ class SpringOverMuscle(Plant):
         c = as_damping(damping, StiffnessDamping()).coefficient(self, m, stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
-        self.der(
-            v,
-            (attached.force - spring - weight(self, m, inclination) - c * v + outside)
-            / (m + added),
-        )
+        own = attached.moving_mass
+        against = weight(self, m, inclination)
+        against += own * (against / m)
+        self.der(v, (attached.force - spring - against - c * v + outside) / (m + own + added))
 
 
 @PLANTS.register(
@@ -179,9 +178,12 @@ class SeriesLoad(Plant):
         c = as_damping(damping, ConstantDamping(50.0)).coefficient(self, end, attached.stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
-        self.der(v, (pull - weight(self, m) + outside) / (m + added))
+        against = weight(self, m)
+        self.der(v, (pull - against + outside) / (m + added))
         self.der(y, w)
-        self.der(w, (attached.force - pull - c * w) / end)
+        own = attached.moving_mass
+        carried = own * (against / m)
+        self.der(w, (attached.force - pull - carried - c * w) / (end + own))
 
     def sketch(self) -> Sketch | None:
         """The mass hangs on a tendon that can be seen."""

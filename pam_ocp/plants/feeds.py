@@ -3,32 +3,52 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 import casadi as ca
 
-from ..core.errors import require_positive
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
+from .body import limit_strength, moving_half
 from .components import as_losses, as_muscle, component
 from .damping import Loss, Motion
+from .dead_time import DeadTime
 from .kinds import FEEDS
 from .meters import meter_pneumatics, meter_work
-from .valves import GasFeed, OnOffValves, SpoolValve, Tube
+from .pair_regulator import PairRegulator
+from .quick_exhaust import QuickExhaust
+from .receiver import Receiver
+from .regulator import Regulator, in_si, pressure_attributes
+from .sources import Compressor, PressureRegulator
+from .spools import FirstOrderSpool, SecondOrderSpool
+from .tubes import LumpedTube, Tube
+from .valve_catalogue import valve, valve_names
+from .valves import Filling, GasFeed, OnOffValves, SpoolValve
 
 __all__ = [
     "AttachedMuscle",
+    "Compressor",
+    "DeadTime",
     "Feed",
+    "FirstOrderSpool",
     "IdealPressure",
+    "LumpedTube",
     "OnOffValves",
+    "PairRegulator",
+    "PressureRegulator",
+    "QuickExhaust",
+    "Receiver",
     "Regulator",
+    "SecondOrderSpool",
     "SpoolValve",
     "Tube",
     "as_feed",
     "attach",
+    "valve",
+    "valve_names",
 ]
 
 
@@ -46,6 +66,8 @@ class AttachedMuscle:
     """Pulling force with losses [N], >= 0."""
     stiffness: ca.SX
     """Stiffness of the force law at constant pressure [N/m]."""
+    moving_mass: ca.SX = field(default_factory=lambda: ca.SX(0))
+    """Half the mass of its body [kg], which moves with the load; 0 where it has none."""
 
 
 class Feed(Protocol):
@@ -75,71 +97,16 @@ class IdealPressure:
     totals: bool = False
 
     def __post_init__(self) -> None:
-        _in_si(self, {"max_pressure": "Pa"})
+        in_si(self, {"max_pressure": "Pa"})
 
     def connect(
         self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
     ) -> ca.SX:
         return plant.input(
             f"{name}.pressure",
-            **_pressure_attributes(muscle, self.max_pressure),
+            **pressure_attributes(muscle, self.max_pressure),
             description=f"gauge pressure in {name}",
         )
-
-
-@FEEDS.register(units={"lag": "s", "max_pressure": "Pa", "max_rate": "Pa/s"})
-@dataclass(frozen=True)
-class Regulator:
-    """First-order pressure regulator: p' = (u - p)/lag, u the commanded pressure.
-
-    lag : time constant [s]; 0.05-0.2 s are usual.
-    max_pressure : largest command [Pa]; by default the end of the muscle's measured range.
-    max_rate : largest |p'| [Pa/s] a plan may ask for, as path constraint ``<name>.pressure_rate``;
-        None for no limit. A simulation is not limited by it.
-    totals : add the states ``<name>.work`` (mechanical) and ``<name>.pneumatic_work`` (the integral
-        of p dV) [J] and the output ``<name>.efficiency``, their ratio. Off by default: pure
-        integrals make every equilibrium singular.
-    """
-
-    lag: float = 0.05
-    max_pressure: float | None = None
-    max_rate: float | None = None
-    totals: bool = False
-
-    def __post_init__(self) -> None:
-        _in_si(self, {"lag": "s", "max_pressure": "Pa", "max_rate": "Pa/s"})
-
-    def connect(
-        self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
-    ) -> ca.SX:
-        attributes = _pressure_attributes(muscle, self.max_pressure)
-        pressure = plant.state(
-            f"{name}.pressure", **attributes, description=f"gauge pressure in {name}"
-        )
-        command = plant.input(
-            f"{name}.command", **attributes, description=f"commanded gauge pressure of {name}"
-        )
-        lag = plant.parameter(
-            f"{name}.lag",
-            self.lag,
-            unit="s",
-            min=1e-6,
-            nominal=0.1,
-            description=f"time constant of the pressure regulator of {name}",
-        )
-        change = (command - pressure) / lag
-        plant.der(pressure, change)
-        if self.max_rate is not None:
-            plant.constraint(
-                f"{name}.pressure_rate",
-                change,
-                unit="Pa/s",
-                nominal=1e6,
-                min=-self.max_rate,
-                max=self.max_rate,
-                description=f"rate of the pressure in {name}",
-            )
-        return pressure
 
 
 def as_feed(value: Any) -> Feed:
@@ -148,22 +115,6 @@ def as_feed(value: Any) -> Feed:
     return (
         Regulator() if value is None else cast(Feed, component("feed", value, "connect", example))
     )
-
-
-def _in_si(component: Any, units: Mapping[str, str]) -> None:
-    """Check these fields of a frozen component: numbers > 0, a text with its unit is one; None
-    stays.
-    """
-    for argument, unit in units.items():
-        value = getattr(component, argument)
-        if value is not None:
-            number = require_positive(f"{type(component).__name__}.{argument}", value, unit)
-            object.__setattr__(component, argument, number)
-
-
-def _pressure_attributes(muscle: Muscle, limit: float | None) -> dict[str, Any]:
-    top = muscle.pressure_range[1] if limit is None else limit
-    return {"unit": "Pa", "min": 0.0, "max": top, "start": top / 2, "nominal": 1e5}
 
 
 _UNITS = {"rest_length": ("m", 0.1), "slack_width": ("N", 1.0)}
@@ -200,6 +151,7 @@ def attach(
     contraction = pre_contraction + shortening / symbolic.rest_length
     relative_rate = rate / symbolic.rest_length
     bounded = _within_reach(contraction)
+    air: Filling | None = None
     if isinstance(feed, GasFeed):
         air = feed.fill(plant, name, symbolic, bounded, relative_rate)
         pressure = air.pressure
@@ -216,6 +168,10 @@ def attach(
     tension = symbolic.tension(pressure, bounded)
     gain = ca.jacobian(tension, pressure)
     force = symbolic.force(pressure, bounded)
+    stiffness = symbolic.stiffness(pressure, bounded)
+    if air is not None and air.stiffening is not None:
+        tension, stiffness = _warmed(symbolic, pressure, bounded, air.stiffening)
+        force = clamp(tension, symbolic.slack_width)
     if losses:
         motion = Motion(symbolic, pressure, bounded, relative_rate)
         lost = sum((loss.force(plant, name, motion) for loss in losses), ca.SX(0))
@@ -226,20 +182,43 @@ def attach(
             nominal=100.0,
             description=f"friction, hysteresis and creep of {name} against its contraction",
         )
+        if air is not None and air.warm is not None:
+            air.warm(lost * rate)
         tension = tension - lost
         force = clamp(tension, symbolic.slack_width)
     attached = AttachedMuscle(
-        name, symbolic, pressure, contraction, force, symbolic.stiffness(pressure, bounded)
+        name,
+        symbolic,
+        pressure,
+        contraction,
+        force,
+        stiffness,
+        moving_half(plant, name, muscle, symbolic),
     )
+    limit_strength(plant, name, muscle, pressure, force)
     _declare_outputs(plant, attached, tension)
     totals = bool(getattr(feed, "totals", False))
-    drawn = feed.drawn(plant, name, air) if totals and isinstance(feed, GasFeed) else None
-    work = meter_work(plant, name, force, rate, muscle.mass, totals)
-    if isinstance(feed, GasFeed):
+    drawn = None
+    if totals and isinstance(feed, GasFeed) and air is not None:
+        drawn = feed.drawn(plant, name, air)
+    work = meter_work(plant, name, force, rate, muscle.known_mass, totals)
+    if isinstance(feed, GasFeed) and air is not None:
         feed.meter(plant, name, air, drawn, work)
     elif work is not None:
         meter_pneumatics(plant, name, pressure, gain, rate, work)
     return attached
+
+
+def _warmed(
+    muscle: Muscle, pressure: ca.SX, contraction: ca.SX, stiffening: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """(tension, stiffness) of a muscle whose wall's own force has grown by a part of it."""
+    kappa = ca.SX.sym("kappa")
+    tension = muscle.tension(pressure, kappa) + stiffening * muscle.tension(ca.SX(0), kappa)
+    force = clamp(tension, muscle.slack_width)
+    both = ca.vertcat(tension, -ca.jacobian(force, kappa) / muscle.rest_length)
+    at = ca.substitute(both, kappa, contraction)
+    return at[0], at[1]
 
 
 def _within_reach(contraction: ca.SX) -> ca.SX:

@@ -137,10 +137,12 @@ class HangingLoad(Plant):
         x, v, m = moved_mass(self, muscle, mass)
         against = weight(self, m, inclination)
         attached = self.add_muscle("muscle", muscle, shortening=x, rate=v, feed=feed, losses=losses)
+        own = attached.moving_mass
+        against += own * (against / m)
         c = as_damping(damping, StiffnessDamping()).coefficient(self, m, attached.stiffness)
         outside, added = applied(self, loads, Coordinate(x, v))
         self.der(x, v)
-        self.der(v, (attached.force - against - c * v + outside) / (m + added))
+        self.der(v, (attached.force - against - c * v + outside) / (m + own + added))
         self.output(
             "stiffness",
             attached.stiffness,

@@ -19,6 +19,7 @@ from .hanging import GRAVITY
 from .kinds import PLANTS
 from .loads import Coordinate, Load, Wall, applied, as_loads
 from .pair import mirrored_pair, reach
+from .pair_regulator import feeds_of_pair
 from .plant import Plant
 from .sketch import Disc, Line, Mark, Polygon, Shape, Sketch, Spindle, box
 
@@ -119,7 +120,8 @@ class AntagonisticJoint(Plant):
             description="contraction of both muscles at theta = 0",
         )
         pair = []
-        torque = ca.SX(0)
+        feeds = feeds_of_pair(self, feed, muscles)
+        torque, carried, turning = ca.SX(0), ca.SX(0), ca.SX(0)
         for i, (part, arm, sign) in enumerate(zip(muscles, arms, (1, -1), strict=True), start=1):
             shortening, radius = self._arm(f"muscle{i}", arm, theta)
             attached = self.add_muscle(
@@ -128,12 +130,18 @@ class AntagonisticJoint(Plant):
                 shortening=sign * shortening,
                 rate=sign * radius * omega,
                 pre_contraction=k0,
-                feed=feed,
+                feed=feeds[i - 1],
                 losses=losses,
             )
             torque += sign * radius * attached.force
+            # of a body at the end of a lever r(theta): m r (r theta'' + r' theta'^2)
+            carried += attached.moving_mass * radius**2
+            turning += attached.moving_mass * radius * ca.jacobian(ca.SX(radius), theta) * omega**2
             pair.append(attached)
-        self._move(theta, omega, moment, torque, (link_mass, link_length), damping, loads, limits)
+        bodies = carried, turning
+        self._move(
+            theta, omega, moment, torque, (link_mass, link_length), damping, loads, limits, bodies
+        )
         even = limits is None or limits[0] == -limits[1]
         one_arm = moment_arm2 is None and not callable(moment_arm)
         if muscles[0] == muscles[1] and one_arm and even and not loads:
@@ -204,8 +212,11 @@ class AntagonisticJoint(Plant):
         damping: Damping | float | None,
         loads: Sequence[Load],
         limits: tuple[float, float] | None,
+        bodies: tuple[ca.SX, ca.SX],
     ) -> None:
-        """Outputs and the equation of motion."""
+        """Outputs and the equation of motion. bodies : inertia [kg m2] and torque of the muscles'
+        own masses.
+        """
         stiffness = -ca.jacobian(torque, theta)
         self.output(
             "torque", torque, unit="N.m", nominal=10.0, description="of both muscles on the joint"
@@ -253,7 +264,9 @@ class AntagonisticJoint(Plant):
         )
         weight = mass * g * length * ca.sin(theta)
         self.der(theta, omega)
-        self.der(omega, (torque - weight - c * omega + outside) / (moment + added))
+        carried, turning = bodies
+        pulls = torque - weight - turning - c * omega + outside
+        self.der(omega, pulls / (moment + carried + added))
 
 
 def _range(

@@ -10,7 +10,13 @@ from .damping import (
     Loss,
     StiffnessDamping,
 )
+from .force_velocity import ForceVelocity
+from .load_creep import LoadCreep
 from .memory import BoucWen, Creep, MaxwellSlip
+from .play import SlipElements
+from .prandtl_ishlinskii import PrandtlIshlinskii
+from .softening import Preconditioning
+from .strand_friction import StrandFriction
 
 __all__ = [
     "BoucWen",
@@ -19,7 +25,13 @@ __all__ = [
     "Creep",
     "Damping",
     "DirectionalDamping",
+    "ForceVelocity",
+    "LoadCreep",
     "Loss",
     "MaxwellSlip",
+    "PrandtlIshlinskii",
+    "Preconditioning",
+    "SlipElements",
     "StiffnessDamping",
+    "StrandFriction",
 ]

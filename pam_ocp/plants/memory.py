@@ -18,50 +18,16 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from .damping import Motion
 from .kinds import LOSSES
+from .slip import Limits, PressureScale, passage, require_scale, rounded_speed
 
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 
-REST_RATE = 1e-4
-"""Rate of contraction [1/s] at which its absolute value is rounded off.
-
-Faster motion is rate-independent. At rest an element keeps its force, up to the last two hundredths
-before it slides fully: smooth derivatives, |z| <= 1 and dissipation in every motion leave no other
-way.
-"""
 EDGE = 0.02
 """Part of the full friction over which BoucWen's |z| <= 1 is kept also in motion below REST_RATE.
 """
 
 
-WIDEST_RATE = 0.3
-"""The same where planning a motion begins [1/s]."""
-
-
-def _speed(plant: Declares, name: str, key: str, rate: ca.SX) -> ca.SX:
-    width = plant.parameter(
-        f"{name}.{key}_rest_rate",
-        REST_RATE,
-        unit="1/s",
-        min=1e-9,
-        nominal=1e-3,
-        widest=WIDEST_RATE,
-        description=f"rate of contraction of {name} at which its absolute value is rounded off",
-    )
-    # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.
-    return ca.SX(ca.sqrt(rate**2 + width**2))
-
-
-def _passage(towards: ca.SX, edge: float | ca.SX, most: float = 1.0) -> ca.SX:
-    """1 while it sticks, falling to 0 where sliding begins: 1 - s^3, s from 0 to 1 at the edge.
-
-    With ``most`` > 1 it goes on below 0 from there, which leads back: exact motion never comes
-    there, and on a coarse mesh what oversteps the edge does not stay beyond.
-    """
-    s = ca.fmin(ca.fmax((towards - (1 - edge)) / edge, 0), most)
-    return ca.SX(1 - s**3)
-
-
-@LOSSES.register(units={"friction": "N", "yield_contraction": "1"})
+@LOSSES.register(units={"friction": "N", "yield_contraction": "1", "per_pressure": "1/Pa"})
 @dataclass(frozen=True)
 class BoucWen:
     """F = F0 z, dz/dkappa = [1 - (beta sign(kappa' z) + 1 - beta) |z|^n]/yield, |z| <= 1.
@@ -73,6 +39,9 @@ class BoucWen:
     friction : F0 [N]. yield_contraction : contraction that it takes to slide [1].
     beta : share of the term that differs between loading and unloading, 1/2 .. 1.
     order : n >= 1; the larger, the sharper the passage from sticking to sliding.
+    per_pressure : [1/Pa] F0 is that at no pressure, and (1 + per_pressure p) F0 that at p; the
+        stiffness stays. What a falling pressure does not hold any more is let go, so it dissipates
+        also while pressures change (our choice of form).
 
     Source: R. Bouc 1967, Y.-K. Wen, J. Eng. Mech. Div. 102 (1976) 249-263; dissipation for
     beta >= |gamma|: F. Ikhouane, J. Rodellar, Systems with Hysteresis, 2007. Normalised so that
@@ -83,9 +52,11 @@ class BoucWen:
     yield_contraction: float = 0.005
     beta: float = 0.5
     order: float = 2.0
+    per_pressure: float = 0.0
 
     def __post_init__(self) -> None:
         require_positive("BoucWen.friction", self.friction, "N", zero=True)
+        require_scale("BoucWen.per_pressure", self.per_pressure)
         require_positive("BoucWen.yield_contraction", self.yield_contraction)
         if not 0.5 <= require_finite("BoucWen.beta", self.beta) <= 1:
             raise InputError(
@@ -120,20 +91,27 @@ class BoucWen:
             memory="held",
             description=f"Bouc-Wen state of {name}: force/friction",
         )
-        size = (z**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
-        signed = z * (z**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
-        rate, fast = motion.rate, _speed(plant, name, "hysteresis", motion.rate)
+        scale = PressureScale.of(plant, name, "hysteresis", self.per_pressure, motion)
+        full = ca.SX(1) if scale is None else scale.present / scale.largest
+        share = z / full
+        size = (share**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
+        signed = share * (share**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
+        rate, fast = motion.rate, rounded_speed(plant, name, "hysteresis", motion.rate)
         # Both vanish at rest like rate^2, so that a memory keeps; |onward| <= speed: it dissipates.
         # At the edge they are those that keep |z| <= 1 however slow the motion.
-        keeps, moving = _passage(ca.sqrt(z**2 + 1e-12), EDGE), (rate / fast) ** 2
+        keeps, moving = passage(ca.sqrt(share**2 + 1e-12), EDGE), (rate / fast) ** 2
         speed = fast * (1 - keeps * (1 - moving))
         onward = rate * (1 - keeps * (1 - moving))
         slipping = beta * speed * signed + (1 - beta) * onward * size
-        plant.der(z, (rate - slipping) / width)
-        return ca.SX(friction * z)
+        if scale is None:
+            plant.der(z, (rate - slipping) / width)
+            return ca.SX(friction * z)
+        limits = Limits(full, full)
+        plant.der(z, (rate - slipping) / (width * scale.largest) + limits.release(z))
+        return ca.SX(friction * scale.largest * limits.held(z))
 
 
-@LOSSES.register(units={"friction": "N", "yield_contraction": "1"})
+@LOSSES.register(units={"friction": "N", "yield_contraction": "1", "per_pressure": "1/Pa"})
 @dataclass(frozen=True)
 class MaxwellSlip:
     """F = sum F_i z_i: springs in series with dry friction, each sliding at its own |z_i| = 1.
@@ -144,6 +122,8 @@ class MaxwellSlip:
 
     friction : F_i [N]. yield_contraction : contraction at which each slides [1], as many.
     edge : width of the passage from sticking to sliding, as a part of F_i.
+    per_pressure : [1/Pa] F_i are those at no pressure, and (1 + per_pressure p) F_i those at p; see
+        :class:`BoucWen`.
 
     Source: W. D. Iwan, J. Appl. Mech. 33 (1966) 893-900; for muscles T. Vo-Minh et al.,
     IEEE/ASME Trans. Mechatronics 16 (2011) 177-186. The default is an example, no measurement.
@@ -152,9 +132,11 @@ class MaxwellSlip:
     friction: Sequence[float] = (6.0, 6.0, 4.0, 4.0)
     yield_contraction: Sequence[float] = (0.002, 0.005, 0.012, 0.03)
     edge: float = 0.02
+    per_pressure: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_elements(self, "friction", "yield_contraction")
+        require_scale("MaxwellSlip.per_pressure", self.per_pressure)
+        require_elements(self, "friction", "yield_contraction")
         for argument, zero in (("friction", True), ("yield_contraction", False)):
             values = tuple(
                 require_positive(f"MaxwellSlip.{argument}", v, zero=zero)
@@ -166,7 +148,7 @@ class MaxwellSlip:
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
-        rate, speed = motion.rate, _speed(plant, name, "slip", motion.rate)
+        rate, speed = motion.rate, rounded_speed(plant, name, "slip", motion.rate)
         edge = plant.parameter(
             f"{name}.slip_edge",
             self.edge,
@@ -177,6 +159,9 @@ class MaxwellSlip:
             description=f"Maxwell-slip of {name}: passage from sticking to sliding, as part of "
             "the force",
         )
+        scale = PressureScale.of(plant, name, "slip", self.per_pressure, motion)
+        full = ca.SX(1) if scale is None else scale.present / scale.largest
+        limits = Limits(full, full)
         total = ca.SX(0)
         for i, (force, width) in enumerate(
             zip(self.friction, self.yield_contraction, strict=True), start=1
@@ -204,9 +189,13 @@ class MaxwellSlip:
                 memory="held",
                 description=f"Maxwell-slip element {i} of {name}: force/friction",
             )
-            up, down = (rate + speed) / 2, (rate - speed) / 2
-            plant.der(z, (up * _passage(z, edge, 3.0) + down * _passage(-z, edge, 3.0)) / yielding)
-            total += friction * z
+            passing = limits.passing(z, rate, speed, edge)
+            if scale is None:
+                plant.der(z, passing / yielding)
+                total += friction * z
+            else:
+                plant.der(z, passing / (yielding * scale.largest) + limits.release(z))
+                total += friction * scale.largest * limits.held(z)
         return total
 
 
@@ -231,7 +220,7 @@ class Creep:
     time: Sequence[float] = (1.0,)
 
     def __post_init__(self) -> None:
-        _require_elements(self, "stiffness", "time")
+        require_elements(self, "stiffness", "time")
         for argument, unit, zero in (("stiffness", "N", True), ("time", "s", False)):
             values = tuple(
                 require_positive(f"Creep.{argument}", v, unit, zero=zero)
@@ -271,7 +260,7 @@ class Creep:
         return total
 
 
-def _require_elements(component: object, *arguments: str) -> None:
+def require_elements(component: object, *arguments: str) -> None:
     """Make a single value a series of one; InputError where the series are not equally long."""
     kind = type(component).__name__
     for argument in arguments:

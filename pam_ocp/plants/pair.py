@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..core.errors import InputError
 from ..core.plausible import meant_within
 from ..muscles.pneumatic_muscle import Muscle
+from .pair_regulator import COMMAND
 from .plant import Plant
 
 __all__ = ["mirrored_pair", "reach"]
@@ -23,9 +24,13 @@ def reach(muscle: Muscle, pre_contraction: float) -> float:
 
 
 def mirrored_pair(plant: Plant) -> dict[str, tuple[float, str]]:
-    """Each state and input of muscle1 mapped to that of muscle2, and back."""
+    """Each state and input of muscle1 mapped to that of muscle2, and back; a command that both
+    share to its negative.
+    """
     swapped = {}
     for variable in (*plant.states, *plant.inputs):
+        if variable.name.partition(".")[0] == COMMAND:
+            swapped[variable.name] = (-1.0, variable.name)
         for one, two in (("muscle1.", "muscle2."), ("muscle2.", "muscle1.")):
             if variable.name.startswith(one):
                 swapped[variable.name] = (1.0, two + variable.name.removeprefix(one))

@@ -10,7 +10,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -19,13 +19,16 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, UnknownNameError
 from ..core.expressions import scalar_expression
+from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality, Variable
 from ..muscles.dead_zone import dead_zone, dead_zone_inverse
 from ..muscles.pneumatic_muscle import Muscle
 from .damping import Loss
+from .dead_time import DeadTime, DelayLine, as_dead_time, delay_line
 from .feeds import AttachedMuscle, Feed, attach
 from .opening import FlowPath, Opening, checked_commands
+from .sensors import Sensor, as_sensor
 from .sketch import Sketch
 from .stillness import Position, resting
 
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["Given", "Plant", "Values", "by_name", "require_plant"]
 
 Values = Mapping[str, Any]
+Part = TypeVar("Part")
 Given: TypeAlias = "Values | OperatingPoint"
 """Values by name, or those of a point."""
 
@@ -115,6 +119,7 @@ def by_name(argument: str, values: Any, causality: Causality | None = None) -> d
     )
 
 
+@shown
 @locked
 class Plant:
     """A system to move: states x, inputs u, parameters p; x' = f(x, u, p), y = g(x, u, p).
@@ -147,6 +152,9 @@ class Plant:
         self._mirror: dict[str, tuple[float, str]] = {}
         self._openings: tuple[Opening, ...] = ()
         self._flow_paths: tuple[FlowPath, ...] = ()
+        self._shared: dict[str, tuple[Any, Any]] = {}
+        self._gathered: list[tuple[ca.SX, list[ca.SX]]] = []
+        self._delay_lines: tuple[DelayLine, ...] = ()
         self._system: _System | None = None
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -247,6 +255,84 @@ class Plant:
             description=f"effect of {name_of} beyond its dead zone",
         )
         return symbol
+
+    def shared(self, name: str, component: Any, declare: Callable[[], Part]) -> Part:
+        """What several parts of the plant use in common, such as two muscles one receiver.
+
+        ``declare()`` declares its variables and is called at the first mention of ``name`` only;
+        later ones get what it gave then. Raises InputError where the name means another component.
+        """
+        self._open()
+        if name not in self._shared:
+            self._shared[name] = (component, declare())
+        known, part = self._shared[name]
+        if known != component:
+            raise InputError(
+                f"plant {self.name!r}: two different parts are called {name!r}; give one of them "
+                "another name=, or both parts the same component"
+            )
+        found: Part = part
+        return found
+
+    def gathered(self) -> tuple[ca.SX, Callable[[Any], None]]:
+        """A sum whose terms are not known yet: (its symbol, what adds a term to it).
+
+        The symbol may stand in any equation; when the plant is finished, the sum of all terms (0
+        without any) takes its place. Terms must not hold such symbols themselves.
+        """
+        self._open()
+        symbol, terms = ca.SX.sym(f"gathered{len(self._gathered)}"), list[ca.SX]()
+        self._gathered.append((symbol, terms))
+
+        def add(term: Any) -> None:
+            self._open()
+            terms.append(scalar_expression("a term of a sum", term))
+
+        return symbol, add
+
+    def delayed(
+        self, command: ca.SX, dead_time: DeadTime | float, name: str | None = None
+    ) -> ca.SX:
+        """What an input was a dead time ago: its effect, to be used in the equations.
+
+        command : the symbol of an input. dead_time : a DeadTime, or its time [s]. name : of what is
+        declared for it (``<name>.dead_time``, ``<name>.delay1``, ...); by default the input's.
+        """
+        of = next((n for n, s in self._symbols.items() if s is command), str(command))
+        line = as_dead_time(dead_time)
+        if line is None or of not in self._variables or self._variables[of].causality != "input":
+            raise InputError(
+                f"delayed({of}, {dead_time}): give the symbol of an input, and a dead time"
+            )
+        effect, made = delay_line(self, name or of, self._variables[of], command, line)
+        self._delay_lines += (made,)
+        return effect
+
+    def add_sensor(self, name: str, sensor: Sensor) -> None:
+        """Read a state or output through a :class:`Sensor`: adds the output ``<name>.measured``.
+
+        Before the plant's first use. A symmetry declared before (:meth:`mirror`) is kept where the
+        sensor's filter has a mirror image: the quantity's own, or that of a like sensor.
+        """
+        variable = self.variable(name)
+        if variable.causality not in ("state", "output"):
+            raise InputError(
+                f"add_sensor: {variable.name} is a {variable.causality}; sensors read states and "
+                "outputs"
+            )
+        own = variable.name
+        value = self._symbols[own] if own in self._symbols else self._expressions[own]
+        states = as_sensor(sensor).attach(self, variable, value)
+        if self._mirror and states:
+            sign, image = self._mirror.get(own, (1.0, own))
+            if variable.causality == "output":
+                image = ""  # outputs' images are not declared
+            self._mirror |= {s: (sign, image + s.removeprefix(own)) for s in states}
+
+    @property
+    def delay_lines(self) -> tuple[DelayLine, ...]:
+        """The dead times of inputs, by the names of what they are made of."""
+        return self._delay_lines
 
     def mirror(self, mapping: Mapping[str, tuple[float, str]]) -> None:
         """Declare a symmetry: {name: (sign, name of its mirror image)}; others map to themselves.
@@ -430,6 +516,12 @@ class Plant:
         if not self.states:
             raise InputError(f"plant {self.name!r} has no state")
         self._stated = dict(self._expressions)
+        if self._gathered:
+            sums = [sum(terms, ca.SX(0)) for _, terms in self._gathered]
+            self._stated = self._replaced([symbol for symbol, _ in self._gathered], sums)
+            self._expressions = dict(self._stated)
+        if any(image not in self._variables for _, image in self._mirror.values()):
+            self._mirror = {}  # a sensor's filter on one side alone
         if self._flow_paths:
             self._expressions = self._replaced(
                 [w.symbol for w in self._flow_paths], [w.in_commands for w in self._flow_paths]
@@ -610,6 +702,7 @@ class Plant:
             "variables": list(self._variables.values()),
             "mirror": self._mirror,
             "function": self._travelling(),
+            "delay_lines": self._delay_lines,
             "openings": [(o.variable, o.commands) for o in self._openings],
         }
 
@@ -631,6 +724,7 @@ class Plant:
         Plant.__init__(self, state["name"], state["description"])
         self._variables = {v.name: v for v in state["variables"]}
         self._mirror = state["mirror"]
+        self._delay_lines = state.get("delay_lines", ())
         symbols = {v.name: ca.SX.sym(v.name) for v in state["variables"]}
         self._symbols = {v.name: symbols[v.name] for c in _CHANGEABLE for v in self._of(c)}
         known = [self._column(self._symbols, c) for c in _CHANGEABLE]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from ..muscles.pneumatic_muscle import Muscle
 from .kinds import PLANTS
 from .plant import Plant
 
-__all__ = ["muscle_of", "named_plant", "plant_of", "require_allowed"]
+__all__ = ["builder_of", "muscle_of", "named_plant", "plant_of", "require_allowed"]
 
 OWN = "FILE.py:NAME"
 """How a plant of one's own is named."""
@@ -42,20 +43,25 @@ def muscle_of(value: Any, where: str = "muscle", folder: Path | None = None) -> 
 
 
 def named_plant(
-    name: str, muscle: Muscle, folder: Path | None = None, *, allow_code: bool = False
+    name: str,
+    muscle: Muscle,
+    folder: Path | None = None,
+    *,
+    allow_code: bool = False,
+    **parts: Any,
 ) -> Plant:
     """A plant of the library with its defaults ("AntagonisticSlide" or "antagonistic_slide"), or a
     user's: FILE.py:NAME, NAME being a Plant or a function that takes a muscle and returns one.
 
-    allow_code : FILE.py may be run; without it InputError says why not.
+    allow_code : FILE.py may be run; without it InputError says why not. parts : further arguments.
     """
     file, colon, member = name.rpartition(":")
     if not colon:
-        made: Plant = PLANTS.find("plant", name, OWN)(muscle)
+        made: Plant = PLANTS.find("plant", name, OWN)(muscle, **parts)
         return made
     require_allowed(f"{name!r} would run the Python file {file}", allow_code)
     found = _member((folder or Path()) / file, member)
-    plant = found if isinstance(found, Plant) else found(muscle)
+    plant = found if isinstance(found, Plant) else found(muscle, **parts)
     if not isinstance(plant, Plant):
         raise InputError(f"{name} gives {type(plant).__name__}, not a Plant")
     return plant
@@ -80,10 +86,10 @@ def plant_of(
     """The Plant that a ``[plant]`` table describes.
 
     content : ``arrangement`` (a plant of the library, or FILE.py:NAME), ``muscle`` (see
-        :func:`muscle_of`), ``set`` ({parameter or start value: value}), and the arguments of the
-        arrangement by name. Components are tables with their ``kind``, as
-        ``feed = { kind = "Regulator", lag = "50 ms" }``; losses and loads are lists of them.
-        Values are SI numbers or texts with a unit.
+        :func:`muscle_of`), ``set`` ({parameter or start value: value}), ``sensors`` ({state or
+        output: its sensor}), and the arguments of the arrangement by name. Components are tables
+        with their ``kind``, as ``feed = { kind = "Regulator", lag = "50 ms" }``; losses and loads
+        are lists of them. Values are SI numbers or texts with a unit.
     where : what is read, for messages. folder : of the file; other files are looked for there.
     allow_code : the table may name a plant as FILE.py:NAME, which runs that file.
 
@@ -96,18 +102,48 @@ def plant_of(
             f"{where}.arrangement is missing; give one of {', '.join(PLANTS)}, or FILE.py:NAME"
         )
     values = table(f"{where}.set", content.pop("set", {}))
+    sensors = table(f"{where}.sensors", content.pop("sensors", {}))
     part = muscle_of(content.pop("muscle", None), f"{where}.muscle", folder)
     if ":" in name:
-        known_keys(where, content, ("arrangement", "muscle", "set"))
+        known_keys(where, content, ("arrangement", "muscle", "set", "sensors"))
         plant = named_plant(name, part, folder, allow_code=allow_code)
     else:
         if "muscle2" in content:
             content["muscle2"] = muscle_of(content["muscle2"], f"{where}.muscle2", folder)
         known = PLANTS.name(f"{where}.arrangement", name, OWN)
         plant = _built(where, PLANTS, known, content, part)
+    for sensed, said in sensors.items():
+        plant.add_sensor(sensed, _component(f"{where}.sensors.{sensed}", "sensors", said))
     return plant.with_values(
         {n: quantity(f"{where}.set.{n}", v, plant.variable(n).unit) for n, v in values.items()}
     )
+
+
+def builder_of(
+    content: Any,
+    where: str = "plant",
+    folder: Path | None = None,
+    *,
+    allow_code: bool = False,
+) -> tuple[Callable[..., Plant], Any]:
+    """(what builds the plant of a ``[plant]`` table with another feed= and losses=, its feed).
+
+    Arguments as of :func:`plant_of`. A plant of one's own is a function that takes both.
+    """
+    content = dict(table(where, content))
+    fed = content.pop("feed", {"kind": "Regulator"})
+    feed = _component(f"{where}.feed", "feed", fed)
+    content.pop("losses", None)
+    own = str(content.get("arrangement", ""))
+    if ":" not in own:
+        return partial(_with_parts, content, where, folder), feed
+    known_keys(where, content, ("arrangement", "muscle"))
+    part = muscle_of(content.get("muscle"), f"{where}.muscle", folder)
+    return partial(named_plant, own, part, folder, allow_code=allow_code), feed
+
+
+def _with_parts(content: Mapping[str, Any], where: str, folder: Path | None, **parts: Any) -> Plant:
+    return plant_of({**content, **parts}, where, folder)
 
 
 def _built(
@@ -133,7 +169,8 @@ def _argument(where: str, name: str, value: Any, units: tuple[str, ...]) -> Any:
         return tuple(_entry(where, v, units) for v in value)
     if isinstance(value, str) and not units:
         return value
-    if isinstance(value, bool | Muscle):
+    made = registry_of(name) is not None and not isinstance(value, str | int | float | list)
+    if isinstance(value, bool | Muscle | tuple) or made:
         return value
     return quantity(where, value, *units)
 
@@ -150,7 +187,8 @@ def _component(where: str, argument: str, value: Any) -> Any:
     if kinds is None:
         raise InputError(f"{where} = {value!r}: give a value, not a table")
     given = dict(table(where, value))
-    kind = given.pop("kind", next(iter(kinds)) if len(kinds) == 1 else None)
+    usual = kinds.default or (next(iter(kinds)) if len(kinds) == 1 else None)
+    kind = given.pop("kind", usual)
     if kind is None:
         raise InputError(f"{where}.kind is missing; give one of {', '.join(kinds)}")
     return _built(where, kinds, kinds.name(f"{where}.kind", kind), given)

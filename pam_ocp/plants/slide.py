@@ -13,6 +13,7 @@ from .feeds import Feed
 from .kinds import PLANTS
 from .loads import Coordinate, Load, applied, as_loads
 from .pair import mirrored_pair, reach
+from .pair_regulator import feeds_of_pair
 from .plant import Plant
 from .sketch import Line, Mark, Polygon, Sketch, Spindle, box
 
@@ -91,6 +92,7 @@ class AntagonisticSlide(Plant):
             display_unit="%",
             description="contraction of both muscles at x = 0",
         )
+        feeds = feeds_of_pair(self, feed, muscles)
         pair = [
             self.add_muscle(
                 f"muscle{i}",
@@ -98,7 +100,7 @@ class AntagonisticSlide(Plant):
                 shortening=sign * x,
                 rate=sign * v,
                 pre_contraction=k0,
-                feed=feed,
+                feed=feeds[i - 1],
                 losses=losses,
             )
             for i, part, sign in ((1, muscles[0], 1), (2, muscles[1], -1))
@@ -107,7 +109,8 @@ class AntagonisticSlide(Plant):
         c = as_damping(damping, ConstantDamping()).coefficient(self, m, stiffness)
         self.der(x, v)
         outside, added = applied(self, loads, Coordinate(x, v))
-        self.der(v, (pair[0].force - pair[1].force - c * v + outside) / (m + added))
+        moving = m + pair[0].moving_mass + pair[1].moving_mass + added
+        self.der(v, (pair[0].force - pair[1].force - c * v + outside) / moving)
         self.output(
             "stiffness",
             stiffness,

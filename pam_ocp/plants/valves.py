@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,11 +12,18 @@ import casadi as ca
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse, two_ways
-from ..muscles.gas import Chamber, Gas, conductance_from_flow, iso6358, specific_exergy
+from ..muscles.gas import Chamber, Gas, conductance_from_flow, specific_exergy
 from ..muscles.pneumatic_muscle import Muscle
-from .kinds import FEEDS, TUBES
+from .airflow import Air, Place, Stream, boundless, holding, through
+from .components import component
+from .contents import air_temperature, balance
+from .kinds import FEEDS
+from .quick_exhaust import QuickExhaust
+from .receiver import Supply
+from .spools import Spool
+from .tubes import Around, Tube, TubeComponent
 
-__all__ = ["Air", "GasFeed", "OnOffValves", "SpoolValve", "Tube"]
+__all__ = ["Filling", "GasFeed", "OnOffValves", "SpoolValve", "Tube"]
 
 LOWEST_PRESSURE = -2e4
 """Lower bound of a gas pressure [Pa gauge]: below ambient the membrane collapses."""
@@ -25,34 +33,15 @@ GAS_UNITS = {
     "conductance": "m3/(s.Pa)",
     "exhaust_conductance": "m3/(s.Pa)",
     "supply": "Pa",
+    "supply_temperature": "K",
     "leak": "m3/(s.Pa)",
     "max_pressure": "Pa",
 }
 """Units of what every feed that knows the gas takes; see :class:`GasFeed`."""
 
 
-@TUBES.register(units={"volume": "m3", "lag": "s"})
 @dataclass(frozen=True)
-class Tube:
-    """A tube between valve and muscle: a volume, and a first-order lag to the muscle's pressure.
-
-    The flow is linear (laminar) in the difference of pressures, with the resistance at which the
-    pressure in the tube settles to the muscle's within ``lag``. Sound is not modelled: for tubes
-    of more than a metre the delay of length/343 m/s is missing.
-
-    volume : [m3]. lag : time constant [s].
-    """
-
-    volume: float = 10e-6
-    lag: float = 5e-3
-
-    def __post_init__(self) -> None:
-        require_positive("Tube.volume", self.volume, "m3")
-        require_positive("Tube.lag", self.lag, "s")
-
-
-@dataclass(frozen=True)
-class Air:
+class Filling:
     """Expressions of a gas feed: gauge pressure in the muscle, air and exergy drawn per second."""
 
     pressure: ca.SX
@@ -60,10 +49,12 @@ class Air:
     """From the supply [kg/s]."""
     exergy_flow: ca.SX
     """Work that this air could do, per second [W]."""
-    temperature: ca.SX
-    ambient: ca.SX
-    supply: ca.SX
-    """Absolute supply pressure [Pa]."""
+    specific: ca.SX | None
+    """Exergy of a supply that stays as it is [J/kg]; None of one that does not."""
+    stiffening: ca.SX | None = None
+    """Part by which the wall's own force has grown with its temperature; None: not at all."""
+    warm: Callable[[Any], None] | None = None
+    """Takes the power that losses give to the wall [W]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,25 +64,31 @@ class GasFeed(ABC):
     conductance : sonic conductance C from supply to muscle, valve open [m3/(s Pa)]; see
         :func:`conductance_from_flow`. exhaust_conductance : to ambient; by default the same.
     critical_ratio : b of ISO 6358.
-    supply : gauge pressure of the supply [Pa].
+    supply : gauge pressure of the supply [Pa], or one that sags: ``Receiver(...)``, which all
+        feeds of the plant share.
+    supply_temperature : of the air from a supply of constant pressure [K]; by default the gas's.
     leak : sonic conductance of a leak from muscle to ambient [m3/(s Pa)].
-    tube : a :class:`Tube` between valve and muscle, or None.
-    gas : volume, dead volume, polytropic exponent, temperature; see :class:`Gas`.
+    tube : ``Tube(...)`` or ``LumpedTube(...)`` between valve and muscle, or None.
+    quick_exhaust : ``QuickExhaust(...)`` at the tube's end, or None.
+    gas : volume, dead volume, temperature, polytropic exponent or heat; see :class:`Gas`.
     max_pressure : largest pressure [Pa gauge] a plan may use; by default the muscle's range.
     totals : add the states ``<name>.air_drawn`` [kg] and ``<name>.work`` [J] and the outputs
         ``.exergy_drawn`` [J] and ``.efficiency``. Off by default: pure integrals make every
         equilibrium singular.
 
     Outputs: ``<name>.volume``, ``.mass_flow`` (into the muscle), ``.supply_flow`` and
-    ``.exergy_flow``.
+    ``.exergy_flow``; with a gas that has heat also ``.air_mass``, ``.vent_flow`` (to ambient),
+    ``.enthalpy_flow`` and ``.heat_flow`` (into the air).
     """
 
     conductance: float = field(default_factory=lambda: conductance_from_flow(700.0))
     exhaust_conductance: float | None = None
     critical_ratio: float = 0.3
-    supply: float = 6e5
+    supply: float | Supply = 6e5
+    supply_temperature: float | None = None
     leak: float = 0.0
-    tube: Tube | None = None
+    tube: TubeComponent | None = None
+    quick_exhaust: QuickExhaust | None = None
     gas: Gas = field(default_factory=Gas)
     max_pressure: float | None = None
     totals: bool = False
@@ -99,10 +96,26 @@ class GasFeed(ABC):
     def __post_init__(self) -> None:
         kind = type(self).__name__
         require_positive(f"{kind}.conductance", self.conductance, "m3/(s.Pa)")
-        for argument in ("exhaust_conductance", "max_pressure"):
+        for argument in ("exhaust_conductance", "max_pressure", "supply_temperature"):
             if getattr(self, argument) is not None:
                 require_positive(f"{kind}.{argument}", getattr(self, argument))
-        require_positive(f"{kind}.supply", self.supply, "Pa")
+        if hasattr(self.supply, "connect"):
+            component("supply", self.supply, "connect", "Receiver(2e-3)")
+            if self.supply_temperature is not None:
+                raise InputError(
+                    f"{kind}.supply_temperature is that of a supply of constant pressure: give "
+                    "the receiver's source its temperature"
+                )
+        else:
+            require_positive(f"{kind}.supply", self.supply, "Pa")
+        if self.tube is not None:
+            component("tube", self.tube, "port", "Tube(10e-6) or LumpedTube(1.0)")
+        if self.quick_exhaust is not None:
+            component("quick_exhaust", self.quick_exhaust, "vent", "QuickExhaust()")
+            if self.tube is None:
+                raise InputError(
+                    f"{kind}.quick_exhaust sits between tube and muscle: give tube= as well"
+                )
         require_positive(f"{kind}.leak", self.leak, "m3/(s.Pa)", zero=True)
         if not 0 <= require_finite(f"{kind}.critical_ratio", self.critical_ratio) < 1:
             raise InputError(f"{kind}.critical_ratio = {self.critical_ratio:g} must lie in 0 .. 1")
@@ -119,54 +132,53 @@ class GasFeed(ABC):
 
     def fill(
         self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
-    ) -> Air:
+    ) -> Filling:
         """Declare states, inputs and parameters of the gas; give its expressions."""
 
         def declare(key: str, value: float, **attributes: Any) -> ca.SX:
-            description = f"{attributes.pop('description', key)} ({name})"
+            words = attributes.pop("description", key.replace("_", " "))
             return plant.parameter(
-                f"{name}.gas.{key}", value, description=description, **attributes
+                f"{name}.gas.{key}", value, description=f"{words} ({name})", **attributes
             )
 
-        pressure = self._pressure_state(plant, name, muscle, f"{name}.pressure")
+        def pressure_state(state: str) -> ca.SX:
+            return self._pressure_state(plant, name, muscle, state)
+
+        pressure = pressure_state(f"{name}.pressure")
         chamber = self.gas.chamber(muscle, contraction, declare)
-        supply = chamber.ambient + declare(
-            "supply",
-            self.supply,
-            unit="Pa",
-            min=0.0,
-            nominal=1e5,
-            description="gauge supply pressure",
-        )
-        node = pressure
+        inside = Air(pressure + chamber.ambient, air_temperature(plant, name, self.gas, chamber))
+        place, net = holding(plant, inside)
+        source, specific = self._source(plant, declare, chamber)
+        outside = boundless(Air(chamber.ambient, chamber.temperature))
+        port = place
         if self.tube is not None:
-            node = self._pressure_state(plant, name, muscle, f"{name}.tube_pressure")
-        drawn, vented, leaked = self._flows(
-            plant,
-            name,
-            declare,
-            chamber,
-            supply,
-            node + chamber.ambient,
-            pressure + chamber.ambient,
-        )
-        entering = drawn - vented
-        if self.tube is not None:
-            entering = self._through(self.tube, plant, declare, chamber, node, pressure, entering)
-        net = entering - leaked
-        plant.der(pressure, chamber.pressure_rate(pressure + chamber.ambient, net, rate))
-        for key, value, unit, nominal, words in (
-            ("volume", chamber.volume, "m3", 1e-4, "volume of the gas with dead volume"),
-            ("mass_flow", net, "kg/s", 1e-3, "air flowing into the muscle"),
-            ("supply_flow", drawn, "kg/s", 1e-3, "air drawn from the supply"),
-        ):
-            plant.output(
-                f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
+            exponent = chamber.exponent if self.gas.heat is None else ca.SX(1)
+            around = Around(
+                name, chamber.ambient, chamber.temperature, exponent, declare, pressure_state
             )
-        exergy = drawn * specific_exergy(supply, chamber.ambient, chamber.temperature)
-        return Air(pressure, drawn, exergy, chamber.temperature, chamber.ambient, supply)
+            port = self.tube.port(plant, around, place)
+        drawn, vented = self._valve(plant, name, declare, source, port, place, outside)
+        if self.quick_exhaust is not None:
+            quick = self.quick_exhaust.vent(declare, place, port, outside)
+            vented = Stream(vented.mass + quick.mass, vented.carried + quick.carried)
+        warmth = balance(plant, name, self.gas, chamber, pressure, inside, net, rate, declare)
+        shown = [
+            ("volume", chamber.volume, "m3", 1e-4, "volume of the gas with dead volume"),
+            ("mass_flow", net.mass, "kg/s", 1e-3, "air flowing into the muscle"),
+            ("supply_flow", drawn.mass, "kg/s", 1e-3, "air drawn from the supply"),
+        ]
+        if self.gas.heat is not None:
+            shown.append(("vent_flow", vented.mass, "kg/s", 1e-3, "air to the surroundings"))
+        _outputs(plant, name, shown)
+        each = specific
+        if each is None:
+            air, t0 = source.air, chamber.temperature
+            each = specific_exergy(air.absolute, chamber.ambient, t0, air.temperature)
+        return Filling(
+            pressure, drawn.mass, drawn.mass * each, specific, warmth.stiffening, warmth.warm
+        )
 
-    def drawn(self, plant: Declares, name: str, air: Air) -> ca.SX:
+    def drawn(self, plant: Declares, name: str, air: Filling) -> ca.SX:
         """Declare the state ``<name>.air_drawn`` [kg] of the totals."""
         drawn = plant.state(
             f"{name}.air_drawn", unit="kg", nominal=1e-3, description=f"air drawn by {name}"
@@ -175,23 +187,26 @@ class GasFeed(ABC):
         return drawn
 
     def meter(
-        self, plant: Declares, name: str, air: Air, drawn: ca.SX | None, work: ca.SX | None
+        self, plant: Declares, name: str, air: Filling, drawn: ca.SX | None, work: ca.SX | None
     ) -> None:
-        """Declare what the feed costs; with the totals, air drawn and work done, the efficiency."""
-        meters = [
-            ("exergy_flow", air.exergy_flow, "W", 100.0, "exergy drawn from the supply per second")
-        ]
+        """Declare what the feed costs; with the totals, air drawn and work done, the efficiency.
+
+        From a supply that does not stay as it is the exergy drawn is a state.
+        """
+        words = "exergy drawn from the supply"
+        meters = [("exergy_flow", air.exergy_flow, "W", 100.0, f"{words} per second")]
         if drawn is not None and work is not None:
-            exergy = drawn * specific_exergy(air.supply, air.ambient, air.temperature)
+            if air.specific is not None:
+                exergy = drawn * air.specific
+                meters.append(("exergy_drawn", exergy, "J", 100.0, words))
+            else:
+                exergy = plant.state(
+                    f"{name}.exergy_drawn", unit="J", nominal=100.0, description=f"{words} ({name})"
+                )
+                plant.der(exergy, air.exergy_flow)
             share = work / ca.sqrt(exergy**2 + EXERGY_FLOOR**2)
-            meters += [
-                ("exergy_drawn", exergy, "J", 100.0, "exergy drawn from the supply"),
-                ("efficiency", share, "1", 1.0, "work per exergy drawn"),
-            ]
-        for key, value, unit, nominal, words in meters:
-            plant.output(
-                f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
-            )
+            meters.append(("efficiency", share, "1", 1.0, "work per exergy drawn"))
+        _outputs(plant, name, meters)
 
     # ---- parts ------------------------------------------------------------------------------
     def _pressure_state(self, plant: Declares, name: str, muscle: Muscle, state: str) -> ca.SX:
@@ -204,20 +219,49 @@ class GasFeed(ABC):
             max=top,
             start=top / 2,
             nominal=1e5,
+            memory="settling" if tube else "",
             description=f"gauge pressure in {tube}{name}",
         )
 
-    def _flows(
+    def _source(
+        self, plant: Declares, declare: Any, chamber: Chamber
+    ) -> tuple[Place, ca.SX | None]:
+        """Where the air comes from; the exergy of its air [J/kg] where that stays as it is."""
+        if not isinstance(self.supply, float | int):
+            return self.supply.connect(plant), None
+        gauge = declare(
+            "supply",
+            self.supply,
+            unit="Pa",
+            min=0.0,
+            nominal=1e5,
+            description="gauge supply pressure",
+        )
+        absolute, warm = chamber.ambient + gauge, None
+        if self.supply_temperature is not None:
+            warm = declare(
+                "supply_temperature",
+                self.supply_temperature,
+                unit="K",
+                min=1.0,
+                nominal=300.0,
+                description="temperature of the supply's air",
+            )
+        t0 = chamber.temperature
+        place = boundless(Air(absolute, t0 if warm is None else warm))
+        return place, specific_exergy(absolute, chamber.ambient, t0, warm)
+
+    def _valve(
         self,
         plant: Declares,
         name: str,
         declare: Any,
-        chamber: Chamber,
-        supply: ca.SX,
-        node: ca.SX,
-        inside: ca.SX,
-    ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Air from the supply, to ambient through the valve, and through the leak [kg/s]."""
+        source: Place,
+        port: Place,
+        muscle: Place,
+        outside: Place,
+    ) -> tuple[Stream, Stream]:
+        """Air from the supply, and to ambient through the valve and the leak."""
         outward = self.conductance if self.exhaust_conductance is None else self.exhaust_conductance
         ways = {
             "conductance": (self.conductance, "sonic conductance from the supply"),
@@ -236,45 +280,19 @@ class GasFeed(ABC):
             description="critical pressure ratio b",
         )
         filling, venting = self.openings(plant, name)
-        t, ambient = chamber.temperature, chamber.ambient
-        return (
-            filling * iso6358(supply, node, inlet, b, t),
-            venting * iso6358(node, ambient, outlet, b, t),
-            iso6358(inside, ambient, leak, b, t),
-        )
+        drawn = through(source, port, inlet, b, filling)
+        vented = through(port, outside, outlet, b, venting)
+        leaked = through(muscle, outside, leak, b)
+        return drawn, Stream(vented.mass + leaked.mass, vented.carried + leaked.carried)
 
-    def _through(
-        self,
-        tube: Tube,
-        plant: Declares,
-        declare: Any,
-        chamber: Chamber,
-        node: ca.SX,
-        pressure: ca.SX,
-        entering: ca.SX,
-    ) -> ca.SX:
-        """Flow out of the tube's far end [kg/s]; the tube's own pressure takes up the rest."""
-        volume = declare(
-            "tube_volume",
-            tube.volume,
-            unit="m3",
-            min=1e-12,
-            nominal=1e-5,
-            description="volume of the tube",
+
+def _outputs(
+    plant: Declares, name: str, shown: Sequence[tuple[str, ca.SX, str, float, str]]
+) -> None:
+    for key, value, unit, nominal, words in shown:
+        plant.output(
+            f"{name}.{key}", value, unit=unit, nominal=nominal, description=f"{words} ({name})"
         )
-        lag = declare(
-            "tube_lag",
-            tube.lag,
-            unit="s",
-            min=1e-6,
-            nominal=1e-2,
-            description="time constant of the tube",
-        )
-        own = Chamber(volume, ca.SX(0), chamber.exponent, chamber.temperature, chamber.ambient)
-        per_flow = own.pressure_rate(node + chamber.ambient, 1.0, 0.0)  # Pa/s for 1 kg/s
-        leaving = (node - pressure) / (lag * per_flow)
-        plant.der(node, per_flow * (entering - leaving))
-        return ca.SX(leaving)
 
 
 @FEEDS.register(units=GAS_UNITS)
@@ -284,22 +302,36 @@ class SpoolValve(GasFeed):
 
     The spool is closed at 0 and opens smoothly within ``overlap`` of its travel to either side,
     linearly beyond; so the opening has three continuous derivatives, and vanishing slope at 0.
-    The spool's own motion (some 5 ms) is left out.
 
     overlap : part of the travel, 0 .. 0.5; the parameter ``<name>.valve.overlap`` of the plant. A
         critically lapped valve (0) is rounded over 1e-4.
+    exhaust_overlap : on the exhaust's side; by default the same.
+    offset : where the spool stands at command 0, part of the travel (a zero out of true).
+    spool : ``FirstOrderSpool(...)`` or ``SecondOrderSpool(...)``: its own motion, 2 to 20 ms, as
+        the state ``<name>.valve.spool``; None leaves it out.
 
-    Controllers choose ``<name>.opening`` instead, how far the way from the supply (> 0) or to
-    ambient (< 0) is open, and send the command that gives exactly that; see
-    :meth:`Plant.in_openings`.
+    Controllers choose ``<name>.opening`` instead of the command, how far the way from the supply
+    (> 0) or to ambient (< 0) is open, and send the command that gives exactly that; see
+    :meth:`Plant.in_openings`. A spool that moves has no such inverse: they choose its command.
     """
 
     overlap: float = 0.02
+    exhaust_overlap: float | None = None
+    offset: float = 0.0
+    spool: Spool | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= require_finite("SpoolValve.overlap", self.overlap) < 0.5:
-            raise InputError(f"SpoolValve.overlap = {self.overlap:g} must lie in 0 .. 0.5")
+        for argument in ("overlap", "exhaust_overlap"):
+            value = getattr(self, argument)
+            if value is None:
+                continue
+            if not 0 <= require_finite(f"SpoolValve.{argument}", value) < 0.5:
+                raise InputError(f"SpoolValve.{argument} = {value:g} must lie in 0 .. 0.5")
+        if abs(require_finite("SpoolValve.offset", self.offset)) > 0.5:
+            raise InputError(f"SpoolValve.offset = {self.offset:g} must lie in -0.5 .. 0.5")
+        if self.spool is not None:
+            component("spool", self.spool, "position", "FirstOrderSpool(5e-3)")
 
     def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:
         """See :meth:`GasFeed.openings`."""
@@ -310,26 +342,55 @@ class SpoolValve(GasFeed):
             nominal=0.1,
             description=f"spool of the valve of {name}: -1 exhaust, 0 closed, 1 supply",
         )
-        overlap = plant.parameter(
-            f"{name}.valve.overlap",
-            self.overlap,
-            min=0.0,
-            max=0.5,
-            nominal=0.1,
-            tunable=True,
-            description=f"travel over which the valve of {name} stays closed and begins to open",
-        )
-        travel = 1 - ca.fmax(overlap, LEAST_OVERLAP) / 2  # of the spool beyond its dead zone
-        supply, exhaust = (part / travel for part in beyond_dead_zone(command, overlap))
+        overlaps, offset = self._lands(plant, name)
+        travels = [1 - ca.fmax(o, LEAST_OVERLAP) / 2 for o in overlaps]  # beyond the dead zone
+
+        def ways(position: ca.SX) -> tuple[ca.SX, ca.SX]:
+            parts = [beyond_dead_zone(position + offset, o)[i] for i, o in enumerate(overlaps)]
+            return parts[0] / travels[0], parts[1] / travels[1]
+
+        def inverse(w: ca.SX) -> ca.SX:
+            up, down = (dead_zone_inverse(t * w, o) for t, o in zip(travels, overlaps, strict=True))
+            return (up if ca.is_equal(*overlaps) else ca.if_else(w >= 0, up, down)) - offset
+
+        if self.spool is not None:
+            return ways(self.spool.position(plant, name, command))
+        supply, exhaust = ways(command)
         filling, venting = plant.opening(
             f"{name}.opening",
             [command],
             supply - exhaust,
-            lambda w: [dead_zone_inverse(travel * w, overlap)],
+            lambda w: [inverse(w)],
             [(supply, lambda w: two_ways(w)[0]), (exhaust, lambda w: two_ways(w)[1])],
             **_opening(name),
         )
         return filling, venting
+
+    def _lands(self, plant: Declares, name: str) -> tuple[tuple[ca.SX, ca.SX], ca.SX]:
+        """Overlaps on both sides, and the offset; parameters where they are given."""
+        words = f"travel over which the valve of {name} stays closed and begins to open"
+        attributes: dict[str, Any] = {"nominal": 0.1, "max": 0.5, "tunable": True}
+        overlap = plant.parameter(
+            f"{name}.valve.overlap", self.overlap, min=0.0, description=words, **attributes
+        )
+        other, offset = overlap, ca.SX(0)
+        if self.exhaust_overlap is not None:
+            other = plant.parameter(
+                f"{name}.valve.exhaust_overlap",
+                self.exhaust_overlap,
+                min=0.0,
+                description=f"{words}, to ambient",
+                **attributes,
+            )
+        if self.offset or self.spool is not None:
+            offset = plant.parameter(
+                f"{name}.valve.offset",
+                self.offset,
+                min=-0.5,
+                description=f"position of the spool of {name} at command 0",
+                **attributes,
+            )
+        return (overlap, other), offset
 
 
 def _opening(name: str) -> dict[str, Any]:

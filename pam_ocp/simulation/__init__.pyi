@@ -1,6 +1,8 @@
 # Names of pam_ocp.simulation, loaded at their first use.
 from .compare import RecordComparison as RecordComparison
 from .compare import compare_with_record as compare_with_record
+from .instruments import Instrument as Instrument
+from .instruments import measured as measured
 from .many import ManySimulations as ManySimulations
 from .many import draws as draws
 from .many import simulate_many as simulate_many

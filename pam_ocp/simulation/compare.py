@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_positive
+from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 
@@ -37,6 +38,7 @@ class Agreement:
     """Mean of measured - simulated."""
 
 
+@shown
 @dataclass(frozen=True)
 class RecordComparison:
     """A simulation against a record, over their common time."""
@@ -86,7 +88,7 @@ def compare_with_record(
     Raises InputError when nothing can be compared (no common column, no common time).
     """
     if max_shift:
-        require_positive("max_shift", max_shift, "s")
+        max_shift = require_positive("max_shift", max_shift, "s")
     if names is None:
         names = [
             n

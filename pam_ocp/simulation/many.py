@@ -6,6 +6,7 @@ import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from concurrent.futures import Executor
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, overload
@@ -13,6 +14,8 @@ from typing import Any, overload
 import numpy as np
 
 from ..core.errors import InputError, require_count
+from ..core.interrupts import interruptible
+from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from .running import CASE_KEYS, Case, Run, split
@@ -21,6 +24,7 @@ from .stored import StoredSimulations, store
 __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
 
 
+@shown
 @dataclass(frozen=True)
 class ManySimulations:
     """Results of many simulations in the order of their cases; a failed one holds its error."""
@@ -129,6 +133,8 @@ def simulate_many(
         threads take turns. Functions of time among the inputs travel only if they can be pickled.
         When a process of the standard library's pool is killed, the cases that are left run in
         workers of our own, as many.
+        When this is interrupted, a pool of processes is ended with what runs in it (make a new
+        one); threads end after their present case; what other executors have begun is theirs.
     workers : so many processes of our own in place of an executor. A case that kills its worker is
         tried once more in a fresh one, then counts as failed; the others are not touched. They end
         with this process, however it ends.
@@ -138,6 +144,7 @@ def simulate_many(
         Run again with the same arguments, only what is not there is computed.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,
         ``rtol``, ...); what a case names wins (parameters and start are merged by name).
+        ``time_limit`` is that of each case, which fails when it is over.
 
     Raises InputError when a case or a common argument is not one of those, and for a folder that
     holds something else.
@@ -149,14 +156,16 @@ def simulate_many(
         if executor is not None:
             raise InputError("give executor or workers, not both")
     run = Run(plant, executor, workers, common, _counted(progress, cases))
-    if into is not None:
-        return store(run, _checked(cases), Path(into), chunk)
-    cases = tuple(_checked(cases))
-    results: list[Any] = [None] * len(cases)
-    size = chunk or max(1, -(-len(cases) // 40))
-    for task, values in run(split(iter(cases), size)):
-        results[task.first : task.first + len(values)] = values
-    return ManySimulations(cases, tuple(results))
+    with interruptible():  # no turns: threads of an executor want theirs
+        if into is not None:
+            return store(run, _checked(cases), Path(into), chunk)
+        cases = tuple(_checked(cases))
+        results: list[Any] = [None] * len(cases)
+        size = chunk or max(1, -(-len(cases) // 40))
+        with closing(run(split(iter(cases), size))) as ended:
+            for task, values in ended:
+                results[task.first : task.first + len(values)] = values
+        return ManySimulations(cases, tuple(results))
 
 
 def _counted(

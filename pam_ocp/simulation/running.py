@@ -13,9 +13,17 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import suppress
+import uuid
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from multiprocessing.connection import Connection
@@ -23,6 +31,7 @@ from multiprocessing.connection import wait as ready
 from typing import Any, TypeAlias
 
 from ..core.errors import PamError, SimulationError
+from ..core.stop import ask
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from .simulator import simulate
@@ -44,6 +53,10 @@ WATCH = 0.5
 
 _CASADI = threading.Lock()
 """CasADi's expressions are not safe among threads: a process works on one task at a time."""
+
+
+_GIVEN_UP: set[str] = set()
+"""Runs that were interrupted: their threads go on no further."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +91,13 @@ class Run:
     common: dict[str, Any]
     report: Callable[[int], None]
 
-    def __call__(self, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Result]]]:
-        for task, results in self._ended(tasks):
-            yield task, results
-            self.report(len(results))
+    def __call__(self, tasks: Iterator[Task]) -> Generator[tuple[Task, list[Result]], None, None]:
+        with closing(self._ended(tasks)) as ended:
+            for task, results in ended:
+                yield task, results
+                self.report(len(results))
 
-    def _ended(self, tasks: Iterator[Task]) -> Iterator[tuple[Task, list[Result]]]:
+    def _ended(self, tasks: Iterator[Task]) -> Generator[tuple[Task, list[Result]], None, None]:
         if self.executor is not None:
             return _on_executor(pickle.dumps(self.plant), tasks, self.executor, self.common)
         if self.workers is not None:
@@ -107,14 +121,15 @@ def run_case(plant: Plant, case: Case, common: dict[str, Any]) -> Result:
 # ---- executors ----------------------------------------------------------------------------------
 def _on_executor(
     packed: bytes, tasks: Iterator[Task], executor: Executor, common: dict[str, Any]
-) -> Iterator[tuple[Task, list[Result]]]:
+) -> Generator[tuple[Task, list[Result]], None, None]:
     workers = getattr(executor, "_max_workers", UNKNOWN_WORKERS)
     pending: dict[Any, Task] = {}
     broken: list[Task] = []
+    name = uuid.uuid4().hex
     try:
         for task in tasks:
             try:
-                pending[executor.submit(_task, packed, task.cases, common)] = task
+                pending[executor.submit(_task, name, packed, task.cases, common)] = task
             except BrokenExecutor:
                 broken.append(task)
                 break
@@ -124,12 +139,25 @@ def _on_executor(
                 break
         while pending:
             yield from _ended(pending, broken)
+    except BaseException:  # also when no more is asked for
+        _GIVEN_UP.add(name)
+        if ask() and isinstance(executor, ProcessPoolExecutor):
+            _end_pool(executor)
+        raise
     finally:
         for future in pending:
             future.cancel()
     # a worker's death breaks a whole pool of the standard library: we go on without it
     if broken:
         yield from _in_workers(packed, _chained(broken, tasks), workers, common)
+
+
+def _end_pool(pool: ProcessPoolExecutor) -> None:
+    """What runs in it too; Python below 3.14 has no word for it."""
+    processes: dict[int, Any] = dict(getattr(pool, "_processes", None) or {})
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes.values():
+        process.kill()
 
 
 def _chained(first: list[Task], then: Iterator[Task]) -> Iterator[Task]:
@@ -162,11 +190,16 @@ def _unpacked(packed: bytes) -> Plant:
     return plant
 
 
-def _task(packed: bytes, cases: Sequence[Case], common: dict[str, Any]) -> list[Result]:
+def _task(run: str, packed: bytes, cases: Sequence[Case], common: dict[str, Any]) -> list[Result]:
     _end_with_parent()
+    results: list[Result] = []
     with _CASADI:
         plant = _unpacked(packed)
-        return [run_case(plant, case, common) for case in cases]
+        for case in cases:
+            if run in _GIVEN_UP:
+                break
+            results.append(run_case(plant, case, common))
+    return results
 
 
 @lru_cache(maxsize=1)
@@ -256,7 +289,7 @@ def _work(connection: Connection, other: Connection, packed: bytes, common: dict
 
 def _in_workers(
     packed: bytes, tasks: Iterator[Task], count: int, common: dict[str, Any]
-) -> Iterator[tuple[Task, list[Result]]]:
+) -> Generator[tuple[Task, list[Result]], None, None]:
     busy: dict[Any, _Worker] = {}
     present: _Worker | None = None
     try:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,12 +19,16 @@ from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, numbers, 
 from ..core.stop import verb
 from ..core.trajectory import Event, Trajectory
 from ..plants.plant import Given, Plant, Values, by_name, require_plant
+from .dead_times import exactly_delayed
 from .events import integrate_with_events
 from .integrate import Integration, Method
 
 __all__ = ["evaluated", "simulate"]
 
 Array = NDArray[np.float64]
+
+COLUMNS = 10_000
+"""Samples whose outputs are computed at once."""
 
 
 @verb
@@ -42,6 +46,7 @@ def simulate(
     step: float | None = None,
     events: str | Sequence[str] = (),
     max_steps: int = 100_000,
+    dead_times: Literal["line", "exact"] = "line",
     time_limit: float | None = None,
 ) -> Trajectory:
     """Integrate x' = f(x, u(t), p) and return states, inputs and outputs over time.
@@ -68,6 +73,9 @@ def simulate(
         ``slack_width`` and ``events=["muscle.tension"]`` the clamp at zero force is exact in
         effect. Two crossings between neighbouring output times stay unseen: choose ``t`` fine.
     max_steps : of the integrator between two output times.
+    dead_times : of feeds that have them (see :class:`pam_ocp.feeds.DeadTime`): by their delay
+        "line", which is the model of plans, fits and FMUs; or "exact", by shifting the commands,
+        which before the start stood at the start values of the line.
 
     Jumps of the inputs are met exactly: no step crosses one.
     time_limit : [s]; OutOfTime when it is over before there is a result.
@@ -85,12 +93,18 @@ def simulate(
     if start is not None and not isinstance(start, Mapping):
         plant = plant.with_values(by_name("start", start, "input"))
     times = _times(inputs, duration, t)
-    _check_numerics(rtol, step, max_steps)
+    step = _check_numerics(rtol, step, max_steps)
     events = (events,) if isinstance(events, str) else tuple(events)
     x0 = plant.vector("state", _start(plant, inputs, start))
     u = signals(plant, inputs, times, interpolation)
+    if dead_times not in ("line", "exact"):
+        raise InputError(f"dead_times = {dead_times!r}: choose 'line' or 'exact'")
+    moved, driven, begin = plant, u, x0
+    whole: Callable[[Array], Array] = np.asarray
+    if dead_times == "exact" and plant.delay_lines:
+        moved, driven, begin, whole = exactly_delayed(plant, u, times, x0)
     run = Integration.over(
-        plant, u, times, x0, method=method, rtol=rtol, step=step, max_steps=max_steps
+        moved, driven, times, begin, method=method, rtol=rtol, step=step, max_steps=max_steps
     )
     found: tuple[Event, ...] = ()
     if events:
@@ -100,8 +114,8 @@ def simulate(
     if states is None:
         part = run(done or run.longest)
         assert part is not None
-        raise _failure(plant, run, part)
-    return evaluated(plant, times, run.at(times, states), u, found)
+        raise _failure(moved, run, part)
+    return evaluated(plant, times, whole(run.at(times, states)), u, found)
 
 
 def evaluated(
@@ -113,8 +127,12 @@ def evaluated(
 ) -> Trajectory:
     """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed."""
     u = inputs(t)
-    outputs = plant.function(states.T, u.T, plant.vector("parameter"))[1]
-    parts = {"state": states, "input": u, "output": np.asarray(outputs).T}
+    p = plant.vector("parameter")
+    outputs = [  # CasADi's working memory grows with the columns of a call
+        np.asarray(plant.function(states[i : i + COLUMNS].T, u[i : i + COLUMNS].T, p)[1]).T
+        for i in range(0, len(t), COLUMNS)
+    ]
+    parts = {"state": states, "input": u, "output": np.concatenate(outputs)}
     variables = (*plant.states, *plant.inputs, *plant.outputs)
     data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
     columns = {v.name: data[:, i] for i, v in enumerate(variables)}
@@ -122,18 +140,18 @@ def evaluated(
     return Trajectory(t, columns, variables, between, events, inputs)
 
 
-def _check_numerics(rtol: float, step: float | None, max_steps: int) -> None:
+def _check_numerics(rtol: float, step: float | None, max_steps: int) -> float | None:
+    """The step [s]; InputError where one of these is none."""
     require_tolerance("rtol", rtol)
-    if step is not None:
-        require_positive("step", step, "s")
     require_count("max_steps", max_steps)
+    return None if step is None else require_positive("step", step, "s")
 
 
 def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
     if t is not None:
         if duration is not None:
             raise InputError("give duration or t, not both")
-        times = numbers("t", t)
+        times = numbers("t", t, "s")
         if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
             raise InputError("t must hold at least two times that rise from sample to sample")
         return times

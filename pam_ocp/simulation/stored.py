@@ -11,6 +11,7 @@ import hashlib
 import json
 import pickle
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -21,6 +22,7 @@ import numpy as np
 from ..core import exceptions
 from ..core.errors import InputError, PamError
 from ..core.files import atomic_path, read_json, write_json
+from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from .running import Case, Result, Run, Task, split
@@ -53,12 +55,14 @@ def store(run: Run, cases: Iterable[Case], folder: Path, chunk: int | None) -> S
             else:
                 yield task
 
-    for task, results in run(missing()):
-        _write(_part(folder, task.index), task, results, _of_task(arguments, task))
+    with closing(run(missing())) as ended:
+        for task, results in ended:
+            _write(_part(folder, task.index), task, results, _of_task(arguments, task))
     _write_study(folder, arguments, chunk, parts)
     return StoredSimulations(folder)
 
 
+@shown
 @dataclass(frozen=True)
 class StoredSimulations:
     """Simulations in a folder, read part by part: memory holds one file at a time.

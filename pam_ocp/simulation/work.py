@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite, require_instance
+from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 
@@ -19,6 +20,7 @@ FINER = 8
 """Points between two samples, on a monotone cubic through them."""
 
 
+@shown
 @dataclass(frozen=True)
 class StrokeWork:
     """Mechanical work of one muscle over a stroke."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..core.files import atomic_path
 from ..core.plausible import doubt
+from ..core.shown import shown
 from ..core.stop import verb
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
 from ..muscles.pneumatic_muscle import Muscle
@@ -64,6 +65,7 @@ class LoadCase:
     """Air drawn for the step, isothermal, energy-consistent volume of the muscle [kg]."""
 
 
+@shown
 @dataclass(frozen=True)
 class LoadStudy:
     """All cases, load by load."""

@@ -167,7 +167,7 @@ class _Tour:
                     "poles": [[float(s.real), float(s.imag)] for s in np.asarray(system.poles())],
                 }
             )
-        self.save(plot_bode(systems, "x", "muscle1_command"), "bode.png")
+        self.save(plot_bode(systems, "x", "muscle1_command", units=("m", "Pa")), "bode.png")
 
     def finish(self) -> None:
         self.summary["seconds"] = time.perf_counter() - self.begin

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_count, require_positive
+from ..core.shown import shown
 from ..core.signals import signals
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -43,6 +44,7 @@ class Settings:
     """Largest error of the multiplier that must be 1."""
 
 
+@shown
 @dataclass(frozen=True)
 class LimitCycle:
     """A closed motion of a plant under constant inputs."""

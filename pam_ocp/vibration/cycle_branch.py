@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_positive
-from ..core.stop import verb
+from ..core.shown import shown
+from ..core.stop import TimeIsUp, deadline, verb
 from ..core.variables import Variable
 from ..numerics.continuation import Walk
 from ..numerics.newton import Array, NewtonError
@@ -44,6 +45,7 @@ LEAST_COSINE = 0.9
 """Of the angle between neighbouring tangents; steps are shortened where the branch bends more."""
 
 
+@shown
 @dataclass(frozen=True)
 class CycleBranch:
     """Limit cycles along a branch, in the order in which they were found."""
@@ -137,7 +139,7 @@ def continue_cycle(
     step : largest step along the branch, in units of nominals (root mean square of the states,
         period relative, parameter); halved where the branch bends or Newton fails.
     tolerance : as in :func:`limit_cycle`, for the cycles of the branch.
-    time_limit : [s]; OutOfTime when it is over before there is a result.
+    time_limit : [s]; when it is over, the branch so far is returned.
 
     Raises InputError for bad arguments. A branch that cannot be followed further is no error: what
     was found is returned, and ``ended`` says why it ends.
@@ -164,29 +166,33 @@ def continue_cycle(
         least_cosine=LEAST_COSINE,
     )
     cycles, ended = [cycle], f"{most} cycles were found"
-    while len(cycles) < most:
-        before, tangent = walk.place, walk.tangent
-        try:
-            length = walk.advance()
-        except NewtonError as error:
-            ended = f"the branch cannot be followed further: {error}"
-            break
-        value = walk.place.lam * variable.nominal
-        if not low < value < high:
-            bound = low if value <= low else high
-            ended = f"{variable.name} reaches {variable.shown(bound)}"
+    try:
+        while len(cycles) < most:
+            before, tangent = walk.place, walk.tangent
             try:
-                cycles.append(_reached(curve, before, tangent, length, walk.place, bound))
-            except VibrationError as error:
-                ended += f", where the cycle is not found: {error}"
-            break
-        if _mirrored(before, walk.place):
-            shown = variable.shown(value)
-            ended = (
-                f"the cycle shrinks to a point of rest (Hopf point) near {variable.name} = {shown}"
-            )
-            break
-        cycles.append(finished(periodic, walk.place, settings))
+                length = walk.advance()
+            except NewtonError as error:
+                ended = f"the branch cannot be followed further: {error}"
+                break
+            value = walk.place.lam * variable.nominal
+            if not low < value < high:
+                bound = low if value <= low else high
+                ended = f"{variable.name} reaches {variable.shown(bound)}"
+                try:
+                    cycles.append(_reached(curve, before, tangent, length, walk.place, bound))
+                except VibrationError as error:
+                    ended += f", where the cycle is not found: {error}"
+                break
+            if _mirrored(before, walk.place):
+                shown = variable.shown(value)
+                ended = (
+                    "the cycle shrinks to a point of rest (Hopf point) near "
+                    f"{variable.name} = {shown}"
+                )
+                break
+            cycles.append(finished(periodic, walk.place, settings))
+    except TimeIsUp:
+        ended = f"{deadline()} was over"
     return CycleBranch(variable.name, tuple(cycles), ended)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_finite, require_positive
+from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Backbone", "FreeVibration", "backbone", "free_vibration"]
 
 
+@shown
 @dataclass(frozen=True)
 class FreeVibration:
     """A motion that was let go beside a point of rest, cycle by cycle.

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, PamError, VibrationError
-from ..core.stop import verb
+from ..core.shown import shown
+from ..core.stop import TimeIsUp, deadline, verb
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..operating.along import StabilityPath, stability_path
 from ..operating.held import Memory
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["HopfBorder", "HopfPoint", "hopf", "hopf_border"]
 
 
+@shown
 @dataclass(frozen=True)
 class HopfPoint:
     """A point of rest with a pair of eigenvalues +-i omega."""
@@ -299,7 +301,8 @@ def hopf_border(
 
     parameter, over : names of two parameters (or inputs). values : (n,) of ``over`` [its unit].
     bracket, conditions, points, memory : as for :func:`hopf`.
-    time_limit : [s]; OutOfTime when it is over before there is a result.
+    time_limit : [s]; values that were not reached when it is over are failures (OutOfTime when no
+        border is found before).
 
     Raises InputError when no border is found for any value; single failures are NaN in ``border``,
     with the reason in ``reasons``.
@@ -322,6 +325,11 @@ def hopf_border(
             points_found.append(last)
         except PamError as error:
             reasons[value] = str(error)
+            points_found.append(None)
+        except TimeIsUp:
+            if last is None:
+                raise
+            reasons[value] = f"{deadline()} was over"
             points_found.append(None)
     if last is None:
         raise InputError(

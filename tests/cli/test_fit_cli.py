@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -167,8 +169,19 @@ def test_what_cannot_be_meant_ends_with_2_and_a_reason(
     assert "describes no plant" in refused("--plant", other)
     back = tmp_path / "back.csv"
     lines = (folder / "run0.csv").read_text().splitlines()
-    back.write_text("\n".join([*lines[:20], lines[5], *lines[20:]]))
+    back.write_text("\n".join([*lines[:20], *lines[5:9], *lines[20:]]))
     assert "time runs backwards in row 20" in refused(back, "--plant", study)
+
+
+def test_what_was_left_out_of_a_file_is_said_in_a_line(tmp_path: Any) -> None:
+    rows = [f"{k},{p},{1e-3 * p * (0.25 - k)}" for k in (0.0, 0.1, 0.2) for p in (1e5, 3e5, 5e5)]
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join(["contraction,pressure_Pa,force_N", *rows, "0.05,,20"]))
+    command = [sys.executable, "-m", "pam_ocp", "fit", str(table), "--law", "polynomial-1-1"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.stderr.startswith("pam-ocp: table.csv: 1 of 10 rows"), done
+    assert "UserWarning" not in done.stderr
+    assert ".py" not in done.stderr
 
 
 def test_a_robust_fit_of_a_table(capsys: Any) -> None:

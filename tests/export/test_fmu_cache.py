@@ -34,7 +34,7 @@ def built() -> bytes:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache; zig keeps its own, which takes seconds to fill."""
-    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.cache_folder() / "zig"))
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.usable_folder("zig")))
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
@@ -152,7 +152,7 @@ def test_a_planted_folder_is_left_alone_with_a_warning(no_home: Path, trick: str
 def test_a_library_that_another_user_planted_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    zig = str(cache.cache_folder() / "zig")
+    zig = str(cache.usable_folder("zig"))
     planted = {"PAM_OCP_CACHE": "c", "XDG_CACHE_HOME": "pam_ocp", "TMPDIR": "pam_ocp_0"}[name]
     monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", zig)
     monkeypatch.setenv("HOME", "")
@@ -191,7 +191,7 @@ def test_odd_names_of_folders_do_no_harm(
 ) -> None:
     import casadi as ca
 
-    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.cache_folder() / "zig"))
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.usable_folder("zig")))
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path / name))
     (tmp_path / f"{name} tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / f"{name} tmp"))
@@ -220,7 +220,7 @@ def test_a_cache_that_cannot_be_made_costs_time_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.cache_folder() / "zig"))
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(cache.usable_folder("zig")))
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path / "file" / "below"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with warnings.catch_warnings():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -189,6 +190,10 @@ def test_sources_in_the_file_compile_without_warnings(tmp_path: Path) -> None:
             capture_output=True,
             text=True,
             check=True,
+            env={
+                **os.environ,
+                "ZIG_GLOBAL_CACHE_DIR": str(tmp_path / "zig"),
+            },  # also without a home
         )
         assert done.stderr == ""
 

@@ -192,9 +192,8 @@ def test_films_of_other_plants(kind, tmp_path):
         "series": lambda: (pam.SeriesLoad(muscle), [{"x": 0.02}, {"x": 0.03}]),
         "own": lambda: (double_integrator(), REST),
     }[kind]()
-    plan = pam.plan(
-        plant, stops, rest=kind != "own", duration=2.0, minimise="effort", method=Collocation(10)
-    )
+    how = {"method": Collocation(10), "tolerance": None, "starts": 1}
+    plan = pam.plan(plant, stops, rest=kind != "own", duration=2.0, minimise="effort", **how)
     path = animate_plan(plan, tmp_path / "motion.gif", seconds=0.2, fps=10)
     content = path.read_bytes()
     assert content[:6] == b"GIF89a"

@@ -134,12 +134,14 @@ def test_discarded_sensitivities_are_not_called_no_influence() -> None:
 
     from pam_ocp.fitting.dynamic.free_run_fit import _require_sense
 
-    groups = [SimpleNamespace(name="stiffness")]
-    for wild, words in ((True, "cannot be told"), (False, "no influence")):
-        slopes = np.full((4, 6, 1), np.nan if wild else 0.0)
+    unknowns = SimpleNamespace(
+        names=("stiffness",), low=[-1.0], high=[1.0], places=lambda kind: np.empty(0)
+    )
+    for damped, words in ((4, "cannot be told"), (0, "no influence")):
         rollout = SimpleNamespace(
+            weights=np.ones((4, 6)),
             residuals=lambda z: np.zeros(24),
-            sensitivities=lambda z, s=slopes, w=wild: (s, np.full(4, w)),
+            normal=lambda z, d=damped: (0.0, np.zeros(1), np.zeros((1, 1)), d),
         )
         with pytest.raises(FitError, match=words):
-            _require_sense(rollout, np.ones(1), groups)  # type: ignore[arg-type]
+            _require_sense(rollout, np.ones(1), unknowns)  # type: ignore[arg-type]

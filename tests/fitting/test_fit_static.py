@@ -347,7 +347,7 @@ def test_the_report_names_every_coefficient_in_both_unit_systems(fit: ForceFit) 
         "a3: -56.6647 ± ",
         "a1 12.789 ± ",
         "C(a2, a3) = ",
-        "IPOPT: Solve_Succeeded",
+        "Newton_Converged",
     ):
         assert words in text
     assert "[[Warnings]]" in fit_force(measured("DMSP-10-250")).report()

@@ -10,7 +10,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.core.errors import InputError, UnknownNameError
-from pam_ocp.fitting import read_record, read_records
+from pam_ocp.fitting import ReadingWarning, read_record, read_records
 
 T = [0.0, 0.01, 0.02, 0.03]
 
@@ -80,9 +80,8 @@ def test_several_files_and_one_file_in_parts_are_the_same_set(tmp_path: Path) ->
         ({"time [ms]": [0, 10, 5, 30]}, r"time runs backwards in row 3, from 0.01 to 0.005 s"),
         ({"time [ms]": [0, 10, 10, 30]}, "time stands still in row 3"),
         ({"time [ms]": [0, 10, 20, 900]}, r"a gap of 0.88 s before row 4 \(from 0.02 to 0.9 s"),
-        ({"time [ms]": [0, 10, float("nan"), 30]}, "row 3 holds nan"),
-        ({"x [mm]": [1.0, float("nan"), 3.0, 4.0]}, r"column 'x \[mm\]', row 2 holds nan"),
-        ({"x [mm]": [1.0, "", 3.0, 4.0]}, "row 2 is empty"),
+        ({"time [ms]": [0, 10, float("inf"), 30]}, "row 3 holds inf"),
+        ({"x [mm]": [1.0, "slip", 3.0, 4.0]}, r"column 'x \[mm\]', row 2 holds 'slip'"),
     ],
 )
 def test_times_and_cells_that_cannot_be_are_refused_with_their_place(
@@ -90,6 +89,36 @@ def test_times_and_cells_that_cannot_be_are_refused_with_their_place(
 ) -> None:
     with pytest.raises(InputError, match=words):
         read_record(columns(**changes), slide)
+
+
+@pytest.mark.parametrize("column", ["time [ms]", "x [mm]"])
+def test_rows_with_empty_cells_are_dropped_and_counted(column: str, slide: pam.Plant) -> None:
+    cells = [1.0, 2.0, 3.0, 4.0] if column == "x [mm]" else [0.0, 10.0, 20.0, 30.0]
+    holed = columns(**{column: [*cells[:1], float("nan"), *cells[2:]]})
+    with pytest.warns(ReadingWarning, match=r"1 of 4 rows dropped .*first row 2"):
+        record = read_record(holed, slide)
+    np.testing.assert_allclose(record["x"], [1e-3, 3e-3, 4e-3])
+    with pytest.raises(InputError, match="row 2 is empty"):
+        read_record(holed, slide, empty="refuse")
+
+
+@pytest.mark.parametrize("row", [0, 7, 29])
+def test_a_single_wrong_time_is_dropped_wherever_it_stands(row: int) -> None:
+    t = 0.1 * np.arange(30)
+    wrong = t.copy()
+    wrong[row] = 50.0 if row < 29 else 0.0
+    with pytest.warns(
+        ReadingWarning, match=rf"1 rows of a single wrong time dropped .*row {row + 1}"
+    ):
+        record = read_record({"t": wrong, "x": t})
+    np.testing.assert_allclose(record["x"], np.delete(t, row))
+    with pytest.raises(InputError, match=r"runs backwards|gap"):
+        read_record({"t": wrong, "x": t}, clock="refuse")
+
+
+def test_a_clock_that_never_runs_is_refused() -> None:
+    with pytest.raises(InputError, match="time stands still in row 2"):
+        read_record({"t": np.zeros(30), "x": np.arange(30.0)})
 
 
 def test_a_gap_can_be_allowed(slide: pam.Plant) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pam_ocp.core.errors import InputError, UnknownNameError
-from pam_ocp.fitting import ForceTable, read_table
+from pam_ocp.fitting import ForceTable, ReadingWarning, read_table
 
 L0 = 0.3
 LENGTHS = [0.30, 0.285, 0.27, 0.255]
@@ -215,9 +215,9 @@ def test_nearly_equal_contractions_are_one_level() -> None:
         (table(pressure_Pa=changed(PRESSURES, 1, -5e4)), "-50000 Pa in row 2 is negative"),
         (table(pressure_Pa=None, **{"p [mm]": PRESSURES}), "unit mm, which is none of a pressure"),
         (table(pressure_Pa=None, **{"p [furlong]": PRESSURES}), "unknown unit 'furlong'"),
-        (table(force_N=changed(FORCES, 1, float("nan"))), "column 'force_N', row 2 holds nan"),
-        (table(force_N=changed(FORCES, 1, "n/a")), "column 'force_N', row 2 holds 'n/a'"),
-        (table(force_N=changed(FORCES, 1, None)), "column 'force_N', row 2 is empty"),
+        (table(force_N=changed(FORCES, 1, float("inf"))), "column 'force_N', row 2 holds inf"),
+        (table(force_N=changed(FORCES, 1, "slip")), "column 'force_N', row 2 holds 'slip'"),
+        (table(force_N=[400.0, None, None, None]), "'force_N' is empty in 3 of 4 rows"),
         (table(force_N=changed(FORCES, 1, 1e6)), "1e\\+06 N in row 2 .* beyond any"),
         (table(force_N=[0.0] * 4), "all 4 cells are slack"),
         (table(force_N=[-5.0, -9.0, 0.0, 0.0]), "count pulling as positive"),
@@ -236,6 +236,17 @@ def test_nearly_equal_contractions_are_one_level() -> None:
 def test_bad_tables_are_refused_in_words(columns: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         read_table(columns, rest_length=L0)
+
+
+@pytest.mark.parametrize("hole", [None, "", float("nan"), "n/a", "NaN", "#N/A", "--"])
+def test_rows_with_empty_cells_are_dropped_and_counted_or_refused(hole: Any) -> None:
+    columns = table(force_N=changed(FORCES, 1, hole))
+    with pytest.warns(ReadingWarning, match=r"1 of 4 rows dropped .*1 in 'force_N'; first row 2"):
+        read = read_table(columns, rest_length=L0)
+    assert read.force.tolist() == [400.0, 450.0, 0.0]
+    assert "1 of 4 rows" in read.notes[0]
+    with pytest.raises(InputError, match="column 'force_N', row 2 is empty"):
+        read_table(columns, rest_length=L0, empty="refuse")
 
 
 @pytest.mark.parametrize(
@@ -261,10 +272,10 @@ def test_bad_arguments_are_refused_in_words(arguments: dict[str, Any], words: st
     [
         ("", "is empty"),
         ("length_m,pressure_Pa,force_N\n", "is empty"),
-        ("0.3,2e5,400\n0.27,6e5,450\n", "must name the columns"),
+        ("0.3,2e5,400\n0.27,6e5,450\n", r"no line names the 3 columns .* columns=\['length"),
         ("length_m,pressure_Pa,force_N\n0.3,2e5,400\n0.27,6e5\n", "line 3 has 2 cells"),
         ("length_m,p,p,force_N\n0.3,2e5,2e5,400\n", "'p' occurs twice"),
-        ("length_m,p,F\n\n0.3,2e5,400\n0.3,,400\n", r"'p', row 2 \(line 4\) is empty"),
+        ("length_m,p,F\n\n0.3,2e5,400\n0.3,x,400\n", r"'p', row 2 \(line 4\) holds 'x'"),
     ],
 )
 def test_bad_files_are_refused_with_their_line(text: str, words: str, tmp_path: Path) -> None:

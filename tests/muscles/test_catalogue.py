@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from pam_ocp.core.errors import InputError, UnknownNameError
-from pam_ocp.muscles.catalogue import catalogue_entry, muscle, muscle_names, summary, transfer_note
+from pam_ocp.muscles.catalogue import (
+    attribution_table,
+    catalogue_entry,
+    muscle,
+    muscle_names,
+    summary,
+    transfer_note,
+)
 from pam_ocp.muscles.law import coefficient
 from pam_ocp.muscles.laws.user_defined import law_named, own_law, polynomial_law, spline_law
 from pam_ocp.muscles.muscle_file import load_muscle, save_muscle
@@ -40,6 +48,12 @@ def test_every_entry_builds_a_muscle_with_source_range_and_note():
         assert transfer_note() in known.note
         assert known.pressure_range[1] > 1e5
         assert known.force(min(5e5, known.pressure_range[1]), 0.05) > 0
+
+
+def test_the_page_of_the_muscles_is_what_the_catalogue_says():
+    page = (Path(__file__).parents[2] / "docs" / "muscles.md").read_text("utf-8")
+    assert attribution_table() in page
+    assert transfer_note() in page
 
 
 def test_rest_lengths_are_those_of_the_muscles_and_can_be_replaced():

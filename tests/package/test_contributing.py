@@ -510,7 +510,8 @@ def test_a_controller_is_one_class(tmp_path, capsys):
         assert set(np.unique(run["muscle.command"])) == {1e5, 4e5}
     capsys.readouterr()
     assert main(["mpc", str(file)]) == 2
-    assert "unknown controller.kind 'relay': known: mpc" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "unknown controller.kind 'relay': known: hysteresis-compensation, mpc" in said
 
 
 def test_an_estimator_is_one_class(capsys):

@@ -2,6 +2,7 @@
 
 import inspect
 import pickle
+import warnings
 
 import casadi as ca
 import numpy as np
@@ -468,3 +469,48 @@ def test_a_planner_knows_the_keywords_of_plan_and_names_the_nearest_to_a_wrong_o
     stops = [{"x": 0.0}, {"x": 0.01}]
     with pytest.raises(TypeError, match="no argument 'minimize'; did you mean 'minimise'"):
         pam.Planner(pam.HangingLoad("DMSP-20-400N", mass=20.0), stops, minimize="time")
+
+
+def test_values_may_have_units_wherever_a_plan_takes_one():
+    """15 mm is 0.015: in stops, dwells, bounds, phases, aims and forbidden regions."""
+    slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10)
+
+    def planned(mm, seconds, pressure):
+        return pam.plan(
+            slide,
+            [pam.Stop({"x": mm(-10)}, dwell=seconds(0.02)), {"x": (mm(9), mm(10))}],
+            duration=(seconds(0.05), seconds(1.0)),
+            bounds={"muscle1.pressure": (None, pressure(5e5))},
+            phases=[pam.Phase(bounds={"x": (mm(-12), mm(12))})],
+            constraints=[pam.Avoid({"x": (mm(0), mm(1)), "time": (seconds(2), seconds(0.1))})],
+            minimise={"time": 1.0, "rate": 1e-3},
+            track={"x": mm(3)},
+            method=pam.Collocation(10),
+            tolerance=None,
+        )
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pam.PlanWarning)
+        numbers = planned(lambda v: v / 1e3, lambda v: v, lambda v: v)
+        texts = planned(lambda v: f"{v} mm", lambda v: f"{1e3 * v} ms", lambda v: f"{v / 1e5} bar")
+    assert texts.duration == pytest.approx(numbers.duration, rel=1e-9)
+
+
+def test_between_two_equal_stops_there_is_nothing_to_plan():
+    slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10)
+    with pytest.raises(pam.InputError, match="stops 1 and 2 are the same"):
+        pam.plan(slide, [{"x": "10 mm"}, {"x": 0.010}])
+
+
+def test_an_argument_that_no_verb_has_is_answered_with_the_nearest():
+    slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10)
+    with pytest.raises(TypeError, match=r"plan\(\) has no argument 'minimize'.*minimise"):
+        pam.plan(slide, [{"x": 0.0}, {"x": 0.01}], minimize="time")
+    with pytest.raises(TypeError, match=r"AntagonisticSlide\(\) has no argument 'masss'.*mass"):
+        pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), masss=2.0)
+
+
+def test_the_objective_is_printed_with_its_unit():
+    slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10)
+    plan = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], minimise={"time": 2.0, "rate": 1e-3})
+    assert "= 2 time [s] + 0.001 rate" in str(plan)

@@ -8,6 +8,7 @@ the clone where nothing is installed. Nothing is written into the clone.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -33,6 +34,7 @@ ARCHIVED = (
     "fmu/README.md",
     "fmu/models/spring/plant.c",
     "fmu/tests/test_solver.c",
+    "build_backend.py",
     "pyproject.toml",
     "tests/conftest.py",
     "tests/package/test_package.py",
@@ -118,6 +120,22 @@ def look_into_archive(archive: Path) -> None:
     require(not built, f"the source archive holds what was built: {sorted(built)}")
 
 
+def require_same_again(
+    build: tuple[str | Path, ...], clone: Path, work: Path, before: list[Path]
+) -> None:
+    """Another copy of the files, of another day and with other rights: the same to the last bit."""
+    copy = shutil.copytree(clone, work / "again", ignore=shutil.ignore_patterns("*.egg-info"))
+    for path in copy.rglob("*"):
+        path.chmod(0o700 if path.is_dir() else 0o600)
+        os.utime(path, (10**9, 10**9))
+    tell(*build, "--wheel", "--sdist", "--outdir", work / "repeated", copy, folder=work)
+    for path in before:
+        again = hashlib.sha256((work / "repeated" / path.name).read_bytes()).hexdigest()
+        first = hashlib.sha256(path.read_bytes()).hexdigest()
+        require(again == first, f"{path.name} is another one when it is built again")
+        print(f"{path.name}: sha256 {first}, built twice")
+
+
 # ---- what runs -----------------------------------------------------------------------------------
 
 
@@ -160,6 +178,7 @@ def main() -> None:
         tell(*build, "--wheel", "--outdir", work / "direct", clone, folder=work)
         (direct,) = (work / "direct").glob("*.whl")
         require(look_into_wheel(direct) == files, "the wheels of clone and archive differ")
+        require_same_again(build, clone, work, [direct, archive])
         print(f"{wheel.name} ({len(files)} files) and {archive.name} hold what belongs", flush=True)
 
         pip(python, "install", wheel)

@@ -54,7 +54,7 @@ class Estimator(ABC):
     ) -> None:
         require_plant(plant)
         self.plant, self.given, how = plant, Givens(plant), Step(sample_time, method, substeps)
-        self.sample_time = float(sample_time)
+        self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         if not measured:
             raise InputError("measured is empty: name at least one state or output and its noise")
         self.measured = [plant.variable(n) for n in measured]

@@ -23,6 +23,7 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.plausible import outside
+from ...core.shown import shown
 from ...core.signals import PiecewisePolynomial
 from ...core.stop import locked
 from ...core.trajectory import Trajectory
@@ -56,6 +57,7 @@ FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
 
+@shown
 @locked
 @CONTROLLERS.register("mpc")
 class Mpc:
@@ -134,7 +136,7 @@ class Mpc:
         require_positive("penalty", penalty)
         require_positive("tolerance", tolerance)
         self.plant, self.horizon, self.delay = plant, horizon, delay
-        self.sample_time = float(sample_time)
+        self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
         self.model = rounded(inversion.inner, KINKS)
@@ -146,7 +148,7 @@ class Mpc:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
         how = Step(sample_time, method, substeps)
         track, terminal = inversion.names(track), terminal and inversion.names(terminal)
-        penalties = _penalties(self.model, track, terminal)
+        self._penalties = penalties = _penalties(self.model, track, terminal)
         rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
         limits = _limits(self.model, self.given, inversion.bounds(_pairs(plant, bounds)), soft)
         self.program = TrackingProgram(
@@ -265,6 +267,11 @@ class Mpc:
         si = self._applied * self.program.u_nominal
         chosen = {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
         return self.inversion.commands(chosen, q[: len(self.plant.parameters)])
+
+    def _brief(self) -> str:
+        names = ", ".join(p.variable.name for p in self._penalties)
+        length = f"{self.horizon} x {1e3 * self.sample_time:g} ms"
+        return f"of {self.plant.name}: horizon {length}, tracks {names}"
 
     def prediction(self) -> Trajectory:
         """The planned motion of the last call,
@@ -508,8 +515,9 @@ def _pairs(plant: Plant, bounds: Mapping[str, Any] | None) -> dict[str, tuple[fl
 def _pair(variable: Variable, value: Any) -> tuple[float, float]:
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
         raise InputError(f"bounds[{variable.name!r}] = {value!r}: give (low, high)")
-    low = -math.inf if value[0] is None else require_finite(f"bounds[{variable.name!r}]", value[0])
-    high = math.inf if value[1] is None else require_finite(f"bounds[{variable.name!r}]", value[1])
+    label = f"bounds[{variable.name!r}]"
+    low = -math.inf if value[0] is None else require_finite(label, value[0], variable.unit)
+    high = math.inf if value[1] is None else require_finite(label, value[1], variable.unit)
     if low > high:
         raise InputError(f"bounds[{variable.name!r}] = {value!r}: the bounds are crossed")
     return low, high

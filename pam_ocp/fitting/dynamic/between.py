@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.errors import FitError
 from ...core.signals import Interpolation
+from ...core.stop import TimeIsUp
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -54,6 +55,10 @@ def decided(
             found[way] = fitted([r if r.interpolation_known else r.running(way) for r in records])
         except FitError as error:
             failed = error
+        except TimeIsUp:
+            if not found:
+                raise
+            break
     if not found:
         assert failed is not None
         raise failed

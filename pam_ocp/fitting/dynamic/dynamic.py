@@ -16,18 +16,23 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
-from ...core.stop import verb
+from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .between import decided, deviance
 from .estimation import ORDERS, FitTask, estimate, require_influence
 from .experiment import groups, measured_names, prepare
+from .gauss_newton import GRACE
 from .outcome import outcome
 from .plant_fit import ACCURATE, PlantFit
+from .progress import Progress, reporter
 from .transcribe import METHODS, FitMethod, Unknowns
 
 __all__ = ["PlantFit", "fit_plant"]
+
+NARROWING = 40
+"""Iterations with roundings that are not the plant's own."""
 
 
 @verb
@@ -48,6 +53,9 @@ def fit_plant(
     inputs: Mapping[str, float] | None = None,
     process_noise: Mapping[str, float] | None = None,
     input_noise: Mapping[str, float] | None = None,
+    widest: Mapping[str, float] | bool = True,
+    iterations: int | None = None,
+    progress: Progress = False,
     time_limit: float | None = None,
 ) -> PlantFit:
     """Fit parameters of a plant to measured records by least squares.
@@ -82,7 +90,13 @@ def fit_plant(
         with all else and weighed against those of the outputs, whose ``noise`` must be given. An
         input that is measured with noise and taken as exact biases the parameters, damping above
         all (errors in variables; W. Fuller, Measurement Error Models, 1987).
-    time_limit : [s]; OutOfTime when it is over before there is a result.
+    widest : parameters that round off a kink (friction, memory, a stop) and the widths at which the
+        search begins, to narrow them to the plant's own: {name: width}; True for those that the
+        plant declares, False for none.
+    iterations : of the solver in each search, at most. progress : True prints each iteration; a
+        function is called as progress(stage, iteration, cost).
+    time_limit : [s]. Where iterations or time end, the best until then is kept and the fit's
+        ``status`` and warnings say so; OutOfTime where there is none.
 
     Returns
     -------
@@ -110,9 +124,16 @@ def fit_plant(
     if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
         raise InputError("free is empty: name at least one parameter of the plant")
 
+    roundings = _roundings(plant, widest, unknowns)
+    if iterations is not None:
+        require_count("iterations", iterations)
+
     def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
         task = _task(plant, ran, unknowns, method, degree, step, high, inputs, noisy)
-        return _fitted(task, _noise(plant, task, noise), (low, high), noise is not None, degree)
+        task = replace(task, iterations=iterations, report=reporter(progress))
+        sigma = _noise(plant, task, noise)
+        task = _narrowed(task, sigma, (low, high), roundings)
+        return _fitted(task, sigma, (low, high), noise is not None, degree)
 
     fit, between, words = decided(plant, chosen, fitted)
     seconds = time.perf_counter() - began
@@ -127,18 +148,61 @@ def _fitted(
     process = bool(task.unknowns.process)
     require_influence(task, task.program(low, None), sigma)
     found = estimate(task, sigma, delays, known)
-    fit = outcome(task, found, high > low)
+    with spared(GRACE if found.solution.timed else 0.0):
+        fit = outcome(task, found, high > low)
     for order in ORDERS[task.method][1:] if degree is None else ():
-        if fit.integration_error < ACCURATE and not process:
+        if found.solution.timed or (fit.integration_error < ACCURATE and not process):
             break
         before = found.solution.residuals
         task = task.refined(found, order)
         found = estimate(task, found.sigma, delays, known, found.delay)
-        fit = outcome(task, found, high > low)
+        with spared(GRACE if found.solution.timed else 0.0):
+            fit = outcome(task, found, high > low)
         if process and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
             break
     jumps = float(np.sum(found.solution.jumps**2))
     return fit, deviance(found.solution.residuals, sigma if known else None) + jumps
+
+
+def _roundings(
+    plant: Plant, given: Mapping[str, float] | bool, unknowns: Unknowns
+) -> dict[str, float]:
+    """Widths with which the search begins, of parameters that are not sought themselves."""
+    sought = {plant.parameters[m].name for g in unknowns.groups for m in g.members}
+    if isinstance(given, bool):
+        declared = {v.name: v.widest for v in plant.parameters if given and v.widest > 0}
+        found = {n: w for n, w in declared.items() if w > float(plant.variable(n).start or 0.0)}
+    else:
+        found = {plant.variable(n).name: require_positive("widest", w) for n, w in given.items()}
+        wrong = [n for n in found if plant.variable(n).causality != "parameter"]
+        if wrong:
+            raise InputError(f"widest: {wrong[0]} is no parameter of the plant")
+    return {n: w for n, w in found.items() if n not in sought}
+
+
+def _narrowed(
+    task: FitTask, sigma: Array, delays: tuple[float, float], widths: Mapping[str, float]
+) -> FitTask:
+    """The task, starting from what was found with wide roundings, step by step down to its own."""
+    plant = task.plant
+    own = {n: float(plant.variable(n).start or 0.0) for n in widths}
+    delay = None
+    for part in (0.0, 0.5) if widths else ():
+        wide = {
+            n: float(np.clip(w ** (1 - part) * max(own[n], 1e-3 * w) ** part, v.min, v.max))
+            for (n, w), v in zip(widths.items(), map(plant.variable, widths), strict=True)
+        }
+        stage = replace(
+            task,
+            plant=plant.with_values(wide),
+            iterations=min(task.iterations or NARROWING, NARROWING),
+        )
+        found = estimate(stage, sigma, delays, True, delay)
+        if not found.solution.found:
+            break  # where this led is no better a start than the plant's own values
+        delay = found.delay if delays[0] < delays[1] else None
+        task = replace(stage.refined(found, stage.degree), plant=plant, iterations=task.iterations)
+    return task
 
 
 # ---- arguments ----------------------------------------------------------------------------------

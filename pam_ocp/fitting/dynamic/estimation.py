@@ -14,6 +14,7 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import Experiment
 from .gauss_newton import GaussNewtonResult, reduced_jacobian, solve
+from .progress import Report
 from .transcribe import FitMethod, FitProgram, Unknowns, transcribe
 
 __all__ = ["ORDERS", "FitTask", "PlantEstimate", "estimate", "head_names", "require_influence"]
@@ -28,6 +29,8 @@ ORDERS = {
     "single-shooting": (1, 2, 4, 8, 16),
 }
 """Degrees (or RK4 steps per interval), tried in turn until the integration is accurate enough."""
+SETTLED = 0.1
+"""Relative change of the noise below which a fit of one variable is not sought anew."""
 BLIND = 1e-10
 """A column of the Jacobian shorter than this part of the longest has no influence."""
 
@@ -44,6 +47,9 @@ class FitTask:
     step: float | None = None
     inputs: Mapping[str, float] = field(default_factory=dict)
     input_noise: Mapping[str, float] = field(default_factory=dict)
+    iterations: int | None = None
+    """Of the solver in each search, at most: the best until then counts."""
+    report: Report | None = None
 
     def program(self, delay: float, bounds: tuple[float, float] | None) -> FitProgram:
         unknowns = replace(self.unknowns, delay=delay, delay_bounds=bounds)
@@ -80,6 +86,18 @@ class FitTask:
             degree=order,
         )
 
+    def solved(
+        self,
+        program: FitProgram,
+        weights: Array,
+        guess: Array,
+        stage: str,
+        iterations: int | None = None,
+    ) -> GaussNewtonResult:
+        """A search that tells what it does, within the limit of iterations."""
+        most = min((n for n in (iterations, self.iterations) if n is not None), default=None)
+        return solve(program, weights, guess, most, self.report, stage)
+
     @property
     def usual(self) -> float:
         return float(np.median(np.concatenate([np.diff(e.mesh) for e in self.experiments])))
@@ -106,12 +124,20 @@ def estimate(
     weigh them by their residuals anew.
     """
     solution, program, found = _seek_delay(task, sigma, limits, start)
-    for _ in range(0 if known_noise or len(task.unknowns.names) == 1 else 2):
-        sigma = np.maximum(np.sqrt(np.mean(solution.residuals**2, axis=0)), 1e-9)
-        program = task.program(found, _around(task, found, limits))
-        solution = solve(program, 1 / sigma, solution.w)
+    for number in range(0 if known_noise else 2):
+        last, sigma = sigma, np.maximum(np.sqrt(np.mean(solution.residuals**2, axis=0)), 1e-9)
+        # of one variable the size of its noise weighs nothing, but a search in units that are far
+        # too coarse ends before it is there
+        enough = number and np.max(np.abs(np.log(sigma / last))) < SETTLED
+        if solution.timed or (enough and len(sigma) == 1):
+            sigma = last
+            break
+        bounds = _around(task, found, limits)
+        if bounds is not None:
+            program = task.program(found, bounds)
+        solution = task.solved(program, 1 / sigma, solution.w, "noise weighed")
         found = _delay_of(task, program, solution, found)
-    if not solution.found:
+    if not solution.found and not solution.timed and task.iterations is None:
         raise FitError(
             f"the fit of {task.plant.name!r} came to no solution ({solution.status} after "
             f"{solution.iterations} iterations); start nearer with plant.with_values(...), free "
@@ -191,7 +217,7 @@ def _seek_delay(
     low, high = limits
     if low == high:
         program = task.program(low, None)
-        return solve(program, 1 / sigma, program.guess), program, low
+        return task.solved(program, 1 / sigma, program.guess, "fit"), program, low
     if start is None:
         delay, w = _scanned(task, sigma, limits)
     else:
@@ -201,15 +227,17 @@ def _seek_delay(
         bounds = _around(task, delay, limits)
         program = task.program(delay, bounds)
         w = np.insert(w, place, delay / task.usual) if w.size < program.guess.size else w
-        solution = solve(program, 1 / sigma, w, 6 * SCAN_ITERATIONS)
+        solution = task.solved(program, 1 / sigma, w, "delay", 6 * SCAN_ITERATIONS)
         w, moved = solution.w, _delay_of(task, program, solution, delay)
         settled = abs(moved - delay) < 0.5 * task.usual
         delay = moved
-        if settled:
+        if settled or solution.timed:
             break
     # once more with the samples in their right intervals
+    if solution.timed:
+        return solution, program, delay
     program = task.program(delay, _around(task, delay, limits))
-    solution = solve(program, 1 / sigma, w)
+    solution = task.solved(program, 1 / sigma, w, "fit")
     return solution, program, _delay_of(task, program, solution, delay)
 
 
@@ -218,10 +246,13 @@ def _scanned(task: FitTask, sigma: Array, limits: tuple[float, float]) -> tuple[
     best: tuple[float, float, Array] | None = None
     guess = task.program(limits[0], None).guess
     for delay in np.linspace(*limits, SCANNED_DELAYS):
-        answer = solve(task.program(float(delay), None), 1 / sigma, guess, SCAN_ITERATIONS)
+        program = task.program(float(delay), None)
+        answer = task.solved(program, 1 / sigma, guess, f"delay {delay:.3g} s", SCAN_ITERATIONS)
         cost = float(np.sum((answer.residuals / sigma) ** 2))
         if best is None or cost < best[0]:
             best = (cost, float(delay), answer.w)
             guess = answer.w if answer.found else guess
+        if answer.timed:
+            break
     assert best is not None
     return best[1], best[2]

@@ -12,77 +12,38 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...core.errors import FitError, InputError
 from ...core.plausible import outside
-from ...core.signals import Interpolation
-from ...core.stop import verb
+from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .between import decided
-from .experiment import ParameterGroup, groups
+from .descent import Descent, descend
+from .experiment import groups, measured_names
+from .free_run_result import FreeRunFit, ran
+from .progress import Progress, reporter
+from .rig import Delay, Rig, RunUnknowns, known_rig, unknowns_of
 from .rollout import ASTRAY, Rollout
-from .runs import FreeRun, runs_of
+from .run_statistics import spread_of
+from .runs import FreeRun, Runs, runs_of
+
+if TYPE_CHECKING:
+    pass
 
 __all__ = ["FreeRun", "FreeRunFit", "fit_free_run", "free_run"]
 
-
-@dataclass(frozen=True, eq=False)
-class FreeRunFit:
-    """A plant fitted to free runs.
-
-    plant : with the fitted values. training : its runs along the records of the fit.
-    integration_error : how much halving the step changes the runs (RMS, unit of each variable).
-    at_bound : free parameters that ended at the edge of their range. cost : mean squared error
-    before and after, in parts of the measured variables' variance.
-    """
-
-    plant: Plant
-    training: FreeRun
-    values: Mapping[str, float]
-    at_bound: tuple[str, ...]
-    integration_error: Mapping[str, float]
-    cost: tuple[float, float]
-    status: str
-    evaluations: int
-    seconds: float
-    interpolation: Interpolation = "linear"
-    """How inputs count as having run between the samples of records that do not say it."""
-    inputs_ran: str = ""
-    """How that was decided, in words; empty where the records say it."""
-    options: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """horizon, every, outputs, history and steps of the runs."""
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """That runs of the fit diverge; empty when none does."""
-        return self.training.warnings
-
-    def validate(self, records: Trajectory | Sequence[Trajectory]) -> FreeRun:
-        """Runs of the same kind along other records; a warning says so where some diverge."""
-        chosen = [records] if isinstance(records, Trajectory) else list(records)
-        known = [r if r.interpolation_known else r.running(self.interpolation) for r in chosen]
-        options = {**self.options, "outputs": list(self.training.names)}
-        return free_run(self.plant, known, **options)
-
-    def __str__(self) -> str:
-        shown = self.plant.variable
-        lines = [
-            f"{self.plant.name}: {len(self.training.start)} free runs of {self.training.t[-1]:g} "
-            f"s, {self.evaluations} evaluations, {self.seconds:.1f} s: {self.status}",
-            *(f"    {n}: RMSE {shown(n).shown(e)}" for n, e in self.training.rmse.items()),
-            *(f"    {n} = {shown(n).shown(v)}" for n, v in self.values.items()),
-        ]
-        if self.at_bound:
-            lines.append(f"    at the edge of their range: {', '.join(self.at_bound)}")
-        lines += [f"    {text}" for text in (self.inputs_ran,) if text]
-        lines += [f"    warning: {text}" for text in self.warnings]
-        return "\n".join(lines)
+GRACE = 20.0
+"""For what is told of a fit that a time limit ended [s]."""
+ASTRAY_COST = 1.0
+"""Mean squared error, in parts of the measured variance, from which runs count as astray."""
+FIRST = 4
+"""A search over many runs begins with horizons of so many samples, which grow this many times."""
 
 
 @verb
@@ -90,38 +51,50 @@ def free_run(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],
     *,
-    horizon: float,
-    every: float,
+    horizon: float | Sequence[float] | None,
+    every: float | None = None,
     outputs: Sequence[str] | None = None,
     history: int = 3,
     steps: int = 4,
+    warm_up: float = 0.0,
+    delay: float | Mapping[str, float] = 0.0,
+    gains: Mapping[str, float] | None = None,
+    offsets: Mapping[str, float] | None = None,
+    starts: Mapping[str, float] | None = None,
+    corrections: Mapping[tuple[str, str], float] | None = None,
 ) -> FreeRun:
     """Run a plant from many moments of records, with the measured inputs.
 
     A run starts every ``every`` seconds of each record, where ``history`` samples of the past and
-    the whole horizon are in it. Measured states start as measured, velocities (of measured
-    positions) with the slope of the straight line through the last ``history`` samples, all other
-    states at the plant's start values. Nothing measured after the start is used but the inputs.
+    the horizon are in it. Measured states start as measured, velocities (of measured positions)
+    with the slope of the straight line through the last ``history`` samples, all other states at
+    the plant's start values. Nothing measured after the start is used but the inputs.
 
     Parameters
     ----------
     records : equally sampled Trajectories, all at the same rate, with all inputs of the plant.
     horizon, every : length of a run, and from start to start [s]; multiples of the sampling time.
+        Of several horizons, runs are as long as the longest that the record allows; None runs each
+        record as a whole, from its first samples on.
     outputs : states and outputs to compare; by default all that the records hold.
     history : samples for the initial velocity, at least 2.
     steps : of the integration in each sampling interval: the Rosenbrock method ROS2 (J. G. Verwer
         et al., SIAM J. Sci. Comput. 20 (1999) 1456-1480), of second order and L-stable. Friction
         that ends a motion within one step wants more of them.
+    warm_up : [s] before each start that the plant runs along the past, so that states which are not
+        measured (pressures, creep, slip) come to where they belong; at its samples ``corrections``
+        pull it to what was measured (an observer; D. Luenberger, IEEE Trans. AC 16 (1971) 596).
+    delay : dead time of all inputs [s], or by input. gains, offsets : of sensors.
+    starts : {state that is not measured: where runs begin}. corrections : {(state, measured
+        variable): gain}.
 
     Raises
     ------
     InputError, UnknownNameError : records without an input, of unequal rates, too short, or NaN.
     """
-    runs = runs_of(plant, records, horizon, every, outputs, history, steps)
-    found = runs.result(Rollout(plant, runs, []).predicted(np.empty(0)))
-    for text in found.warnings:
-        warnings.warn(text, RuntimeWarning, stacklevel=outside())
-    return found
+    runs = runs_of(plant, records, horizon, every, outputs, history, steps, warm_up)
+    rig = known_rig(plant, runs.names, delay, gains, offsets, starts, corrections)
+    return ran(plant, runs, (), rig)
 
 
 @verb
@@ -130,26 +103,47 @@ def fit_free_run(
     records: Trajectory | Sequence[Trajectory],
     free: Sequence[str | Sequence[str]],
     *,
-    horizon: float,
-    every: float,
+    horizon: float | Sequence[float] | None,
+    every: float | None = None,
     outputs: Sequence[str] | None = None,
     history: int = 3,
     steps: int = 4,
+    warm_up: float = 0.0,
+    delay: Delay = 0.0,
+    gains: Sequence[str] = (),
+    offsets: Sequence[str] = (),
+    starts: Mapping[str, str] | Sequence[str] = (),
+    correct: Mapping[str, Sequence[str]] | bool = False,
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    begin_short: bool | None = None,
     evaluations: int = 60,
+    progress: Progress = False,
     time_limit: float | None = None,
 ) -> FreeRunFit:
     """Fit parameters so that free runs (see :func:`free_run`) stay near what was measured.
 
-    Least squares over all samples of all runs, each variable in units of its spread, by SciPy's
-    trust-region method with exact derivatives. It finds the minimum nearest to the plant's values:
-    friction makes several, so start from more than one.
+    Least squares over all samples of all runs, each variable in units of its spread, several
+    horizons with equal weight, by damped Gauss-Newton steps with exact derivatives. Where runs go
+    astray at the plant's values, horizons grow from a few samples to the whole. It finds the
+    minimum nearest to the plant's values: friction makes several, so start from more than one.
 
     free : names, tuples or patterns of parameters, as for :func:`fit_plant`.
+    delay : dead time of the inputs [s], for all or ``{input or pattern: ...}``; (low, high) is
+        estimated. Below zero where a record shows an input later than it acted.
+    gains, offsets : measured variables whose sensor has an unknown gain, or offset.
+    starts : states that are not measured and whose start is to be estimated: names or patterns (one
+        start for all runs), or {name: "all" or "record"}.
+    correct : True to estimate how much of its error a run takes up at each sample of ``warm_up``
+        (measured states and their velocities), and {other state: [measured variables]} for those.
     bounds : {free parameter: (low, high)}, within those of its variable.
-    evaluations : of all runs, at most. Other arguments as for :func:`free_run`. Where a record does
-        not say how its inputs ran between samples, both ways are fitted and the likelier counts.
-    time_limit : [s]; OutOfTime when it is over before there is a result.
+    begin_short : whether horizons grow; by default where runs of more than 16 samples go astray at
+        the plant's values.
+    evaluations : of all runs with their derivatives, at most. Other arguments as for
+        :func:`free_run`. Where a record does not say how its inputs ran between samples, both ways
+        are fitted and the likelier counts.
+    progress : True prints each step; a function is called as progress(stage, evaluations, cost).
+    time_limit : [s]; the best until then is kept, and the fit says so. OutOfTime where there is
+        none.
 
     Raises
     ------
@@ -157,24 +151,40 @@ def fit_free_run(
     FitError : the runs diverge at the start, or a parameter has no influence on them.
     """
     began = time.perf_counter()
-    unknowns = groups(plant, free, dict(bounds or {}))
-    if not unknowns:
-        raise InputError("free is empty: name at least one parameter of the plant")
+    wanted = groups(plant, free, dict(bounds or {}))
     options: dict[str, Any] = {
         "horizon": horizon,
         "every": every,
         "outputs": outputs,
         "history": history,
         "steps": steps,
+        "warm_up": warm_up,
     }
+    runs = runs_of(plant, records, **options)  # wrong arguments are refused before all else
+    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    if correct and not runs.warm:
+        raise InputError("correct needs warm_up=...: seconds before each start to correct in")
+    unknowns, rig = unknowns_of(
+        plant,
+        wanted,
+        measured_names(plant, chosen, outputs),
+        len(chosen),
+        float(runs.t[0]),
+        delay=delay,
+        gains=gains,
+        offsets=offsets,
+        starts=starts,
+        correct=correct,
+    )
+    if not unknowns.names:
+        raise InputError("free is empty: name at least one parameter of the plant")
+    search = _Search(plant, unknowns, rig, options, evaluations, begin_short, reporter(progress))
 
     def fitted(ran: Sequence[Trajectory]) -> tuple[FreeRunFit, float]:
-        fit = _fitted(plant, ran, unknowns, evaluations, options)
-        runs = fit.training
-        return fit, runs.measured.size * float(np.log(max(fit.cost[1], 1e-300)))
+        fit = search(ran)
+        count = int(np.sum(~np.isnan(fit.training.measured)))
+        return fit, count * float(np.log(max(fit.cost[1], 1e-300)))
 
-    runs_of(plant, records, **options)  # wrong arguments are refused before anything is tried
-    chosen = [records] if isinstance(records, Trajectory) else list(records)
     fit, between, words = decided(plant, chosen, fitted)
     for text in fit.training.warnings:
         warnings.warn(text, RuntimeWarning, stacklevel=outside())
@@ -183,75 +193,178 @@ def fit_free_run(
     )
 
 
-def _fitted(
-    plant: Plant,
-    records: Sequence[Trajectory],
-    unknowns: Sequence[ParameterGroup],
-    evaluations: int,
-    options: dict[str, Any],
-) -> FreeRunFit:
-    from scipy.optimize import least_squares
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The fit to records whose inputs are known between samples."""
 
-    runs = runs_of(plant, records, **options)
-    rollout = Rollout(plant, runs, unknowns)
-    low, high = (np.array([getattr(g, a) / g.scale for g in unknowns]) for a in ("low", "high"))
-    guess = np.array([g.value / g.scale for g in unknowns])
-    _require_sense(rollout, guess, unknowns)
-    inside = 1e-9 * (1 + np.abs(guess))
-    answer = least_squares(
-        rollout.residuals,
-        np.clip(guess, low + inside, high - inside),
-        jac=rollout.jacobian,
-        bounds=(low, high),
-        x_scale="jac",
-        xtol=1e-6,
-        ftol=1e-5,
-        gtol=1e-8,
-        max_nfev=evaluations,
+    plant: Plant
+    unknowns: RunUnknowns
+    rig: Rig
+    options: Mapping[str, Any]
+    evaluations: int
+    begin_short: bool | None
+    report: Any
+
+    def __call__(self, records: Sequence[Trajectory]) -> FreeRunFit:
+        runs = runs_of(self.plant, records, **self.options)
+        rollout = Rollout(self.plant, runs, self.unknowns, self.rig)
+        guess = self.unknowns.guess
+        before, found = self._descended(records, rollout, guess)
+        with spared(GRACE):
+            return self._result(records, runs, rollout, before, found)
+
+    def _descended(
+        self, records: Sequence[Trajectory], rollout: Rollout, z: Array
+    ) -> tuple[float, Descent]:
+        """Horizon by horizon; the search over the full ones has what evaluations are left."""
+        u, spent, guess, before = self.unknowns, 0, z, rollout.cost(z)
+        for h in self._stages(rollout, z, before):
+            part = self._shorter(records, h)
+            if spent == 0:
+                _require_sense(part, z, u)
+            found = self._search(part, z, f"{h:g} s", spent, max(self.evaluations // 6, 2))
+            spent, z = found.evaluations, found.z
+            if found.timed:
+                return before, found
+        if spent == 0:
+            _require_sense(rollout, z, u)
+        elif not rollout.cost(z) < before:
+            z = guess  # short runs say little of what takes long
+        budget = max(self.evaluations - spent, 1)
+        return before, self._search(rollout, z, "full horizon", spent, budget)
+
+    def _search(self, rollout: Rollout, z: Array, stage: str, spent: int, budget: int) -> Descent:
+        u = self.unknowns
+        found = descend(
+            rollout,
+            z,
+            u.low,
+            u.high,
+            budget,
+            lambda count, cost, _: self.report(stage, spent + count, cost),
+        )
+        return replace(found, evaluations=spent + found.evaluations)
+
+    def _stages(self, rollout: Rollout, z: Array, cost: float) -> list[float]:
+        """Horizons [s] before the full one, from short to long, where runs go astray at once."""
+        runs = rollout.runs
+        longest = int(runs.length.max())
+        if self.begin_short is None:
+            wanted = longest > FIRST**2 and (cost > ASTRAY_COST or rollout.normal(z)[3] > 0)
+        else:
+            wanted = self.begin_short
+        found, h = [], longest
+        while wanted and h > FIRST**2:
+            h = max(h // FIRST, FIRST)
+            found.append(h)
+        return [float(runs.t[h - 1]) for h in reversed(found)]
+
+    def _shorter(self, records: Sequence[Trajectory], horizon: float) -> Rollout:
+        """Runs of this length: as many as cover the records once, or the same cut short where
+        states have starts of their own.
+        """
+        options, u = dict(self.options), self.unknowns
+        every = options["every"]
+        if every is None:
+            records = [r.at(r.t[: self._samples(r, horizon)]) for r in records]
+        else:
+            same = bool(u.starts or u.own_starts)
+            options |= {"horizon": horizon, "every": every if same else max(every, horizon)}
+        return Rollout(self.plant, runs_of(self.plant, records, **options), u, self.rig)
+
+    def _samples(self, record: Trajectory, horizon: float) -> int:
+        """Of the past and a horizon, at the begin of a record."""
+        sampling = record.duration / (len(record) - 1)
+        before = self.options["history"] - 1 + round(self.options["warm_up"] / sampling)
+        return int(min(len(record), before + round(horizon / sampling) + 1))
+
+    def _result(
+        self,
+        records: Sequence[Trajectory],
+        runs: Runs,
+        rollout: Rollout,
+        before: float,
+        found: Descent,
+    ) -> FreeRunFit:
+        u = self.unknowns
+        values = {
+            self.plant.parameters[m].name: float(z * g.scale)
+            for g, z in zip(u.groups, found.z, strict=False)
+            for m in g.members
+        }
+        fitted = self.plant.with_values(values)
+        rig = _rig_of(self.plant, runs, u, self.rig, found.z)
+        predicted = rollout.predicted(found.z)
+        training = runs.result(predicted)
+        halved = runs_of(
+            fitted, records, **{**self.options, "outputs": runs.names, "steps": 2 * runs.steps}
+        )
+        finer = Rollout(self.plant, halved, u, self.rig).predicted(found.z)
+        with np.errstate(over="ignore", invalid="ignore"):
+            gap = np.sqrt(np.nanmean((finer - predicted) ** 2, axis=(0, 1)))
+        own = found.z[u.shared :] * u.scale[u.shared :]
+        edge = (found.z - u.low < 1e-9) | (u.high - found.z < 1e-9)
+        return FreeRunFit(
+            fitted,
+            training,
+            values,
+            tuple(n for n, at in zip(u.names, edge, strict=True) if at),
+            dict(zip(runs.names, gap.tolist(), strict=True)),
+            (before, found.cost),
+            found.status,
+            found.evaluations,
+            0.0,
+            options=self.options,
+            rig=rig,
+            own_starts={
+                self.plant.states[s].name: own[k :: len(u.own_starts)]
+                for k, s in enumerate(u.own_starts)
+            },
+            spread=spread_of(rollout, runs, u, found.z, edge),
+            converged=found.converged,
+            records=tuple(records),
+        )
+
+
+def _rig_of(plant: Plant, runs: Runs, u: RunUnknowns, known: Rig, z: Array) -> Rig:
+    """The rig with what was found."""
+    value = z * u.scale
+    delays = dict(known.delays)
+    for place, members in zip(u.places("delays"), u.delays, strict=True):
+        delays |= {plant.inputs[i].name: float(value[place]) for i in members}
+    names, states = runs.names, [v.name for v in plant.states]
+    return Rig(
+        delays,
+        {names[i]: 1 + float(value[j]) for j, i in zip(u.places("gains"), u.gains, strict=True)},
+        {names[i]: float(value[j]) for j, i in zip(u.places("offsets"), u.offsets, strict=True)},
+        {states[i]: float(value[j]) for j, i in zip(u.places("starts"), u.starts, strict=True)},
+        {
+            (states[i], names[k]): float(value[j])
+            for j, (i, k) in zip(u.places("corrections"), u.corrections, strict=True)
+        },
     )
-    values = {
-        plant.parameters[m].name: float(z * g.scale)
-        for g, z in zip(unknowns, answer.x, strict=True)
-        for m in g.members
-    }
-    fitted = plant.with_values(values)
-    training = runs.result(rollout.predicted(answer.x))
-    again = {**options, "outputs": runs.names, "steps": 2 * options["steps"]}
-    halved = runs_of(fitted, records, **again)
-    finer = halved.result(Rollout(fitted, halved, []).predicted(np.empty(0)))
-    with np.errstate(over="ignore", invalid="ignore"):
-        gap = np.sqrt(np.mean((finer.predicted - training.predicted) ** 2, axis=(0, 1)))
-    at_bound = [g.name for g, side in zip(unknowns, answer.active_mask, strict=True) if side]
-    return FreeRunFit(
-        fitted,
-        training,
-        values,
-        tuple(at_bound),
-        dict(zip(runs.names, gap.tolist(), strict=True)),
-        (float(np.sum(rollout.residuals(guess) ** 2)), float(2 * answer.cost)),
-        str(answer.message),
-        int(answer.nfev),
-        0.0,
-        options=options,
-    )
 
 
-def _require_sense(rollout: Rollout, z: Array, unknowns: Sequence[ParameterGroup]) -> None:
-    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY):
+def _require_sense(rollout: Rollout, z: Array, unknowns: RunUnknowns) -> None:
+    if np.any(np.abs(rollout.residuals(z)) >= 1e-3 * ASTRAY * np.max(rollout.weights)):
         raise FitError(
             "the free runs diverge at the plant's values; start elsewhere with "
             "plant.with_values(...), or raise steps"
         )
-    slopes, wild = rollout.sensitivities(z)
-    influence = np.abs(slopes[~wild]).max(axis=(0, 1), initial=0.0)
-    dead = [g.name for g, size in zip(unknowns, influence, strict=True) if size == 0]
+    _, _, square, damped = rollout.normal(z)
+    # a correction may begin where the runs need none
+    fixed = unknowns.places("corrections")
+    dead = [
+        n
+        for j, n in enumerate(unknowns.names)
+        if not square[j, j] > 0 and j not in fixed and unknowns.low[j] < unknowns.high[j]
+    ]
     if not dead:
         return
-    if not wild.any():
+    if not damped:
         raise FitError(f"{', '.join(dead)} has no influence on the free runs; leave it out of free")
     raise FitError(
-        f"what {', '.join(dead)} does to the free runs cannot be told: of {len(wild)} runs "
-        f"{int(wild.sum())} part ways or diverge so soon that their sensitivities mean nothing, "
-        "and the others do not depend on it; take a shorter horizon or more steps, or start "
-        "elsewhere with plant.with_values(...)"
+        f"what {', '.join(dead)} does to the free runs cannot be told: {damped} of them part ways "
+        "or diverge so soon that their sensitivities mean nothing, and the others do not depend on "
+        "it; take a shorter horizon or more steps, or start elsewhere with plant.with_values(...)"
     )

@@ -9,11 +9,13 @@ import casadi as ca
 import numpy as np
 
 from ...core.errors import FitError
+from ...core.stop import TimeIsUp, native, spared
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..statistics import Array
+from .progress import Report
 from .transcribe import FitProgram
 
-__all__ = ["GaussNewtonResult", "reduced_jacobian", "solve"]
+__all__ = ["GRACE", "GaussNewtonResult", "reduced_jacobian", "solve"]
 
 LEVENBERG = 1e-6
 """Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
@@ -21,6 +23,12 @@ LEVENBERG = 1e-6
 It changes steps, not the solution. Unknowns are of size 1, residuals are in units of the noise.
 """
 DONE = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+TIMED = "Time_Limit"
+"""Status of a search that a time limit ended with something to show."""
+GRACE = 20.0
+"""For what is told of a fit that a time limit ended [s]."""
+DEFECT = 1e3
+"""Weight of the largest defect (in nominals) against the cost, where iterates are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,45 +48,77 @@ class GaussNewtonResult:
     def found(self) -> bool:
         return self.status in DONE
 
+    @property
+    def timed(self) -> bool:
+        """Whether a time limit ended it: the best until then."""
+        return self.status == TIMED
+
 
 def solve(
-    program: FitProgram, weights: Array, guess: Array, iterations: int | None = None
+    program: FitProgram,
+    weights: Array,
+    guess: Array,
+    iterations: int | None = None,
+    report: Report | None = None,
+    stage: str = "fit",
 ) -> GaussNewtonResult:
     """Least squares from a guess; with a limit of ``iterations`` only as far as these lead.
+
+    report : called with ``stage``, iterations and cost at each of them. A time limit ends the
+    search with the best that was seen, where there is any.
 
     Without states among the unknowns (single shooting) by SciPy's trust-region method, else by
     IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
     where that does not settle, with the exact Hessian.
     """
     if not program.defects.numel():
-        return _trust_region(program, weights, guess)
-    first = _interior_point(program, weights, guess, False, iterations or 150)
-    if first.found or iterations is not None:
+        return _trust_region(program, weights, guess, iterations or 300, _Seen(report, stage))
+    seen = _Seen(report, stage)
+    first = _interior_point(program, weights, guess, False, iterations or 150, seen)
+    if first.found or first.timed or iterations is not None:
         return first
-    return _interior_point(program, weights, guess, True, 100)
+    return _interior_point(program, weights, guess, True, 100, _Seen(report, stage + ", curved"))
+
+
+class _Seen:
+    """The best of a search's iterates: least cost, with a price on what violates the equations."""
+
+    def __init__(self, report: Report | None, stage: str) -> None:
+        self._report, self._stage, self._count = report, stage, 0
+        self._merit, self.w = np.inf, np.empty(0)
+
+    def __call__(self, w: Any, cost: Any, defects: Any) -> None:
+        self._count += 1
+        gaps = np.abs(np.asarray(defects, dtype=float)).max(initial=0.0)
+        value = float(cost)
+        merit = value + DEFECT * float(gaps)
+        if merit < self._merit:
+            self._merit, self.w = merit, np.array(w, dtype=float).ravel()
+        if self._report is not None:
+            self._report(self._stage, self._count, value)
+
+    def kept(self, program: FitProgram, weights: Array) -> GaussNewtonResult:
+        """The best until a time limit; TimeIsUp where there is none."""
+        if not self.w.size:
+            raise TimeIsUp
+        with spared(GRACE):
+            return _solution(program, weights, self.w, TIMED, self._count)
 
 
 def _interior_point(
-    program: FitProgram, weights: Array, guess: Array, exact: bool, iterations: int
+    program: FitProgram, weights: Array, guess: Array, exact: bool, iterations: int, seen: _Seen
 ) -> GaussNewtonResult:
-    w, residuals = program.w, program.residuals
-    options = quiet_ipopt(
-        tol=1e-8, max_iter=iterations, mu_strategy="adaptive", honor_original_bounds="yes"
-    )
-    if not exact:
-        jacobian = ca.jacobian(residuals, w)
-        factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", program.defects.numel())
-        hessian = jacobian.T @ jacobian + LEVENBERG * ca.DM.eye(w.numel())
-        options["hess_lag"] = ca.Function(
-            "gauss_newton",
-            [w, program.weights, factor, multipliers],
-            [ca.triu(factor * hessian)],
-            ["x", "p", "lam_f", "lam_g"],
-            ["hess_gamma_x_x"],
-        )
-    nlp: Any = {"x": w, "p": program.weights, "f": ca.sumsqr(residuals) / 2, "g": program.defects}
-    solver = nlpsol("fit", "ipopt", nlp, options)
-    answer = solver(x0=guess, p=weights, lbx=program.low, ubx=program.high, lbg=0.0, ubg=0.0)
+    key = (exact, iterations)
+    if key not in program.solvers:
+        program.solvers[key] = _ipopt(program, exact, iterations)
+    solver, tell = program.solvers[key]
+    tell.append(seen)
+    try:
+        answer = solver(x0=guess, p=weights, lbx=program.low, ubx=program.high, lbg=0.0, ubg=0.0)
+    except TimeIsUp:
+        return seen.kept(program, weights)
+    finally:
+        tell.clear()
     statistics = solver.stats()
     return _solution(
         program,
@@ -89,29 +129,59 @@ def _interior_point(
     )
 
 
-def _trust_region(program: FitProgram, weights: Array, guess: Array) -> GaussNewtonResult:
+def _ipopt(program: FitProgram, exact: bool, iterations: int) -> tuple[Any, list[_Seen]]:
+    """A solver of the program, and whom it tells of its iterates (the last)."""
+    tell: list[_Seen] = []
+    w, residuals = program.w, program.residuals
+    options = quiet_ipopt(
+        tol=1e-8, max_iter=iterations, mu_strategy="adaptive", honor_original_bounds="yes"
+    )
+    if not exact:
+        jacobian = program.slopes[0]
+        factor, multipliers = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", program.defects.numel())
+        hessian = jacobian.T @ jacobian + LEVENBERG * ca.DM.eye(w.numel())
+        options["hess_lag"] = ca.Function(
+            "gauss_newton",
+            [w, program.weights, factor, multipliers],
+            [ca.triu(factor * hessian)],
+            ["x", "p", "lam_f", "lam_g"],
+            ["hess_gamma_x_x"],
+        )
+    nlp: Any = {"x": w, "p": program.weights, "f": ca.sumsqr(residuals) / 2, "g": program.defects}
+    solver = nlpsol("fit", "ipopt", nlp, options, report=lambda x, f, g: tell[-1](x, f, g))
+    return solver, tell
+
+
+def _trust_region(
+    program: FitProgram, weights: Array, guess: Array, evaluations: int, seen: _Seen
+) -> GaussNewtonResult:
     from scipy.optimize import least_squares
 
     w, residuals = program.w, program.residuals
     value = ca.Function("residuals", [w, program.weights], [residuals])
-    slope = ca.Function("slope", [w, program.weights], [ca.jacobian(residuals, w)])
+    slope = ca.Function("slope", [w, program.weights], [program.slopes[0]])
 
     def compute(z: Array) -> Array:
-        found = np.asarray(value(z, weights)).ravel()
-        return np.where(np.isfinite(found), found, 1e6)  # a motion that diverged is a bad one
+        found = np.asarray(native(value, z, weights)).ravel()
+        found = np.where(np.isfinite(found), found, 1e6)  # a motion that diverged is a bad one
+        seen(z, found @ found / 2, 0.0)
+        return found
 
     inside = 1e-9 * (1 + np.abs(guess))
-    answer = least_squares(
-        compute,
-        np.clip(guess, program.low + inside, program.high - inside),
-        jac=lambda z: np.nan_to_num(np.asarray(slope(z, weights))),
-        bounds=(program.low, program.high),
-        x_scale="jac",
-        xtol=1e-10,
-        ftol=1e-12,
-        gtol=1e-10,
-        max_nfev=300,
-    )
+    try:
+        answer = least_squares(
+            compute,
+            np.clip(guess, program.low + inside, program.high - inside),
+            jac=lambda z: np.nan_to_num(np.asarray(native(slope, z, weights))),
+            bounds=(program.low, program.high),
+            x_scale="jac",
+            xtol=1e-10,
+            ftol=1e-12,
+            gtol=1e-10,
+            max_nfev=evaluations,
+        )
+    except TimeIsUp:
+        return seen.kept(program, weights)
     status = DONE[0] if answer.success else "Maximum_Iterations_Exceeded"
     return _solution(program, weights, answer.x, status, int(answer.nfev))
 
@@ -138,12 +208,7 @@ def reduced_jacobian(program: FitProgram, weights: Array, w: Array) -> Array:
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
-    function = ca.Function(
-        "derivatives",
-        [program.w, program.weights],
-        [ca.jacobian(program.residuals, program.w), ca.jacobian(program.defects, program.w)],
-    )
-    r, g = (_sparse(csc_matrix, block) for block in function(w, weights))
+    r, g = (_sparse(csc_matrix, block) for block in native(program.derivatives, w, weights))
     own = np.r_[: program.head, program.w.numel() - program.jumps : program.w.numel()]
     inner = slice(program.head, program.w.numel() - program.jumps)
     direct = np.asarray(r[:, own].todense())

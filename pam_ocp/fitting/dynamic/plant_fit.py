@@ -7,18 +7,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ... import courtesy
 from ...core.errors import UnknownNameError
+from ...core.shown import shown
 from ...core.signals import Interpolation
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ..static.correlation import neighbours, widening
-from ..statistics import Array, Coefficient, Linearisation, student_t
+from ..statistics import Array, Coefficient, Linearisation, coefficient_frame, student_t
 from .transcribe import FitMethod
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from .coverage import Coverage
 
 __all__ = ["PlantFit"]
 
@@ -29,6 +37,7 @@ COLOURED = 0.3
 """Correlation of neighbouring residuals from which intervals are called too narrow."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class PlantFit:
     """A plant fitted to records.
@@ -180,6 +189,11 @@ class PlantFit:
     def warnings(self) -> tuple[str, ...]:
         """What to know before the parameters are trusted; empty when there is nothing."""
         found = []
+        if self.status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
+            found.append(
+                f"the search did not come to its end ({self.status} after {self.iterations} "
+                "iterations): these are the best values until then"
+            )
         for lost, _, words in self.linearisation.hardly_seen():
             if lost or any(n in words for n in self.parameters):
                 found.append(
@@ -211,6 +225,20 @@ class PlantFit:
     def report(self, level: float = 0.95) -> str:
         """The fit as text: agreement, parameters ± standard error, correlations, warnings."""
         return courtesy.plant_report(self, level)
+
+    def plot(self) -> Figure:
+        """Each record and the fitted plant's motion over each other, and their difference."""
+        return courtesy.plot_records(self.comparisons)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The parameters as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
+        return coefficient_frame(self.coefficients, self.intervals())
+
+    def coverage(self, other: Any, **options: Any) -> Coverage:
+        """Where the records of this fit have been, against a record or a signal that is to be
+        predicted: see :func:`pam_ocp.fitting.coverage`.
+        """
+        return courtesy.coverage(self, other, **options)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""

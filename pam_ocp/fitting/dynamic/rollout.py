@@ -1,131 +1,365 @@
-"""Free runs as a function of a plant's parameters, with exact sensitivities."""
+"""Free runs as a function of a plant's parameters and of its rig, with exact sensitivities."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.stop import check, native
 from ...numerics.rosenbrock import ros2
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup
+from .rig import Rig, RunUnknowns
 from .runs import Runs
 
 __all__ = ["ASTRAY", "Rollout"]
 
-WILD = 1e3
-"""A run whose sensitivity (spreads per unit of a scaled unknown) exceeds this steers no step.
+WILD = 1e2
+"""Sensitivity (spreads per unit of a scaled unknown) from which a sample's row is damped.
 
-It lies beside a parting of the ways (stick or slide) or is unstable: its slope holds for changes
-far smaller than any step and would outweigh all other runs. Its error still counts.
+Beside a parting of the ways (stick or slide), or where the plant is unstable, a slope holds for
+changes far smaller than any step, and would outweigh all other runs. Its row keeps its direction,
+its length is limited to this; its error counts in full.
 """
 ASTRAY = 1e6
 """Stands for a residual that is no number: a motion that diverged is a bad one."""
+MEMORY = 3e7
+"""Bytes that the states and sensitivities of the runs of one call may take."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Runs that are computed together: their places, and how many samples they last."""
+
+    rows: NDArray[np.intp]
+    samples: int
 
 
 class Rollout:
-    """Runs, residuals and their exact Jacobian in the scaled unknowns z."""
+    """Runs, residuals and their exact Jacobian in the scaled unknowns z.
 
-    def __init__(self, plant: Plant, runs: Runs, unknowns: Sequence[ParameterGroup]) -> None:
-        self._runs = runs
-        self._whole: dict[str, ca.Function] = {}
-        n, k = runs.measured.shape[:2]
-        spread = runs.measured.reshape(n * k, -1).std(axis=0)
+    A residual is an error in units of the variable's spread times the root of its sample's weight,
+    so their sum of squares is the mean squared error.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        runs: Runs,
+        unknowns: RunUnknowns | Sequence[ParameterGroup] = (),
+        rig: Rig | None = None,
+    ) -> None:
+        if not isinstance(unknowns, RunUnknowns):
+            unknowns = RunUnknowns(
+                groups=tuple(unknowns), names=tuple(g.name for g in unknowns), records=0
+            )
+        self._plant, self.runs, self._unknowns, self._rig = plant, runs, unknowns, rig or Rig()
+        spread = np.nanstd(runs.measured.reshape(-1, len(runs.names)), axis=0)
         nominal = np.array([plant.variable(v).nominal for v in runs.names])
-        self._spread = np.where(spread > 1e-9 * nominal, spread, nominal)
-        self._nx, self._nz = len(plant.states), len(unknowns)
-        self._move, self._tangent, self._read, self._slope = _functions(plant, runs, unknowns)
-        self._inputs = [np.ascontiguousarray(np.concatenate(a).T) for a in (runs.begin, runs.end)]
+        self.spread = np.where(spread > 1e-9 * nominal, spread, nominal)
+        self.weights = np.sqrt(runs.weights / len(runs.names))
+        self._whole: dict[Any, ca.Function] = {}
+        self._edges: tuple[bytes, list[tuple[Array, ...]]] = (b"", [])
+        self._local = unknowns.shared + len(unknowns.own_starts)
+        self._move, self._tangent = _functions(plant, runs, unknowns, self._rig)
+        self._parts = {deep: self._cut(deep) for deep in (False, True)}
 
+    # ---- what is asked for --------------------------------------------------------------------
     def predicted(self, z: Array) -> Array:
-        """(n, K, ny) in SI."""
-        x = self._rolled(self._move, self._runs.x0.T, z)
-        return self._shaped(self._read.map(x.shape[1])(x, self._late, z))
+        """(n, K, ny) in SI; NaN behind the end of a run."""
+        found = np.full(self.runs.measured.shape, np.nan)
+        for part, y, _ in self._computed(z, False):
+            found[part.rows, : part.samples] = y
+        return np.asarray(np.where(np.isnan(self.runs.measured), np.nan, found))
+
+    def errors(self, predicted: Array) -> Array:
+        """Residuals (n, K, ny) of a prediction; zero behind the end of a run."""
+        return self._error(np.arange(len(predicted)), predicted)
 
     def residuals(self, z: Array) -> Array:
-        """Predicted minus measured in units of the spread; their mean square is summed."""
-        error = (self.predicted(z) - self._runs.measured) / self._spread
-        return np.nan_to_num(
-            error.ravel() * self._weight, nan=ASTRAY, posinf=ASTRAY, neginf=-ASTRAY
-        )
+        """All of them in one row."""
+        return self.errors(self.predicted(z)).ravel()
 
-    def jacobian(self, z: Array) -> Array:
-        """d(residuals)/dz by sensitivities along the runs; zero for those that steer no step."""
-        scaled, wild = self.sensitivities(z)
-        scaled[wild] = 0.0
-        return np.asarray(scaled.reshape(-1, self._nz) * self._weight)
+    def cost(self, z: Array) -> float:
+        """Mean squared error, in parts of the measured variables' variance."""
+        return float(np.sum(self.residuals(z) ** 2))
 
-    def sensitivities(self, z: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """d(prediction)/dz in spreads (n, K ny, nz),
-        and which runs (n,) have none to be trusted.
-        """
-        n, nx, nz = len(self._runs.x0), self._nx, self._nz
-        zero = np.zeros((nx * nz, n))
-        both = self._rolled(self._tangent, np.vstack([self._runs.x0.T, zero]), z)
-        slopes = self._slope.map(both.shape[1])(both[:nx], both[nx:], self._late, z)
-        ny = len(self._spread)
-        rows = np.asarray(slopes).T.reshape(-1, nz, ny).transpose(0, 2, 1)
-        scaled = (
-            rows.reshape(n, -1, nz, order="C") / np.tile(self._spread, len(self._runs.t))[:, None]
-        )
-        wild = ~(np.abs(scaled).max(axis=(1, 2), initial=0.0) < WILD)
-        return np.asarray(scaled), np.asarray(wild)
+    def jacobian(self, z: Array, damped: bool = True) -> Array:
+        """d(residuals)/dz, a row for each of ``residuals``."""
+        n, k, ny = self.runs.measured.shape
+        found = np.zeros((n, k * ny, len(z)))
+        for rows, _, slopes, _ in self.blocks(z, damped):
+            for r, block in zip(rows, slopes, strict=True):
+                found[r, : len(block)] = block
+        return np.asarray(found.reshape(n * k * ny, -1))
 
-    @property
-    def _weight(self) -> float:
-        return 1 / float(np.sqrt(self._runs.measured.size))
+    def normal(self, z: Array) -> tuple[float, Array, Array, int]:
+        """(cost, J^T r, J^T J, number of runs with damped rows); nothing larger is ever held."""
+        cost, gradient, square, damped = 0.0, np.zeros(len(z)), np.zeros((len(z), len(z))), 0
+        for _, errors, slopes, wild in self.blocks(z):
+            flat, e = slopes.reshape(-1, len(z)), errors.ravel()
+            cost += float(e @ e)
+            gradient += flat.T @ e
+            square += flat.T @ flat
+            damped += int(wild.sum())
+        return cost, gradient, square, damped
 
-    @property
-    def _late(self) -> Array:
-        """The inputs at the samples."""
-        return self._inputs[1][:, self._runs.steps - 1 :: self._runs.steps]
+    def blocks(
+        self, z: Array, damped: bool = True
+    ) -> Iterator[tuple[NDArray[np.intp], Array, Array, NDArray[np.bool_]]]:
+        """In parts: (runs, residuals (m, K ny), their slopes (m, K ny, nz), which are damped)."""
+        for part, y, slopes in self._computed(z, True):
+            m, k, ny = y.shape
+            errors = self._error(part.rows, y).reshape(m, k * ny)
+            per_spread = slopes / self.spread[:, None]
+            size = np.abs(per_spread).max(axis=3, initial=0.0)
+            size[np.isnan(self.runs.measured[part.rows, :k])] = 0.0
+            wild = ~(size <= WILD)
+            if damped:
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    per_spread *= np.where(wild, WILD / size, 1.0)[..., None]
+            weight = self.weights[part.rows, :k, None, None]
+            rows = np.nan_to_num(per_spread * weight, nan=0.0, posinf=0.0, neginf=0.0)
+            rows[np.isnan(self.runs.measured[part.rows, :k])] = 0.0
+            whole = self._scattered(part.rows, rows.reshape(m, k * ny, -1), len(z))
+            yield part.rows, errors, whole, wild.any(axis=(1, 2))
 
-    def _rolled(self, step: ca.Function, start: Array, z: Array) -> Array:
-        """The states at the samples of all runs, side by side."""
-        n = start.shape[1]
-        if step.name() not in self._whole:
-            along = step.mapaccum(len(self._runs.t) * self._runs.steps)
-            self._whole[step.name()] = along.map(n)
-        found = self._whole[step.name()](start, *self._inputs, z)
-        return np.asarray(np.asarray(found)[:, self._runs.steps - 1 :: self._runs.steps])
+    # ---- how it is computed -------------------------------------------------------------------
+    def _error(self, rows: NDArray[np.intp], predicted: Array) -> Array:
+        measured = self.runs.measured[rows, : predicted.shape[1]]
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = (predicted - measured) / self.spread
+        error = np.nan_to_num(error, nan=ASTRAY, posinf=ASTRAY, neginf=-ASTRAY)
+        error = np.clip(error, -ASTRAY, ASTRAY)
+        error[np.isnan(measured)] = 0.0
+        return np.asarray(error * self.weights[rows, : predicted.shape[1], None])
 
-    def _shaped(self, columns: Any) -> Array:
-        n, k = self._runs.measured.shape[:2]
-        return np.asarray(np.asarray(columns).T.reshape(n, k, -1))
+    def _scattered(self, rows: NDArray[np.intp], slopes: Array, nz: int) -> Array:
+        """Columns of a record's own starts to their places in z."""
+        shared, own = self._unknowns.shared, len(self._unknowns.own_starts)
+        if not own:
+            return slopes
+        found = np.zeros((*slopes.shape[:2], nz))
+        found[..., :shared] = slopes[..., :shared]
+        for i, r in enumerate(self.runs.record[rows]):
+            first = shared + int(r) * own
+            found[i, :, first : first + own] = slopes[i, :, shared:]
+        return found
+
+    def _cut(self, deep: bool) -> list[_Part]:
+        """Parts of runs of like length that do not take too much memory."""
+        runs = self.runs
+        width = len(self._plant.states) * (1 + (self._local if deep else 0))
+        width += runs.steps * 4 * len(self._plant.inputs)
+        order = np.argsort(-runs.length, kind="stable")
+        parts, first = [], 0
+        while first < len(order):
+            samples = int(runs.length[order[first]])
+            count = max(1, int(MEMORY / (8 * width * (samples + runs.warm))))
+            parts.append(_Part(order[first : first + count], samples))
+            first += count
+        return parts
+
+    def _computed(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
+        """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing)."""
+        runs, ny = self.runs, len(self.runs.names)
+        edges, delays = self._driven(z)
+        x0, s0 = self._begun(z)
+        shared = z[: self._unknowns.shared]
+        for part in self._parts[deep]:
+            check()
+            m, total = len(part.rows), runs.warm + part.samples
+            start = x0[part.rows].T
+            if deep:
+                start = np.vstack([start, s0[part.rows].transpose(2, 1, 0).reshape(-1, m)])
+            u = _windows(edges, runs, part.rows, total)
+            y = np.zeros((ny + 1, m, total))  # what was measured, and whether it corrects
+            y[:ny, :, : runs.warm] = runs.seen[part.rows].transpose(2, 0, 1)
+            y[ny, :, : runs.warm] = 1.0
+            arguments = (start, u, y.reshape(ny + 1, -1), np.concatenate([shared, delays]))
+            found = native(self._along(deep, total, m), *arguments)[1]
+            block = np.asarray(found).T.reshape(m, total, -1)[:, runs.warm :]
+            values = block[..., :ny]
+            slopes = block[..., ny:].reshape(m, part.samples, self._local if deep else 0, ny)
+            yield part, values, slopes.transpose(0, 1, 3, 2)
+
+    def _along(self, deep: bool, samples: int, count: int) -> ca.Function:
+        key = (deep, samples, count)
+        if key not in self._whole:
+            one = self._tangent if deep else self._move
+            self._whole[key] = one.mapaccum(samples).map(count)
+        return self._whole[key]
+
+    def _driven(self, z: Array) -> tuple[list[tuple[Array, ...]], Array]:
+        """Edges of all records at the dead times of z, and these [s]."""
+        u = self._unknowns
+        inputs = [v.name for v in self._plant.inputs]
+        delays = np.array([self._rig.delays.get(n, 0.0) for n in inputs])
+        for place, members in zip(u.places("delays"), u.delays, strict=True):
+            delays[list(members)] = z[place] * u.scale[place]
+        if self._edges[0] != delays.tobytes() or not self._edges[1]:
+            found = [e.edges(delays) for e in self.runs.inputs]
+            self._edges = delays.tobytes(), [e if u.delays else e[:2] for e in found]
+        return self._edges[1], delays
+
+    def _begun(self, z: Array) -> tuple[Array, Array]:
+        """States (n, nx) where runs begin, and their slopes (n, nx, local unknowns)."""
+        u, runs, plant = self._unknowns, self.runs, self._plant
+        order = [v.name for v in plant.states]
+        x0, slopes = runs.x0.copy(), np.zeros((*runs.x0.shape, self._local))
+        for name, value in self._rig.starts.items():
+            x0[:, order.index(name)] = value
+        velocity = plant.positions
+        gain, offset = self._sensors(z)
+        for i, name in enumerate(runs.names):
+            if name not in order:
+                continue
+            place = order.index(name)
+            x0[:, place] = (x0[:, place] - offset[i]) / gain[i]
+            rate = velocity.get(name)
+            late = [order.index(rate)] if rate is not None and rate not in runs.names else []
+            x0[:, late] /= gain[i]
+            for j in u.places("offsets")[[k == i for k in u.offsets]] if u.offsets else ():
+                slopes[:, place, j] = -u.scale[j] / gain[i]
+            for j in u.places("gains")[[k == i for k in u.gains]] if u.gains else ():
+                slopes[:, [place, *late], j] = -x0[:, [place, *late]] * u.scale[j] / gain[i]
+        for j, place in zip(u.places("starts"), u.starts, strict=True):
+            x0[:, place] = z[j] * u.scale[j]
+            slopes[:, place, j] = u.scale[j]
+        own = len(u.own_starts)
+        for k, place in enumerate(u.own_starts):
+            columns = u.shared + runs.record * own + k
+            x0[:, place] = z[columns] * u.scale[columns]
+            slopes[:, place, u.shared + k] = u.scale[u.shared + k]
+        return x0, slopes
+
+    def _sensors(self, z: Array) -> tuple[Array, Array]:
+        u, names = self._unknowns, self.runs.names
+        gain = np.array([self._rig.gains.get(n, 1.0) for n in names])
+        offset = np.array([self._rig.offsets.get(n, 0.0) for n in names])
+        gain[list(u.gains)] = 1 + z[u.places("gains")]
+        offset[list(u.offsets)] = z[u.places("offsets")] * u.scale[u.places("offsets")]
+        return gain, offset
 
 
+def _windows(
+    edges: Sequence[tuple[Array, ...]], runs: Runs, rows: NDArray[np.intp], samples: int
+) -> Array:
+    """Inputs of a part, (numbers of one sample, runs times samples); the last is held."""
+    parts = []
+    for row in rows:
+        own = edges[int(runs.record[row])]
+        stacked = np.concatenate([e[:, :, None] for e in own], axis=2)  # sample, step, kind, input
+        place = np.minimum(int(runs.first[row]) + np.arange(samples), len(stacked) - 1)
+        parts.append(stacked[place].reshape(samples, -1))
+    return np.ascontiguousarray(np.concatenate(parts).T)
+
+
+# ---- expressions --------------------------------------------------------------------------
 def _functions(
-    plant: Plant, runs: Runs, unknowns: Sequence[ParameterGroup]
-) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
-    """One step; one step with sensitivities; what is measured; its sensitivities."""
-    nx, nu, nz = len(plant.states), len(plant.inputs), len(unknowns)
-    z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, nz)
-    u, late = ca.SX.sym("u", nu), ca.SX.sym("late", nu)
+    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig
+) -> tuple[ca.Function, ca.Function]:
+    """From sample to sample, without and with sensitivities: (state, inputs, (measured, whether it
+    corrects), (z, dead times)) -> (state, outputs).
+
+    The inputs of a step are values at its begin and end, and, where a dead time is sought, what
+    these gain per second of it; the dead times are those at which the values hold.
+    """
+    nx, nu, ny = len(plant.states), len(plant.inputs), len(runs.names)
+    nz, steps = unknowns.shared, runs.steps
+    local = nz + len(unknowns.own_starts)
+    per_step = nu * (4 if unknowns.delays else 2)
+    z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, local)
+    at = ca.SX.sym("at", nu)
+    u = ca.SX.sym("u", per_step)
     p = ca.SX(plant.vector("parameter"))
-    for j, group in enumerate(unknowns):
+    for j, group in enumerate(unknowns.groups):
         for member in group.members:
             p[member] = z[j] * group.scale
-    first = plant.function(x, u, p)[0]
+    shift = ca.SX.zeros(nu)
+    for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
+        for i in members:
+            shift[i] = z[int(place)] * unknowns.scale[place] - at[i]
+    early, late = u[:nu], u[nu : 2 * nu]
+    if unknowns.delays:
+        early, late = early + u[2 * nu : 3 * nu] * shift, late + u[3 * nu :] * shift
+
+    def along(after: ca.SX) -> ca.SX:
+        own = ca.horzcat(ca.jacobian(after, z), ca.SX.zeros(nx, local - nz))
+        return ca.jacobian(after, x) @ s + own
+
+    first = plant.function(x, early, p)[0]
     after = ros2(
         lambda _: (first, ca.jacobian(first, x)),
-        lambda z: plant.function(z, late, p)[0],
+        lambda q: plant.function(q, late, p)[0],
         x,
         runs.step,
     )
-    slopes = ca.jacobian(after, x) @ s + ca.jacobian(after, z)
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
-    y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, u, p)
-    y_slopes = ca.jacobian(y, x) @ s + ca.jacobian(y, z)
-    column = ca.vec(s)
-    return (
-        ca.Function("move", [x, u, late, z], [after]),
-        ca.Function(
-            "tangent", [ca.vertcat(x, column), u, late, z], [ca.vertcat(after, ca.vec(slopes))]
-        ),
-        ca.Function("read", [x, u, z], [y]),
-        ca.Function("slope", [x, column, u, z], [ca.densify(ca.vec(y_slopes))]),
+    y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, late, p)
+    gain, offset = _sensor(runs, unknowns, rig, z)
+    y = ca.densify(y * gain + offset)
+    y_slopes = ca.jacobian(y, x) @ s + ca.horzcat(ca.jacobian(y, z), ca.SX.zeros(ny, local - nz))
+    measured = ca.SX.sym("measured", ny + 1)
+    behind = (measured[:ny] - y) * measured[ny]
+    corrected = x + _gains(plant, runs, unknowns, rig, z) @ behind if runs.warm else x
+    corrected_slopes = along(corrected) if runs.warm else s
+    given, column = ca.vertcat(z, at), ca.vec(s)
+    wide = ca.vertcat(x, column)
+    step = ca.Function("step", [x, u, given], [after])
+    read = ca.Function("read", [x, u, measured, given], [corrected, y])
+    deep_step = ca.Function(
+        "deep_step", [wide, u, given], [ca.vertcat(after, ca.vec(along(after)))]
     )
+    deep_read = ca.Function(
+        "deep_read",
+        [wide, u, measured, given],
+        [
+            ca.vertcat(corrected, ca.vec(corrected_slopes)),
+            ca.vertcat(y, ca.vec(ca.densify(y_slopes))),
+        ],
+    )
+    return (
+        _sampled("move", step, read, per_step, steps),
+        _sampled("tangent", deep_step, deep_read, per_step, steps),
+    )
+
+
+def _sampled(
+    name: str, step: ca.Function, read: ca.Function, per_step: int, steps: int
+) -> ca.Function:
+    """All steps of one sampling interval, then what is measured at its end."""
+    x = ca.MX.sym("x", step.size1_in(0))
+    u = ca.MX.sym("u", per_step * steps)
+    measured, given = ca.MX.sym("measured", read.size1_in(2)), ca.MX.sym("given", step.size1_in(2))
+    columns = ca.reshape(u, per_step, steps)
+    end = step.fold(steps)(x, columns, given) if steps > 1 else step(x, columns, given)
+    after, y = read(end, columns[:, steps - 1], measured, given)
+    return ca.Function(name, [x, u, measured, given], [after, y])
+
+
+def _sensor(runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> tuple[ca.SX, ca.SX]:
+    gain = ca.SX([rig.gains.get(n, 1.0) for n in runs.names])
+    offset = ca.SX([rig.offsets.get(n, 0.0) for n in runs.names])
+    for place, i in zip(unknowns.places("gains"), unknowns.gains, strict=True):
+        gain[i] = 1 + z[int(place)]
+    for place, i in zip(unknowns.places("offsets"), unknowns.offsets, strict=True):
+        offset[i] = z[int(place)] * unknowns.scale[place]
+    return gain, offset
+
+
+def _gains(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, z: ca.SX) -> ca.SX:
+    """What each state gains per error of each measured variable (nx, ny)."""
+    order = [v.name for v in plant.states]
+    found = ca.SX(len(order), len(runs.names))
+    for (state, name), value in rig.corrections.items():
+        found[order.index(state), runs.names.index(name)] = value
+    for place, (i, k) in zip(unknowns.places("corrections"), unknowns.corrections, strict=True):
+        found[i, k] = z[int(place)] * unknowns.scale[place]
+    return found

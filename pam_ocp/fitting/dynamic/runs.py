@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_instance, require_positive
+from ...core.shown import shown
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import measured_names
+from .run_inputs import RunInputs
 
 __all__ = ["FreeRun", "Runs", "runs_of"]
 
@@ -21,22 +23,25 @@ FAR = 100.0
 """Ranges of a measured variable by which a run must be off to count as diverged."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class FreeRun:
     """Runs of a plant from many starts, beside what was measured.
 
     record, start : of each run (n,) the number of its record and the time where it begins [s].
-    t : times since the start (K,) [s]. measured, predicted : (n, K, ny), in SI, of ``names``.
+    t : times since the start (K,) [s]. measured, predicted : (n, K, ny), in SI, of ``names``; NaN
+    behind the end of a run that its record cuts short. horizons : [s], those that were asked for.
     """
 
     names: tuple[str, ...]
-    record: Array
+    record: NDArray[Any]
     start: Array
     t: Array = field(repr=False)
     measured: Array = field(repr=False)
     predicted: Array = field(repr=False)
     sizes: Array = field(repr=False)
     """Range of each measured variable over the runs, at least its nominal."""
+    horizons: tuple[float, ...] = ()
 
     @property
     def rmse(self) -> dict[str, float]:
@@ -44,17 +49,54 @@ class FreeRun:
 
         Infinite where a run went beyond all numbers.
         """
+        return dict(zip(self.names, _root(self._squares()).tolist(), strict=True))
+
+    def rmse_over(self, horizon: float) -> dict[str, float]:
+        """The same within a horizon [s], of the runs that are that long."""
+        count = self._samples(horizon)
+        return dict(zip(self.names, _root(self._squares(count)).tolist(), strict=True))
+
+    def losses(self, records: int, horizon: float | None = None) -> Array:
+        """Mean squared error in each record (records, ny), of the runs that are as long as
+        ``horizon``; NaN where a record has none.
+        """
+        squares, record = self._squares(), self.record
+        if horizon is not None:
+            count = self._samples(horizon)
+            squares, record = self._squares(count), record[self._long(count)]
+        found = np.full((records, len(self.names)), np.nan)
+        for r in range(records):
+            own = squares[record == r]
+            seen = ~np.isnan(own)
+            if seen.any():
+                found[r] = np.where(seen, own, 0.0).sum(axis=(0, 1)) / seen.sum(axis=(0, 1))
+        return found
+
+    def _long(self, count: int) -> NDArray[np.bool_]:
+        """Which runs last so many samples."""
+        return np.asarray(~np.isnan(self.measured[:, count - 1, 0]))
+
+    def _samples(self, horizon: float) -> int:
+        return int(np.searchsorted(self.t, horizon * (1 + 1e-9), side="right"))
+
+    def _squares(self, count: int | None = None) -> Array:
+        """(n, K, ny); NaN where nothing was measured, infinite where a run has no number."""
         with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.mean((self.predicted - self.measured) ** 2, axis=(0, 1))
-        squares = np.where(np.isfinite(squares), squares, np.inf)
-        return dict(zip(self.names, np.sqrt(squares).tolist(), strict=True))
+            squares = (self.predicted - self.measured) ** 2
+        squares = np.where(
+            np.isnan(self.measured), np.nan, np.where(np.isfinite(squares), squares, np.inf)
+        )
+        if count is None:
+            return np.asarray(squares)
+        return np.asarray(squares[self._long(count), :count])
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
         """Which runs (n,) went beyond all numbers, or astray by 100 ranges of what was measured."""
         with np.errstate(over="ignore", invalid="ignore"):
-            far = np.abs(self.predicted - self.measured).max(axis=1) / self.sizes
-        return np.asarray(~(far <= FAR).all(axis=1))
+            far = np.abs(self.predicted - self.measured) / self.sizes
+        lost = ~(far <= FAR) & ~np.isnan(self.measured)
+        return np.asarray(lost.any(axis=(1, 2)))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -72,44 +114,68 @@ class FreeRun:
 
     def __str__(self) -> str:
         lines = [f"{len(self.start)} free runs of {self.t[-1]:g} s"]
-        lines += [f"    {n}: RMSE {e:.4g}" for n, e in self.rmse.items()]
+        for h in self.horizons or (self.t[-1],):
+            over = f" over {h:g} s" if len(self.horizons) > 1 else ""
+            lines += [f"    {n}: RMSE{over} {e:.4g}" for n, e in self.rmse_over(h).items()]
         return "\n".join([*lines, *(f"    warning: {w}" for w in self.warnings)])
+
+
+def _root(squares: Array) -> Array:
+    seen = ~np.isnan(squares)
+    count = np.maximum(seen.sum(axis=(0, 1)), 1)
+    total = np.where(seen, squares, 0.0).sum(axis=(0, 1))
+    return np.asarray(np.where(seen.any(axis=(0, 1)), np.sqrt(total / count), np.nan))
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
     """What runs start from and are compared with.
 
-    x0 (n, nx); inputs at the edges of all steps (n, K steps + 1, nu), of each step at its begin and
-    its end; step [s].
+    first : sample of its record (n,) where each begins, ``warm`` samples before its start, and
+    length (n,) the samples after the start. x0 (n, nx) at ``first`` as measured; seen (n, warm, ny)
+    what was measured from there on. weights (n, K): of each sample, so that the horizons weigh
+    alike and each is a mean. inputs : of each record. step [s], ``steps`` of them to a sample.
     """
 
     names: tuple[str, ...]
-    record: Array
+    record: NDArray[np.intp]
     start: Array
     t: Array
     measured: Array
     x0: Array
-    begin: Array
-    end: Array
+    first: NDArray[np.intp]
+    length: NDArray[np.intp]
+    warm: int
+    seen: Array
+    weights: Array
+    inputs: Sequence[RunInputs]
     step: float
     steps: int
     sizes: Array
+    horizons: tuple[float, ...]
 
     def result(self, predicted: Array) -> FreeRun:
         return FreeRun(
-            self.names, self.record, self.start, self.t, self.measured, predicted, self.sizes
+            self.names,
+            self.record,
+            self.start,
+            self.t,
+            self.measured,
+            predicted,
+            self.sizes,
+            self.horizons,
         )
 
 
 def runs_of(
     plant: Plant,
     records: Trajectory | Sequence[Trajectory],
-    horizon: float,
-    every: float,
+    horizon: float | Sequence[float] | None,
+    every: float | None,
     outputs: Sequence[str] | None,
     history: int,
     steps: int,
+    warm_up: float = 0.0,
 ) -> Runs:
     kinds = (Trajectory, list, tuple)
     require_instance(
@@ -120,40 +186,100 @@ def runs_of(
     require_count("history", history, 2)
     require_count("steps", steps)
     sampling = _sampling(chosen)
-    length = _multiple("horizon", horizon, sampling)
-    stride = _multiple("every", every, sampling)
+    warm = 0
+    if require_positive("warm_up", warm_up, "s", zero=True):
+        warm = _multiple("warm_up", warm_up, sampling)
+    horizons = _horizons(horizon, sampling)
+    stride = None if every is None else _multiple("every", every, sampling)
+    if horizons is not None and stride is None:
+        raise InputError(
+            "every: give the time from start to start [s]; only whole records need none"
+        )
     inputs = [v.name for v in plant.inputs]
-    parts: list[tuple[Any, ...]] = []
+    rows: list[tuple[int, int, int]] = []
     for r, record in enumerate(chosen):
         missing = [n for n in inputs if n not in record]
         if missing:
             raise InputError(f"record {r + 1} has no column for the input {missing[0]}")
         if not np.all(np.isfinite(record.array(inputs))):
             raise InputError(f"record {r + 1}: an input is not finite; cut the record there")
-        first = -(-(history - 1) // stride) * stride
-        for i in range(first, len(record) - length, stride):
-            u = record.array(inputs)[i : i + length + 1]
-            parts.append(
-                (
-                    r,
-                    record.t[i],
-                    record.array(names)[i + 1 : i + length + 1],
-                    _start(plant, record, i, history),
-                    *_edges(u, steps, record.interpolation),
-                )
-            )
-    if not parts:
+        rows += _spans(r, len(record) - 1, horizons, stride, history - 1 + warm)
+    if not rows:
+        least = "one sample" if horizons is None else f"a horizon of {sampling * horizons[0]:g} s"
         raise InputError(
-            f"no record holds {history} samples and a horizon of {horizon:g} s after them; the "
+            f"no record holds {history + warm} samples and {least} after them; the "
             f"longest lasts {max(r.duration for r in chosen):g} s"
         )
-    number, start, measured, x0, begin, end = (np.array(c, float) for c in zip(*parts, strict=True))
-    t = np.asarray(sampling * np.arange(1, length + 1))
+    number, begin, length = (np.array(c, dtype=np.intp) for c in zip(*rows, strict=True))
+    longest = int(length.max())
+    columns = [r.array(names) for r in chosen]
+    measured = np.full((len(rows), longest, len(names)), np.nan)
+    seen = np.empty((len(rows), warm, len(names)))
+    for row, (r, i, k) in enumerate(rows):
+        measured[row, :k] = columns[r][i + 1 : i + k + 1]
+        seen[row] = columns[r][i - warm + 1 : i + 1]
+    every_value = measured[~np.isnan(measured[:, :, 0])]
     nominal = np.array([plant.variable(n).nominal for n in names])
-    sizes = np.maximum(np.ptp(measured.reshape(-1, len(names)), axis=0), nominal)
+    x0 = [_start(plant, chosen[r], i - warm, history) for r, i, _ in rows]
     return Runs(
-        tuple(names), number, start, t, measured, x0, begin, end, sampling / steps, steps, sizes
+        tuple(names),
+        number,
+        np.array([chosen[r].t[i] for r, i, _ in rows]),
+        np.asarray(sampling * np.arange(1, longest + 1)),
+        measured,
+        np.array(x0),
+        begin - warm,
+        length,
+        warm,
+        seen,
+        _weights(length, horizons or (longest,), horizons is None),
+        [RunInputs(r.t, r.array(inputs), r.interpolation == "previous", steps) for r in chosen],
+        sampling / steps,
+        steps,
+        np.maximum(np.ptp(every_value, axis=0), nominal),
+        tuple(sampling * h for h in horizons or ()),
     )
+
+
+def _horizons(given: Any, sampling: float) -> tuple[int, ...] | None:
+    """In samples, rising; None for whole records."""
+    if given is None:
+        return None
+    several = list(given) if isinstance(given, (Sequence, np.ndarray)) else [given]
+    if not several:
+        raise InputError("horizon is empty: give [s], one or several, or None for whole records")
+    return tuple(sorted({_multiple("horizon", h, sampling) for h in several}))
+
+
+def _spans(
+    record: int, last: int, horizons: tuple[int, ...] | None, stride: int | None, before: int
+) -> list[tuple[int, int, int]]:
+    """(record, sample of the start, samples after it) of each run; ``last`` sample of the record.
+
+    A run is as long as the longest horizon where the record is, and else as what is left of it.
+    """
+    if horizons is None:
+        return [(record, before, last - before)] if last > before else []
+    assert stride is not None
+    first = -(-before // stride) * stride
+    return [
+        (record, i, min(horizons[-1], last - i))
+        for i in range(first, last - horizons[0] + 1, stride)
+    ]
+
+
+def _weights(length: NDArray[np.intp], horizons: Sequence[int], whole: bool) -> Array:
+    """Of each sample of each run: all of one horizon make 1, and the horizons are averaged."""
+    k = np.arange(int(length.max()))
+    inside = k < length[:, None]
+    if whole:
+        return np.asarray(inside / inside.sum())
+    found = np.zeros(inside.shape)
+    reached = [h for h in horizons if np.any(length >= h)]
+    for h in reached:
+        rows = length >= h
+        found += rows[:, None] * (k < h) / (rows.sum() * h * len(reached))
+    return found
 
 
 def _sampling(records: Sequence[Trajectory]) -> float:
@@ -195,14 +321,3 @@ def _start(plant: Plant, record: Trajectory, i: int, history: int) -> Array:
             values[velocity] = float(since @ record[position][past] / (since @ since))
     values.update({n: float(record[n][i]) for n in values if n in record})
     return np.array([values[v.name] for v in plant.states])
-
-
-def _edges(u: Array, steps: int, interpolation: str) -> tuple[Array, Array]:
-    """The inputs at the begin and at the end of each step, from samples (K + 1, nu)."""
-    part = np.arange(steps)[:, None] / steps
-    width = 0.0 if interpolation == "previous" else 1.0
-    slope = width * np.diff(u, axis=0)[:, None, :]
-    begin = u[:-1, None, :] + part * slope
-    end = u[:-1, None, :] + (part + 1 / steps) * slope
-    shape = ((len(u) - 1) * steps, u.shape[1])
-    return begin.reshape(shape), end.reshape(shape)

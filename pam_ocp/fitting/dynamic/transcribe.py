@@ -8,8 +8,9 @@ So the mesh stays with the inputs, and the delay only moves the places where it 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -64,6 +65,18 @@ class FitProgram:
     low: Array
     high: Array
     jumps: int = 0
+    solvers: dict[Any, Any] = field(default_factory=dict, repr=False)
+    """Of this program, by their settings: they are dear to make."""
+
+    @cached_property
+    def slopes(self) -> tuple[ca.MX, ca.MX]:
+        """Jacobians of residuals and defects over w."""
+        return ca.jacobian(self.residuals, self.w), ca.jacobian(self.defects, self.w)
+
+    @cached_property
+    def derivatives(self) -> ca.Function:
+        """(w, weights) -> :attr:`slopes`."""
+        return ca.Function("derivatives", [self.w, self.weights], [*self.slopes])
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,3 +4,4 @@ from .cells import design_cells as design_cells
 from .experiments import design_experiment as design_experiment
 from .signals import SignalDesign as SignalDesign
 from .signals import design_signal as design_signal
+from .visits import GapSignal as GapSignal

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import casadi as ca
 import numpy as np
@@ -21,12 +21,14 @@ from ...core.trajectory import Trajectory
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ...plants.plant import Plant, Values, require_plant
 from ...simulation.simulator import simulate
+from ..dynamic.coverage import Coverage
 from ..dynamic.experiment import ParameterGroup, groups
 from ..dynamic.plant_fit import PlantFit
 from ..statistics import Array
 from .excitation import RANDOM, Family, random_signals, span
 from .excitation import excitation as excitation_of
 from .information import Excitation, criterion_of
+from .visits import GapSignal, close_gap
 
 __all__ = ["SignalDesign", "design_signal"]
 
@@ -101,7 +103,19 @@ class SignalDesign:
     __str__ = report
 
 
-@verb
+@overload
+def design_signal(
+    known: Coverage,
+    *,
+    duration: float,
+    inputs: Mapping[str, tuple[float, float]] | Sequence[str] | None = None,
+    sample: float = 0.01,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+    tries: int = 3,
+    seed: int = 0,
+    time_limit: float | None = None,
+) -> GapSignal: ...
+@overload
 def design_signal(
     known: Plant | PlantFit,
     free: Sequence[str | Sequence[str]] | None = None,
@@ -120,13 +134,37 @@ def design_signal(
     tries: int = 3,
     seed: int = 0,
     time_limit: float | None = None,
-) -> SignalDesign:
-    """Propose the inputs of a record that tells the chosen parameters best.
+) -> SignalDesign: ...
+@verb
+def design_signal(
+    known: Plant | PlantFit | Coverage,
+    free: Sequence[str | Sequence[str]] | None = None,
+    *,
+    duration: float,
+    noise: Mapping[str, float] | None = None,
+    inputs: Mapping[str, tuple[float, float]] | Sequence[str] | None = None,
+    sample: float = 0.01,
+    family: Family = "steps",
+    segments: int = 20,
+    criterion: Literal["D", "A"] = "D",
+    parameters: Sequence[str] | None = None,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+    start: Values | None = None,
+    known_start: bool = False,
+    tries: int = 3,
+    seed: int = 0,
+    time_limit: float | None = None,
+) -> SignalDesign | GapSignal:
+    """Propose the inputs of a record that tells the chosen parameters best; or, for a
+    :class:`Coverage`, one that goes where the records of a fit have not been.
 
     Parameters
     ----------
     known : a plant with parameter values near the true ones; or a PlantFit, whose covariance
-        counts as what is known already.
+        counts as what is known already. Of a Coverage: signals that visit the amplitudes,
+        frequencies and places which are missing for what is to be predicted; of all other arguments
+        ``duration``, ``sample``, ``inputs`` (by default as far as what is asked for, within their
+        bounds), ``limits``, ``tries`` and ``seed`` count.
     free : parameters that will be fitted, as for :func:`fit_plant`; by default those of the fit.
     duration, sample : of the record [s].
     noise : {measured state or output: standard deviation of a sample}; by default the fit's.
@@ -146,7 +184,7 @@ def design_signal(
 
     Returns
     -------
-    SignalDesign, with the signal as a Trajectory.
+    SignalDesign, or GapSignal of a Coverage, with the signal as a Trajectory.
 
     Raises
     ------
@@ -154,6 +192,8 @@ def design_signal(
     FitError : a plant that RK4 cannot follow at these samples; a parameter that no signal tells.
     """
     began = time.perf_counter()
+    if isinstance(known, Coverage):
+        return close_gap(known, duration, sample, inputs, limits, max(tries, 1) * 3, seed)
     plant, information, sigma = _known(known, noise)
     unknown = groups(plant, _free(known, free), {})
     names = [g.name for g in unknown]

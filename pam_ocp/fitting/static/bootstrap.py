@@ -10,6 +10,7 @@ import numpy as np
 from ...core.errors import FitError, InputError, UnknownNameError, require_count
 from ...core.stop import TimeIsUp, deadline, verb
 from ..statistics import Array
+from .correlation import drawn_errors, scaled_errors, sequences
 from .least_squares import LeastSquares
 from .optimum import Optimum
 from .search import minimise
@@ -70,10 +71,14 @@ def bootstrap(
         raise InputError("bootstrap needs more cells than coefficients; there are no residuals")
     random = np.random.default_rng(seed)
     problem, failed, ended = fit.problem, 0, ""
+    values = np.array([float(v) for v in fit.law.values.values()])
+    start = values[None, list(problem.nonlinear)] if problem.nonlinear else None
     samples: list[Array] = []
     for _ in range(n):
         try:
-            found = minimise(_resampled(fit, problem, random, method)).coefficients
+            found = minimise(
+                _resampled(fit, problem, random, method), start, near=True
+            ).coefficients
         except FitError:
             failed += 1
             continue
@@ -91,11 +96,18 @@ def bootstrap(
 def _resampled(
     fit: Optimum, problem: LeastSquares, random: np.random.Generator, method: Resampling
 ) -> LeastSquares:
-    cells = problem.cells
-    drawn = random.integers(0, len(cells), len(cells))
-    if method == "cases":
+    """Errors that follow each other, as the fit found, do so in what is drawn."""
+    cells, serial = problem.cells, fit.serial
+    order = next((o for o in sequences(cells) if serial and o.words == serial.order), None)
+    if serial is not None and order is not None:
+        draw = drawn_errors if method == "residuals" else scaled_errors
+        errors = draw(serial, order, problem.weights * fit.residuals, fit.sigma, random)
+    elif method == "cases":
+        drawn = random.integers(0, len(cells), len(cells))
         return replace(problem, cells=cells.subset(drawn), weights=problem.weights[drawn])
-    # residuals are smaller than errors: the fit has taken up its coefficients' share
-    weighted = problem.weights * fit.residuals * np.sqrt(len(cells) / max(fit.dof, 1))
-    force = cells.force - fit.residuals + (weighted - weighted.mean())[drawn] / problem.weights
+    else:
+        # residuals are smaller than errors: the fit has taken up its coefficients' share
+        weighted = problem.weights * fit.residuals * np.sqrt(len(cells) / max(fit.dof, 1))
+        errors = random.choice(weighted - weighted.mean(), len(cells))
+    force = cells.force - fit.residuals + errors / problem.weights
     return replace(problem, cells=replace(cells, force=force))

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_instance
+from ...core.shown import shown
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .optimum import Optimum
 
-__all__ = ["Hysteresis", "LackOfFit", "branch_lines", "hysteresis", "lack_of_fit"]
+__all__ = [
+    "Hysteresis",
+    "LackOfFit",
+    "branch_lines",
+    "hysteresis",
+    "lack_of_fit",
+    "repeats",
+]
 
 SAME_PRESSURE = 0.005
 """Cells whose pressures differ by less than this part of the largest count as repeats."""
@@ -20,6 +29,7 @@ SAME_CONTRACTION = 0.001
 
 
 # ---- repeats -------------------------------------------------------------------------------------
+@shown
 @dataclass(frozen=True)
 class LackOfFit:
     """Scatter of repeats against what the law leaves over (F-test).
@@ -92,28 +102,28 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
 
 def repeats(table: ForceTable) -> NDArray[np.intp]:
     """Number of the distinct cell that each cell repeats, from 0; shape (n,)."""
-    near = SAME_PRESSURE * float(np.max(np.abs(table.pressure), initial=0.0))
+    near = SAME_PRESSURE * float(np.max(np.abs(table.pressure), initial=0.0)) or 1.0
     branches = table.branch or ("",) * len(table)
-    found: list[tuple[float, float, str]] = []
+    # the first cell of each number lies in one box of the size of the tolerances, alone
+    first: dict[tuple[str, int, int], tuple[int, float, float]] = {}
     numbers = np.zeros(len(table), dtype=np.intp)
-    for i, (p, kappa, branch) in enumerate(
-        zip(table.pressure, table.contraction, branches, strict=True)
-    ):
-        for number, (p0, kappa0, branch0) in enumerate(found):
-            if (
-                abs(p - p0) <= near
-                and abs(kappa - kappa0) <= SAME_CONTRACTION
-                and branch == branch0
-            ):
-                numbers[i] = number
-                break
-        else:
-            numbers[i] = len(found)
-            found.append((float(p), float(kappa), branch))
+    cells = zip(branches, table.pressure.tolist(), table.contraction.tolist(), strict=True)
+    for i, (branch, p, kappa) in enumerate(cells):
+        row, column = floor(p / near), floor(kappa / SAME_CONTRACTION)
+        boxes = ((branch, row + a, column + b) for a in (-1, 0, 1) for b in (-1, 0, 1))
+        same = [
+            number
+            for number, p0, kappa0 in (first[box] for box in boxes if box in first)
+            if abs(p - p0) <= near and abs(kappa - kappa0) <= SAME_CONTRACTION
+        ]
+        if not same:
+            first[branch, row, column] = (len(first), p, kappa)
+        numbers[i] = min(same, default=len(first) - 1)
     return numbers
 
 
 # ---- branches ------------------------------------------------------------------------------------
+@shown
 @dataclass(frozen=True, eq=False)
 class Hysteresis:
     """Force on deflation less that on inflation, at the same pressure and contraction.

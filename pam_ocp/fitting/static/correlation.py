@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 from ..statistics import Array, SerialErrors
 from ..tables.force_table import ForceTable
 
-__all__ = ["neighbours", "sequences", "serial_errors", "widening"]
+__all__ = [
+    "Order",
+    "drawn_errors",
+    "neighbours",
+    "scaled_errors",
+    "sequences",
+    "serial_errors",
+    "surprise",
+    "widening",
+]
 
 NEGLECTED = 0.15
 """Probability of a correlation below which errors count as independent.
@@ -29,6 +38,10 @@ NEGLECTED = 0.15
 Of independent errors, a few dozen of them, that is what the data usually leave.
 """
 RHO = np.linspace(0.0, 0.98, 50)
+UNLIKELY = 1e-10
+"""Weight below which a correlation is not looked at."""
+AT_ONCE = 1_000_000
+"""Numbers that are held at once."""
 FEWEST = 6
 """Degrees of freedom below which nothing is said about a correlation."""
 
@@ -82,8 +95,9 @@ def _orders(table: ForceTable) -> list[Order]:
     branch, run = (
         np.unique(a or ("",) * n, return_inverse=True)[1] for a in (table.branch, table.run)
     )
-    labels = np.stack([table.levels(), branch, run])
-    ramp = np.unique(labels, axis=1, return_inverse=True)[1].ravel()
+    branch_run = branch * (int(np.max(run, initial=0)) + 1) + run
+    level = table.levels()
+    ramp = branch_run + level * (int(np.max(branch_run, initial=0)) + 1)
     rows = np.arange(n)
     found = [Order("from row to row", rows, rows > 0)]
     for words, key in (
@@ -133,18 +147,86 @@ def serial_errors(
     weights *= probability / weights.sum()
     weights[0] += 1 - probability  # rho = 0
     mean = int(np.argmin(np.abs(RHO - weights @ RHO)))
-    scale = squares / squares[0]
-    parts = scale[:, None, None] * _meats(jacobian, order)
+    counted = np.nonzero((weights > UNLIKELY) | (np.arange(RHO.size) == mean))[0]
+    scale = (squares / squares[0])[counted]
+    parts = scale[:, None, None] * _meats(jacobian, order, RHO[counted])
+    middle = int(np.nonzero(counted == mean)[0][0])
     return SerialErrors(
         order.words,
         float(RHO[mean]),
         probability,
-        parts[mean],
-        float(np.sqrt(scale[mean])),
-        weights,
-        _relative(parts, parts[mean]),
+        parts[middle],
+        float(np.sqrt(scale[middle])),
+        weights[counted] / weights[counted].sum(),
+        _relative(parts, parts[middle]),
         freedom,
+        RHO[counted],
+        np.sqrt(scale),
     )
+
+
+def surprise(residuals: Array, orders: Sequence[Order], price: float) -> float:
+    """-2 ln L of residuals, up to a constant, and ``price`` for a correlation where that pays.
+
+    Errors are normal, of unknown variance, and independent or AR(1) in one of ``orders``.
+    """
+    n, size = len(residuals), max(float(residuals @ residuals), 1e-300)
+    found = [n * np.log(size / n)]
+    for one in orders:
+        late, r = one.follows, residuals[one.order]
+        own, before = r[late], r[np.nonzero(late)[0] - 1]
+        new = 1 - RHO**2
+        moved = own @ own - 2 * RHO * (own @ before) + RHO**2 * (before @ before)
+        squares = np.maximum(r[~late] @ r[~late] + moved / new, 1e-300)
+        found.append(float(np.min(n * np.log(squares / n) + late.sum() * np.log(new))) + price)
+    return float(min(found))
+
+
+def drawn_errors(
+    serial: SerialErrors, order: Order, residuals: Array, sigma: float, random: np.random.Generator
+) -> Array:
+    """New errors (n,) that follow each other as those of a fit do; their correlation is drawn, too.
+
+    What is new in each residual is drawn with replacement (a sieve bootstrap: P. Buehlmann,
+    Bernoulli 3 (1997) 123-148). sigma : standard deviation of independent errors.
+    """
+    i = int(random.choice(serial.values.size, p=serial.weights))
+    rho, late = float(serial.values[i]), order.follows
+    r = residuals[order.order]
+    new = r.copy()
+    new[late] = (r[late] - rho * r[np.nonzero(late)[0] - 1]) / np.sqrt(1 - rho**2)
+    new -= new.mean()
+    new *= sigma * float(serial.spreads[i]) / max(float(np.sqrt(np.mean(new**2))), 1e-300)
+    return _following(random.choice(new, len(new)), rho, order)
+
+
+def scaled_errors(
+    serial: SerialErrors, order: Order, residuals: Array, sigma: float, random: np.random.Generator
+) -> Array:
+    """As :func:`drawn_errors`, as large from place to place as the residuals there: of a window of
+    neighbours so long that most of what they share stays within (D. Andrews, Econometrica 59 (1991)
+    817-858, for AR(1)).
+    """
+    n, rho = len(order.order), serial.correlation
+    width = 2 * round((6 * (rho / (1 - rho**2)) ** 2 * n) ** (1 / 3)) + 3
+    squares = residuals[order.order] ** 2
+    window = np.ones(min(width, n))
+    local = np.convolve(squares, window, "same") / np.convolve(np.ones(n), window, "same")
+    size = np.empty(n)
+    size[order.order] = np.sqrt(local / max(float(np.mean(squares)), 1e-300))
+    size = np.maximum(size, 1e-3)
+    return np.asarray(size * drawn_errors(serial, order, residuals / size, sigma, random))
+
+
+def _following(new: Array, rho: float, order: Order) -> Array:
+    """AR(1) of the variance of ``new``, in the order of the table."""
+    own = np.where(order.follows, np.sqrt(1 - rho**2), 1.0) * new
+    found, value = np.empty_like(own), 0.0
+    for place, (part, follows) in enumerate(zip(own.tolist(), order.follows, strict=True)):
+        found[place] = value = part + rho * value if follows else part
+    result = np.empty_like(found)
+    result[order.order] = found
+    return result
 
 
 def _basis(jacobian: Array) -> Array:
@@ -181,17 +263,27 @@ def _likelihood(basis: Array, residuals: Array, order: Order) -> tuple[Array, Ar
     return -(spread + freedom * np.log(squares)) / 2, squares
 
 
-def _meats(jacobian: Array, order: Order) -> Array:
-    """J^T R J (g, k, k) for each of RHO. With z_i = J_i + rho z_(i-1), R = sums of rho^|i-j|."""
+def _meats(jacobian: Array, order: Order, rho: Array) -> Array:
+    """J^T R J (g, k, k) for each correlation. With z_i = J_i + rho z_(i-1), R = sums of rho^|i-j|.
+
+    The recursion runs over pairs, fours, ... of rows (prefix sums, W. Hillis, G. Steele, Comm. ACM
+    29 (1986) 1170-1183), until rho to that power counts for nothing.
+    """
     n = len(order.order)
-    rows = jacobian[:n][order.order]
-    z = np.zeros((RHO.size, rows.shape[1]))
-    crossed = np.zeros((RHO.size, rows.shape[1], rows.shape[1]))
-    for row, follows in zip(rows, order.follows, strict=True):
-        z *= RHO[:, None] * follows
-        crossed += z[:, :, None] * row
-        z += row
-    return np.asarray(crossed + crossed.transpose(0, 2, 1) + jacobian.T @ jacobian)
+    rows = np.ascontiguousarray(jacobian[:n][order.order].T)
+    few = max(1, AT_ONCE // max(rows.size, 1))
+    parts = []
+    for low in range(0, rho.size, few):
+        factor = rho[low : low + few, None, None] * order.follows
+        z, reach = np.repeat(rows[None], len(factor), axis=0), 1
+        while reach < n and np.max(factor) > 1e-17:
+            z[:, :, reach:] += factor[:, :, reach:] * z[:, :, :-reach]
+            factor[:, :, reach:] *= factor[:, :, :-reach].copy()
+            factor[:, :, :reach] = 0.0
+            reach *= 2
+        crossed = (z - rows) @ rows.T
+        parts.append(crossed + crossed.transpose(0, 2, 1) + jacobian.T @ jacobian)
+    return np.concatenate(parts)
 
 
 def _relative(parts: Array, whole: Array) -> Array:

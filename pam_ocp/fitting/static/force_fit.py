@@ -7,18 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ... import courtesy
 from ...core.errors import InputError, UnknownNameError
+from ...core.shown import shown
 from ...muscles.law import ForceLaw
 from ...muscles.pneumatic_muscle import Muscle
 from ..statistics import (
     Array,
     Coefficient,
     Prediction,
+    coefficient_frame,
 )
 from .bootstrap import Bootstrap, Resampling, bootstrap
 from .branches import LackOfFit, lack_of_fit
@@ -26,6 +29,10 @@ from .doubts import force_warnings
 from .likelihood_profile import Ends, profile_ends
 from .optimum import Optimum
 from .sweep import Sweep
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 __all__ = ["ForceFit"]
 
@@ -35,6 +42,7 @@ errors for the law to count as nearly linear in it.
 """
 
 
+@shown
 @dataclass(frozen=True, eq=False, repr=False)
 class ForceFit(Optimum):
     """A force law fitted to a table, with all that the data say about its coefficients.
@@ -207,7 +215,9 @@ class ForceFit(Optimum):
         """Refit ``n`` resampled tables: intervals without the assumptions of a linearisation.
 
         method : "residuals" puts residuals, drawn with replacement, on the fitted law; "cases"
-        draws the cells themselves, also right where the scatter is not the same everywhere.
+        draws the cells themselves, also right where the scatter is not the same everywhere. Where
+        errors follow each other (``serial``), what is drawn does so, too; with "cases" it is
+        as large from place to place as the residuals there.
         time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.
         """
         return bootstrap(self, n, seed, method, time_limit=time_limit)
@@ -252,6 +262,14 @@ class ForceFit(Optimum):
     def report(self, level: float = 0.95) -> str:
         """The fit as text: statistics, coefficients ± standard error, correlations, warnings."""
         return courtesy.force_report(self, level)
+
+    def plot(self) -> Figure:
+        """Measured and fitted force over contraction, one colour per pressure; residuals below."""
+        return courtesy.plot_fit(self)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The coefficients as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
+        return coefficient_frame(self.coefficients, self.intervals())
 
     def to_json(self, path: str | os.PathLike[str]) -> Path:
         """Write law, coefficients, data and statistics;

@@ -40,7 +40,7 @@ def robust_start(problem: LeastSquares) -> tuple[Array, float]:
 
     Raises FitError where no subset gives a finite law.
     """
-    least = 1e-9 * float(np.linalg.norm(problem.weights * problem.cells.force))
+    least = 1e-9 * problem.size
     within = replace(problem, terms=replace(problem.terms, loss="bisquare"))
     for _ in range(2):
         starts, scale = trimmed_start(within)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
-from typing import Any, Literal, TypeAlias
+from functools import cache, cached_property
+from typing import Literal, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ...core.variables import Variable
 from ...muscles.law import ForceLaw
-from ..statistics import Array, sensitivity
+from ..statistics import Array, forces, forces_and_slopes, in_blocks, second_places
 from ..tables.force_table import ForceTable
 
 __all__ = [
     "PLAIN",
     "LeastSquares",
     "Loss",
+    "Sums",
     "Terms",
     "least_squares",
     "nonlinear_coefficients",
@@ -36,8 +37,6 @@ __all__ = [
 DECADES = (-2.0, 1.5)
 """A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
 POINTS_PER_DECADE = 12
-BLOCK = 4096
-"""Cells that one call of CasADi evaluates."""
 AT_ONCE = 100_000
 """Cells times scan points that are held in memory at once."""
 REWEIGHTINGS = 12
@@ -115,6 +114,19 @@ class Terms:
         return np.asarray(np.sqrt(factors if self.loss == "l1" else np.minimum(1.0, factors)))
 
 
+class Sums(NamedTuple):
+    """What Newton's method wants of a sum of squares.
+
+    cost (m,): |r|^2. right (m, all): J^T r, downhill. normal (m, all, all): J^T J. second
+    (m, all, all): what the second derivatives of r add to it.
+    """
+
+    cost: Array
+    right: Array
+    normal: Array
+    second: Array
+
+
 PLAIN = Terms()
 """Least squares, and nothing else."""
 
@@ -185,6 +197,11 @@ class LeastSquares:
     def linear(self) -> list[int]:
         return [i for i in self.free if i not in self.nonlinear]
 
+    @cached_property
+    def size(self) -> float:
+        """Norm of the weighted forces [N]."""
+        return float(np.linalg.norm(self.weights * self.cells.force))
+
     @property
     def limited(self) -> bool:
         """Whether there are inequalities other than the law's own."""
@@ -205,15 +222,57 @@ class LeastSquares:
 
     def evaluate(self, coefficients: Array) -> tuple[Array, Array]:
         """Weighted residuals (m, n) and Jacobians (m, n, all) at coefficients (m, all)."""
-        m, n = len(coefficients), len(self.cells)
-        tension, jacobian = _sensitivities(
-            self.law,
-            np.tile(self.cells.pressure, m),
-            np.tile(self.cells.contraction, m),
-            np.repeat(coefficients, n, axis=0),
+        cells = self.cells
+        tension, jacobian = forces_and_slopes(
+            self.law, cells.pressure, cells.contraction, coefficients
         )
-        tension, jacobian = tension.reshape(m, n), jacobian.reshape(m, n, -1)
-        return self.weights * (self.cells.force - tension), self.weights[:, None] * jacobian
+        tension -= cells.force
+        tension *= -self.weights
+        jacobian *= self.weights[:, None]
+        return tension, jacobian
+
+    def residuals(self, coefficients: Array) -> Array:
+        """The residuals (m, n) of :meth:`evaluate` alone."""
+        cells = self.cells
+        tension = forces(self.law, cells.pressure, cells.contraction, coefficients)
+        return self.weights * (cells.force - tension)
+
+    def sums(self, coefficients: Array, second: bool = False) -> Sums:
+        """The quadratic model at coefficients (m, all), summed cell by cell in little memory."""
+        law, (m, size) = self.law, coefficients.shape
+        cost, right = np.zeros(m), np.zeros((m, size))
+        normal, bent = np.zeros((m, size, size)), np.zeros((m, len(second_places(law))))
+        cells = (self.cells.pressure, self.cells.contraction)
+        with np.errstate(all="ignore"):
+            for part, block in in_blocks(law, 2 if second else 1, *cells, coefficients):
+                weights = self.weights[part]
+                rest = weights * (self.cells.force[part] - block[:, 0])
+                slopes = block[:, 1 : 1 + size]
+                slopes *= weights
+                cost += np.einsum("mn,mn->m", rest, rest)
+                right += (slopes @ rest[:, :, None])[:, :, 0]
+                normal += slopes @ slopes.transpose(0, 2, 1)
+                if second:
+                    bent += (block[:, 1 + size :] @ (weights * rest)[:, :, None])[:, :, 0]
+            rows, targets = self.priors
+            rest = targets - coefficients @ rows.T
+            whole = np.zeros_like(normal)
+            for (row, column), value in zip(second_places(law), bent.T, strict=True):
+                whole[:, row, column] = whole[:, column, row] = -value
+            return Sums(
+                cost + np.sum(rest**2, axis=1), right + rest @ rows, normal + rows.T @ rows, whole
+            )
+
+    def squares(self, coefficients: Array) -> Array:
+        """Sums of squares (m,) at coefficients (m, all), priors included."""
+        rows, targets = self.priors
+        cost = np.sum((targets - coefficients @ rows.T) ** 2, axis=1)
+        cells = (self.cells.pressure, self.cells.contraction)
+        with np.errstate(all="ignore"):
+            for part, block in in_blocks(self.law, 0, *cells, coefficients):
+                rest = self.weights[part] * (self.cells.force[part] - block[:, 0])
+                cost += np.einsum("mn,mn->m", rest, rest)
+        return np.asarray(cost)
 
     def with_priors(self, coefficients: Array) -> tuple[Array, Array]:
         """As :meth:`evaluate`, with one more row for each prior."""
@@ -229,16 +288,18 @@ class LeastSquares:
 
     def tension_where_slack(self, coefficients: Array) -> tuple[Array, Array]:
         """Tension (s,) at the slack cells and its derivatives (s, all)."""
-        tension, jacobian = sensitivity(self.law)(
-            self.slack.pressure[None], self.slack.contraction[None], coefficients
+        slack = self.slack
+        tension, jacobian = forces_and_slopes(
+            self.law, slack.pressure, slack.contraction, coefficients[None]
         )
-        return np.asarray(tension).ravel(), np.asarray(jacobian).reshape(len(self.slack), -1)
+        return tension[0], jacobian[0]
 
     def cost(self, coefficients: Array) -> float:
         """Sum of the losses, of squares for priors [N2]."""
-        residuals = self.with_priors(coefficients[None])[0][0]
-        n = len(self.cells)
-        return float(np.sum(self.terms.rho(residuals[:n])) + np.sum(residuals[n:] ** 2))
+        rows, targets = self.priors
+        with np.errstate(over="ignore", invalid="ignore"):
+            own = np.sum(self.terms.rho(self.residuals(coefficients[None])[0]))
+            return float(own + np.sum((targets - rows @ coefficients) ** 2))
 
     def linear_in(
         self, values: Array, rows: Callable[[Array], tuple[Array, Array]]
@@ -256,27 +317,58 @@ class LeastSquares:
             good = np.isfinite(target).all(axis=1) & np.isfinite(columns).all(axis=(1, 2))
         return c, target, columns, np.asarray(good)
 
+    def triangles(self, values: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """What is left for the linear coefficients at nonlinear ``values`` (m, k), in short.
+
+        Returns coefficients (m, all), the linear ones 0; R (m, <= linear + 1, linear + 1) with
+        |R (-c, 1)| the residual of linear coefficients c (QR of columns and target, block by
+        block); and which of the m are finite.
+        """
+        m, columns = len(values), [1 + i for i in self.linear]
+        c = np.tile(self.base, (m, 1))
+        c[:, list(self.nonlinear)] = values
+        rows, targets = self.priors
+        whole = np.concatenate([rows[:, self.linear], targets[:, None]], axis=1)
+        found = np.repeat(whole[None], m, axis=0)
+        if rows.any():
+            found[:, :, -1] -= c @ rows.T
+        good = np.ones(m, dtype=bool)
+        cells = (self.cells.pressure, self.cells.contraction)
+        with np.errstate(all="ignore"):
+            for part, block in in_blocks(self.law, 1, *cells, c):
+                block[:, 0] = self.cells.force[part] - block[:, 0]
+                new = (block[:, [*columns, 0]] * self.weights[part]).transpose(0, 2, 1)
+                good &= np.isfinite(new).all(axis=(1, 2))
+                new = np.where(good[:, None, None], new, 0.0)
+                found = np.asarray(np.linalg.qr(np.concatenate([found, new], axis=1), mode="r"))
+        return c, found, good
+
     def project(self, values: Array) -> tuple[Array, Array]:
         """Best linear coefficients for nonlinear ``values`` (m, k): costs (m,), all (m, c).
 
-        Inequalities are left out; a robust loss is met by reweighting. A few values at a time, so
-        that memory stays that of the table.
+        Inequalities are left out; a robust loss is met by reweighting. Memory stays that of the
+        table.
         """
+        if self.terms.loss == "squares":
+            c, whole, good = self.triangles(values)
+            columns, target = whole[:, :, :-1], whole[:, :, -1]
+            c[:, self.linear] = parts = least_squares(columns, target)
+            rest = target - np.einsum("mnk,mk->mn", columns, parts)
+            return np.where(good, np.sum(rest**2, axis=1), np.inf), c
         few = max(1, AT_ONCE // max(len(self.cells), 1))
-        parts = [self._project(values[i : i + few]) for i in range(0, len(values), few)]
-        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+        pairs = [self._reweighted(values[i : i + few]) for i in range(0, len(values), few)]
+        return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
 
-    def _project(self, values: Array) -> tuple[Array, Array]:
+    def _reweighted(self, values: Array) -> tuple[Array, Array]:
         c, target, columns, good = self.linear_in(values, self.with_priors)
         columns[~good], target[~good] = 0.0, 0.0
         n = len(self.cells)
-        smallest = 1e-6 * float(np.linalg.norm(self.weights * self.cells.force))
+        smallest = 1e-6 * self.size
         factors = np.ones_like(target)
-        for _ in range(1 if self.terms.loss == "squares" else REWEIGHTINGS):
+        for _ in range(REWEIGHTINGS):
             parts = least_squares(columns * factors[:, :, None], target * factors)
             rest = target - np.einsum("mnk,mk->mn", columns, parts)
-            if self.terms.loss != "squares":
-                factors[:, :n] = self.terms.reweighting(rest[:, :n], smallest)
+            factors[:, :n] = self.terms.reweighting(rest[:, :n], smallest)
         c[:, self.linear] = parts
         cost = np.sum(self.terms.rho(rest[:, :n]), axis=1) + np.sum(rest[:, n:] ** 2, axis=1)
         return np.where(good, cost, np.inf), c
@@ -293,33 +385,6 @@ def least_squares(columns: Array, target: Array) -> Array:
     parts = np.einsum("mnk,mn->mk", u, target)
     parts = np.divide(parts, s, out=np.zeros_like(parts), where=s > 1e-10 * s[:, :1])
     return np.asarray(np.einsum("mkl,mk->ml", vt, parts) / norms)
-
-
-def _sensitivities(
-    law: type[ForceLaw], pressure: Array, contraction: Array, coefficients: Array
-) -> tuple[Array, Array]:
-    """Tension (n,) and its derivatives (n, all) at n points, coefficients (n, all).
-
-    In blocks, straight from and to NumPy's memory: CasADi's own conversions go number by number.
-    """
-    n = len(pressure)
-    tension, jacobian = np.empty(n), np.empty((n, coefficients.shape[1]))
-    arguments = [np.ascontiguousarray(a, float) for a in (pressure, contraction, coefficients)]
-    for low in range(0, n, BLOCK):
-        part = slice(low, min(low + BLOCK, n))
-        buffer: Any
-        buffer, call = _mapped(law, part.stop - low).buffer()
-        for i, argument in enumerate(arguments):
-            buffer.set_arg(i, argument[part].data)
-        for i, result in enumerate((tension, jacobian)):
-            buffer.set_res(i, result[part].data)
-        call()
-    return tension, jacobian
-
-
-@lru_cache(maxsize=64)
-def _mapped(law: type[ForceLaw], count: int) -> ca.Function:
-    return sensitivity(law).map(count)
 
 
 def sizes(variable: Variable) -> Array:

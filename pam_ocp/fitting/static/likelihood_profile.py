@@ -34,6 +34,8 @@ STEPS = 1
 """Gauss-Newton steps of the other coefficients after each: the rounds go on together with them."""
 SETTLED = 1e-5
 """Relative error of the cost at which an end counts as found: 5e-6 of the interval's half width."""
+SAME_COST = 1e-9
+"""Relative fall of the cost at which the others count as fitted, where one of them walks."""
 FARTHEST = 1e4
 """Standard errors (or, if more, values of the coefficient) within which an end is sought by
 walking.
@@ -87,21 +89,20 @@ def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
     problem, free, sigma = fit.problem, list(fit.problem.free), fit.sigma
     least, reach = fit.cost, np.repeat(reaches, 2)
     above = (reach * sigma) ** 2
-    k, covariance = len(free), fit.linearisation.independent.covariance
+    covariance = fit.linearisation.independent.covariance
     place = np.repeat([fit.free.index(n) for n in names], 2)
     sign = np.tile([-1.0, 1.0], len(names))
     best = np.array([float(v) for v in fit.law.values.values()])
     # along the profile the others follow the column of the covariance
     stderr = np.sqrt(np.diag(covariance))
     direction = covariance[:, place].T / stderr[place][:, None]
-    others = np.array([[i for i in range(k) if i != j] for j in place])
     low = np.array([problem.variables[i].min for i in free])
     high = np.array([problem.variables[i].max for i in free])
     z = best[free] + (sign * reach)[:, None] * direction
     before, tau_before = np.zeros(place.size), np.zeros(place.size)
     rows = np.arange(place.size)
     for _ in range(ROUNDS):
-        z, cost = _follow(problem, best, free, z, others)
+        z, cost = _follow(problem, best, free, z, place)
         with np.errstate(all="ignore"):
             tau = sign * np.sqrt(np.maximum(cost - least, 0.0)) / sigma
             away = z[rows, place] - best[free][place]
@@ -117,7 +118,7 @@ def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
         z = z + (step / stderr[place])[:, None] * direction
     inside = np.all((z > low) & (z < high), axis=1)
     # the others are where they belong only if another step of theirs changes nothing
-    again = _follow(problem, best, free, z, others)[1]
+    again = _follow(problem, best, free, z, place)[1]
     with np.errstate(invalid="ignore"):
         still = np.abs(again - cost) <= 10 * SETTLED * above
     settled = done & still & inside & np.isfinite(cost)
@@ -125,33 +126,35 @@ def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:
 
 
 def _follow(
-    problem: LeastSquares, best: Array, free: list[int], z: Array, others: NDArray[np.intp]
+    problem: LeastSquares, best: Array, free: list[int], z: Array, place: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Gauss-Newton steps of all unknowns but one in each row of z; costs that they come to."""
-    keep = others[:, None, :]
-    for last in range(STEPS + 1):
-        c = np.tile(best, (len(z), 1))
-        c[:, free] = z
-        with np.errstate(all="ignore"):
-            rest, slopes = problem.with_priors(c)
-            cost = np.sum(rest**2, axis=1)
-        if last == STEPS:
-            return z, cost
-        good = np.isfinite(cost) & np.isfinite(slopes).all(axis=(1, 2))
-        slopes = np.where(good[:, None, None], slopes, 0.0)[:, :, free]
-        rest = np.where(good[:, None], rest, 0.0)
-        inner = np.take_along_axis(slopes, keep, axis=2)
-        norms = np.maximum(np.linalg.norm(inner, axis=1), 1e-300)
-        inner = inner / norms[:, None, :]
-        normal = np.einsum("mni,mnj->mij", inner, inner) + 1e-14 * np.eye(others.shape[1])
-        right = np.einsum("mni,mn->mi", inner, rest)[:, :, None]
+    """Gauss-Newton steps of all unknowns but ``place`` in each row of z; costs that they come
+    to.
+    """
+    for _ in range(STEPS):
+        sums = problem.sums(_rows(best, free, z))
+        right, normal = sums.right[:, free], sums.normal[:, free][:, :, free]
+        good = np.isfinite(right).all(axis=1) & np.isfinite(normal).all(axis=(1, 2))
+        normal[~good], right[~good] = 0.0, 0.0
+        norms = np.maximum(np.sqrt(np.einsum("mii->mi", normal)), 1e-300)
+        stays: Array = np.zeros_like(norms)
+        np.put_along_axis(stays, place[:, None], 1.0, axis=1)
+        normal = normal / norms[:, :, None] / norms[:, None, :]
+        normal = normal * (1 - stays)[:, :, None] * (1 - stays)[:, None, :]
+        normal += np.eye(len(free)) * np.maximum(stays, 1e-14)[:, :, None]
+        right = ((1 - stays) * right / norms)[:, :, None]
         try:
             step = np.linalg.solve(normal, right)[:, :, 0]
         except np.linalg.LinAlgError:  # somewhere the others are not determined
             step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
-        z = z.copy()
-        np.put_along_axis(z, others, np.take_along_axis(z, others, 1) + step / norms, axis=1)
-    raise AssertionError("the loop returns")
+        z = z + step / norms
+    return z, problem.squares(_rows(best, free, z))
+
+
+def _rows(best: Array, free: list[int], z: Array) -> Array:
+    c = np.tile(best, (len(z), 1))
+    c[:, free] = z
+    return c
 
 
 def profile_squares(fit: Optimum, name: str, value: float) -> float:
@@ -179,7 +182,11 @@ def _others(fit: Optimum, name: str, start: Array, moved: list[int]) -> tuple[Ar
     be slack there, the place is out of reach: it costs more than any limit (but a finite sum).
     """
     if not fit.problem.censored:
-        return descend(fit.problem, start, moved)
+        free = fit.problem.free
+        low = np.array([fit.problem.variables[i].min if i in moved else start[i] for i in free])
+        high = np.array([fit.problem.variables[i].max if i in moved else start[i] for i in free])
+        ended = descend(fit.problem, start[None], low[None], high[None], SAME_COST)
+        return ended.coefficients[0], float(ended.cost[0])
     beyond = float(np.finfo(float).max)
     if not moved:
         best, cost = start, fit.problem.cost(start)

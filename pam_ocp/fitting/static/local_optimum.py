@@ -1,4 +1,6 @@
-"""The last step of a static fit: IPOPT with exact derivatives over all coefficients."""
+"""The last step of a static fit, over all coefficients: Newton steps on the few columns of the
+Jacobian, or, for robust losses and inequalities, IPOPT.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,19 @@ import numpy as np
 from ...muscles.law import ForceLaw
 from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
+from .descent import descend
 from .least_squares import LeastSquares, Loss, sizes
 
-__all__ = ["SLACK_TOLERANCE", "Optimum", "cosine", "local_optimum"]
+__all__ = [
+    "SLACK_TOLERANCE",
+    "STATIONARY",
+    "Optimum",
+    "by_ipopt",
+    "cosine",
+    "ending",
+    "local_optima",
+    "local_optimum",
+]
 
 SLACK_TOLERANCE = 1.0
 """A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp).
@@ -25,6 +37,9 @@ EXPANDED = 1000
 
 Beyond, one law is mapped over the cells: what it takes to build does not grow with each of them.
 """
+
+STATIONARY = 1e-6
+"""Largest cosine between the residual and a column of the Jacobian at an optimum."""
 
 SPLIT = ("huber", "l1")
 """Losses with a kink, or a jump of their curvature, which the solver meets by splitting residuals.
@@ -89,12 +104,46 @@ def _solver(
 
 def local_optimum(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
     """The optimum next to ``start`` (all coefficients)."""
+    return local_optima(problem, start[None], scanned)[0]
+
+
+def local_optima(problem: LeastSquares, starts: Array, scanned: int) -> list[Optimum]:
+    """The optima next to each of ``starts`` (m, all)."""
+    if problem.terms.loss == "squares" and not problem.censored:
+        return _by_newton(problem, starts, scanned)
+    return [by_ipopt(problem, start, scanned) for start in starts]
+
+
+def _by_newton(problem: LeastSquares, starts: Array, scanned: int) -> list[Optimum]:
+    limits = [_bounds(problem, start) for start in starts]
+    low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
+    ended = descend(problem, starts, low, high)
+    residuals, jacobians = problem.with_priors(ended.coefficients)
+    size = problem.size
+    found = []
+    for row, resting in enumerate(ended.resting):
+        free = list(zip(problem.free, resting, strict=True))
+        columns = jacobians[row][:, [i for i, rests in free if not rests]]
+        gradient = cosine(residuals[row], columns, size)
+        statistics = SolverStatistics(
+            ending(gradient),
+            int(ended.steps[row]),
+            gradient,
+            scanned,
+            tuple(problem.names[i] for i, rests in free if rests),
+        )
+        found.append(Optimum(ended.coefficients[row], float(ended.cost[row]), statistics))
+    return found
+
+
+def by_ipopt(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
+    """The optimum next to ``start`` (all coefficients), whatever the loss and the inequalities."""
     free, terms = list(problem.free), problem.terms
     lower, upper = _bounds(problem, start)
     start = start.copy()
     start[free] = np.clip(start[free], lower, upper)
     residuals, jacobian = problem.evaluate(start[None])
-    size = float(np.linalg.norm(problem.weights * problem.cells.force))
+    size = problem.size
     unit = max(float(np.linalg.norm(residuals)), 1e-9 * size)
     norms = np.linalg.norm(jacobian[0][:, free], axis=0)
     scale = np.where(norms > 0, size / np.where(norms > 0, norms, 1.0), 1.0)
@@ -170,6 +219,11 @@ def _gradient(
         n = len(problem.cells)
         residual[:n] *= problem.terms.reweighting(residual[:n], 0.0) ** 2
     return cosine(residual, jacobian[:, inside], size)
+
+
+def ending(gradient: float) -> str:
+    """How Newton steps ended, in a word."""
+    return "Newton_Converged" if gradient <= STATIONARY else "Newton_Stalled"
 
 
 def cosine(residual: Array, columns: Array, size: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from ...muscles.law import ForceLaw
@@ -15,7 +14,7 @@ from ..statistics import (
     Linearisation,
     SerialErrors,
     SolverStatistics,
-    sensitivity,
+    forces_and_slopes,
 )
 from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
@@ -61,10 +60,8 @@ class Optimum:
     def _sensitivity(self, p: Array, kappa: Array) -> tuple[Array, Array]:
         """Tension (n,) and its derivatives with respect to the free coefficients (n, k)."""
         names = list(self.law.values)
-        values = ca.DM(list(self.law.values.values()))
-        tension, jacobian = sensitivity(type(self.law))(p[None], kappa[None], values)
-        columns = [names.index(n) for n in self.free]
-        return np.asarray(tension).ravel(), np.asarray(jacobian).reshape(p.size, -1)[:, columns]
+        tension, jacobian = forces_and_slopes(type(self.law), p, kappa, self._vector)
+        return tension[0], jacobian[0][:, [names.index(n) for n in self.free]]
 
     @cached_property
     def _at_cells(self) -> tuple[Array, Array]:

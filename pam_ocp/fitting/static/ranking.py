@@ -7,17 +7,21 @@ little. Leaving one level out asks what a user asks: the force at a length that 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
 from ...muscles.laws.user_defined import polynomial_law
 from ..tables.force_table import ForceTable, require_table
+from .correlation import sequences, surprise
 from .force_fit import ForceFit
-from .static import fit_force, law_class
+from .search import minimise
+from .static import fit_force, independent, law_class
 
 __all__ = ["ComparedLaw", "LawComparison", "compare_laws"]
 
@@ -54,21 +58,29 @@ class ComparedLaw:
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion n ln(SS/n) + 2 (k + 1) for normal errors of unknown variance."""
+        """Akaike's criterion, -2 ln L + 2 (k + 1), for normal errors of unknown variance.
+
+        -2 ln L is n ln(SS/n) for independent errors. Where residuals say that errors follow each
+        other, their likelihood is that of such errors, and the correlation one unknown more; else a
+        few hundred cells of a ramp would pass for as many pieces of evidence.
+        """
         return self._criterion(2.0)
 
     @property
     def bic(self) -> float:
-        """Schwarz's criterion n ln(SS/n) + ln(n) (k + 1)."""
+        """Schwarz's criterion, -2 ln L + ln(n) (k + 1); see :attr:`aic`."""
         return self._criterion(float(np.log(self.fit.n))) if self.fit else float("nan")
 
     def _criterion(self, price: float) -> float:
         if self.fit is None:
             return float("nan")
-        n, squares = self.fit.n, self.fit.squares
-        return float(n * np.log(squares / n) + price * (self.parameters + 1))
+        fit = self.fit
+        orders = [] if fit.terms.independent else sequences(fit.cells)
+        wrong = surprise(fit.root_weights * fit.residuals, orders, price)
+        return wrong + price * (self.parameters + 1)
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class LawComparison:
     """Laws on one table, the best at a level left out first; those without a fit last."""
@@ -110,6 +122,7 @@ def compare_laws(
     laws: Iterable[str | type[ForceLaw]] | None = None,
     *,
     fixed: Mapping[str, float] | None = None,
+    errors: Literal["as found", "independent"] = "as found",
     time_limit: float | None = None,
 ) -> LawComparison:
     """Fit several laws to one table and leave each interior contraction level out in turn.
@@ -120,6 +133,7 @@ def compare_laws(
     laws : names or classes; by default all of ``LAWS`` and the polynomials of degree 1 and 3.
     fixed : known constants [SI] for the laws that have them, as ``{"radius": 0.010,
         "rest_diameter": 0.020, "max_contraction_ratio": 0.25}``.
+    errors : as for :func:`fit_force`; of the fits, and of AIC and BIC.
     time_limit : [s]; laws that are not reached are listed with it as the reason.
 
     Returns
@@ -142,7 +156,8 @@ def compare_laws(
     for name in fixed or {}:
         if name not in constants:
             raise UnknownNameError("constant in fixed of any of these laws", name, constants)
-    found = [_compared(table, kind, fixed or {}) for kind in kinds]
+    independent(errors)
+    found = [_compared(table, kind, fixed or {}, errors) for kind in kinds]
 
     def rank(law: ComparedLaw) -> tuple[bool, float, float]:
         doubt = np.inf if np.isnan(law.left_out_rmse) else law.left_out_rmse
@@ -151,7 +166,12 @@ def compare_laws(
     return LawComparison(tuple(sorted(found, key=rank)), table.source)
 
 
-def _compared(table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float]) -> ComparedLaw:
+def _compared(
+    table: ForceTable,
+    kind: type[ForceLaw],
+    fixed: Mapping[str, float],
+    errors: Literal["as found", "independent"],
+) -> ComparedLaw:
     own = {n: v for n, v in fixed.items() if n in kind.fixed_coefficients()}
     missing = [
         n
@@ -161,30 +181,34 @@ def _compared(table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float
     if missing:
         return ComparedLaw(kind.name, None, {}, f"needs fixed={{{missing[0]!r}: ...}}")
     try:
-        fit = fit_force(table, kind, fixed=own)
+        fit = fit_force(table, kind, fixed=own, errors=errors)
     except TimeIsUp:
         return ComparedLaw(kind.name, None, {}, f"{deadline()} was over")
     except (FitError, InputError) as error:
         return ComparedLaw(kind.name, None, {}, str(error))
     try:
-        return ComparedLaw(kind.name, fit, _left_out(table, kind, own))
+        return ComparedLaw(kind.name, fit, _left_out(fit))
     except TimeIsUp:
         return ComparedLaw(kind.name, fit, {}, f"{deadline()} was over with a level left out")
     except (FitError, InputError) as error:
         return ComparedLaw(kind.name, fit, {}, f"with a level left out: {error}")
 
 
-def _left_out(
-    table: ForceTable, kind: type[ForceLaw], fixed: Mapping[str, float]
-) -> dict[float, float]:
-    taut = table.taut
-    level = taut.levels()
-    errors = {}
+def _left_out(fit: ForceFit) -> dict[float, float]:
+    whole, errors = fit.problem, {}
+    level = fit.cells.levels()
+    values = np.array([float(v) for v in fit.law.values.values()])
+    start = values[None, list(whole.nonlinear)] if whole.nonlinear else None
     for i in range(1, level.max()):
-        law = fit_force(taut.subset(level != i), kind, fixed=fixed).law
-        there = taut.subset(level == i)
-        tension = np.asarray(law.tension(there.pressure, there.contraction))
-        errors[float(there.contraction.mean())] = float(
-            np.sqrt(np.mean((there.force - tension) ** 2))
+        kept = level != i
+        part = replace(whole, cells=fit.cells.subset(kept), weights=whole.weights[kept])
+        if len(part.cells) < len(part.free):
+            raise InputError(
+                f"{len(part.cells)} taut cells remain, fewer than the {len(part.free)} coefficients"
+            )
+        found = minimise(part, start, near=True).coefficients
+        there = replace(whole, cells=fit.cells.subset(~kept), weights=np.ones(int(np.sum(~kept))))
+        errors[float(there.cells.contraction.mean())] = float(
+            np.sqrt(np.mean(there.residuals(found[None])[0] ** 2))
         )
     return errors

@@ -35,7 +35,7 @@ def force_report(fit: ForceFit, level: float) -> str:
         if fit.serial is None
         else f"    errors follow each other {fit.serial.order} with probability "
         f"{100 * fit.serial.probability:.3g} %, which intervals and bands count",
-        f"    IPOPT: {solver.status}, {solver.iterations} iterations after a scan of "
+        f"    {solver.status}, {solver.iterations} iterations after a scan of "
         f"{solver.scanned} points, {1e3 * solver.seconds:.0f} ms",
         f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval"
         f"{' (profile likelihood)' if fit.has_profile else ''}; SI",

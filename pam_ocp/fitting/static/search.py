@@ -1,7 +1,8 @@
-"""The global optimum of a static fit: a scan over the nonlinear coefficients, then IPOPT.
+"""The global optimum of a static fit: a scan over the nonlinear coefficients, then descents.
 
 The scan takes both signs and several decades of the nonlinear coefficients only, the others
-projected out. IPOPT, with exact derivatives, takes the best over all coefficients.
+projected out; of a large table it looks at some cells from everywhere. The best are followed over
+all coefficients and cells, with exact derivatives.
 """
 
 from __future__ import annotations
@@ -12,17 +13,22 @@ import numpy as np
 
 from ...core.errors import FitError
 from ..statistics import Array
-from .descent import descend
 from .high_breakdown import SUBSETS, robust_start
 from .least_squares import LeastSquares, sizes
-from .local_optimum import Optimum, local_optimum
+from .local_optimum import STATIONARY, Optimum, by_ipopt, local_optima
 
-__all__ = ["minimise"]
+__all__ = ["minimise", "thinned"]
 
-RANDOM_STARTS = 400
-"""Scan points for laws with two or more nonlinear coefficients (always the same ones)."""
-POLISHED = {1: 3, 2: 16}
-"""How many local minima of the scan are followed up: one nonlinear coefficient, or more."""
+SCANNED = {False: 400, True: 100}
+"""Scan points for laws with two or more nonlinear coefficients (always the same ones); with a start
+that is known to be near, fewer.
+"""
+POLISHED = {False: 60, True: 6}
+"""How many local minima of their scan are followed up."""
+POLISHED_ALONE = 3
+"""As many for a law with one nonlinear coefficient."""
+ENOUGH = 1000
+"""Cells that a scan looks at."""
 FLAT = 1e-7
 """Part of the cost by which a point that is not stationary must be better to be looked at at all.
 """
@@ -30,34 +36,36 @@ DOUBT = (
     "the optimum is so flat, or so near to where the law degenerates, that the solver came to no "
     "stationary point: other coefficients may fit as well (see condition and rank)"
 )
-STATIONARY = 1e-6
-"""Largest cosine between the residual and a column of the Jacobian at an optimum."""
 
 
 def minimise(
-    problem: LeastSquares, start: Array | None = None, begin: Array | None = None
+    problem: LeastSquares,
+    start: Array | None = None,
+    begin: Array | None = None,
+    near: bool = False,
 ) -> Optimum:
-    """The global optimum: scan, follow up the best few by IPOPT.
+    """The global optimum: scan, follow up the best few.
 
     Tukey's bisquare, which counts cells far off no more, has an optimum for every choice of those:
     what is sought is the one next to ``begin`` (all coefficients), a start that wrong cells cannot
     pull; it is found anew where it is not given.
 
-    start : values (m, k) of the nonlinear coefficients to try beside the scan.
+    start : values (m, k) of the nonlinear coefficients to try beside the scan. near : whether these
+    are those of almost the same table, so that a smaller scan will do.
     """
     if problem.terms.loss == "bisquare":
         begin = robust_start(problem)[0] if begin is None else begin
         starts, scanned = begin[None], SUBSETS
     else:
-        starts, scanned = _scan(problem, start)
-    found = [o for c in starts if np.isfinite((o := local_optimum(problem, c, scanned)).cost)]
+        starts, scanned = _scan(thinned(problem), start, near)
+    found = [o for o in local_optima(problem, starts, scanned) if np.isfinite(o.cost)]
     if not found:
         raise FitError(
             f"the {problem.law.name} law gives no finite force near any point of the scan; hold "
             "the nonlinear coefficients with fixed=... "
             f"({', '.join(problem.names[i] for i in problem.nonlinear)}) and look at the residuals"
         )
-    floor = 1e-20 * float(np.sum((problem.weights * problem.cells.force) ** 2))
+    floor = 1e-20 * problem.size**2
     best = min(found, key=lambda o: o.cost)
     stationary = [o for o in found if o.solver.gradient <= STATIONARY]
     least = min((o.cost for o in stationary), default=np.inf)
@@ -73,21 +81,31 @@ def minimise(
 
 
 def _settled(problem: LeastSquares, found: Optimum) -> Optimum:
-    """A point at which IPOPT did not end, followed by damped steps; accepted with a doubt, if need
+    """A point at which Newton steps did not end, followed by IPOPT; accepted with a doubt, if need
     be.
     """
     if problem.terms.loss == "squares" and not problem.censored:
-        moved = [i for i in problem.free if problem.names[i] not in found.solver.at_bound]
-        c, cost = descend(problem, found.coefficients, moved)
-        if cost <= found.cost:
-            again = local_optimum(problem, c, found.solver.scanned)
-            found = again if again.cost <= cost else replace(found, coefficients=c, cost=cost)
-            if again.cost <= cost and again.solver.gradient <= STATIONARY:
-                return again
+        again = by_ipopt(problem, found.coefficients, found.solver.scanned)
+        if again.cost <= found.cost * (1 + FLAT):
+            found = again
+        if found.solver.gradient <= STATIONARY:
+            return found
     return replace(found, solver=replace(found.solver, doubt=DOUBT))
 
 
-def _scan(problem: LeastSquares, start: Array | None) -> tuple[Array, int]:
+def thinned(problem: LeastSquares, enough: int = ENOUGH) -> LeastSquares:
+    """The problem on so many cells as a scan needs, evenly spread over contraction and pressure."""
+    n, cells, weights = len(problem.cells), problem.cells, problem.weights
+    if n <= enough or np.max(weights) > 10 * np.min(weights):
+        return problem
+    order = np.lexsort((cells.pressure, cells.contraction))
+    chosen = order[np.linspace(0, n - 1, enough).astype(int)]
+    return replace(
+        problem, cells=cells.subset(chosen), weights=weights[chosen] * np.sqrt(n / enough)
+    )
+
+
+def _scan(problem: LeastSquares, start: Array | None, near: bool) -> tuple[Array, int]:
     """Coefficients (m, all) from which the optimum is to be sought, best first; points scanned."""
     scales = [sizes(problem.variables[i]) for i in problem.nonlinear]
     if not scales:
@@ -96,7 +114,7 @@ def _scan(problem: LeastSquares, start: Array | None) -> tuple[Array, int]:
         points = np.sort(scales[0])[:, None]
     else:
         random = np.random.default_rng(20150101)
-        points = np.stack([random.choice(s, RANDOM_STARTS) for s in scales], axis=1)
+        points = np.stack([random.choice(s, SCANNED[near]) for s in scales], axis=1)
         points[0] = [s[0] for s in scales]
     if start is not None:
         points = np.concatenate([points, start])
@@ -109,7 +127,7 @@ def _scan(problem: LeastSquares, start: Array | None) -> tuple[Array, int]:
         )
     if len(scales) == 1:
         return _zoomed(problem, points[:, 0], squares), len(points)
-    return _distinct(coefficients, squares, list(problem.nonlinear)), len(points)
+    return _distinct(coefficients, squares, list(problem.nonlinear), POLISHED[near]), len(points)
 
 
 def _zoomed(problem: LeastSquares, values: Array, squares: Array) -> Array:
@@ -118,7 +136,7 @@ def _zoomed(problem: LeastSquares, values: Array, squares: Array) -> Array:
     values, squares = values[order], squares[order]
     padded = np.concatenate([[np.inf], squares, [np.inf]])
     local = np.nonzero((squares <= padded[:-2]) & (squares < padded[2:]) & np.isfinite(squares))[0]
-    local = local[np.argsort(squares[local])][: POLISHED[1]]
+    local = local[np.argsort(squares[local])][:POLISHED_ALONE]
     low = values[np.maximum(local - 1, 0)]
     high = values[np.minimum(local + 1, len(values) - 1)]
     fractions = np.linspace(0.0, 1.0, 11)
@@ -140,7 +158,7 @@ def _zoomed(problem: LeastSquares, values: Array, squares: Array) -> Array:
     return coefficients[near]
 
 
-def _distinct(coefficients: Array, squares: Array, nonlinear: list[int]) -> Array:
+def _distinct(coefficients: Array, squares: Array, nonlinear: list[int], count: int) -> Array:
     """The best scan points that do not lie next to a better one."""
     chosen: list[int] = []
     for i in np.argsort(squares):
@@ -148,6 +166,6 @@ def _distinct(coefficients: Array, squares: Array, nonlinear: list[int]) -> Arra
         gaps = [np.max(np.abs(here / coefficients[j, nonlinear] - 1)) for j in chosen]
         if np.isfinite(squares[i]) and all(gap > 0.25 for gap in gaps):
             chosen.append(int(i))
-        if len(chosen) == POLISHED[2]:
+        if len(chosen) == count:
             break
     return coefficients[chosen]

@@ -125,7 +125,7 @@ class JointForceFit:
             value = float(np.clip(value + step, low, high))
             trial = z.copy()
             trial[i] = value
-            found = self.problem.local_optimum(trial, held=i)
+            found = self.problem.local_optima(trial[None], held=i)[0]
             if found.cost > limit:
                 break
             if value in (low, high):
@@ -137,7 +137,7 @@ class JointForceFit:
         while abs(outside - inside) > 1e-6 * abs(outside - best):
             trial = z.copy()
             trial[i] = middle = (inside + outside) / 2
-            found = self.problem.local_optimum(trial, held=i)
+            found = self.problem.local_optima(trial[None], held=i)[0]
             if found.cost > limit:
                 outside = middle
             else:
@@ -171,7 +171,7 @@ class JointForceFit:
             "[[Fit]]",
             f"    RMSE {self.rmse:.4g} N over all, {self.dof} degrees of freedom, rank "
             f"{self.linearisation.rank} of {len(self.names)}",
-            f"    IPOPT: {self.solver.status}, {1e3 * self.solver.seconds:.0f} ms",
+            f"    {self.solver.status}, {1e3 * self.solver.seconds:.0f} ms",
             f"[[Coefficients]] ± standard error (relative), {100 * level:g} % interval; SI",
             *(coefficient_line(c, self.interval(n, level)) for n, c in self.coefficients.items()),
             *correlation_lines(self.linearisation),
@@ -255,12 +255,12 @@ def _settled(problem: JointProblem, noise: str) -> tuple[JointOptimum, list[floa
     for _ in range(50 if noise == "each" else 0):
         rms = []
         for part, c in zip(problem.parts, problem.coefficients(optimum.z[None]), strict=True):
-            size = float(np.linalg.norm(part.weights * part.cells.force))
+            size = part.size
             rms.append(max(np.sqrt(np.mean(part.evaluate(c)[0] ** 2)), 1e-9 * size))
         found = (np.exp(np.mean(np.log(rms))) / np.array(rms)).tolist()
         change = float(np.max(np.abs(np.log(np.array(found) / factors))))
         factors = found
-        optimum = problem.weighted(factors).local_optimum(optimum.z, optimum.solver.scanned)
+        optimum = problem.weighted(factors).local_optima(optimum.z[None], optimum.solver.scanned)[0]
         if change < 1e-8:
             break
     return optimum, factors
@@ -280,7 +280,7 @@ def _separate(problem: JointProblem) -> list[Array]:
         return []
     starts = []
     for lead in range(len(alone)):
-        z = np.zeros(problem.size)
+        z = np.zeros(problem.count)
         for i in [*(j for j in range(len(alone)) if j != lead), lead]:
             z[problem.places[i]] = alone[i][list(problem.parts[i].free)]
         starts.append(z[problem.nonlinear])
@@ -328,9 +328,9 @@ def _stated(
             )
         )
     problem = JointProblem(tuple(parts), tuple(places))
-    if problem.cells < problem.size:
+    if problem.cells < problem.count:
         raise InputError(
-            f"the tables have {problem.cells} taut cells, fewer than the {problem.size} unknowns: "
+            f"the tables have {problem.cells} taut cells, fewer than the {problem.count} unknowns: "
             "share more coefficients, hold some with fixed=..., or measure more"
         )
     return problem, tuple(names), common, [unit_of[n.split("[")[0]] for n in names]
@@ -340,11 +340,10 @@ def _linearised(
     problem: JointProblem, optimum: JointOptimum, names: Sequence[str], units: Sequence[str]
 ) -> Linearisation:
     jacobian = problem.evaluate(optimum.z[None])[1][0]
-    dof = problem.cells - problem.size
+    dof = problem.cells - problem.count
     scale = float(np.sqrt(problem.cost(optimum.z) / dof)) if dof else float("nan")
     residuals = problem.evaluate(optimum.z[None])[0][0]
-    size = float(np.sqrt(sum(np.sum((p.weights * p.cells.force) ** 2) for p in problem.parts)))
-    rounding = np.linalg.norm(residuals) <= 1e-9 * size
+    rounding = np.linalg.norm(residuals) <= 1e-9 * problem.size
     orders = sequences(*(p.cells for p in problem.parts))
     serial = None if rounding else serial_errors(jacobian, residuals, orders)
     return Linearisation(names, optimum.z, units, jacobian, scale, dof, serial=serial)

@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import FitError
 from ...core.variables import Variable
-from ...numerics.solvers import Nlp, nlpsol, quiet_ipopt
 from ..statistics import Array, SolverStatistics
-from .least_squares import LeastSquares, least_squares, sizes
-from .local_optimum import cosine
-from .search import STATIONARY
+from .descent import descend
+from .least_squares import AT_ONCE, LeastSquares, Sums, least_squares, sizes
+from .local_optimum import STATIONARY, cosine, ending
+from .search import ENOUGH, thinned
 
 __all__ = ["JointOptimum", "JointProblem"]
 
 SCANNED = 600
 """Scan points for two or more nonlinear coefficients (always the same ones)."""
+FEWEST = 100
+"""Cells of each table that a scan looks at."""
 POLISHED = 12
 """How many of the best are followed up."""
 
@@ -44,10 +44,20 @@ class JointProblem:
     parts: tuple[LeastSquares, ...]
     places: tuple[NDArray[np.intp], ...]
 
-    @property
-    def size(self) -> int:
+    @cached_property
+    def count(self) -> int:
         """Number of unknowns."""
         return 1 + max(int(p.max()) for p in self.places)
+
+    @property
+    def free(self) -> range:
+        """Positions of the unknowns: all are free."""
+        return range(self.count)
+
+    @cached_property
+    def size(self) -> float:
+        """Norm of the weighted forces of all tables [N]."""
+        return float(np.sqrt(sum(p.size**2 for p in self.parts)))
 
     @property
     def cells(self) -> int:
@@ -66,7 +76,7 @@ class JointProblem:
         return sorted(found)
 
     def coefficients(self, z: Array) -> list[Array]:
-        """All coefficients of each law (m, all) at unknowns (m, size)."""
+        """All coefficients of each law (m, all) at unknowns (m, count)."""
         found = []
         for part, place in zip(self.parts, self.places, strict=True):
             c = np.tile(part.base, (len(z), 1))
@@ -75,25 +85,45 @@ class JointProblem:
         return found
 
     def evaluate(self, z: Array) -> tuple[Array, Array]:
-        """Weighted residuals (m, n) and Jacobians (m, n, size) at unknowns (m, size)."""
+        """Weighted residuals (m, n) and Jacobians (m, n, count) at unknowns (m, count)."""
         residuals, jacobians = [], []
         for part, place, c in zip(self.parts, self.places, self.coefficients(z), strict=True):
             rest, slopes = part.evaluate(c)
-            wide = np.zeros((*rest.shape, self.size))
+            wide = np.zeros((*rest.shape, self.count))
             wide[:, :, place] = slopes[:, :, list(part.free)]
             residuals.append(rest)
             jacobians.append(wide)
         return np.concatenate(residuals, axis=1), np.concatenate(jacobians, axis=1)
 
+    def sums(self, z: Array, second: bool = False) -> Sums:
+        """The quadratic model at unknowns (m, count)."""
+        m, size = len(z), self.count
+        found = Sums(
+            np.zeros(m), np.zeros((m, size)), np.zeros((m, size, size)), np.zeros((m, size, size))
+        )
+        for part, place, c in zip(self.parts, self.places, self.coefficients(z), strict=True):
+            own, free = part.sums(c, second), list(part.free)
+            block = (slice(None), place[:, None], place[None, :])
+            found.cost[:] += own.cost
+            found.right[:, place] += own.right[:, free]
+            found.normal[block] += own.normal[:, free][:, :, free]
+            found.second[block] += own.second[:, free][:, :, free]
+        return found
+
     def cost(self, z: Array) -> float:
         """Weighted sum of squares [N2]."""
-        return float(np.sum(self.evaluate(z[None])[0] ** 2))
+        return float(self.sums(z[None]).cost[0])
 
     def project(self, values: Array) -> tuple[Array, Array]:
-        """Best linear unknowns for nonlinear ``values`` (m, k): costs (m,), z (m, size)."""
-        z = np.zeros((len(values), self.size))
+        """Best linear unknowns for nonlinear ``values`` (m, k): costs (m,), z (m, count)."""
+        few = max(1, AT_ONCE // max(self.cells, 1))
+        pairs = [self._project(values[i : i + few]) for i in range(0, len(values), few)]
+        return np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+
+    def _project(self, values: Array) -> tuple[Array, Array]:
+        z = np.zeros((len(values), self.count))
         z[:, self.nonlinear] = values
-        linear = [i for i in range(self.size) if i not in self.nonlinear]
+        linear = [i for i in range(self.count) if i not in self.nonlinear]
         with np.errstate(all="ignore"):
             target, jacobian = self.evaluate(z)
             columns = jacobian[:, :, linear]
@@ -106,7 +136,7 @@ class JointProblem:
 
     def bounds(self) -> tuple[Array, Array]:
         """Of z: the narrowest of all tables that share an unknown."""
-        low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        low, high = np.full(self.count, -np.inf), np.full(self.count, np.inf)
         for part, place in zip(self.parts, self.places, strict=True):
             for i, z in zip(part.free, place, strict=True):
                 low[z] = max(low[z], part.variables[i].min)
@@ -121,13 +151,13 @@ class JointProblem:
         points = self._scan_points()
         if len(starts):
             points = np.concatenate([points, np.array(starts).reshape(len(starts), -1)])
-        costs, z = self.project(points)
+        enough = max(ENOUGH // len(self.parts), FEWEST)
+        few = JointProblem(tuple(thinned(p, enough) for p in self.parts), self.places)
+        costs, z = few.project(points)
         if not np.any(np.isfinite(costs)):
             raise FitError("the law gives no finite force anywhere in the scan; check the tables")
-        found = [
-            self.local_optimum(z[i], len(points))
-            for i in np.argsort(costs)[: POLISHED if self.nonlinear else 1]
-        ]
+        best = np.argsort(costs)[: POLISHED if self.nonlinear else 1]
+        found = self.local_optima(z[best], len(points))
         stationary = [o for o in found if o.solver.gradient <= STATIONARY]
         if not stationary:
             raise FitError(
@@ -162,69 +192,29 @@ class JointProblem:
         random = np.random.default_rng(20150101)
         return np.stack([random.choice(s, SCANNED) for s in scales], axis=1)
 
-    @cached_property
-    def _solver(self) -> Nlp:
-        """min |residuals/unit|^2/2 over scaled unknowns."""
-        z, scale, unit = ca.MX.sym("z", self.size), ca.MX.sym("scale", self.size), ca.MX.sym("unit")
-        weights = ca.MX.sym("weights", self.cells)
-        objective, first = ca.MX(0), 0
-        for part, place in zip(self.parts, self.places, strict=True):
-            n, cells = len(part.cells), part.cells
-            lift = ca.DM(len(part.base), self.size)
-            for i, column in zip(part.free, place, strict=True):
-                lift[i, int(column)] = 1
-            c = ca.DM(part.base) + lift @ (scale * z)
-            tension = part.law.function().map(n)(
-                ca.DM(cells.pressure).T, ca.DM(cells.contraction).T, ca.repmat(c, 1, n)
-            )[0]
-            rest = weights[first : first + n].T * (tension - ca.DM(cells.force).T) / unit
-            objective += ca.sumsqr(rest) / 2
-            first += n
-        options = quiet_ipopt(tol=1e-11, max_iter=300, honor_original_bounds="yes")
-        nlp: Any = {"x": z, "p": ca.vertcat(scale, unit, weights), "f": objective}
-        return nlpsol("joint", "ipopt", nlp, options)
-
-    def local_optimum(
-        self, start: Array, scanned: int = 0, held: int | None = None
-    ) -> JointOptimum:
-        """The optimum next to ``start``; with unknown number ``held`` kept where it is."""
-        low, high = self._near(start)
-        start = np.clip(start, low, high)
+    def local_optima(
+        self, starts: Array, scanned: int = 0, held: int | None = None
+    ) -> list[JointOptimum]:
+        """The optima next to ``starts`` (m, size); unknown number ``held`` is kept where it is."""
+        limits = [self._near(start) for start in starts]
+        low, high = (np.array([pair[i] for pair in limits]) for i in (0, 1))
         if held is not None:
-            low[held] = high[held] = start[held]
-        residuals, jacobian = (a[0] for a in self.evaluate(start[None]))
-        size = float(np.sqrt(sum(np.sum((p.weights * p.cells.force) ** 2) for p in self.parts)))
-        norms = np.linalg.norm(jacobian, axis=0)
-        scale = np.where(norms > 0, size / np.where(norms > 0, norms, 1.0), 1.0)
-        unit = max(float(np.linalg.norm(residuals)), 1e-9 * size)
-        weights = np.concatenate([p.weights for p in self.parts])
-        answer = self._solver(
-            x0=start / scale,
-            p=np.concatenate([scale, [unit], weights]),
-            lbx=low / scale,
-            ubx=high / scale,
-        )
-        z = np.clip(np.asarray(answer["x"]).ravel() * scale, low, high)
-        statistics = self._solver.stats()
-        tight = (z - low <= 1e-6 * np.abs(z)) | (high - z <= 1e-6 * np.abs(z))
-        rest, slopes = (a[0] for a in self.evaluate(z[None]))
-        return JointOptimum(
-            z,
-            float(rest @ rest),
-            SolverStatistics(
-                str(statistics["return_status"]),
-                int(statistics["iter_count"]),
-                cosine(rest, slopes[:, ~tight], size),
-                scanned,
-                tuple(str(i) for i in np.nonzero(tight)[0] if i != held),
-            ),
-        )
+            low[:, held] = high[:, held] = starts[:, held]
+        ended = descend(self, starts, low, high)
+        found = []
+        for z, cost, steps, resting in zip(
+            ended.coefficients, ended.cost, ended.steps, ended.resting, strict=True
+        ):
+            rest, slopes = (a[0] for a in self.evaluate(z[None]))
+            gradient = cosine(rest, slopes[:, ~resting], self.size)
+            at_bound = tuple(str(i) for i in np.nonzero(resting)[0] if i != held)
+            statistics = SolverStatistics(ending(gradient), int(steps), gradient, scanned, at_bound)
+            found.append(JointOptimum(z, float(cost), statistics))
+        return found
 
     def weighted(self, factors: Sequence[float]) -> JointProblem:
         """The same with all weights of each table multiplied."""
         parts = (
             replace(p, weights=p.weights * f) for p, f in zip(self.parts, factors, strict=True)
         )
-        same = JointProblem(tuple(parts), self.places)
-        same.__dict__["_solver"] = self._solver  # weights are its parameters
-        return same
+        return JointProblem(tuple(parts), self.places)

@@ -224,13 +224,9 @@ def _settled(problem: LeastSquares, noise: float | None) -> tuple[LeastSquares, 
     if problem.terms.loss == "huber":
         found = minimise(replace(problem, terms=straight)).coefficients
         residuals = problem.evaluate(found[None])[0][0]
-        edge = HUBER * max(spread(residuals, len(problem.free)), 1e-9 * _size(problem))
+        edge = HUBER * max(spread(residuals, len(problem.free)), 1e-9 * problem.size)
         terms = replace(terms, loss="huber", threshold=edge)
     return replace(problem, terms=terms), None
-
-
-def _size(problem: LeastSquares) -> float:
-    return float(np.linalg.norm(problem.weights * problem.cells.force))
 
 
 def _start(problem: LeastSquares, start: Mapping[str, Any]) -> Array | None:

@@ -148,8 +148,8 @@ def _reached(results: tuple[Array, Array, Array], column: int, side: float, limi
 
 
 def _projected(problem: LeastSquares, values: Array) -> tuple[Array, Array, Array]:
-    _, target, columns, good = problem.linear_in(values[:, None], problem.with_priors)
-    columns[~good], target[~good] = 0.0, 0.0
+    _, whole, good = problem.triangles(values[:, None])
+    columns, target = whole[:, :, :-1], whole[:, :, -1]
     norms = np.linalg.norm(columns, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
     u, s, vt = np.linalg.svd(columns / norms[:, None, :], full_matrices=False)

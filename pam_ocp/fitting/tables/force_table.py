@@ -7,20 +7,23 @@ A header says what a column holds and in which unit, in the usual spellings (``l
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.errors import InputError, UnknownNameError, require_positive
-from ...core.units import unit
-from .labels import LABELS, read_labels
-from .sources import SPELLINGS, RawTable, load, naming, parse_header
+from ...core.calibration import AMBIENT
+from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.shown import shown
+from .assign import assigned, require_columns
+from .labels import read_labels
+from .ramps import Ramp, floor_of, ramp_of
+from .raw import RawTable, complete, say
+from .sources import Reading, is_source, load, naming, sources_of
 from .table_checks import (
-    QUANTITIES,
     Series,
     check_force,
     check_mixed_pressure,
@@ -28,11 +31,12 @@ from .table_checks import (
     contraction_of,
 )
 
-__all__ = ["ForceTable", "read_table", "require_table"]
+__all__ = ["ForceTable", "TableWords", "read_table", "require_table", "table_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class ForceTable:
     """Static force of one muscle, cell by cell.
@@ -47,6 +51,10 @@ class ForceTable:
     source : where the numbers come from.
     branch : of each cell, such as "inflation" and "deflation"; empty when none was named.
     run : which repeat each cell belongs to; empty when none was named.
+    file : which file each cell comes from, where several were read.
+    scatter, error : of a ramp binned to cells: standard deviation of the rows within a cell, and
+        of their mean [N], shape (n,); None where cells were measured one by one.
+    notes : what was left out or mended in reading, in words.
     """
 
     pressure: Array
@@ -56,6 +64,10 @@ class ForceTable:
     source: str = ""
     branch: tuple[str, ...] = ()
     run: tuple[str, ...] = ()
+    file: tuple[str, ...] = ()
+    scatter: Array | None = None
+    error: Array | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("pressure", "contraction", "force"):
@@ -72,7 +84,11 @@ class ForceTable:
             object.__setattr__(self, name, array)
         if self.rest_length is not None:
             require_positive("rest_length", self.rest_length, "m")
-        for name in ("branch", "run"):
+        for name in ("scatter", "error"):
+            given = getattr(self, name)
+            if given is not None and np.shape(given) != self.pressure.shape:
+                raise InputError(f"{name} has shape {np.shape(given)} for {len(self)} cells")
+        for name in ("branch", "run", "file"):
             labels = tuple(str(label) for label in getattr(self, name))
             if labels and len(labels) != len(self):
                 raise InputError(f"{name} has {len(labels)} labels for {len(self)} cells")
@@ -99,6 +115,10 @@ class ForceTable:
             self.source,
             tuple(self.branch[i] for i in index if self.branch),
             tuple(self.run[i] for i in index if self.run),
+            tuple(self.file[i] for i in index if self.file),
+            None if self.scatter is None else self.scatter[index],
+            None if self.error is None else self.error[index],
+            self.notes,
         )
 
     @property
@@ -147,22 +167,47 @@ def read_table(
     source: Any,
     *,
     rest_length: float | None = None,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | Sequence[str | None] | None = None,
     units: Mapping[str, str] | None = None,
+    ambient_pressure: float = AMBIENT,
+    sheet: str | int | None = None,
+    skip: int = 0,
+    pick: str | None = None,
+    pivot: Sequence[str] | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    empty: Literal["drop", "refuse"] = "drop",
+    ramp: bool | None = None,
+    floor: float | Literal["found"] | None = "found",
 ) -> ForceTable:
-    """Read a measured force table.
+    """Read a measured force table; :func:`look` shows beforehand what is understood.
 
     Parameters
     ----------
-    source : path of a CSV or TSV file (also NPZ, MAT, Parquet, XLSX), a pandas DataFrame, or a
-        mapping from column names to arrays. The name of a bundled table, such as
-        ``"DMSP-20-300_static.csv"``, works where no such file exists.
+    source : path of a text (CSV, TSV, columns between blanks; also packed as .gz), of an XLSX, NPY,
+        NPZ, MAT, HDF5, JSON or Parquet file, a pandas DataFrame, or a mapping from column names to
+        arrays. The name of a bundled table, such as ``"DMSP-20-300_static.csv"``, works where no
+        such file exists. A list of these, a folder or a pattern (``"rig/*.csv"``) makes one table;
+        ``file`` then says where each cell comes from.
     rest_length : l0 [m]; needed when the table holds lengths instead of contractions.
     columns : which column holds a quantity, ``{"pressure": "P1"}``, where its name does not say
         it. Quantities: pressure, force, and length or contraction; labels: branch (inflation or
-        deflation) and run (which repeat).
-    units : ``{"pressure": "kPa"}`` where the header names no unit. Default: Pa (gauge), N, m,
-        contraction as a fraction.
+        deflation) and run (which repeat). Or the names of all columns from the left, with units,
+        where the file has none: ``["length [mm]", "pressure [bar]", None, "force [N]"]``.
+    units : ``{"pressure": "kPa"}`` where the header names no unit; ``"bar abs"`` for absolute
+        pressures; or a calibration, ``{"pressure": "V * 2 bar/V - 0.3 bar"}``. Default: Pa (gauge),
+        N, m, contraction as a fraction.
+    ambient_pressure : [Pa], taken off absolute pressures.
+    sheet : of a workbook, its name, or its number from 1. skip : lines at the beginning to leave
+        out. pick : which table of nested data. delimiter, decimal : of a text, where they are taken
+        wrongly.
+    pivot : headers of what runs down, across, and stands in the cells, where a pivot does not say
+        it: ``("contraction [%]", "pressure [bar]", "force [N]")``.
+    empty : rows with empty cells are dropped, counted and said in a ReadingWarning, or refused.
+    ramp : True: the rows are a slow ramp in the order of time, to be binned to cells; False: each
+        row is a cell; None: find out. See :mod:`pam_ocp.fitting.tables.ramps`.
+    floor : force [N] at or below which the sensor shows nothing: these cells are slack. "found": a
+        least value that stands there again and again. None: there is none.
 
     Returns
     -------
@@ -172,29 +217,100 @@ def read_table(
     ------
     InputError, UnknownNameError : one sentence with column, row, value and remedy.
     """
-    if rest_length is not None:
-        require_positive("rest_length", rest_length, "m")
-    with naming(source):
-        return _table(load(source), rest_length, dict(columns or {}), dict(units or {}))
+    how, words = TableWords.of(
+        rest_length=rest_length,
+        columns=columns,
+        units=units,
+        ambient_pressure=ambient_pressure,
+        empty=empty,
+        ramp=ramp,
+        floor=floor,
+        sheet=sheet,
+        skip=skip,
+        pick=pick,
+        pivot=pivot,
+        delimiter=delimiter,
+        decimal=decimal,
+    )
+    if is_source(source):
+        with naming(source):
+            table = table_of(load(source, how), words)
+        say(table.source, table.notes)
+        return table
+    tables = []
+    for one in sources_of(source):
+        with naming(one):
+            tables.append(table_of(load(one, how), words))
+        say(tables[-1].source, tables[-1].notes)
+    return _joined(tables)
 
 
-def _table(
-    raw: RawTable, rest_length: float | None, columns: dict[str, str], units: dict[str, str]
-) -> ForceTable:
-    found = _assign(raw, columns, units)
-    series = {q: Series(q, header, name, raw) for q, (header, name) in found.items()}
+@dataclass(frozen=True)
+class TableWords:
+    """What the user said of a table's columns and rows."""
+
+    rest_length: float | None
+    columns: dict[str, str]
+    units: dict[str, str]
+    ambient: float
+    empty: str
+    ramp: bool | None
+    floor: Any
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        rest_length: float | None = None,
+        columns: Any = None,
+        units: Mapping[str, str] | None = None,
+        ambient_pressure: float = AMBIENT,
+        empty: str = "drop",
+        ramp: bool | None = None,
+        floor: Any = "found",
+        **layout: Any,
+    ) -> tuple[Reading, TableWords]:
+        """(layout, what the user said), checked. Raises InputError."""
+        words = cls(
+            None if rest_length is None else require_positive("rest_length", rest_length, "m"),
+            dict(columns) if isinstance(columns, Mapping) else {},
+            dict(units or {}),
+            require_positive("ambient_pressure", ambient_pressure, "Pa"),
+            empty,
+            ramp,
+            floor if floor in (None, "found") else require_finite("floor", floor, "N"),
+        )
+        return Reading.of(columns, **layout), words
+
+
+def table_of(raw: RawTable, words: TableWords) -> ForceTable:
+    """The table that columns hold. Raises InputError."""
+    found = assigned(raw, words.columns, words.units, words.ambient)
+    require_columns(raw, found)
+    raw = complete(raw, [header for header, _ in found.values()], words.empty)
+    series = {q: Series(q, header, scale, raw) for q, (header, scale) in found.items()}
     check_pressure(series["pressure"])
     check_force(series["force"])
-    kappa = contraction_of(series, rest_length)
-    table = ForceTable(
-        series["pressure"].si,
-        kappa,
-        series["force"].si,
-        rest_length,
-        source=raw.label,
-        **read_labels(raw, columns),
-    )
-    check_mixed_pressure(series["pressure"], table.pressure, table.force, table.contraction)
+    kappa = contraction_of(series, words.rest_length)
+    p, force, notes = series["pressure"].si, np.array(series["force"].si), list(raw.notes)
+    floor = floor_of(force) if words.floor == "found" else words.floor
+    at_floor = np.zeros(force.size, bool) if floor is None else force <= floor
+    force[at_floor] = np.minimum(force[at_floor], 0.0)
+    if floor is not None and (floor > 0 or words.floor != "found"):
+        count = f"{int(at_floor.sum())} rows at or below the floor of the sensor, {floor:g} N"
+        notes.append(f"{count}, count as slack")
+    labels = read_labels(raw, words.columns)
+    branch, run = labels.get("branch", ()), labels.get("run", ())
+    rows = ForceTable(p, kappa, force, words.rest_length, raw.label, branch, run)
+    ramp = None if words.ramp is False else ramp_of(p, kappa, force, bool(words.ramp))
+    if words.ramp and ramp is None:
+        raise InputError(
+            f"{raw.label}: no ramp is found in its {len(rows)} rows (one of pressure and "
+            "contraction held, the other rising and falling in small steps); leave ramp= away"
+        )
+    table = rows if ramp is None else _binned(rows, ramp, at_floor)
+    table = replace(table, notes=(*notes, *([f"a ramp: {ramp}"] if ramp else [])))
+    check_mixed_pressure(series["pressure"], rows.pressure, rows.force, rows.contraction)
     if not np.any(~table.slack):
         sign = (
             "all forces are negative or zero: count pulling as positive"
@@ -205,75 +321,63 @@ def _table(
     return table
 
 
-# ---- which column is what -----------------------------------------------------------------------
-def _assign(
-    raw: RawTable, columns: dict[str, str], units: dict[str, str]
-) -> dict[str, tuple[str, str | None]]:
-    """quantity -> (header, unit or None), from the user's words first, then from the headers."""
-    for argument, given, known in (
-        ("columns", columns, (*QUANTITIES, *LABELS)),
-        ("units", units, (*QUANTITIES,)),
-    ):
-        for quantity in given:
-            if quantity not in known:
-                raise UnknownNameError(f"quantity in {argument}", quantity, known)
-    for header in columns.values():
-        if header not in raw.columns:
-            raise UnknownNameError("column", header, raw.columns)
-    found: dict[str, tuple[str, str | None]] = {}
-    for quantity, (_, names) in QUANTITIES.items():
-        chosen = raw.header(quantity, names, columns)
-        if chosen is not None:
-            found[quantity] = (chosen, _unit_of(quantity, chosen, units))
-    _require_columns(raw, found)
-    return found
+def _binned(rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_]) -> ForceTable:
+    """A table of the ramp's cells: means of their rows. Where half of them show the sensor's floor
+    it is slack; where fewer do it is left out, for their mean would lie too high.
+    """
+    shares = [float(np.mean(at_floor[cell.rows])) for cell in ramp.cells]
+    kept = [(c, share) for c, share in zip(ramp.cells, shares, strict=True) if not 0 < share < 0.5]
+    cells, parts = [c for c, _ in kept], [c.rows for c, _ in kept]
+    force = [
+        min(0.0, float(np.median(rows.force[c.rows])))
+        if share
+        else float(rows.force[c.rows].mean())
+        for c, share in kept
+    ]
 
+    def common(labels: tuple[str, ...], own: list[str]) -> tuple[str, ...]:
+        """What the user's labels say of a cell, else what the ramp does."""
+        if not labels:
+            return tuple(own)
+        return tuple(Counter(labels[i] for i in part).most_common(1)[0][0] for part in parts)
 
-def _unit_of(quantity: str, header: str, units: dict[str, str]) -> str | None:
-    """The unit that the header or the user states for a quantity; None when neither does."""
-    said = parse_header(header)[1]
-    wanted = units.get(quantity)
-    base = unit(QUANTITIES[quantity][0])
-    if wanted is None:
-        if said is not None and not unit(said).compatible(base):
-            raise InputError(
-                f"column {header!r} names the unit {said}, which is none of a {quantity} "
-                f"(such as {base.name}); correct the header or give units={{{quantity!r}: ...}}"
-            )
-        return said
-    name = SPELLINGS.get(wanted.lower(), wanted)
-    if not unit(name).compatible(base):
-        raise InputError(f"units[{quantity!r}] = {wanted!r} is no unit of a {quantity}")
-    if said in SPELLINGS.values() and unit(str(said)).compatible(base) and said != name:
-        raise InputError(
-            f"column {header!r} says {said} but units[{quantity!r}] = {wanted!r}; "
-            "correct the header or leave units away"
-        )
-    return name
-
-
-def _require_columns(raw: RawTable, found: Mapping[str, Any]) -> None:
-    missing = [q for q in ("pressure", "force") if q not in found]
-    if "length" not in found and "contraction" not in found:
-        missing.append("length")
-    if not missing:
-        return
-    quantity = missing[0]
-    words = "length or contraction" if quantity == "length" else quantity
-    example = {"pressure": "pressure_Pa", "force": "force_N", "length": "length_m"}[quantity]
-    near = _near_headers(quantity, raw.columns)
-    hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-    raise InputError(
-        f"{raw.label} has no column for the {words} among {', '.join(map(repr, raw.columns))}: "
-        f"{hint}Name it {example!r} or give columns={{{quantity!r}: ...}}"
+    return ForceTable(
+        np.array([rows.pressure[part].mean() for part in parts]),
+        np.array([rows.contraction[part].mean() for part in parts]),
+        np.array(force),
+        rows.rest_length,
+        rows.source,
+        common(rows.branch, [c.branch for c in cells]),
+        common(rows.run, [c.run for c in cells]),
+        scatter=np.array([c.scatter for c in cells]),
+        error=np.array([c.error for c in cells]),
     )
 
 
-def _near_headers(quantity: str, headers: Iterable[str]) -> list[str]:
-    plain = {parse_header(h)[0]: h for h in headers}
-    wanted = [quantity, "contraction"] if quantity == "length" else [quantity]
-    near = [m for w in wanted for m in difflib.get_close_matches(w, plain, n=2, cutoff=0.6)]
-    return [plain[m] for m in near]
+def _joined(tables: Sequence[ForceTable]) -> ForceTable:
+    """Several tables behind each other."""
+
+    def labels(name: str) -> tuple[str, ...]:
+        there = [getattr(t, name) or ("",) * len(t) for t in tables]
+        return tuple(text for own in there for text in own) if any(map(any, there)) else ()
+
+    def numbers(name: str) -> Array | None:
+        known = [getattr(t, name) for t in tables]
+        return None if any(k is None for k in known) else np.concatenate(known)
+
+    return ForceTable(
+        np.concatenate([t.pressure for t in tables]),
+        np.concatenate([t.contraction for t in tables]),
+        np.concatenate([t.force for t in tables]),
+        tables[0].rest_length,
+        f"{len(tables)} files",
+        labels("branch"),
+        labels("run"),
+        tuple(t.source for t in tables for _ in range(len(t))),
+        numbers("scatter"),
+        numbers("error"),
+        tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
+    )
 
 
 def require_table(value: Any, argument: str = "table") -> ForceTable:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .sources import RawTable
+from .headers import words_of
+from .raw import RawTable
 
 __all__ = ["LABELS", "read_labels"]
 
 LABELS: dict[str, frozenset[str]] = {
-    "branch": frozenset({"branch", "direction", "phase", "half cycle", "path"}),
-    "run": frozenset({"run", "repeat", "repetition", "rep", "replicate", "trial", "cycle"}),
+    "branch": words_of(
+        """branch, direction, phase, half cycle, path, richtung, ast, halbzyklus, sens, branche,
+        dirección, sentido, direzione, richting"""
+    ),
+    "run": words_of(
+        """run, repeat, repetition, rep, replicate, trial, cycle, lauf, zyklus, wiederholung,
+        durchgang, versuch, essai, répétition, ciclo, ensayo, prova, herhaling"""
+    ),
 }
 """Label: names by which a header calls it."""
 
@@ -27,6 +34,18 @@ _WORDS = {
         "pressurising",
         "pressurizing",
         "ascending",
+        "auf",
+        "aufwärts",
+        "befüllen",
+        "befüllung",
+        "füllen",
+        "belüften",
+        "steigend",
+        "gonflage",
+        "montée",
+        "inflado",
+        "subida",
+        "gonfiaggio",
         "+",
         "+1",
     ),
@@ -42,6 +61,17 @@ _WORDS = {
         "depressurising",
         "depressurizing",
         "descending",
+        "ab",
+        "abwärts",
+        "entlüften",
+        "entlüftung",
+        "entleeren",
+        "fallend",
+        "dégonflage",
+        "descente",
+        "desinflado",
+        "bajada",
+        "sgonfiaggio",
         "-",
         "-1",
         "-1.0",

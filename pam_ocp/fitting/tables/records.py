@@ -2,134 +2,202 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ...core.calibration import AMBIENT
 from ...core.errors import InputError, UnknownNameError, require_positive
 from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
-from ...core.units import Unit, unit
+from ...core.units import unit
 from ...core.variables import Variable
-from .sources import SPELLINGS, RawTable, load, naming, parse_header
+from .clock import Clock, find_clock, mended, parts_of, read_clock
+from .raw import RawTable, complete, say
+from .record_columns import check_size, display_of, record_scale, record_variables
+from .sources import Reading, is_source, load, naming, sources_of
 
 if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
-__all__ = ["read_record", "read_records"]
+__all__ = ["RecordWords", "loaded", "read_record", "read_records", "record_parts"]
 
-TIME_NAMES = ("time", "t", "zeit", "timestamp")
-GAP = 10.0
-"""A step of time longer than this many usual ones is a gap."""
-BEYOND = 20.0
-"""A value this many times beyond a variable's bounds was read in a wrong unit."""
-LEAST_PRESSURE = 1e3
-"""A record whose pressures stay below this [Pa] was read in a wrong unit."""
-_SI = ("1", "m", "s", "kg", "K", "rad", "N", "Pa", "J", "W", "m/s", "rad/s", "m3", "N.m", "Pa/s")
+
+@dataclass(frozen=True)
+class RecordWords:
+    """What the user said of a record; see :func:`read_record`."""
+
+    how: Reading
+    columns: Mapping[str, str]
+    units: Mapping[str, str]
+    time: str | None = None
+    between: Interpolation | None = None
+    max_gap: float | None = None
+    clock: str = "mend"
+    sample_time: float | str | None = None
+    ambient: float = AMBIENT
+    empty: str = "drop"
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        columns: Mapping[str, str] | Sequence[str | None] | None = None,
+        units: Mapping[str, str] | None = None,
+        time: str | None = None,
+        interpolation: Interpolation | None = None,
+        inputs: Literal["held", "linear"] | None = None,
+        max_gap: float | None = None,
+        clock: Literal["mend", "cut", "refuse"] = "mend",
+        sample_time: float | str | None = None,
+        ambient_pressure: float = AMBIENT,
+        empty: Literal["drop", "refuse"] = "drop",
+        **layout: Any,
+    ) -> RecordWords:
+        """Checked. Raises InputError."""
+        if clock not in ("mend", "cut", "refuse"):
+            raise InputError(f"clock = {clock!r}: choose 'mend', 'cut' or 'refuse'")
+        if sample_time is not None and sample_time != "even":
+            sample_time = require_positive("sample_time", sample_time, "s")
+        return cls(
+            Reading.of(columns, **layout),
+            dict(columns) if isinstance(columns, Mapping) else {},
+            dict(units or {}),
+            time,
+            _between(inputs, interpolation),
+            max_gap,
+            clock,
+            sample_time,
+            require_positive("ambient_pressure", ambient_pressure, "Pa"),
+            empty,
+        )
 
 
 def read_record(
     source: Any,
     plant: Plant | None = None,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | Sequence[str | None] | None = None,
     units: Mapping[str, str] | None = None,
     time: str | None = None,
     interpolation: Interpolation | None = None,
     inputs: Literal["held", "linear"] | None = None,
     max_gap: float | None = None,
+    clock: Literal["mend", "cut", "refuse"] = "mend",
+    sample_time: float | str | None = None,
+    ambient_pressure: float = AMBIENT,
+    sheet: str | int | None = None,
+    skip: int = 0,
+    pick: str | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    empty: Literal["drop", "refuse"] = "drop",
 ) -> Trajectory:
-    """Read one measured record as a Trajectory in SI, sampled as it is.
+    """Read one measured record as a Trajectory in SI, sampled as it is; :func:`look` shows
+    beforehand what is understood.
 
     Parameters
     ----------
-    source : path of a CSV, TSV, NPZ, MAT, Parquet or XLSX file, a DataFrame, or a mapping from
-        column names to arrays. Headers name a quantity and its unit: ``x [mm]``, ``p1_bar``.
-    plant : its variables give names, units and kinds to the columns (``_`` for ``.`` in headers);
-        columns that it does not know are left out. Without a plant every column is an output.
-    columns : {variable: header} where the header does not say it.
-    units : {variable: unit} where the header names none; by default SI.
+    source : path of a text (CSV, TSV, columns between blanks; also packed as .gz), of an NPY, NPZ,
+        MAT, HDF5, JSON, Parquet or XLSX file, a DataFrame, or a mapping from column names to
+        arrays. Headers name a quantity and its unit: ``x [mm]``, ``p1_bar``.
+    plant : its variables give names, units and kinds to the columns (``_`` for ``.`` in headers;
+        "Druck 1" or "p1" for ``muscle1.pressure``); columns that it does not know are left out.
+        Without a plant every column of numbers is an output.
+    columns : {variable: header} where the header does not say it; or the names of all columns from
+        the left, where the file has none.
+    units : {variable: unit} where the header names none; by default SI. ``"bar abs"`` for absolute
+        pressures; or a calibration, ``{"muscle1.command": "V * 2 bar/V - 0.3 bar"}``.
     time : header of the time; by default the one called time or t. Without a unit in seconds.
+        Dates, times of day, days of a spreadsheet and counts from 1970 are read as such, and begin
+        with 0.
     inputs : how inputs ran between samples: "held" (as a digital controller writes them) or
         "linear". By default as the file says, if a Trajectory wrote it. Where nothing says it, they
         count as linear until a fit tries both (``Trajectory.interpolation_known``).
     interpolation : the same as ``inputs``, as Trajectory calls it: "previous" (held) or "linear".
     max_gap : longest step of time [s] that is no gap; by default ten times the usual one.
+    clock : "mend": rows of a repeated or a single wrong time are dropped, a coarse clock is spread
+        evenly, a counter that began anew is counted on (each said in a ReadingWarning), gaps and
+        backward steps are refused. "cut": there the record is cut, and the longest part taken
+        (:func:`read_records` gives all). "refuse": nothing is mended.
+    sample_time : resample to even steps [s], or "even": to the usual step of the record.
+    ambient_pressure : [Pa], taken off absolute pressures.
+    sheet, skip, pick, delimiter, decimal, empty : as for :func:`read_table`.
 
     Raises
     ------
     InputError : time that runs backwards or has a gap (and where), cells that are no numbers, units
         that do not fit, no column of use. UnknownNameError : names that are not there.
     """
-    between = _between(inputs, interpolation)
+    words = RecordWords.of(
+        columns=columns,
+        units=units,
+        time=time,
+        interpolation=interpolation,
+        inputs=inputs,
+        max_gap=max_gap,
+        clock=clock,
+        sample_time=sample_time,
+        ambient_pressure=ambient_pressure,
+        empty=empty,
+        sheet=sheet,
+        skip=skip,
+        pick=pick,
+        delimiter=delimiter,
+        decimal=decimal,
+    )
+    if not is_source(source):
+        folder = isinstance(source, str | Path) and Path(source).is_dir()
+        what = f"{source} is a folder" if folder else "source is several"
+        raise InputError(f"{what}; give a file, or read all of them by read_records(...)")
     with naming(source):
-        return _record(
-            _loaded(source), plant, dict(columns or {}), dict(units or {}), time, between, max_gap
-        )
+        raw = loaded(source, words.how)
+        parts, notes, _ = record_parts(raw, plant, words)
+    longest = max(parts, key=len)
+    if len(parts) > 1:
+        notes.append(f"the longest of {len(parts)} parts is taken, {len(longest)} rows")
+    say(raw.label, notes)
+    return longest
 
 
 def read_records(
     sources: Any, plant: Plant | None = None, *, split: str | None = None, **options: Any
 ) -> list[Trajectory]:
-    """Read several records: a list of sources, or one source cut where column ``split`` changes.
+    """Read several records: a list of sources, a folder, a pattern such as ``"rig/run*.csv"``, or
+    one source cut where column ``split`` changes, or where its clock jumps (``clock="cut"``).
 
     options : as for :func:`read_record`.
     """
-    if split is None:
-        if isinstance(sources, (str, Path, Mapping)) or not isinstance(sources, Iterable):
-            sources = [sources]
-        sources = list(sources)
-        if not sources:
-            raise InputError("sources is empty: give at least one file or table")
-        return [read_record(source, plant, **options) for source in sources]
-    with naming(sources):
-        return _parts(sources, plant, split, options)
+    words = RecordWords.of(**options)
+    found: list[Trajectory] = []
+    for source in [sources] if is_source(sources) else sources_of(sources):
+        with naming(source):
+            raw = loaded(source, words.how)
+            notes: list[str] = []
+            for part in [raw] if split is None else _split(raw, split):
+                records, told, _ = record_parts(part, plant, words)
+                found += records
+                notes += told
+        say(raw.label, notes)
+    return found
 
 
-def _parts(
-    source: Any, plant: Plant | None, split: str, options: Mapping[str, Any]
-) -> list[Trajectory]:
-    """The records of one source, cut where a column changes."""
-    raw = _loaded(source)
+def _split(raw: RawTable, split: str) -> list[RawTable]:
+    """The parts of a table, cut where a column changes."""
     if split not in raw.columns:
         raise UnknownNameError("column to split at", split, raw.columns)
     label = raw.columns[split]
     cuts = [0, *(i for i in range(1, len(label)) if label[i] != label[i - 1]), len(label)]
-    arguments = {
-        "columns": None,
-        "units": None,
-        "time": None,
-        "interpolation": None,
-        "inputs": None,
-        "max_gap": None,
-        **options,
-    }
-    between = _between(arguments["inputs"], arguments["interpolation"])
-    records = []
-    for first, last in pairwise(cuts):
-        part = replace(
-            raw,
-            label=f"{raw.label}, {split} {label[first]}",
-            columns={n: c[first:last] for n, c in raw.columns.items()},
-            lines=raw.lines[first:last] if raw.lines else None,
-        )
-        records.append(
-            _record(
-                part,
-                plant,
-                dict(arguments["columns"] or {}),
-                dict(arguments["units"] or {}),
-                arguments["time"],
-                between,
-                arguments["max_gap"],
-            )
-        )
-    return records
+    parts = (raw.taken(np.arange(a, b)) for a, b in pairwise(cuts))
+    return [
+        replace(part, label=f"{raw.label}, {split} {label[first]}")
+        for part, first in zip(parts, cuts[:-1], strict=True)
+    ]
 
 
 def _between(inputs: Any, interpolation: Any) -> Interpolation | None:
@@ -144,166 +212,94 @@ def _between(inputs: Any, interpolation: Any) -> Interpolation | None:
     return said or interpolation
 
 
-def _loaded(source: Any) -> RawTable:
+def loaded(source: Any, how: Reading) -> RawTable:
     """The columns of a source; a Trajectory in a binary file keeps what it says of its inputs."""
     if isinstance(source, (str, Path)) and Path(source).suffix.lower() in (".npz", ".parquet"):
         try:
             saved = Trajectory.load(source)
         except InputError:
-            return load(source)  # made by others
+            return load(source, how)  # made by others
         columns: dict[str, Any] = {"time [s]": saved.t.tolist()}
         columns |= {f"{v.name} [{v.unit}]": saved[v.name].tolist() for v in saved.variables}
         if saved.interpolation_known and saved.named("input"):
             columns[HELD] = [float(saved.interpolation == "previous")] * len(saved)
-        return RawTable(Path(source).name, columns)
-    return load(source)
+        return RawTable(Path(source).name, columns, dialect=("a saved Trajectory",))
+    return load(source, how)
 
 
-def _record(
-    raw: RawTable,
-    plant: Plant | None,
-    columns: dict[str, str],
-    units: dict[str, str],
-    time: str | None,
-    interpolation: Interpolation | None,
-    max_gap: float | None,
-) -> Trajectory:
+def record_parts(
+    raw: RawTable, plant: Plant | None, words: RecordWords
+) -> tuple[list[Trajectory], list[str], Clock]:
+    """(records between the cuts, what was left out or mended, the clock). Raises InputError."""
+    between = words.between
     if HELD in raw.columns:
-        interpolation = interpolation or interpolation_of(raw.numbers(HELD), raw.label)
+        between = between or interpolation_of(raw.numbers(HELD), raw.label)
         raw = replace(raw, columns={n: c for n, c in raw.columns.items() if n != HELD})
-    for header in columns.values():
-        if header not in raw.columns:
-            raise UnknownNameError("column", header, raw.columns)
-    clock = _clock(raw, time)
-    t = raw.numbers(clock) * _factor(raw, clock, "time", unit("s"), units.get("time"))
-    _check_time(raw, clock, t, max_gap)
-    found = _variables(raw, plant, columns, clock)
-    unknown = set(units) - {v.name for v, _ in found} - {"time"}
+    for named in words.columns.values():
+        if named not in raw.columns:
+            raise UnknownNameError("column", named, raw.columns)
+    raw, header = find_clock(raw, words.time)
+    if header is None:
+        raise InputError(
+            f"{raw.label} has no column for the time among {', '.join(map(repr, raw.columns))}: "
+            "name it 'time [s]' or give time=..."
+        )
+    chosen = record_variables(raw, plant, dict(words.columns), header)
+    known = [variable.name for variable, _ in chosen]
+    unknown = set(words.units) - {*known, "time"}
     if unknown:
-        raise UnknownNameError("variable in units", unknown.pop(), [v.name for v, _ in found])
+        raise UnknownNameError("variable in units", unknown.pop(), known)
+    t, kind = read_clock(raw, header, words.units.get("time"))
+    factor = unit(raw.unit(header) or "s").factor if not kind else 1.0
+    timed = replace(
+        raw, columns={**{h: raw.columns[h] for _, h in chosen}, header: t.tolist()}, decimal=None
+    )
+    timed = replace(timed, decimal=raw.decimal) if raw.decimal else timed
+    timed = complete(timed, [header, *(h for _, h in chosen)], words.empty)
+    t = timed.numbers(header)
+    if words.clock != "refuse":
+        timed, t = mended(timed, header, t, factor)
+    spans = parts_of(timed, header, t, words.max_gap, words.clock == "cut")
+    variables, values = _values(timed, plant, chosen, words)
+    records = [
+        Trajectory(t[a:b], {n: v[a:b] for n, v in values.items()}, variables, between)
+        for a, b in spans
+    ]
+    notes = list(timed.notes)
+    if len(spans) > 1:
+        notes.append(f"the clock jumps: cut into {len(spans)} parts")
+    clock = Clock.of(header, kind, t)
+    if words.sample_time is not None:
+        records = [_even(record, words.sample_time) for record in records]
+    return records, notes, clock
+
+
+def _values(
+    raw: RawTable, plant: Plant | None, chosen: Sequence[tuple[Variable, str]], words: RecordWords
+) -> tuple[list[Variable], dict[str, Array]]:
+    """Variables and their values in SI."""
     values: dict[str, Array] = {}
     variables = []
-    for variable, header in found:
+    for variable, header in chosen:
         base = unit(variable.unit) if plant is not None else None
-        factor = _factor(raw, header, variable.name, base, units.get(variable.name))
-        values[variable.name] = raw.numbers(header) * factor
+        wanted = words.units.get(variable.name)
+        scale = record_scale(raw, header, variable.name, base, wanted, words.ambient)
+        numbers = raw.numbers(header)
+        values[variable.name] = numbers if scale is None else scale.si(numbers)
         if plant is not None:
-            said = units.get(variable.name) or parse_header(header)[1]
-            _check_size(raw, header, variable, values[variable.name], said)
-        if plant is None:
-            said = units.get(variable.name) or parse_header(header)[1] or "1"
-            variable = Variable(variable.name, "output", unit=_si(said))
+            check_size(raw, header, variable, values[variable.name], wanted or raw.unit(header))
+        else:
+            variable = Variable(variable.name, "output", unit=display_of(scale))
         variables.append(variable)
-    return Trajectory(t, values, variables, interpolation)
+    return variables, values
 
 
-def _clock(raw: RawTable, time: str | None) -> str:
-    if time is not None:
-        if time not in raw.columns:
-            raise UnknownNameError("column of the time", time, raw.columns)
-        return time
-    for header in raw.columns:
-        if parse_header(header)[0] in TIME_NAMES:
-            return header
-    raise InputError(
-        f"{raw.label} has no column for the time among {', '.join(map(repr, raw.columns))}: "
-        "name it 'time [s]' or give time=..."
-    )
-
-
-def _factor(raw: RawTable, header: str, name: str, base: Unit | None, wanted: str | None) -> float:
-    """SI value per value of a column."""
-    said = parse_header(header)[1]
-    text = wanted or said
-    if text is None:
-        return 1.0
-    measured = unit(SPELLINGS.get(text.lower(), text))
-    if wanted and said and not unit(said).compatible(measured):
+def _even(record: Trajectory, step: float | str) -> Trajectory:
+    """A record at even steps."""
+    usual = float(np.median(np.diff(record.t))) if step == "even" else float(step)
+    count = int(np.floor(record.duration / usual * (1 + 1e-12)))
+    if count < 1:
         raise InputError(
-            f"{raw.label}: column {header!r} says {said} but units[{name!r}] = {wanted!r}; "
-            "correct the header or leave units away"
+            f"sample_time = {usual:g} s is longer than the record ({record.duration:g} s)"
         )
-    if base is not None and not measured.compatible(base):
-        raise InputError(
-            f"{raw.label}: column {header!r} is in {text}, which is no unit of {name} "
-            f"({base.name}); correct the header or give units={{{name!r}: ...}}"
-        )
-    return measured.factor
-
-
-def _check_size(
-    raw: RawTable, header: str, variable: Variable, values: Array, said: str | None
-) -> None:
-    """Values that no such variable takes come from a wrong unit."""
-    bound = max((abs(v) for v in (variable.min, variable.max) if np.isfinite(v)), default=np.inf)
-    worst = int(np.argmax(np.abs(values)))
-    size = float(abs(values[worst]))
-    read = f"read in {said}" if said else f"read in {variable.unit}, as no unit was named"
-    place = (
-        f"{raw.label}: column {header!r}, {raw.row(worst)}, is {values[worst]:.4g} {variable.unit}"
-    )
-    remedy = f"correct the header or give units={{{variable.name!r}: ...}}"
-    if np.isfinite(bound) and size > BEYOND * max(bound, 1e-3 * variable.nominal):
-        raise InputError(
-            f"{place} ({read}), where {variable.name} lies within {variable.min:g} .. "
-            f"{variable.max:g}: the unit cannot be right; {remedy}"
-        )
-    if variable.unit == "Pa" and 0 < size < LEAST_PRESSURE:
-        raise InputError(
-            f"{place} at most ({read}): no muscle moves at that, it looks like bar or kPa; {remedy}"
-        )
-
-
-def _si(text: str) -> str:
-    measured = unit(SPELLINGS.get(text.lower(), text))
-    fitting = (name for name in _SI if unit(name).compatible(measured))
-    return next(fitting, text if measured.factor == 1.0 else "1")
-
-
-def _check_time(raw: RawTable, header: str, t: Array, max_gap: float | None) -> None:
-    if len(t) < 2:
-        raise InputError(f"{raw.label}: {len(t)} sample; a record needs at least 2")
-    steps = np.diff(t)
-    back = np.nonzero(steps <= 0)[0]
-    if back.size:
-        i = int(back[0])
-        words = "stands still" if steps[i] == 0 else "runs backwards"
-        raise InputError(
-            f"{raw.label}: time {words} in {raw.row(i + 1)}, from {t[i]:g} to {t[i + 1]:g} s; "
-            "sort the rows, or read the parts as separate records (read_records with split=...)"
-        )
-    usual = float(np.median(steps))
-    limit = GAP * usual if max_gap is None else require_positive("max_gap", max_gap, "s")
-    wide = np.nonzero(steps > limit * (1 + 1e-9))[0]
-    if wide.size:
-        i = int(wide[0])
-        raise InputError(
-            f"{raw.label}: a gap of {steps[i]:g} s before {raw.row(i + 1)} (from {t[i]:g} to "
-            f"{t[i + 1]:g} s, where {usual:g} s are usual); read the parts as separate records, or "
-            f"allow it with max_gap={1.01 * steps[i]:.3g}"
-        )
-
-
-def _variables(
-    raw: RawTable, plant: Plant | None, columns: dict[str, str], clock: str
-) -> list[tuple[Variable, str]]:
-    """(variable, header) of every column of use."""
-    taken = {*columns.values(), clock}
-    rest = {h: parse_header(h)[0] for h in raw.columns if h not in taken}
-    if plant is None:
-        made = {"".join(c if c.isalnum() else "_" for c in n): h for h, n in rest.items()}
-        return [(Variable(n, "output"), h) for n, h in {**columns, **made}.items()]
-    chosen = {plant.variable(n).name: h for n, h in columns.items()}
-    plain = {v.name.replace(".", " ").replace("_", " ").lower(): v for v in plant.variables}
-    for header, name in rest.items():
-        for words in (name, header.lower().replace("_", " ")):
-            variable = plain.get(words.replace(".", " "))
-            if variable is not None and variable.name not in chosen:
-                chosen[variable.name] = header
-    chosen = {n: h for n, h in chosen.items() if plant.variable(n).causality != "parameter"}
-    if not chosen:
-        raise InputError(
-            f"{raw.label}: no column among {', '.join(map(repr, rest))} bears the name of a "
-            f"variable of plant {plant.name!r}; give columns={{variable: header}}"
-        )
-    return [(plant.variable(n), h) for n, h in chosen.items()]
+    return record.at(np.minimum(record.t[0] + usual * np.arange(count + 1), record.t[-1]))

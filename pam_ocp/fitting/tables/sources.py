@@ -1,142 +1,143 @@
-"""Where measurements come from: files, DataFrames and mappings, as columns with their headers.
-
-A header says what a column holds and in which unit, in the usual spellings (``length_m``,
-``p [kPa]``, ``pressure (bar)``, ``F/N``, ``kappa [%]``).
-"""
+"""Where measurements come from: files, DataFrames and mappings, as columns with their headers."""
 
 from __future__ import annotations
 
-import csv
 import difflib
+import gzip
 import io
 import os
-import re
-from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...core.errors import InputError, UnknownNameError
-from ...core.files import MOST_NAME, content_of, reading, require_file, require_size
-from ...core.foreign import read_arrays, read_frame, read_mat, read_sheet
-
-__all__ = ["SPELLINGS", "RawTable", "load", "naming", "parse_header", "plain"]
-
-# What people write, in lower case, and the name in pam_ocp.core.units
-SPELLINGS = {
-    "pa": "Pa",
-    "hpa": "hPa",
-    "kpa": "kPa",
-    "mpa": "MPa",
-    "mbar": "mbar",
-    "bar": "bar",
-    "barg": "bar",
-    "psi": "psi",
-    "psig": "psi",
-    "n": "N",
-    "kn": "kN",
-    "lbf": "lbf",
-    "m": "m",
-    "cm": "cm",
-    "mm": "mm",
-    "in": "in",
-    "inch": "in",
-    "s": "s",
-    "ms": "ms",
-    "rad": "rad",
-    "deg": "deg",
-    "%": "%",
-    "percent": "%",
-    "pct": "%",
-    "1": "1",
-    "-": "1",
-    "fraction": "1",
-}
-
-_BRACKETED = re.compile(
-    r"(?P<name>.+?)\s*[\[(](?P<unit>[^\])]*)[\])]$|(?P<left>.+?)\s*/\s*(?P<right>\S+)$"
+from ...core.errors import InputError, UnknownNameError, require_count
+from ...core.files import MOST_BYTES, content_of, json_of, reading, require_file, require_size
+from ...core.foreign import (
+    read_array,
+    read_arrays,
+    read_frame,
+    read_hdf5,
+    read_mat,
+    read_sheets,
 )
-_SUFFIXED = re.compile(r"(?P<name>.+?)(?:[_\s]+in)?[_\s]+(?P<unit>[^_\s]+)$")
+from .cells import decimal_of, is_empty
+from .dialect import Grid, Unsaid, grid_of_text
+from .headers import NAMES, parse_header
+from .layout import has_table, require_distinct, tabulated
+from .raw import RawTable
+from .trees import chosen_table
+
+__all__ = ["ENDINGS", "Reading", "is_source", "load", "naming", "sources_of"]
 
 
 @dataclass(frozen=True)
-class RawTable:
-    """Columns as they stand in the source; ``lines`` are line numbers of a text file."""
+class Reading:
+    """How a file is to be read, where it does not say it itself.
 
-    label: str
-    columns: Mapping[str, Sequence[Any]]
-    lines: list[int] | None = None
-
-    def row(self, index: int) -> str:
-        """``row 3 (line 5)``, for messages."""
-        line = f" (line {self.lines[index]})" if self.lines else ""
-        return f"row {index + 1}{line}"
-
-    def header(
-        self, quantity: str, spellings: Collection[str], columns: Mapping[str, str]
-    ) -> str | None:
-        """The header of a quantity: the user's choice, else the one spelled so; None without.
-
-        Raises InputError where two are.
-        """
-        if quantity in columns:
-            return columns[quantity]
-        free = [h for h in self.columns if h not in columns.values()]
-        fitting = [h for h in free if parse_header(h)[0] in spellings]
-        if len(fitting) > 1:
-            raise InputError(
-                f"{self.label}: {' and '.join(map(repr, fitting))} both read as {quantity}; "
-                f"choose one with columns={{{quantity!r}: {fitting[0]!r}}}"
-            )
-        return fitting[0] if fitting else None
-
-    def numbers(self, header: str) -> NDArray[np.float64]:
-        """A column as finite numbers, in the unit in which they stand."""
-        return np.array([self._number(header, i) for i in range(len(self.columns[header]))])
-
-    def _number(self, header: str, index: int) -> float:
-        cell = self.columns[header][index]
-        place = f"{self.label}: column {header!r}, {self.row(index)}"
-        if cell is None or cell == "":
-            raise InputError(f"{place} is empty; fill it or take the row out")
-        try:
-            number = float(cell)
-        except (TypeError, ValueError, OverflowError):
-            shown = repr(cell)[:MOST_NAME]
-            raise InputError(f"{place} holds {shown}, which is no number") from None
-        if not np.isfinite(number):
-            raise InputError(f"{place} holds {number}; fill it or take the row out")
-        return number
-
-
-def load(source: Any) -> RawTable:
-    """Columns of a file (CSV, TSV, NPZ, MAT, Parquet, XLSX), DataFrame or mapping; bundled tables
-    too.
+    columns : names of the columns from the left. skip : lines or rows at the beginning that are
+    left out. sheet : of a workbook, its name or its number from 1. pick : table within nested data.
+    delimiter, decimal : of a text. pivot : what runs down, across, and stands in the cells.
     """
+
+    columns: tuple[str | None, ...] | None = None
+    skip: int = 0
+    sheet: str | int | None = None
+    pick: str | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    pivot: tuple[str, ...] | None = None
+
+    @classmethod
+    def of(cls, columns: Any, **said: Any) -> Reading:
+        """Checked. Raises InputError."""
+        require_count("skip", said.get("skip", 0), 0)
+        for name, allowed in (("decimal", (".", ",")),):
+            if said.get(name) not in (None, *allowed):
+                raise InputError(f"{name} = {said[name]!r}: choose '.' or ','")
+        delimiter = said.get("delimiter")
+        if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1):
+            raise InputError(f"delimiter = {delimiter!r}: give one character, ' ' for blanks")
+        names = None
+        if columns is not None and not isinstance(columns, Mapping):
+            if isinstance(columns, str) or not isinstance(columns, Sequence):
+                raise InputError(
+                    f"columns = {columns!r}: give {{quantity: header}}, or a list of names from "
+                    "the left, as ['length [mm]', 'pressure [bar]', 'force [N]']"
+                )
+            names = tuple(None if name is None else str(name) for name in columns)
+        pivot = said.pop("pivot", None)
+        return cls(names, **said, pivot=None if pivot is None else _pivot(pivot))
+
+
+def _pivot(said: Any) -> tuple[str, ...]:
+    if isinstance(said, str) or not isinstance(said, Sequence):
+        raise InputError(
+            f"pivot = {said!r}: say what runs down, across and stands in the cells, as "
+            "pivot=('contraction [%]', 'pressure [bar]', 'force [N]')"
+        )
+    return tuple(str(s) for s in said)
+
+
+def load(source: Any, how: Reading | None = None) -> RawTable:
+    """Columns of a file, DataFrame or mapping; bundled tables too."""
+    how = how or Reading()
     if isinstance(source, str | Path):
-        raw = _load_file(source)
+        raw = _load_file(source, how)
     elif isinstance(source, Mapping):
         raw = _from_mapping(source, "the table")
     elif hasattr(source, "columns") and hasattr(source, "to_numpy"):
         raw = _from_frame(source, "the DataFrame")
+    elif isinstance(source, np.ndarray):
+        raw = _from_tree(source, "the array", how)
     else:
         raise InputError(
             f"source is a {type(source).__name__}; give a path, a pandas DataFrame or a mapping "
             "such as {'pressure_Pa': ..., 'length_m': ..., 'force_N': ...}"
         )
-    require_size(raw.label, max(map(len, raw.columns.values()), default=0), len(raw.columns))
+    require_size(raw.label, len(raw), len(raw.columns))
     counts = {name: len(values) for name, values in raw.columns.items()}
     if not counts or not max(counts.values()):
         raise InputError(f"{raw.label} is empty: it needs a header and at least one row")
     if len(set(counts.values())) > 1:
         raise InputError(f"{raw.label}: the columns differ in length: {counts}")
     return raw
+
+
+def is_source(source: Any) -> bool:
+    """Whether this is one source, not several."""
+    if isinstance(source, str | Path):
+        return not (any(c in str(source) for c in "*?") or os.path.isdir(source))
+    return not isinstance(source, list | tuple)
+
+
+def sources_of(source: Any) -> list[Any]:
+    """Several sources: of a list, a folder (its readable files by name), or a pattern.
+
+    Raises InputError where there are none.
+    """
+    if not isinstance(source, str | Path):
+        found = [s for one in source for s in ([one] if is_source(one) else sources_of(one))]
+        if not found:
+            raise InputError("sources is empty: give at least one file or table")
+        return found
+    path = Path(source)
+    if path.is_dir():
+        found = [f for f in sorted(path.iterdir()) if f.is_file() and _ending(f) in ENDINGS]
+        words = f"{path} is a folder without files that can be read"
+    else:
+        import glob
+
+        found = [Path(f) for f in sorted(glob.glob(str(path), recursive=True)) if os.path.isfile(f)]
+        words = f"no file fits {str(path)!r}"
+    if not found:
+        raise InputError(f"{words}; known endings are {', '.join(sorted(ENDINGS))}")
+    return found
 
 
 def naming(source: Any) -> AbstractContextManager[None]:
@@ -146,35 +147,43 @@ def naming(source: Any) -> AbstractContextManager[None]:
     return reading(source, "a table", "save it as CSV anew")
 
 
+# ---- mappings and frames -------------------------------------------------------------------------
 def _from_mapping(columns: Mapping[Any, Any], label: str) -> RawTable:
     return RawTable(label, {str(n): np.ravel(v).tolist() for n, v in columns.items()})
 
 
 def _from_frame(frame: Any, label: str) -> RawTable:
     names = [str(c) for c in frame.columns]
-    _require_distinct(names, label)
+    require_distinct(names, label)
     return RawTable(label, {n: frame.iloc[:, i].tolist() for i, n in enumerate(names)})
 
 
-def _require_distinct(names: Sequence[str], label: str) -> None:
-    require_size(label, 0, len(names))
-    long = [n for n in names if len(n) > MOST_NAME]
-    if long:
-        raise InputError(
-            f"{label}: the header {long[0][:20]!r}... has {len(long[0])} characters; "
-            f"shorten it to {MOST_NAME}"
-        )
-    twice = sorted(n for n, count in Counter(names).items() if count > 1)
-    if twice:
-        raise InputError(f"{label}: column {twice[0]!r} occurs twice; rename one of them")
+def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
+    """The table of nested data."""
+    found, said = chosen_table(tree, label, how.pick)
+    if isinstance(found, Grid):
+        grid = replace(found, rows=found.rows[how.skip :], lines=found.lines[how.skip :])
+        raw = tabulated(grid, how.columns, how.pivot)
+        return replace(raw, dialect=(*said, *raw.dialect))
+    names = list(found)
+    if how.columns is not None:
+        if len(how.columns) != len(names):
+            raise InputError(
+                f"{label} has {len(names)} columns, columns= names {len(how.columns)}; name each, "
+                "from the left (None leaves one out)"
+            )
+        found = {n: found[old] for n, old in zip(how.columns, names, strict=True) if n}
+    require_distinct(list(found), label)
+    return RawTable(label, {n: list(c)[how.skip :] for n, c in found.items()}, dialect=said)
 
 
-def _load_file(source: str | Path) -> RawTable:
+# ---- files ---------------------------------------------------------------------------------------
+def _load_file(source: str | Path, how: Reading) -> RawTable:
     path = Path(source)
     if "\0" in str(source) or not os.path.exists(path):
         bundled = {f.name: f for f in files("pam_ocp.data").iterdir() if f.name.endswith(".csv")}
         if str(source) in bundled:
-            return _read_text(bundled[str(source)].read_text("utf-8"), path.name, ".csv")
+            return _from_text(bundled[str(source)].read_text("utf-8"), path.name, ".csv", how)
         folder = path.parent
         beside = [f.name for f in folder.iterdir() if f.is_file()] if folder.is_dir() else []
         near = difflib.get_close_matches(path.name, beside, n=3, cutoff=0.6)
@@ -182,97 +191,129 @@ def _load_file(source: str | Path) -> RawTable:
         raise UnknownNameError("table file", str(source), known)
     suffix = require_file(path).suffix.lower()
     with reading(path, "a table", "save it as CSV anew"):
-        if suffix in _BINARY:
-            return _BINARY[suffix](path)
-        return _read_text(_decoded(path), path.name, suffix)
+        if suffix in _READERS:
+            return _READERS[suffix](path, how)
+        if suffix == ".gz":
+            return _unpacked(path, how)
+        content = content_of(path)
+        kind = next((s for magic, s in _MAGIC.items() if content.startswith(magic)), None)
+        if kind is not None:
+            return _READERS[kind](path, how)
+        return _from_text(_decoded(content, path.name), path.name, suffix, how)
 
 
-def _decoded(path: Path) -> str:
+_MAGIC = {
+    b"\x89HDF": ".h5",
+    b"MATLAB": ".mat",
+    b"\x93NUMPY": ".npy",
+    b"PAR1": ".parquet",
+}
+"""How files of other endings begin."""
+
+
+def _ending(path: Path) -> str:
+    name = path.name.lower().removesuffix(".gz")
+    return "" if name.startswith(".") else Path(name).suffix
+
+
+def _decoded(content: bytes, name: str) -> str:
     """The text of a file in UTF-8, in UTF-16 with its mark (as Excel writes it), or in Latin-1."""
-    content = content_of(path)
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         text = content.decode("utf-16")
     else:
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
-            text = content.decode("latin-1")
+            text = content.decode("cp1252", "replace")
     if "\0" in text:
-        raise InputError(f"{path.name} is no text file; save the table as CSV")
+        raise InputError(f"{name} is no text file; save the table as CSV")
     return text
 
 
-def _read_text(text: str, label: str, suffix: str) -> RawTable:
-    numbered = [
-        (i, line)
-        for i, line in enumerate(io.StringIO(text), start=1)
-        if line.strip(" \t\r\n,;") and not line.startswith("#")
-    ]
-    if not numbered:
-        raise InputError(f"{label} is empty: it needs a header and at least one row")
-    head = numbered[0][1]
-    delimiter = "\t" if suffix == ".tsv" else max("\t;,", key=head.count)
-    try:
-        rows = list(csv.reader((line for _, line in numbered), delimiter=delimiter))
-    except csv.Error as error:
-        raise InputError(f"{label}: {error}; save the table as CSV anew") from None
-    names = [name.strip() for name in rows[0]]
-    require_size(label, len(rows), len(names))
-    _require_distinct(names, label)
-    if all(_is_number(name) for name in names):
+def _from_text(text: str, label: str, suffix: str, how: Reading) -> RawTable:
+    grid = grid_of_text(text, label, suffix, how.skip, how.delimiter, how.decimal)
+    return tabulated(grid, how.columns, how.pivot)
+
+
+def _unpacked(path: Path, how: Reading) -> RawTable:
+    """A text, JSON or MAT file within .gz."""
+    inner = _ending(path)
+    with gzip.open(io.BytesIO(content_of(path))) as packed:
+        try:
+            content = packed.read(MOST_BYTES + 1)
+        except (EOFError, OSError, zlib.error) as error:
+            raise InputError(f"{path.name} is damaged ({error}); pack it anew") from None
+    if len(content) > MOST_BYTES:
         raise InputError(
-            f"{label}: the first line {head.strip()[:MOST_NAME]!r} holds numbers; "
-            "it must name the columns, as in 'length_m,pressure_Pa,force_N'"
+            f"{path.name} unpacks to more than the {MOST_BYTES / 2**20:g} MiB allowed; cut it"
         )
-    for (line, _), row in zip(numbered[1:], rows[1:], strict=False):
-        if len(row) != len(names):
-            raise InputError(
-                f"{label}: line {line} has {len(row)} cells where the header has {len(names)}"
-            )
-    if delimiter != ",":  # beside a semicolon or a tab a comma can only be the decimal sign
-        rows[1:] = [[cell.replace(",", ".") for cell in row] for row in rows[1:]]
-    cells = {n: [row[i].strip() for row in rows[1:]] for i, n in enumerate(names)}
-    return RawTable(label, cells, [i for i, _ in numbered[1:]])
+    if inner == ".json":
+        return _from_tree(_json(content), path.name, how)
+    if inner == ".mat":
+        return _from_tree(read_mat(path, content), path.name, how)
+    if inner in _READERS:
+        raise InputError(f"{path.name}: unpack it first, {inner} files are packed already")
+    return _from_text(_decoded(content, path.name), path.name, inner, how)
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+def _json(content: bytes) -> Any:
+    """JSON, or one JSON object a line."""
+    lines = content.strip().splitlines()
+    if len(lines) > 1 and all(line.strip().startswith(b"{") for line in lines[:2]):
+        try:
+            return [json_of(line, infinite=True) for line in lines if line.strip()]
+        except ValueError:
+            pass
+    return json_of(content.removeprefix(b"\xef\xbb\xbf"), infinite=True)
 
 
-def _read_sheet(path: Path) -> RawTable:
-    names, rows = read_sheet(path)
-    _require_distinct(names, path.name)
-    return RawTable(path.name, {n: [row[i] for row in rows] for i, n in enumerate(names)})
+def _read_sheet(path: Path, how: Reading) -> RawTable:
+    """The sheet that is named, or the only one with a table."""
+    sheets = read_sheets(path, how.sheet)
+    grids = {}
+    for name, rows in sheets.items():
+        numbered = [(i, row) for i, row in enumerate(rows, start=1) if i > how.skip]
+        texts = [c for _, row in numbered[:2000] for c in row if isinstance(c, str)]
+        sign = how.decimal or decimal_of(texts)
+        said = (f"sheet {name!r}", *(["decimal comma"] if sign == "," else []))
+        grids[name] = Grid(path.name, [r for _, r in numbered], [i for i, _ in numbered], sign)
+        grids[name].dialect = said
+    filled = {n: g for n, g in grids.items() if any(not is_empty(c) for r in g.rows for c in r)}
+    tables = {n: g for n, g in filled.items() if has_table(g)}
+    found = sorted(tables or filled, key=lambda name: -_promise(filled[name]))
+    if len(found) > 1:
+        shown = ", ".join(map(repr, found[:8]))
+        raise Unsaid(
+            f"{path.name} has {len(found)} sheets with numbers, {shown}: choose one with "
+            f"sheet={found[0]!r}"
+        )
+    if not found:
+        raise InputError(f"{path.name} is empty: it needs a header and at least one row")
+    return tabulated((tables or filled)[found[0]], how.columns, how.pivot)
 
 
-_BINARY: dict[str, Callable[[Path], RawTable]] = {
-    ".npz": lambda path: _from_mapping(read_arrays(path), path.name),
-    ".mat": lambda path: _from_mapping(read_mat(path), path.name),
-    ".parquet": lambda path: _from_frame(read_frame(path), path.name),
+def _promise(grid: Grid) -> int:
+    """How many quantities the words at the top of a sheet name."""
+    words = {parse_header(c)[0] for row in grid.rows[:12] for c in row if isinstance(c, str)}
+    return sum(bool(words & names) for names in NAMES.values())
+
+
+def _read_parquet(path: Path, how: Reading) -> RawTable:
+    return _from_frame(read_frame(path), path.name)
+
+
+_READERS: dict[str, Callable[[Path, Reading], RawTable]] = {
+    ".npz": lambda path, how: _from_tree(read_arrays(path), path.name, how),
+    ".npy": lambda path, how: _from_tree(read_array(path), path.name, how),
+    ".mat": lambda path, how: _from_tree(read_mat(path), path.name, how),
+    ".h5": lambda path, how: _from_tree(read_hdf5(path), path.name, how),
+    ".hdf5": lambda path, how: _from_tree(read_hdf5(path), path.name, how),
+    ".json": lambda path, how: _from_tree(_json(content_of(path)), path.name, how),
+    ".jsonl": lambda path, how: _from_tree(_json(content_of(path)), path.name, how),
+    ".parquet": _read_parquet,
     ".xlsx": _read_sheet,
+    ".xlsm": _read_sheet,
 }
-"""How files that are no text are read, by their ending."""
-
-
-# ---- headers -----------------------------------------------------------------------------------
-def parse_header(header: str) -> tuple[str, str | None]:
-    """(name, unit or None) of a header;
-    the unit as pam_ocp.core.units spells it where it is known.
-    """
-    match = _BRACKETED.match(header.strip())
-    if match:
-        name, text = match["name"] or match["left"], match["unit"] or match["right"] or ""
-        text = text.strip()
-        return plain(name), SPELLINGS.get(text.lower(), text) or None
-    match = _SUFFIXED.match(header.strip())
-    if match and match["unit"].lower() in SPELLINGS:
-        return plain(match["name"]), SPELLINGS[match["unit"].lower()]
-    return plain(header), None
-
-
-def plain(name: str) -> str:
-    return re.sub(r"[_\s]+", " ", name).strip().lower()
+"""How files that are no tables of text are read, by their ending."""
+ENDINGS = frozenset({*_READERS, ".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm"})
+"""Files of a folder that are taken for tables."""

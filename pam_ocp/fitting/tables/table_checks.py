@@ -8,9 +8,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.calibration import Scale
 from ...core.errors import InputError
 from ...core.units import unit
-from .sources import RawTable
+from .headers import NAMES
+from .raw import RawTable
 
 __all__ = [
     "QUANTITIES",
@@ -23,16 +25,13 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 
-# quantity: (SI unit, names by which a header calls it)
 QUANTITIES: dict[str, tuple[str, frozenset[str]]] = {
-    "length": ("m", frozenset({"length", "l", "len", "muscle length", "active length"})),
-    "contraction": (
-        "1",
-        frozenset({"contraction", "contraction ratio", "kappa", "κ", "eps", "epsilon", "ε"}),
-    ),
-    "pressure": ("Pa", frozenset({"pressure", "p", "gauge pressure", "pressure gauge", "p gauge"})),
-    "force": ("N", frozenset({"force", "f", "pulling force", "tension", "tensile force"})),
+    "length": ("m", NAMES["length"]),
+    "contraction": ("1", NAMES["contraction"]),
+    "pressure": ("Pa", NAMES["pressure"]),
+    "force": ("N", NAMES["force"]),
 }
+"""Quantity: (SI unit, names by which a header calls it)."""
 
 LARGEST_PRESSURE = (1e3, 5e6)
 """Where the largest gauge pressure of a table may lie [Pa]; beyond, its unit is in doubt."""
@@ -45,12 +44,14 @@ CONTRACTION_RANGE = (-0.10, 0.60)
 class Series:
     """One column as numbers: ``values`` as they stand, ``si`` converted."""
 
-    def __init__(self, quantity: str, header: str, name: str | None, raw: RawTable) -> None:
+    def __init__(self, quantity: str, header: str, scale: Scale | None, raw: RawTable) -> None:
         self.quantity, self.header, self.raw = quantity, header, raw
-        self.declared = name is not None
-        self.unit = name or QUANTITIES[quantity][0]
+        self.declared = scale is not None
+        self.scale = scale or Scale(QUANTITIES[quantity][0], unit(QUANTITIES[quantity][0]))
+        # what messages call the numbers that stand in the file
+        self.unit = self.scale.unit if self.scale.formula is None else raw.unit(header) or "1"
         self.values = raw.numbers(header)
-        self.si: Array = self.values * unit(self.unit).factor
+        self.si: Array = self.scale.si(self.values)
 
     def shown(self, index: int) -> str:
         """``pressure 0.35 bar in row 3``."""
@@ -59,7 +60,7 @@ class Series:
 
     @property
     def reading(self) -> str:
-        return f"read in {self.unit}" + ("" if self.declared else ", as no unit was named")
+        return f"read in {self.scale.unit}" + ("" if self.declared else ", as no unit was named")
 
 
 def check_pressure(pressure: Series) -> None:
@@ -68,7 +69,8 @@ def check_pressure(pressure: Series) -> None:
     largest, smallest = pressure.si[top], pressure.si[low]
     if smallest < -max(0.02 * largest, 2e3):
         raise InputError(
-            f"{pressure.shown(low)} is negative beyond noise; pressures are gauge pressures >= 0"
+            f"{pressure.shown(low)} is negative beyond noise{_from_ambient(pressure, low)}; "
+            "pressures are gauge pressures >= 0"
         )
     low_end, high_end = LARGEST_PRESSURE
     if not low_end <= largest <= high_end:
@@ -82,6 +84,16 @@ def check_pressure(pressure: Series) -> None:
             f"outside {low_end / 1e5:g} .. {high_end / 1e5:g} bar: {guess}; "
             f"correct the header or give units={{'pressure': {remedy!r}}}"
         )
+
+
+def _from_ambient(pressure: Series, low: int) -> str:
+    if not pressure.scale.shift:
+        return ""
+    least = pressure.si[low] + pressure.scale.shift
+    return (
+        f" (absolute, {pressure.scale.shift:g} Pa taken off: give ambient_pressure={least:.0f} if "
+        "that was the weather, or the unit without 'abs')"
+    )
 
 
 def check_mixed_pressure(pressure: Series, p: Array, force: Array, contraction: Array) -> None:

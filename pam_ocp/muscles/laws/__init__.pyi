@@ -3,6 +3,10 @@ from ..law import LAWS as LAWS
 from ..law import ForceLaw as ForceLaw
 from ..law import SixParameterLaw as SixParameterLaw
 from ..law import coefficient as coefficient
+from .around import bladder_law as bladder_law
+from .around import ends_law as ends_law
+from .around import with_bladder as with_bladder
+from .around import with_ends as with_ends
 from .braid import CorrectedLaw as CorrectedLaw
 from .braid import GeometricLaw as GeometricLaw
 from .empirical import FiveParameterLaw as FiveParameterLaw

@@ -204,8 +204,8 @@ class TwoSlopeThreeElementLaw(ForceLaw):
     The kink of K is rounded off over ``rounding`` (see :func:`clamp`), elsewhere the law is as
     printed. Not affine in pressure. Its damping is :meth:`DirectionalDamping.festo`.
 
-    Source: a published set for a Festo muscle, 150 to 550 kPa; that it is from Serres 2009 is
-    unconfirmed.
+    Source: J. L. Serres et al., Comput. Methods Biomech. Biomed. Engin. 12(4) (2009) 423-430, doi
+    10.1080/10255840802654327; the coefficients are printed in its abstract, for 150 to 550 kPa.
     """
 
     f0: FloatOrSX = coefficient("N", 100.0, "contractile force, constant")
@@ -226,7 +226,9 @@ class TwoSlopeThreeElementLaw(ForceLaw):
 
     name: ClassVar[str] = "three-element-two-slopes"
     title: ClassVar[str] = "Three-element law with two slopes of the spring (Festo set)"
-    reference: ClassVar[str] = "three-element set for a Festo muscle (attribution unconfirmed)"
+    reference: ClassVar[str] = (
+        "Serres et al., Comput. Methods Biomech. Biomed. Engin. 12(4) (2009) 423-430"
+    )
     validity: ClassVar[Validity] = Validity(
         pressure=(150e3, 550e3), note="measured at 150 to 550 kPa"
     )

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import Field, make_dataclass
+from dataclasses import Field
 from functools import cache
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,8 +19,15 @@ from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.expressions import expression_of
 from ..law import LAWS, ForceLaw, coefficient
 from ..validity import Validity
+from .around import AROUND
+from .made import made_law
 
-__all__ = ["law_named", "own_law", "polynomial_law", "spline_law"]
+__all__ = [
+    "law_named",
+    "own_law",
+    "polynomial_law",
+    "spline_law",
+]
 
 _TYPICAL = {"g": ("N/Pa", 3e-3, "gain G"), "h": ("N", 300.0, "force at zero pressure H")}
 
@@ -33,10 +40,13 @@ def law_named(name: str) -> type[ForceLaw]:
     """The class of laws of this name: one of ``LAWS``, or a form with its numbers.
 
     "polynomial-3-4" is ``polynomial_law(3, 4)``, "spline-3:0,0.1,0.25" ``spline_law([0, 0.1, 0.25],
-    3)``.
+    3)``, "six-parameter+bladder" ``bladder_law(SixParameterLaw)``.
     """
     if name in LAWS:
         return LAWS[name]
+    inner, plus, kind = str(name).rpartition("+")
+    if plus and kind in AROUND:
+        return AROUND[kind](law_named(inner))
     if found := _POLYNOMIAL.fullmatch(str(name)):
         return polynomial_law(int(found[1]), int(found[2]))
     if found := _SPLINE.fullmatch(str(name)):
@@ -45,7 +55,7 @@ def law_named(name: str) -> type[ForceLaw]:
         except ValueError:
             raise InputError(f"law = {name!r}: give numbers behind the colon") from None
         return spline_law(breaks, int(found[1]))
-    known = (*LAWS, "polynomial-DEGREE-DEGREE", "spline-DEGREE:BREAK,BREAK,...")
+    known = (*LAWS, "polynomial-DEGREE-DEGREE", "spline-DEGREE:BREAK,BREAK,...", "LAW+bladder")
     raise UnknownNameError("force law", name, known)
 
 
@@ -77,7 +87,7 @@ def _polynomial_law(gain_degree: int, offset_degree: int) -> type[ForceLaw]:
         # contractions are about 1/4, so the i-th coefficient is about 4^i times the constant
         return coefficient(unit, size * 4.0**i, f"{words}, contraction to the power {i}")
 
-    return _made(
+    return made_law(
         f"PolynomialLaw{gain_degree}{offset_degree}",
         {f"{c}{i}": described(c, i) for c, degree in degrees.items() for i in range(degree + 1)},
         formula=lambda law, p, kappa: polynomial(law, "g", kappa) * p + polynomial(law, "h", kappa),
@@ -126,7 +136,7 @@ def _spline_law(breaks: tuple[float, ...], degree: int) -> type[ForceLaw]:
         for letter, (unit, size, words) in _TYPICAL.items()
         for i in range(count)
     }
-    return _made(
+    return made_law(
         f"SplineLaw{degree}",
         fields,
         formula=lambda law, p, kappa: spline(law, "g", kappa) * p + spline(law, "h", kappa),
@@ -203,7 +213,7 @@ def own_law(
     else:
         symbols = {key: ca.SX.sym(key) for key in coefficients}
         expression_of(f"law {name!r}", formula, ca.SX.sym("p"), ca.SX.sym("kappa"), **symbols)
-    law = _made(
+    law = made_law(
         "OwnLaw",
         dict(coefficients),
         formula=lambda law, p, kappa: formula(p, kappa, **law.values),
@@ -231,29 +241,3 @@ def _from_expression(expression: ca.SX, names: tuple[str, ...]) -> Callable[...,
 
 def _degree(argument: str, value: int) -> int:
     return require_count(argument, value, 0, 12)
-
-
-def _made(
-    class_name: str,
-    coefficients: Mapping[str, Any],
-    *,
-    remake: tuple[Callable[..., type[ForceLaw]], tuple[Any, ...]] | None = None,
-    **members: Any,
-) -> type[ForceLaw]:
-    """A frozen dataclass of this name with ForceLaw as its base."""
-    if remake is not None:  # classes made at run time are pickled as the call that makes them
-        members["__reduce__"] = lambda law: (_remade, (*remake, tuple(law.values.values())))
-    return cast(
-        type[ForceLaw],
-        make_dataclass(
-            class_name,
-            [(n, float, f) for n, f in coefficients.items()],
-            bases=(ForceLaw,),
-            namespace={"__doc__": members["title"], "__module__": __name__, **members},
-            frozen=True,
-        ),
-    )
-
-
-def _remade(factory: Callable[..., type[ForceLaw]], arguments: Any, values: Any) -> ForceLaw:
-    return factory(*arguments)(*values)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 
 from ...core.errors import InputError, require_positive
+from ...core.quantities import is_quantity
 from ...plants.plant import Plant, require_plant
 from .costs import COSTS
 from .cycles import closing_states, not_implied
@@ -52,6 +54,7 @@ def formulate(plant: Plant, statement: Statement) -> Problem:
     elif statement.cyclic == "mirrored":
         nodes[-1] = not_implied(plant, stops, nodes[-1], closing or {})
     _require_an_end(statement, legs)
+    _require_a_motion(statement, stops, legs)
     goal = replace(goal, peaks=goal.peaks + (0.0,) * (len(symbols.m) - len(goal.peaks)))
     budgets = [
         each
@@ -91,12 +94,20 @@ def _stops(plant: Plant, statement: Statement) -> list[Stop]:
     found = []
     for stop in statement.stops:
         stop = stop if isinstance(stop, Stop) else Stop(stop)
-        values = {key_of(plant, n): v for n, v in stop.values.items()}
+        values = {key_of(plant, n): _in_si(plant, n, v) for n, v in stop.values.items()}
         rest = statement.rest if stop.rest is None else stop.rest
         if stop.dwells and not rest:
             raise InputError(f"{stop}: a stop with a dwell is at rest; leave out rest=False")
         found.append(Stop(values, rest, stop.dwell, stop.within))
     return found
+
+
+def _in_si(plant: Plant, name: str, value: Any) -> Any:
+    """A value of a stop, or the ends of its range, with texts such as "20 mm" as numbers."""
+    variable = subject(plant, name)[0]
+    if isinstance(value, tuple | list):
+        return tuple(v if v is None else _in_si(plant, name, v) for v in value)
+    return variable.number(value, name) if is_quantity(value) else value
 
 
 def _laid_out(
@@ -220,6 +231,20 @@ def _duration(value: Any) -> Range:
         return low, high
     fixed = require_positive("duration", value, "s")
     return fixed, fixed
+
+
+def _require_a_motion(statement: Statement, stops: Sequence[Stop], legs: Sequence[Leg]) -> None:
+    """Between two equal stops a motion as short as possible is none."""
+    motions = [leg for leg in legs if not leg.dwell]
+    asked = {term for term, weight in statement.weights.items() if weight}
+    if asked != {"time"} or statement.track or statement.integrand is not None:
+        return
+    for i, ((one, other), leg) in enumerate(zip(pairwise(stops), motions, strict=False), start=1):
+        if one.values == other.values and leg.duration == DURATIONS:
+            raise InputError(
+                f"stops {i} and {i + 1} are the same, {dict(one.values)}: the shortest motion "
+                "between them is none; leave one out, give the stop a dwell, or fix the duration"
+            )
 
 
 def _require_an_end(statement: Statement, legs: Sequence[Leg]) -> None:

@@ -114,6 +114,7 @@ def objective(
     """The weighted sum that a user asks for; see :func:`pam_ocp.plan`."""
     weights = {minimise: 1.0} if isinstance(minimise, str) else dict(minimise)
     running, last = ca.SX(0), ca.SX(0)
+    units = {"time": "s"}
     for term, weight in weights.items():
         require_finite(f"minimise[{term!r}]", weight)
         form = _FORM.match(term)
@@ -128,6 +129,7 @@ def objective(
             if not term.startswith("integral("):
                 require_positive(f"minimise[{term!r}]", weight, zero=True)
             running += weight * value / variable.nominal
+            units[term] = _counted(variable)
         else:
             require_positive(f"minimise[{term!r}]", weight, zero=True)
     running += _tracking(plant, symbols, track or {})
@@ -143,7 +145,29 @@ def objective(
         last + (0 if final is None else final),
         tuple(weight for weight, _ in symbols.peaks),
         any(weights.get(name, 0.0) for name in COSTS if COSTS[name].economical),
+        _in_words(weights, units, (track, integrand, final)),
     )
+
+
+def _counted(variable: Variable) -> str:
+    """The unit in which an integral counts: its nominal."""
+    factor = "" if variable.nominal == 1 else f"{variable.nominal:g} "
+    return "" if variable.unit == "1" else f"{factor}{variable.unit}"
+
+
+def _in_words(
+    weights: Mapping[str, float], units: Mapping[str, str], more: tuple[Any, Any, Any]
+) -> str:
+    """``time [s] + 0.001 rate + tracking``."""
+    said = [
+        ("" if weight == 1 else f"{weight:g} ")
+        + term
+        + (f" [{units[term]}]" if units.get(term) else "")
+        for term, weight in weights.items()
+        if weight
+    ]
+    names = ("tracking", "integrand", "final")
+    return " + ".join(said + [n for n, given in zip(names, more, strict=True) if given is not None])
 
 
 def _tracking(plant: Plant, symbols: Symbols, track: Mapping[str, Any]) -> ca.SX:
@@ -153,7 +177,9 @@ def _tracking(plant: Plant, symbols: Symbols, track: Mapping[str, Any]) -> ca.SX
         variable = plant.variable(name)
         aim, weight = wanted if isinstance(wanted, tuple) else (wanted, 1.0)
         require_positive(f"track[{name!r}]: weight", weight)
-        error = plant.expression(variable.name) - symbols.aim(f"track[{name!r}]", aim)
+        error = plant.expression(variable.name) - symbols.aim(
+            f"track[{name!r}]", aim, variable.unit
+        )
         total += weight * (error / variable.nominal) ** 2
     return total
 

@@ -106,6 +106,8 @@ class Objective:
     """
     economical: bool = False
     """Whether work, air or exergy counts."""
+    words: str = ""
+    """The sum in words, with the unit of each term."""
 
     @property
     def only_time(self) -> bool:

@@ -29,13 +29,13 @@ class Symbols:
     wanted: Literal["small", "large"] = "small"
     """How the integral that is being stated is wanted."""
 
-    def aim(self, name: str, value: Any) -> ca.SX:
-        """The symbol of a constant aim, or of a Profile's value."""
+    def aim(self, name: str, value: Any, unit: str = "") -> ca.SX:
+        """The symbol of a constant aim [unit], or of a Profile's value."""
         if isinstance(value, Profile):
             self.profiles.append(value)
             self.r.append(ca.SX.sym(f"profile_{len(self.r)}"))
             return self.r[-1]
-        self.aims.append(require_finite(name, value))
+        self.aims.append(require_finite(name, value, unit))
         self.q.append(ca.SX.sym(f"aim_{len(self.q)}"))
         return self.q[-1]
 

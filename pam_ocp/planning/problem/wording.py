@@ -38,8 +38,9 @@ class Stop:
     def __post_init__(self) -> None:
         if not isinstance(self.values, Mapping):
             raise InputError(f"Stop({self.values!r}): give a mapping, such as Stop({{'x': 0.01}})")
-        for value in self.dwell if isinstance(self.dwell, tuple) else (self.dwell,):
-            require_positive("Stop.dwell", value, "s", zero=True)
+        ends = self.dwell if isinstance(self.dwell, tuple) else (self.dwell,)
+        dwell = tuple(require_positive("Stop.dwell", v, "s", zero=True) for v in ends)
+        object.__setattr__(self, "dwell", dwell if isinstance(self.dwell, tuple) else dwell[0])
         require_positive("Stop.within", self.within)
 
     @property
@@ -67,7 +68,9 @@ class Constraint:
         """As the planner's conditions."""
         require_expression(plant, f"Constraint {self.name!r}", self.expression)
         low, high = (
-            default if value is None else require_finite(f"Constraint {self.name!r}", value)
+            default
+            if value is None
+            else require_finite(f"Constraint {self.name!r}", value, self.unit)
             for value, default in ((self.low, -float("inf")), (self.high, float("inf")))
         )
         if low > high or (self.low is None and self.high is None):
@@ -98,9 +101,10 @@ class Avoid:
         for key, value in self.region.items():
             if not (isinstance(value, Sequence) and len(value) == 2):
                 raise InputError(f"Avoid: {key} = {value!r}: give (centre, half width)")
-            centre = require_finite(f"Avoid: centre of {key}", value[0])
-            width = require_positive(f"Avoid: half width of {key}", value[1])
-            expression = TIME if key == "time" else plant.expression(key)
+            timed = key == "time"
+            unit, expression = ("s", TIME) if timed else _measured(plant, key)
+            centre = require_finite(f"Avoid: centre of {key}", value[0], unit)
+            width = require_positive(f"Avoid: half width of {key}", value[1], unit)
             distance += ((expression - centre) / width) ** 2
         shown = Variable("distance", "constraint")
         # the root grows evenly with the distance, so a solver far inside sees a slope of order one
@@ -147,6 +151,12 @@ def subject(plant: Plant, name: str) -> tuple[Variable, ca.SX]:
         nominal=10 * state.nominal,
     )
     return variable, expression
+
+
+def _measured(plant: Plant, name: str) -> tuple[str, ca.SX]:
+    """(unit, expression) of NAME or der(NAME)."""
+    variable, expression = subject(plant, name)
+    return variable.unit, expression
 
 
 def require_expression(plant: Plant, argument: str, expression: Any) -> None:

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.shown import shown
 from ...numerics.solvers import nlpsol
 from ..problem.problem import Budget, Condition
 from ..transcription.transcription import Program
@@ -27,6 +28,7 @@ NAMED = 3
 """How many constraints a message names."""
 
 
+@shown
 @dataclass(frozen=True)
 class Conflict:
     """A constraint that has to be violated: the condition, by how much (in nominals), and where."""

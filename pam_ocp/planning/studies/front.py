@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ... import courtesy
 from ...core.errors import InputError, PlanError, require_count, require_positive
+from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
 from ...plants.plant import Plant, require_plant
@@ -42,6 +43,7 @@ POLISH = 1e-4
 """What the second objective weighs, relative to the first, to choose among equally good anchors."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class Pareto:
     """Plans along the front of two objectives,

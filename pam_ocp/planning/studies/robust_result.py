@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ... import courtesy
+from ...core.shown import shown
 from ...core.trajectory import Trajectory
 from ..result import Plan
 from .share import Demand, Judged, Share, judged
@@ -21,6 +22,7 @@ SLACK = 1e-3
 """By so much of nominal the plants planned for may miss by simulation what the plan promised."""
 
 
+@shown
 @dataclass(frozen=True)
 class RobustVerdict:
     """Whether a robust plan holds what was asked for,
@@ -91,6 +93,7 @@ class Round:
     """Since the search began."""
 
 
+@shown
 @dataclass(frozen=True, eq=False)
 class RobustPlan:
     """One input for a set of plants, and what each of them does with it by simulation.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import PamError
+from ...core.shown import shown
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
 from ...plants.plant import Plant
@@ -80,6 +81,7 @@ class Judged:
         return [group[0] for group in ranked][:most]
 
 
+@shown
 @dataclass(frozen=True)
 class Share:
     """How many plants of a sample keep the spread at all stops and (``all_within``) all limits."""

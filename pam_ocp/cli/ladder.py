@@ -1,0 +1,129 @@
+"""The command ``pam-ocp ladder``: which model do these records ask for?"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import FitError, InputError
+from ..core.files import read_toml
+from ..core.quantities import known_keys
+from ..plants.plant import Plant
+from .fit import _bounds, _list, _records
+from .options import add_allow_code
+
+__all__ = ["add_ladder"]
+
+EPILOG = """\
+Climbs from a static model to one with lag, dead time, slew limit, friction, memory (slip) and
+creep. Each is fitted to all records, and judged by what it predicts of parts left out; the
+simplest that is not significantly worse than the best is marked with *.
+
+The study file (TOML) is that of 'pam-ocp fit-plant'. Its [plant] says the arrangement and the
+regulator's start values; what the ladder puts on it (dead time, slew limit, losses) is left out:
+
+  records = ["run1.csv", "run2.csv"]      # beside this file; each begins at rest
+  free = ["base_pressure", "muscle*.gain"]   # on every rung
+  dynamic = ["damping", "mass"]           # from the second rung on; default: the damping
+
+  [plant]
+  arrangement = "AntagonisticSlide"       # or "FILE.py:NAME": (muscle, feed=, losses=)
+  muscle = "DMSP-20-200N"
+  mass = "2 kg"
+  feed = { kind = "PairRegulator", base = "2.5 bar", gain = "1 bar/V", lag = "50 ms" }
+
+Exit code: 0, or 1 when no rung could be fitted, 2 for a file or an option that cannot be meant.
+"""
+_KEYS = (
+    "plant",
+    "records",
+    "free",
+    "dynamic",
+    "outputs",
+    "bounds",
+    "rungs",
+    "folds",
+    "columns",
+    "units",
+    "time",
+    "interpolation",
+    "max_gap",
+    "split",
+)
+
+
+def add_ladder(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    ladder = commands.add_parser(
+        "ladder",
+        help="climb from a static model to one with friction and memory: which do records ask for?",
+        description="Which model? Static, + lag, + dead time, + slew limit, + friction, + memory, "
+        "+ creep: what each predicts of held-out parts of the records, and what it costs.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    ladder.add_argument("study", metavar="FILE.toml", help="plant and records; see below")
+    ladder.add_argument(
+        "records", nargs="*", type=Path, metavar="RECORD", help="instead of its own"
+    )
+    ladder.add_argument("--free", nargs="+", metavar="NAME", help="fitted on every rung")
+    ladder.add_argument("--dynamic", nargs="+", metavar="NAME", help="fitted from the second on")
+    ladder.add_argument(
+        "--rungs", nargs="+", metavar="RUNG", help="only these, such as 'dead time'"
+    )
+    ladder.add_argument("--outputs", nargs="+", metavar="NAME", help="compare only these")
+    ladder.add_argument("--folds", type=int, metavar="N", help="of parts left out (default 5)")
+    ladder.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
+    add_allow_code(ladder)
+    ladder.set_defaults(run=_ladder)
+
+
+def _ladder(options: argparse.Namespace) -> int:
+    from ..fitting.dynamic.ladder import fit_ladder
+    from ..plants.plant_file import builder_of
+
+    study: dict[str, Any] = read_toml(options.study)
+    known_keys(options.study, study, _KEYS)
+    folder = Path(options.study).parent
+    described = study.get("plant")
+    if not isinstance(described, Mapping):
+        raise InputError(f"{options.study} has no [plant] table: say what the ladder is built on")
+    build, feed = builder_of(described, "plant", folder, allow_code=options.allow_code)
+    for name in ("free", "dynamic", "rungs", "outputs", "folds"):
+        if getattr(options, name) is not None:
+            study[name] = getattr(options, name)
+    listed = [folder / n for n in _list("records", study.get("records", []))]
+    study["records"] = options.records or listed
+    plant: Plant = build(feed=feed, losses=())
+    records = _records(study, plant, "records")
+    if not records:
+        raise InputError("no record: give files, or records = [...] in the study file")
+    given: dict[str, Any] = {
+        n: _list(n, study[n]) for n in ("dynamic", "rungs", "outputs") if n in study
+    }
+    if "bounds" in study:
+        given["bounds"] = _bounds(study, plant)
+    pool = ProcessPoolExecutor(options.jobs) if options.jobs > 1 else None
+    with pool or nullcontext():
+        try:
+            found = fit_ladder(
+                build,
+                records,
+                _list("free", study.get("free", [])),
+                feed=feed,
+                folds=study.get("folds", 5),
+                executor=pool,
+                progress=lambda text: print(text, file=sys.stderr, flush=True),
+                time_limit=options.time_limit,
+                **given,
+            )
+        except FitError as error:
+            print(f"pam-ocp ladder: {error}", file=sys.stderr)
+            return 1
+    print(found.report())
+    return 0

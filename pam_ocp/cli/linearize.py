@@ -1,0 +1,105 @@
+"""``pam-ocp linearize``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import InputError
+from .options import pairs, require_places
+from .plants import add_plant, plant_said
+
+__all__ = ["add_linearize"]
+
+
+def add_linearize(commands: Any) -> None:
+    """The command ``linearize``."""
+    linearize = commands.add_parser(
+        "linearize",
+        help="poles, frequencies and matrices of a plant about a point of rest",
+        description="Find a point of rest, linearise the plant about it, and print values, poles "
+        "and natural frequencies.",
+    )
+    add_plant(linearize)
+    linearize.add_argument(
+        "--rest",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="condition of rest, such as x='10 mm' or muscle.pressure='2 bar' (may be repeated; "
+        "default: the inputs' start values)",
+    )
+    for kind in ("inputs", "outputs"):
+        linearize.add_argument(
+            f"--{kind}", nargs="+", metavar="NAME", help=f"{kind} to keep (default: all)"
+        )
+    linearize.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.json",
+        help="write A, B, C, D with names and units (display units: mm, bar, deg)",
+    )
+    linearize.add_argument(
+        "--si", action="store_true", help="matrices in SI instead of display units"
+    )
+    linearize.add_argument(
+        "--plot", type=Path, metavar="FILE.png", help="Bode diagram from the first input kept"
+    )
+    linearize.add_argument("--json", action="store_true", help="print the same as JSON")
+    linearize.set_defaults(run=_linearize)
+
+
+def _linearize(options: argparse.Namespace) -> int:
+    from ..core.files import write_json
+    from ..figures.saved import save_figure
+    from ..figures.trajectory import plot_bode
+    from ..operating.linear import linearize, modes
+
+    require_places(options.out, options.plot)
+    if options.out and options.out.suffix.lower() != ".json":
+        raise InputError(f"--out {options.out}: matrices are written as .json")
+    plant = plant_said(options)
+    conditions = pairs("--rest", options.rest)
+    point = plant.equilibrium(conditions or {v.name: v.start or 0.0 for v in plant.inputs})
+    system = linearize(
+        plant,
+        point,
+        inputs=options.inputs,
+        outputs=options.outputs,
+        units=None if options.si else "display",
+        stuck=True,
+    )
+    said = {
+        "point": point.values,
+        "stability": point.stability,
+        "poles": [[float(p.real), float(p.imag)] for p in point.poles],
+        "modes": [{"hertz": f, "damping_ratio": z} for f, z in modes(system)],
+        "states": system.state_labels,
+        "inputs": system.input_labels,
+        "outputs": system.output_labels,
+        "units": system.units,
+        **{name: getattr(system, name).tolist() for name in "ABCD"},
+    }
+    print(json.dumps(said) if options.json else _text(point, said))
+    if options.out:
+        print(f"-> {write_json(options.out, said)}")
+    if options.plot:
+        output, source = system.output_labels[0], system.input_labels[0]
+        units = system.units[output], system.units[source]
+        figure = plot_bode({plant.name: system}, output, source, units=units)
+        print(f"-> {save_figure(figure, options.plot)}")
+    return 0
+
+
+def _text(point: Any, said: dict[str, Any]) -> str:
+    lines = [f"point of rest, {said['stability']}:", str(point), "poles [1/s]:"]
+    for re, im in said["poles"]:
+        if im >= 0:
+            lines.append(f"    {re:.6g}" + (f" ± {im:.6g} i" if im else ""))
+    lines += [
+        f"natural frequency {m['hertz']:.4g} Hz, damping ratio {m['damping_ratio']:.3g}"
+        for m in said["modes"]
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,137 @@
+"""Options of commands that read files of rigs, and the command ``pam-ocp look``."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+from typing import Any
+
+from ..core.errors import InputError
+from .options import pairs
+
+__all__ = ["add_look", "add_reading", "reading_options"]
+
+EPILOG = """\
+  pam-ocp look rig.csv --rest-length "300 mm"
+  pam-ocp look rig.txt --columns "length [mm]" "pressure [bar]" "force [N]"
+  pam-ocp look rig.xlsx --sheet M3 --columns pressure=ch1 --units "pressure=V * 2 bar/V - 0.3 bar"
+  pam-ocp look run7.csv --clock cut
+
+Nothing is fitted. Exit code: 0 when the file can be read so, 1 when something must be said first
+(which is printed), 2 for a file or an option that cannot be meant.
+"""
+
+
+def add_reading(command: argparse.ArgumentParser) -> None:
+    """Options that say how a file is to be read, where it does not say it itself."""
+    command.add_argument(
+        "--columns",
+        nargs="+",
+        metavar="NAME",
+        help="QUANTITY=HEADER where the header does not say it; or the names of all columns from "
+        "the left, with units, where the file has none ('-' leaves one out)",
+    )
+    command.add_argument(
+        "--units",
+        nargs="+",
+        metavar="QUANTITY=UNIT",
+        help="unit, 'bar abs', or a calibration such as 'pressure=V * 2 bar/V - 0.3 bar'",
+    )
+    command.add_argument(
+        "--ambient-pressure",
+        metavar="P",
+        help="taken off absolute pressures (default: 1.01325 bar)",
+    )
+    command.add_argument("--sheet", metavar="NAME", help="of a workbook: its name or number")
+    command.add_argument("--pick", metavar="NAME", help="table within nested data, as run.data")
+    command.add_argument(
+        "--skip", type=int, metavar="N", help="lines at the beginning to leave out"
+    )
+    command.add_argument(
+        "--delimiter", metavar="C", help="between cells, where it is taken wrongly"
+    )
+    command.add_argument("--decimal", choices=(".", ","), help="where it is taken wrongly")
+    command.add_argument(
+        "--pivot",
+        nargs="+",
+        metavar="HEADER",
+        help="what runs down, across, and stands in the cells of a pivot",
+    )
+
+
+def reading_options(options: argparse.Namespace) -> dict[str, Any]:
+    """What the options say, as arguments of read_table and read_record. Raises InputError."""
+    found: dict[str, Any] = {}
+    if options.columns:
+        named = [text.partition("=") for text in options.columns]
+        if all(equals for _, equals, _ in named):
+            found["columns"] = {name.strip(): header for name, _, header in named}
+        elif any(equals for _, equals, _ in named):
+            raise InputError(
+                "--columns: give QUANTITY=HEADER for each, or the names of all columns"
+            )
+        else:
+            found["columns"] = [None if text == "-" else text for text in options.columns]
+    if options.units:
+        found["units"] = pairs("--units", options.units)
+    for name in ("ambient_pressure", "pick", "skip", "delimiter", "decimal"):
+        if getattr(options, name) is not None:
+            found[name] = getattr(options, name)
+    if options.sheet is not None:
+        found["sheet"] = int(options.sheet) if options.sheet.isdigit() else options.sheet
+    if options.pivot:
+        found["pivot"] = tuple(options.pivot)
+    return found
+
+
+def add_look(commands: Any) -> None:
+    """Add the command to the parser's commands."""
+    look = commands.add_parser(
+        "look",
+        help="what is understood of measured files, before anything is fitted",
+        description="Print what is understood of files, column by column: names, units, ranges, "
+        "empty cells, the clock, ramps, doubts, and the call that reads them.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    look.add_argument("files", nargs="+", metavar="FILE", help="files, folders or patterns")
+    add_reading(look)
+    look.add_argument(
+        "--rest-length", metavar="L", help="of the muscle, in metres or with its unit"
+    )
+    look.add_argument("--kind", choices=("table", "record"), help="where it is taken for the other")
+    look.add_argument("--time", metavar="HEADER", help="column of the time of a record")
+    look.add_argument(
+        "--clock", choices=("mend", "cut", "refuse"), help="of a record (default: mend)"
+    )
+    look.add_argument("--max-gap", type=float, metavar="S", help="longest step that is no gap")
+    look.add_argument("--sample-time", metavar="S", help="resample a record, or 'even'")
+    look.add_argument("--json", action="store_true", help="print it as JSON")
+    look.set_defaults(run=_look)
+
+
+def _look(options: argparse.Namespace) -> int:
+    from ..fitting.tables.preview import Previews, look
+
+    said = reading_options(options)
+    for name in ("rest_length", "kind", "time", "clock", "max_gap", "sample_time"):
+        value = getattr(options, name)
+        if value is not None:
+            said[name] = _number(value)
+    source = options.files[0] if len(options.files) == 1 else options.files
+    seen = look(source, **said)
+    views = seen if isinstance(seen, Previews) else [seen]
+    if options.json:
+        print(json.dumps([view.to_dict() for view in views], indent=1, ensure_ascii=False))
+    else:
+        print(seen)
+    return 0 if seen.ok else 1
+
+
+def _number(value: Any) -> Any:
+    """A number where it is one; "300 mm" stays."""
+    try:
+        return ast.literal_eval(value) if isinstance(value, str) else value
+    except (ValueError, SyntaxError):
+        return value

@@ -1,0 +1,176 @@
+"""``pam-ocp simulate`` and ``pam-ocp compare``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import InputError
+from ..core.quantities import quantity
+from .options import pairs, require_places
+from .plants import add_plant, plant_said
+
+if TYPE_CHECKING:
+    from ..core.trajectory import Trajectory
+    from ..plants.plant import Plant
+
+__all__ = ["add_compare", "add_simulate"]
+
+RECORD = (".csv", ".npz", ".parquet")
+
+
+def add_simulate(commands: Any) -> None:
+    """The command ``simulate``."""
+    simulate = commands.add_parser(
+        "simulate",
+        help="simulate a plant",
+        description="Integrate a plant under constant or recorded inputs, print its last values, "
+        "and write and draw the motion.",
+    )
+    add_plant(simulate)
+    simulate.add_argument(
+        "--input",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="constant input, such as muscle.command='3 bar' (may be repeated)",
+    )
+    simulate.add_argument(
+        "--inputs",
+        type=Path,
+        metavar="FILE",
+        help="recorded inputs: a trajectory (.csv, .npz, .parquet), such as 'pam-ocp plan --csv' "
+        "writes",
+    )
+    simulate.add_argument(
+        "--rest",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="begin at rest under this condition, such as x='10 mm' (may be repeated)",
+    )
+    simulate.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
+    simulate.add_argument(
+        "--samples", type=int, default=201, metavar="N", help="rows of the result (default: 201)"
+    )
+    simulate.add_argument(
+        "--rtol", type=float, default=1e-8, metavar="R", help="relative tolerance (default: 1e-8)"
+    )
+    simulate.add_argument(
+        "--out", type=Path, metavar="FILE", help="write the motion (.csv, .npz, .parquet)"
+    )
+    simulate.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the motion")
+    simulate.add_argument("--json", action="store_true", help="print the last values as JSON, SI")
+    simulate.set_defaults(run=_simulate)
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    import numpy as np
+
+    from ..core.errors import require_count
+    from ..figures.saved import save_figure
+    from ..simulation.simulator import simulate
+
+    require_places(options.out, options.plot)
+    _require_endings(options.out)
+    plant = plant_said(options)
+    inputs = _inputs(plant, options)
+    start = plant.equilibrium(pairs("--rest", options.rest)) if options.rest else None
+    if options.duration is not None:
+        require_count("--samples", options.samples, 2)
+        times: Any = np.linspace(
+            0.0, quantity("--duration", options.duration, "s"), options.samples
+        )
+    elif options.inputs is None:
+        raise InputError("give --duration, such as --duration '500 ms', or --inputs FILE")
+    else:
+        times = None
+    motion = simulate(plant, inputs, t=times, start=start, rtol=options.rtol)
+    print(_last(motion, options.json))
+    if options.out:
+        print(f"-> {motion.save(options.out)}")
+    if options.plot:
+        print(f"-> {save_figure(motion.plot(), options.plot)}")
+    return 0
+
+
+def _inputs(plant: Plant, options: argparse.Namespace) -> Any:
+    from ..core.trajectory import Trajectory
+
+    if options.inputs is not None:
+        if options.input:
+            raise InputError("give --inputs FILE, or --input NAME=VALUE, not both")
+        return Trajectory.load(options.inputs)
+    given = pairs("--input", options.input)
+    return {
+        variable.name: variable.check(variable.number(value, "--input"), "--input")
+        for variable, value in ((plant.variable(n), v) for n, v in given.items())
+    }
+
+
+def _last(motion: Trajectory, as_json: bool) -> str:
+    """The last row of a motion: in SI as JSON, or in display units."""
+    values = {v.name: float(motion[v.name][-1]) for v in motion.variables}
+    if as_json:
+        return json.dumps({"time": float(motion.t[-1]), **values})
+    lines = [f"at the end, t = {motion.t[-1]:g} s:"]
+    return "\n".join(lines + [f"{n:<28}{motion.variable(n).shown(v)}" for n, v in values.items()])
+
+
+def _require_endings(out: Path | None) -> None:
+    if out is not None and out.suffix.lower() not in RECORD:
+        raise InputError(f"--out {out}: a trajectory is written as one of {', '.join(RECORD)}")
+
+
+def add_compare(commands: Any) -> None:
+    """The command ``compare``."""
+    compare = commands.add_parser(
+        "compare",
+        help="compare two trajectories",
+        description="How far a second trajectory is from a first, variable by variable, at the "
+        "first one's times. Exit code 1 when the largest difference exceeds --tolerance.",
+    )
+    compare.add_argument("reference", type=Path, metavar="REFERENCE")
+    compare.add_argument("other", type=Path, metavar="OTHER")
+    compare.add_argument(
+        "--names", nargs="+", metavar="NAME", help="columns to compare (default: all shared ones)"
+    )
+    compare.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="R",
+        help="largest difference allowed, in units of nominal (default: any)",
+    )
+    compare.add_argument(
+        "--plot", type=Path, metavar="FILE.png", help="draw both and the difference"
+    )
+    compare.add_argument("--json", action="store_true", help="print the differences as JSON, SI")
+    compare.set_defaults(run=_compare)
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from ..core.trajectory import Trajectory
+    from ..figures.saved import save_figure
+    from ..figures.trajectory import plot_comparison
+
+    require_places(options.plot)
+    one, other = Trajectory.load(options.reference), Trajectory.load(options.other)
+    found = one.compare(other, options.names)
+    if options.json:
+        rows = {
+            d.variable.name: {"largest": d.largest, "rms": d.rms, "time": d.time}
+            for d in found.deviations
+        }
+        print(json.dumps({"largest": found.largest, "variables": rows}))
+    else:
+        print(found)
+    if options.plot:
+        names = [d.variable.name for d in found.deviations][:8]
+        labels = options.reference.name, options.other.name
+        print(f"-> {save_figure(plot_comparison(one, other, names, labels), options.plot)}")
+    if options.tolerance is not None and not found.largest <= options.tolerance:
+        print(f"largest difference {found.largest:.3g} of nominal > {options.tolerance:g}")
+        return 1
+    return 0

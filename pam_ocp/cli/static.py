@@ -1,0 +1,294 @@
+"""The commands of static measurements: ``pam-ocp fit``, ``campaign`` and ``fit-holds``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import InputError
+from ..core.quantities import quantity
+from .options import pairs, require_places
+from .plants import PLANT, add_plant_options, plant_said
+from .reading import add_reading, reading_options
+
+if TYPE_CHECKING:
+    from ..fitting.static.force_fit import ForceFit
+    from ..fitting.tables.force_table import ForceTable
+
+__all__ = ["add_campaign", "add_fit", "add_fit_holds"]
+
+LOSSES = "squares (default); bisquare, where some cells are measured wrong; huber; l1"
+
+
+def add_fit(commands: Any) -> None:
+    """Add ``fit`` to the parser's commands."""
+    fit = commands.add_parser(
+        "fit",
+        help="fit a force law to a measured table",
+        description="Fit a force law to a measured table. A folder of tables: 'pam-ocp campaign'; "
+        "equilibria under a spring or a load: 'pam-ocp fit-holds'; time series: 'pam-ocp "
+        "fit-plant'.",
+    )
+    fit.add_argument(
+        "table",
+        metavar="TABLE",
+        help="file with length (or contraction), pressure, force; units in the header, as in "
+        "length_m,pressure_Pa,force_N ('pam-ocp look' says what is understood); or a bundled "
+        "table such as DMSP-20-300_static.csv",
+    )
+    fit.add_argument(
+        "--rest-length",
+        type=float,
+        metavar="M",
+        help="length at zero pressure and load, in metres (needed unless the table holds "
+        "contractions)",
+    )
+    fit.add_argument(
+        "--diameter", type=float, metavar="M", help="inner diameter at rest, in metres"
+    )
+    fit.add_argument(
+        "--law",
+        action="append",
+        metavar="LAW",
+        help="force law (default: six-parameter); also polynomial-1-3 (degrees), "
+        "spline-3:0,0.1,0.25 (degree and contractions); given several times, or 'all': these are "
+        "ranked, and the best at lengths left out is taken",
+    )
+    add_reading(fit)
+    _add_fixed(fit)
+    fit.add_argument("--loss", default="squares", metavar="LOSS", help=LOSSES)
+    fit.add_argument(
+        "--branches", action="store_true", help="also fit each branch, and say the hysteresis"
+    )
+    fit.add_argument("--name", metavar="NAME", help="name of the muscle in the muscle file")
+    fit.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="write the muscle file (.toml, .json) that the other commands take",
+    )
+    fit.add_argument(
+        "--plot", type=Path, metavar="FILE.png", help="draw measurement, law and residuals"
+    )
+    fit.set_defaults(run=_fit)
+
+
+def add_campaign(commands: Any) -> None:
+    """Add ``campaign`` to the parser's commands."""
+    campaign = commands.add_parser(
+        "campaign",
+        help="fit a folder of static tables: muscles, branches, repeats, lengths",
+        description="Fit every table of a folder: files of one muscle together, each branch, "
+        "repeats against each other, muscles of one diameter with shared coefficients, and laws "
+        "over lengths. Which muscle, branch and repeat a file holds is read from columns (muscle, "
+        "branch, run, rest_length, diameter), else from its name, as in "
+        "DMSP-20-300_filling_run2.csv.",
+    )
+    campaign.add_argument("tables", nargs="+", metavar="FOLDER", help="folder, or files")
+    campaign.add_argument("--law", default="six-parameter", metavar="LAW", help="force law")
+    for name, words in (
+        ("rest-length", "length at zero pressure and load"),
+        ("diameter", "inner diameter at rest"),
+    ):
+        campaign.add_argument(
+            f"--{name}",
+            nargs="+",
+            metavar="[NAME=]M",
+            help=f"{words}, of all muscles, or by (a part of) the name: 0.3, 300mm, 'A=300mm'",
+        )
+    campaign.add_argument(
+        "--shared",
+        nargs="+",
+        metavar="NAME",
+        help="coefficients that muscles of one diameter have in common (default: all)",
+    )
+    add_reading(campaign)
+    _add_fixed(campaign)
+    campaign.add_argument("--loss", default="squares", metavar="LOSS", help=LOSSES)
+    campaign.add_argument(
+        "--out", type=Path, metavar="DIR", help="write report, table, fits and muscle files"
+    )
+    campaign.add_argument(
+        "--plot", type=Path, metavar="DIR", help="draw each muscle into this folder"
+    )
+    campaign.set_defaults(run=_campaign)
+
+
+def add_fit_holds(commands: Any) -> None:
+    """Add ``fit-holds`` to the parser's commands."""
+    holds = commands.add_parser(
+        "fit-holds",
+        help="fit a spring, a load, zeros of sensors, friction to measured equilibria",
+        description="Estimate parameters of a plant from measured equilibria (holds): a table with "
+        "a row for each, columns named as the plant's variables, such as "
+        "'muscle_pressure [bar],x [mm],side'. side: below (positions rose to the hold) or above.",
+    )
+    holds.add_argument("holds", metavar="TABLE", help="a hold per row")
+    holds.add_argument("--plant", required=True, metavar="PLANT", help=PLANT)
+    add_plant_options(holds)
+    holds.add_argument(
+        "--estimate",
+        nargs="+",
+        required=True,
+        metavar="NAME",
+        help="parameters; zero.NAME, of a sensor; band.NAME, half the width between both ways",
+    )
+    holds.add_argument("--measured", nargs="+", metavar="NAME", help="what is compared")
+    holds.add_argument("--side", metavar="SIDE", help="below, above, or sequence: from row to row")
+    holds.add_argument("--inputs", nargs="+", default=[], metavar="NAME=VALUE", help="constants")
+    add_reading(holds)
+    holds.add_argument("--loss", default="squares", metavar="LOSS", help="squares, huber, bisquare")
+    holds.add_argument("--out", type=Path, metavar="FILE.json", help="write the fit")
+    holds.set_defaults(run=_fit_holds)
+
+
+def _add_fixed(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--fixed",
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE",
+        help="coefficients to hold, and known constants of laws, as a3=-40 radius=10mm",
+    )
+
+
+# ---- what they do -------------------------------------------------------------------------------
+def _fixed(texts: Sequence[str], laws: Iterable[str]) -> dict[str, float]:
+    from ..fitting.static.static import law_class
+
+    units = {v.name: v.unit for law in laws for v in law_class(law).coefficient_variables()}
+    given = pairs("--fixed", texts)
+    return {n: quantity(f"fixed.{n}", v, units.get(n, "1")) for n, v in given.items()}
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from ..fitting.static.static import fit_force
+    from ..fitting.tables.force_table import read_table
+    from ..muscles.muscle_file import save_muscle
+
+    require_places(options.out, options.plot)
+    table = read_table(options.table, rest_length=options.rest_length, **reading_options(options))
+    laws = options.law or ["six-parameter"]
+    if len(laws) > 1 or laws == ["all"]:
+        fitted = _ranked(table, laws, options.fixed, options.loss)
+    else:
+        fixed = _fixed(options.fixed, laws)
+        fitted = fit_force(table, laws[0], loss=options.loss, fixed=fixed)
+    print(fitted.report())
+    if options.branches:
+        print("\n".join(_branch_lines(fitted)))
+    if options.plot:
+        from ..figures.saved import save_figure
+        from ..figures.trajectory import plot_fit
+
+        print(f"-> {save_figure(plot_fit(fitted), options.plot)}")
+    if options.out:
+        length = table.rest_length if options.rest_length is None else options.rest_length
+        if length is None:
+            raise InputError("--rest-length is needed to write a muscle file")
+        name = options.name or Path(options.table).stem
+        muscle = fitted.muscle(rest_length=length, diameter=options.diameter, name=name)
+        print(f"-> {save_muscle(muscle, options.out)}")
+    return 0
+
+
+def _ranked(table: ForceTable, laws: Sequence[str], fixed: Sequence[str], loss: str) -> ForceFit:
+    """The best of several laws at lengths left out; the ranking is printed."""
+    from ..core.errors import FitError
+    from ..fitting.static.ranking import compare_laws
+    from ..muscles.law import LAWS
+
+    if loss != "squares":
+        raise InputError("--loss: several laws are ranked by least squares; give one --law with it")
+    chosen = [*LAWS, "polynomial-1-3"] if laws == ["all"] else laws
+    comparison = compare_laws(table, chosen, fixed=_fixed(fixed, chosen))
+    print(f"{comparison}\n")
+    best = comparison.best.fit
+    if best is None:
+        raise FitError(f"none of the laws could be fitted: {comparison.best.problem}")
+    return best
+
+
+def _branch_lines(fitted: ForceFit) -> list[str]:
+    from ..fitting.static.branches import hysteresis
+    from ..fitting.static.static import fit_branches
+
+    table, fixed = fitted.table, {n: float(fitted.law.values[n]) for n in fitted.held}
+    lines = []
+    for name, fit in fit_branches(
+        table, type(fitted.law), fixed=fixed, loss=fitted.terms.loss
+    ).items():
+        lines += ["", f"[[Branch {name}]]", *fit.report().splitlines()]
+    return [*lines, "", str(hysteresis(table))]
+
+
+def _campaign(options: argparse.Namespace) -> int:
+    from ..core.files import make_folder
+    from ..fitting.static.campaign import fit_campaign
+
+    tables: Any = options.tables
+    if len(tables) == 1 and Path(tables[0]).is_dir():
+        tables = tables[0]
+    result = fit_campaign(
+        tables,
+        options.law,
+        rest_length=_lengths("--rest-length", options.rest_length),
+        diameter=_lengths("--diameter", options.diameter),
+        shared=options.shared or "all",
+        fixed=_fixed(options.fixed, [options.law]),
+        loss=options.loss,
+        **reading_options(options),
+    )
+    print(result.report())
+    if options.out:
+        print(f"-> {result.save(options.out)}")
+    if options.plot:
+        from ..figures.saved import save_figure
+        from ..figures.trajectory import plot_fit
+
+        folder = make_folder(options.plot)
+        for name, study in result.muscles.items():
+            plain = "".join(c if c.isalnum() or c in "-+." else "_" for c in name)
+            print(f"-> {save_figure(plot_fit(study.fit), folder / f'{plain}.png')}")
+    return 0
+
+
+def _lengths(option: str, texts: Sequence[str] | None) -> Any:
+    """One length for all, or {name: length} [m]."""
+    if not texts:
+        return None
+    if len(texts) == 1 and "=" not in texts[0]:
+        return quantity(option, texts[0], "m")
+    return {n: quantity(f"{option} {n}", v, "m") for n, v in pairs(option, texts).items()}
+
+
+def _fit_holds(options: argparse.Namespace) -> int:
+    from ..core.errors import FitError
+    from ..fitting.static.holds import fit_holds
+
+    require_places(options.out)
+    plant = plant_said(options)
+    try:
+        fit = fit_holds(
+            plant,
+            options.holds,
+            options.estimate,
+            measured=options.measured,
+            side=options.side,
+            inputs={
+                n: quantity(f"inputs.{n}", v, plant.variable(n).unit)
+                for n, v in pairs("--inputs", options.inputs).items()
+            },
+            loss=options.loss,
+            **reading_options(options),
+        )
+    except FitError as error:
+        print(f"pam-ocp fit-holds: {error}", file=sys.stderr)
+        return 1
+    print(fit.report())
+    if options.out:
+        print(f"-> {fit.save(options.out)}")
+    return 0

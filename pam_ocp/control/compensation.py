@@ -1,0 +1,284 @@
+"""Feed-forward through the exact inverse of the hysteresis, for tracking without its error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.stop import locked
+from ..plants.inversion import Inversion
+from ..plants.plant import Plant
+from .controller import Measured
+from .inverse import InverseDynamics
+from .kinds import CONTROLLERS
+from .memory_model import MemoryModel
+from .pid import PID, PressureLoop
+from .references import Source, source
+
+__all__ = ["HysteresisCompensation"]
+
+Array: TypeAlias = NDArray[np.float64]
+Rates: TypeAlias = (
+    "Callable[[Mapping[str, float], Mapping[str, float], Measured], dict[str, float]]"
+)
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
+BISECTIONS = 60
+
+
+@locked
+@CONTROLLERS.register("hysteresis-compensation")
+class HysteresisCompensation:
+    """Tracks a position by the inverse of the model, the memory of its losses included.
+
+    The reference is followed in the model: hysteresis and creep are integrated along it
+    (:class:`MemoryModel`), the equation of motion with what they hold gives the pressures, and the
+    feed's own equation the inputs that make these pressures. So the operator from contraction to
+    force is inverted as it stands, whatever losses with memory there are; with sharp elements that
+    is the exact inverse of Prandtl-Ishlinskii (see :meth:`PrandtlIshlinskii.elements`). A PID
+    corrects what the model does not know.
+
+    Parameters
+    ----------
+    plant : the model: one position, moved by one muscle or a pair. What its memories hold at the
+        beginning are its start values.
+    sample_time : [s].
+    frequency : bandwidth of the PID [Hz], see :meth:`PID.placed`; 0 for none: feed-forward alone.
+    compensate : False leaves the memories as they start, for comparison; all else stays.
+    stiffness : of a pair, to be held [N/m or N.m/rad], where the reference says none; by default
+        that of the plant at its start values.
+    rounding : time [s] over which corners of the reference are rounded off, by a triangular kernel
+        of half this width to either side; a corner would ask for an infinite acceleration.
+    pressure_time : time constant [s] in which pressures come back to those wanted.
+
+    It is told by the loop what to track, ``closed_loop(controller, plant, {"x": ...})``. Where the
+    loop gives no preview, it tracks the reference late by ``rounding``/2.
+
+    Raises InputError for a plant that :class:`InverseDynamics` cannot invert.
+
+    Source: inverse compensation by feed-forward, K. Kuhnen, H. Janocha, Control and Intelligent
+    Systems 29 (2001) 74-79; for muscles Y. Liu et al., 2017.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        sample_time: float = 0.002,
+        frequency: float = 0.0,
+        compensate: bool = True,
+        stiffness: float | None = None,
+        rounding: float = 0.04,
+        pressure_time: float = 0.02,
+    ) -> None:
+        self.plant = plant
+        self.inverse = InverseDynamics(plant)
+        self.sample_time = require_positive("sample_time", sample_time, "s")
+        self.frequency = require_positive("frequency", frequency, "Hz", zero=True)
+        self.rounding = require_positive("rounding", rounding, "s")
+        self.pressure_time = require_positive("pressure_time", pressure_time, "s")
+        self.compensate = bool(compensate)
+        self.stiffness = None
+        if len(self.inverse.muscles) == 2:
+            given = _start_of(plant, "stiffness") if stiffness is None else stiffness
+            self.stiffness = require_finite("stiffness", given)
+        elif stiffness is not None:
+            raise InputError("stiffness: one muscle alone has no choice of it; leave it out")
+        self.inputs = _PressureInputs(plant, self.inverse.muscles)
+
+    def tracking(
+        self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
+    ) -> _Tracking:
+        """The Controller that tracks ``reference``; see :class:`Tracking`."""
+        known = {self.inverse.position} | ({"stiffness"} if self.stiffness is not None else set())
+        for name in reference:
+            if name not in known:
+                raise InputError(
+                    f"reference: {name} is not tracked; give {' and '.join(sorted(known))}"
+                )
+        if self.inverse.position not in reference:
+            raise InputError(f"reference: give {self.inverse.position}, the position to be tracked")
+        return _Tracking(self, reference, preview)
+
+
+class _Tracking:
+    """One run of a HysteresisCompensation."""
+
+    def __init__(
+        self, owner: HysteresisCompensation, reference: Mapping[str, Source], preview: bool
+    ) -> None:
+        self.owner, self.plant, self.sample_time = owner, owner.plant, owner.sample_time
+        self.position = owner.inverse.position
+        self._path = _Rounded(reference[self.position], owner.rounding / 2, preview)
+        self._stiffness = reference.get(
+            "stiffness", None if owner.stiffness is None else source("stiffness", owner.stiffness)
+        )
+        self._raw = reference
+        self._memory = MemoryModel(owner.plant, self.position, owner.inverse.velocity)
+        self._pid = PID.placed(owner.frequency) if owner.frequency else None
+        self.reset()
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self._memory.reset()
+        self._memory.place({self.position: self._path(0.0)[0]})
+        self._now: Array | None = None
+        self._saturated = False
+        if self._pid is not None:
+            self._pid.reset()
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """What is to be reached at a time [s]."""
+        return {n: at(t) for n, at in self._raw.items()}
+
+    def _pressures(self, t: float, more: float = 0.0) -> Array:
+        """Pressures of the model on the reference, with an acceleration added."""
+        x, v, a = self._path(t)
+        stiffness = None if self._stiffness is None else self._stiffness(t)
+        held = self._memory.values
+        return self.owner.inverse(x, v, a + more, stiffness, held)
+
+    def _ahead(self, t: float) -> Array:
+        """The same a sample later, to where the memories go along."""
+        if self.owner.compensate:
+            self._memory.move(self._path(t)[0], self.sample_time)
+        found = self._pressures(t)
+        pressures = zip(self.owner.inverse.muscles, found.tolist(), strict=True)
+        self._memory.place({f"{m}.pressure": p for m, p in pressures})
+        return found
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        owner = self.owner
+        if self._now is None:
+            self._now = self._pressures(t)
+        now, added = self._now, np.zeros(len(self._now))
+        if self._pid is not None:
+            error = self._path(t)[0] - measured[self.position]
+            more = self._pid(error, self.sample_time, self._saturated)
+            wanted = self._pressures(t, more)
+            added = wanted - now
+            ends = (wanted <= owner.inverse.low) | (wanted >= owner.inverse.high)
+            self._saturated = bool(ends.any())
+        ahead = self._ahead(t + self.sample_time)
+        slope = (ahead - now) / self.sample_time
+        self._now = ahead
+        pairs = zip(owner.inverse.muscles, (now + added).tolist(), slope.tolist(), strict=True)
+        targets = {m: (p, s) for m, p, s in pairs}
+        return owner.inputs(targets, owner.pressure_time, measured)
+
+
+class _Rounded:
+    """A reference with its velocity and acceleration, corners rounded by a triangular kernel.
+
+    Of half width h: x = integral of the kernel times the reference, and so, exactly,
+    x'' = [r(t + h) - 2 r(t) + r(t - h)]/h^2. late : without preview the kernel lies in the past.
+    """
+
+    def __init__(self, reference: Source, half: float, preview: bool) -> None:
+        self._reference, self._half, self._late = reference, half, 0.0 if preview else half
+
+    def __call__(self, t: float) -> tuple[float, float, float]:
+        h, middle = self._half, t - self._late
+        parts = (NODES + 1) / 2
+        later = np.array([self._at(middle + h * s) for s in parts])
+        before = np.array([self._at(middle - h * s) for s in parts])
+        weights = WEIGHTS / 2
+        x = float(np.sum(weights * (1 - parts) * (later + before)))
+        v = float(np.sum(weights * (later - before))) / h
+        a = (self._at(middle + h) - 2 * self._at(middle) + self._at(middle - h)) / h**2
+        return x, v, a
+
+    def _at(self, t: float) -> float:
+        """The reference, at rest before the beginning."""
+        return self._reference(max(t, 0.0))
+
+
+class _PressureInputs:
+    """Inputs that give pressures the rates wanted, by the feeds' own equations.
+
+    Where a pressure answers to no input at once (a tube between), a :class:`PressureLoop`.
+    """
+
+    def __init__(self, plant: Plant, muscles: list[str]) -> None:
+        self.inversion = Inversion(plant)
+        inner = self.inversion.inner
+        self._names = [v.name for v in inner.states]
+        self._start = {v.name: v.start or 0.0 for v in inner.states}
+        self._u = inner.vector("input")
+        self._p = inner.vector("parameter")
+        self._solved: dict[str, tuple[int, ca.Function, tuple[float, float]]] = {}
+        self._set: list[str] = []
+        chosen = {v.name: i for i, v in enumerate(inner.inputs) if not v.disturbance}
+        for m in muscles:
+            pressure = f"{m}.pressure"
+            if inner.variable(pressure).causality == "input":
+                self._set.append(m)
+                continue
+            rate = inner.expression(f"der({pressure})")
+            acts = [n for n in chosen if ca.depends_on(rate, inner.expression(n))]
+            if len(acts) == 1:
+                v = inner.variable(acts[0])
+                function = ca.Function("rate", [inner.x, inner.u, inner.p], [rate])
+                self._solved[m] = chosen[acts[0]], function, (v.min, v.max)
+        self._inputs = [v.name for v in inner.inputs]
+        known = {*self._set, *self._solved}
+        self._loop = None if known >= set(muscles) else PressureLoop(plant)
+        self._rest = [m for m in muscles if m not in known]
+
+    def __call__(
+        self,
+        targets: Mapping[str, tuple[float, float]],
+        time: float,
+        measured: Measured,
+    ) -> dict[str, float]:
+        """Inputs by name for {muscle: (pressure, its rate)}."""
+        found: dict[str, float] = {f"{m}.pressure": targets[m][0] for m in self._set}
+        x = np.array([measured.get(n, self._start[n]) for n in self._names])
+        for m, (place, function, ends) in self._solved.items():
+            wanted, slope = targets[m]
+            rate = slope + (wanted - measured[f"{m}.pressure"]) / time
+            found[self._inputs[place]] = self._solve(function, x, place, rate, ends)
+        sent = self.inversion.commands(found)
+        if self._loop is not None:
+            pressures = {m: p for m, (p, _) in targets.items()}
+            sent.update({n: u for n, u in self._loop(pressures, measured).items() if n not in sent})
+        return sent
+
+    def _solve(
+        self, function: ca.Function, x: Array, place: int, rate: float, ends: tuple[float, float]
+    ) -> float:
+        """The input at which the pressure has this rate, or the nearer end (it rises with it)."""
+
+        def missed(value: float) -> float:
+            self._u[place] = value
+            return float(function(x, self._u, self._p)) - rate
+
+        low, high = ends
+        first, last = missed(low), missed(high)
+        if first >= 0:
+            return low
+        if last <= 0:
+            return high
+        for _ in range(BISECTIONS):  # regula falsi (Illinois): one step where it is a straight line
+            middle = high - last * (high - low) / (last - first)
+            value = missed(middle)
+            if abs(value) <= 1e-9 * abs(rate) + 1e-6:
+                return middle
+            if value * last < 0:
+                low, first = high, last
+            else:
+                first /= 2
+            high, last = middle, value
+        return high
+
+
+def _start_of(plant: Plant, name: str) -> float:
+    """An expression of the plant at its start values."""
+    at: Any = ca.Function("at", [plant.x, plant.u, plant.p], [plant.expression(name)])
+    return float(at(*(plant.vector(c) for c in ("state", "input", "parameter"))))

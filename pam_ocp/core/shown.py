@@ -1,0 +1,41 @@
+"""Objects that show themselves: one line as repr, tables and a picture in notebooks."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from .. import courtesy
+
+__all__ = ["brief", "shown"]
+
+C = TypeVar("C", bound=type)
+LONGEST = 100
+"""Of a repr [characters]."""
+
+
+def shown(cls: C) -> C:
+    """Class decorator (above ``@dataclass``): a short repr, and a form for notebooks.
+
+    The repr is what ``_brief()`` says, or else the first line of ``str``; the form in notebooks is
+    that of :mod:`pam_ocp.figures.sheets`.
+    """
+    own = vars(cls).get("__repr__")
+    if own is None or hasattr(own, "__wrapped__"):  # none, or the one that dataclass makes
+        setattr(cls, "__repr__", brief)  # noqa: B010 - a type checker sees another method there
+    if "_repr_html_" not in vars(cls):
+        setattr(cls, "_repr_html_", _Shows._repr_html_)  # noqa: B010
+    return cls
+
+
+def brief(self: Any) -> str:
+    """``<Plan verified: ...>``: the name of the class and a line."""
+    said: Any = getattr(self, "_brief", None)
+    has_text = "__str__" in {name for cls in type(self).__mro__[:-1] for name in vars(cls)}
+    words = said() if said else str(self).partition("\n")[0] if has_text else ""
+    line = f"<{type(self).__name__} {words}".rstrip()
+    return f"{line[: LONGEST - 5]} ...>" if len(line) >= LONGEST else f"{line}>"
+
+
+class _Shows:
+    def _repr_html_(self) -> str:
+        return courtesy.html_of(self)

@@ -1,0 +1,107 @@
+"""The common look of all pictures: colours, panels, curves with their units.
+
+matplotlib is loaded only when one is drawn; figures need no display.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..core.interrupts import interruptible
+from ..core.trajectory import Trajectory
+from ..core.variables import Variable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from .picture import Picture
+
+__all__ = [
+    "COLOURS",
+    "MARKS",
+    "STROKES",
+    "axis_label",
+    "draw",
+    "layered",
+    "new_figure",
+    "quantity_of",
+]
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Told apart by eyes that lack one kind of cone, too (after M. Okabe, K. Ito, 2008)."""
+STROKES = ("-", "--", "-.", ":")
+MARKS = ("o", "s", "^", "D", "v", "P")
+"""Beside the colours, so that lines are told apart in print."""
+
+_QUANTITIES = {
+    "m": "position",
+    "rad": "angle",
+    "m/s": "velocity",
+    "rad/s": "angular velocity",
+    "Pa": "pressure",
+    "Pa/s": "pressure rate",
+    "N": "force",
+    "N.m": "torque",
+    "N/m": "stiffness",
+    "N.m/rad": "stiffness",
+    "W": "power",
+    "J": "energy",
+    "kg": "mass",
+    "kg/s": "mass flow",
+    "K": "temperature",
+    "V": "voltage",
+}
+
+
+def quantity_of(unit: str) -> str:
+    """What a panel of this SI unit shows, where the unit has a usual name; else ""."""
+    return _QUANTITIES.get(unit, "")
+
+
+def axis_label(variable: Variable) -> str:
+    """Quantity and display unit of a panel that shows variables of this unit."""
+    unit = "" if variable.display_unit == "1" else f"[{variable.display_unit}]"
+    return "\n".join(filter(None, (quantity_of(variable.unit), unit)))
+
+
+@interruptible()  # matplotlib is loaded in here
+def new_figure(
+    rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
+) -> tuple[Picture, Any]:
+    """A figure with (rows, columns) empty panels, and these."""
+    from .picture import Picture
+
+    figure = Picture(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex)
+    for ax in axes.ravel():
+        ax.grid(True, color="#dddddd", linewidth=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def draw(ax: Axes, trajectory: Trajectory, name: str, colour: str, **style: Any) -> None:
+    """One variable over time in its display unit; held inputs as steps."""
+    variable = trajectory.variable(name)
+    values = trajectory[name] / variable.display_factor
+    held = variable.causality == "input" and trajectory.interpolation == "previous"
+    ax.plot(
+        trajectory.t,
+        values,
+        color=colour,
+        drawstyle="steps-post" if held else "default",
+        **{"linewidth": 1.6, "label": variable.name, **style},
+    )
+
+
+def layered(count: int) -> Sequence[dict[str, Any]]:
+    """Styles of curves in one panel, the first the widest: equal ones show through each other."""
+    return [
+        {
+            "colour": COLOURS[i % len(COLOURS)],
+            "linewidth": 1.4 + 0.9 * (count - 1 - i) / max(count - 1, 1) * min(count - 1, 2),
+            "linestyle": STROKES[(i // len(COLOURS)) % len(STROKES)],
+        }
+        for i in range(count)
+    ]

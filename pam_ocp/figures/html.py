@@ -1,0 +1,29 @@
+"""Any object as HTML, for notebooks."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from .sheet import Sheet
+from .sheets import SHEETS
+
+__all__ = ["html_of"]
+
+
+def html_of(thing: Any) -> str:
+    """The form in notebooks of any noun or result; see :mod:`pam_ocp.figures.sheets`."""
+    for cls in type(thing).__mro__:
+        if cls.__name__ in SHEETS and cls.__module__.startswith(f"{__package__.split('.')[0]}."):
+            return SHEETS[cls.__name__](thing).html()
+    return _plain(thing).html()
+
+
+def _plain(thing: Any) -> Sheet:
+    """Of a result without a sheet of its own: its text and its picture."""
+    plot = getattr(thing, "plot", None)
+    drawable = callable(plot) and all(
+        p.default is not p.empty or p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
+        for p in inspect.signature(plot).parameters.values()
+    )
+    return Sheet(type(thing).__name__, text=str(thing), picture=plot if drawable else None)

@@ -1,0 +1,47 @@
+"""Picture: a figure that shows itself in notebooks, and in a window when it is asked to."""
+
+from __future__ import annotations
+
+import io
+import itertools
+
+from matplotlib import get_backend
+from matplotlib.figure import Figure
+
+from ..core.errors import InputError
+
+__all__ = ["Picture"]
+
+_NUMBERS = itertools.count(1001)
+"""Of windows: beyond those that pyplot counts from one."""
+
+
+class Picture(Figure):
+    """A matplotlib Figure, for all that matplotlib can do with one.
+
+    As the last line of a notebook's cell it is shown; ``show()`` opens a window.
+    """
+
+    def _repr_png_(self) -> bytes:
+        drawn = io.BytesIO()
+        self.savefig(drawn, format="png", dpi=90)
+        return drawn.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Open a window with the figure, or show it in the notebook, as pyplot's backend does.
+
+        Raises InputError where the backend can show nothing (no display).
+        """
+        import matplotlib.pyplot as plt
+
+        if self.canvas.manager is None:
+            canvas = plt.figure().canvas  # of the backend in use, whichever that is
+            plt.close(canvas.figure)
+            kind = type(canvas)
+            if kind.required_interactive_framework is None and "inline" not in get_backend():
+                raise InputError(
+                    f"matplotlib's backend {get_backend()!r} opens no windows: save the figure by "
+                    "figure.savefig('name.png'), or choose another by matplotlib.use(...)"
+                )
+            kind.new_manager(self, next(_NUMBERS))
+        super().show(warn)

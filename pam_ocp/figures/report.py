@@ -1,0 +1,114 @@
+"""A report for a supervisor: what was measured, fitted, planned and verified, in one HTML file.
+
+Self-contained (pictures inside, no scripts, nothing from elsewhere), readable in light and dark,
+and it prints one object after the other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..core.atomic import atomic_path
+from ..core.errors import InputError, require_instance
+from ..core.files import require_ending
+from ..core.stop import verb
+from .html import html_of
+
+__all__ = ["write_report"]
+
+PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib")
+
+STYLE = """
+:root { color-scheme: light dark; }
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; }
+body { padding: 0 1rem; }
+table { border-collapse: collapse; margin: .6rem 0; font-size: 14px; }
+caption { text-align: left; font-weight: 600; padding: .3rem 0; }
+th, td { text-align: left; padding: .15rem .8rem .15rem 0; border-bottom: 1px solid #8884; }
+td { font-variant-numeric: tabular-nums; vertical-align: top; }
+section { margin: 2rem 0; }
+img { background: white; max-width: 100%; }
+pre { overflow-x: auto; font-size: 13px; }
+nav li { margin: .2rem 0; }
+@media print { section { break-inside: avoid-page; } nav { display: none; } }
+"""
+
+
+@verb
+def write_report(
+    path: str | os.PathLike[str],
+    things: Mapping[str, Any],
+    *,
+    title: str = "Report",
+    text: str = "",
+    sources: Sequence[str | os.PathLike[str]] = (),
+) -> Path:
+    """Write nouns and results as one HTML file; returns its path.
+
+    things : {heading: object}: muscles, tables, fits, plants, plans, trajectories, closed loops,
+        whatever shows itself in a notebook. text : an introduction, paragraphs parted by empty
+        lines. sources : files of which all of it was made: their digests are listed.
+
+    Raises InputError for another ending than .html, and for what has no form to show.
+    """
+    require_ending(path, ".html", "a report")
+    require_instance("things", things, Mapping, "give {heading: object}")
+    if not things:
+        raise InputError("things is empty: give {heading: object} to report on")
+    parts = []
+    for i, (heading, thing) in enumerate(things.items()):
+        if not hasattr(thing, "_repr_html_"):
+            raise InputError(
+                f"things[{heading!r}] is a {type(thing).__name__}, which shows nothing; give a "
+                "muscle, table, fit, plant, plan, trajectory or the like"
+            )
+        parts.append(f'<section id="part{i}"><h2>{escape(heading)}</h2>{html_of(thing)}</section>')
+    links = "".join(
+        f'<li><a href="#part{i}">{escape(heading)}</a></li>' for i, heading in enumerate(things)
+    )
+    said = "".join(f"<p>{escape(part.strip())}</p>" for part in text.split("\n\n") if part.strip())
+    page = (
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>'
+        f"<h1>{escape(title)}</h1>{said}<nav><ul>{links}</ul></nav>{''.join(parts)}"
+        f"{_made_with(sources)}</body></html>\n"
+    )
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return Path(path)
+
+
+def _made_with(sources: Sequence[str | os.PathLike[str]]) -> str:
+    """Versions, and digests of the sources."""
+    rows = [("pam_ocp", __version__), ("Python", platform.python_version())]
+    rows += [(name, _version(name)) for name in PACKAGES]
+    files = [(Path(source).name, _digest(source)) for source in sources]
+    found = _table("Made with", rows)
+    return f"<section>{found}{_table('Made from (SHA-256)', files) if files else ''}</section>"
+
+
+def _table(caption: str, rows: Sequence[tuple[str, str]]) -> str:
+    cells = "".join(f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, b in rows)
+    return f"<table><caption>{escape(caption)}</caption><tbody>{cells}</tbody></table>"
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _digest(source: str | os.PathLike[str]) -> str:
+    try:
+        return hashlib.sha256(Path(source).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"sources: {os.fspath(source)} cannot be read: {error.strerror}") from None

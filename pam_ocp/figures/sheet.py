@@ -1,0 +1,77 @@
+"""What objects show in notebooks: a verdict, tables with units, a small picture, as HTML."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Grid", "Sheet"]
+
+DPI = 60
+"""Of pictures, which are there for a glance: ``.plot()`` gives the whole one."""
+MOST_ROWS = 60
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: heads and rows of texts. The first column is the row's name."""
+
+    head: tuple[str, ...]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+
+    def html(self) -> str:
+        """As an HTML table, cut after ``MOST_ROWS`` rows."""
+        head = "".join(f"<th>{escape(h)}</th>" for h in self.head)
+        rows = [
+            "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>"
+            for row in self.rows[:MOST_ROWS]
+        ]
+        if len(self.rows) > MOST_ROWS:
+            more = f"... {len(self.rows) - MOST_ROWS} more rows"
+            rows.append(f'<tr><td colspan="{len(self.head)}">{more}</td></tr>')
+        caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
+        body = f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody>"
+        return f"<table>{caption}{body}</table>"
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What an object shows: heading, verdict (``good`` or not), tables, notes, text, picture."""
+
+    heading: str
+    verdict: str = ""
+    good: bool = True
+    grids: tuple[Grid, ...] = ()
+    notes: tuple[str, ...] = ()
+    text: str = ""
+    picture: Callable[[], Figure] | None = None
+
+    def html(self) -> str:
+        """As a block of HTML without scripts; readable in light and dark."""
+        parts = [f"<b>{escape(self.heading)}</b>"]
+        if self.verdict:
+            colour, mark = ("#009e73", "✓") if self.good else ("#d55e00", "✗")
+            style = f"border-left:4px solid {colour};padding-left:8px;margin:6px 0"
+            parts.append(f'<div style="{style}">{mark} {escape(self.verdict)}</div>')
+        parts += [grid.html() for grid in self.grids if grid.rows]
+        parts += [f"<div>⚠ {escape(note)}</div>" for note in self.notes]
+        if self.text:
+            parts.append(f'<pre style="line-height:1.25">{escape(self.text)}</pre>')
+        if self.picture is not None:
+            parts.append(_embedded(self.picture))
+        return f'<div class="pam_ocp">{"".join(parts)}</div>'
+
+
+def _embedded(picture: Callable[[], Figure]) -> str:
+    drawn = io.BytesIO()
+    picture().savefig(drawn, format="png", dpi=DPI)
+    data = base64.b64encode(drawn.getvalue()).decode("ascii")
+    return f'<img alt="plot" style="max-width:100%" src="data:image/png;base64,{data}"/>'

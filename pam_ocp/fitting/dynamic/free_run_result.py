@@ -1,0 +1,152 @@
+"""What a fit of free runs tells: values with intervals, its runs, its doubts."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ... import courtesy
+from ...core.errors import UnknownNameError
+from ...core.plausible import outside
+from ...core.shown import shown
+from ...core.signals import Interpolation
+from ...core.trajectory import Trajectory
+from ...plants.plant import Plant
+from ..static.report import coefficient_line
+from ..statistics import Array, Coefficient, student_t
+from .descent import descend
+from .rig import Rig, unknowns_of
+from .rollout import Rollout
+from .run_statistics import Spread
+from .runs import FreeRun, Runs, runs_of
+
+if TYPE_CHECKING:
+    from .coverage import Coverage
+
+__all__ = ["FreeRunFit", "ran"]
+
+
+@shown
+@dataclass(frozen=True, eq=False)
+class FreeRunFit:
+    """A plant fitted to free runs.
+
+    plant : with the fitted values. rig : dead times, sensors, starts and corrections, known and
+    found. training : its runs along the records of the fit. integration_error : how much halving
+    the step changes the runs (RMS, unit of each variable). at_bound : unknowns that ended at the
+    edge of their range. cost : mean squared error before and after, in parts of the measured
+    variables' variance. converged : whether the search came to its end.
+    """
+
+    plant: Plant
+    training: FreeRun
+    values: Mapping[str, float]
+    at_bound: tuple[str, ...]
+    integration_error: Mapping[str, float]
+    cost: tuple[float, float]
+    status: str
+    evaluations: int
+    seconds: float
+    interpolation: Interpolation = "linear"
+    """How inputs count as having run between the samples of records that do not say it."""
+    inputs_ran: str = ""
+    """How that was decided, in words; empty where the records say it."""
+    options: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """horizon, every, outputs, history, steps and warm_up of the runs."""
+    rig: Rig = field(default_factory=Rig)
+    own_starts: Mapping[str, Array] = field(default_factory=dict, repr=False)
+    """{state: where it began in each record}, of states with starts of their own."""
+    spread: Spread | None = field(default=None, repr=False)
+    converged: bool = True
+    records: tuple[Trajectory, ...] = field(default=(), repr=False)
+
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Every unknown but the starts of single records, with its standard error."""
+        return {} if self.spread is None else self.spread.coefficients
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval; its errors may follow each other along a record (see ``spread``)."""
+        if name not in self.coefficients:
+            raise UnknownNameError("fitted parameter", name, self.coefficients)
+        assert self.spread is not None
+        c = self.coefficients[name]
+        half = student_t(level, self.spread.dof) * c.stderr
+        return c.value - half, c.value + half
+
+    def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of all fitted parameters."""
+        return {n: self.interval(n, level) for n in self.coefficients}
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the fit is used; empty when there is nothing."""
+        found = list(self.training.warnings)
+        if not self.converged:
+            found.append(f"the search did not come to its end: {self.status}")
+        return tuple(found)
+
+    def validate(self, records: Trajectory | Sequence[Trajectory]) -> FreeRun:
+        """Runs of the same kind along other records; a warning says so where some diverge.
+
+        Starts that each record has for itself are estimated from it; nothing else is.
+        """
+        chosen = [records] if isinstance(records, Trajectory) else list(records)
+        known = [r if r.interpolation_known else r.running(self.interpolation) for r in chosen]
+        options = {**self.options, "outputs": list(self.training.names)}
+        if not self.own_starts:
+            return ran(self.plant, runs_of(self.plant, known, **options), (), self.rig)
+        runs = runs_of(self.plant, known, **options)
+        unknowns, _ = unknowns_of(
+            self.plant,
+            (),
+            runs.names,
+            len(known),
+            runs.t[0],
+            starts=dict.fromkeys(self.own_starts, "record"),
+        )
+        rollout = Rollout(self.plant, runs, unknowns, self.rig)
+        found = descend(rollout, unknowns.guess, unknowns.low, unknowns.high, 30)
+        return ran(self.plant, runs, unknowns, self.rig, found.z)
+
+    def coverage(self, other: Any, **options: Any) -> Coverage:
+        """Where the records of this fit have been, against a record or a signal that is to be
+        predicted: see :func:`pam_ocp.fitting.coverage`.
+        """
+        return courtesy.coverage(self, other, **options)
+
+    def __str__(self) -> str:
+        shown = self.plant.variable
+        lines = [
+            f"{self.plant.name}: {len(self.training.start)} free runs of {self.training.t[-1]:g} "
+            f"s, {self.evaluations} evaluations, {self.seconds:.1f} s: {self.status}",
+        ]
+        for h in self.training.horizons or (self.training.t[-1],):
+            over = f" over {h:g} s" if len(self.training.horizons) > 1 else ""
+            lines += [
+                f"    {n}: RMSE{over} {shown(n).shown(e)}"
+                for n, e in self.training.rmse_over(h).items()
+            ]
+        if self.spread is None:
+            lines += [f"    {n} = {shown(n).shown(v)}" for n, v in self.values.items()]
+        lines += [coefficient_line(c, self.interval(n)) for n, c in self.coefficients.items()]
+        if self.at_bound:
+            lines.append(f"    at the edge of their range: {', '.join(self.at_bound)}")
+        lines += [f"    {text}" for text in (self.inputs_ran,) if text]
+        lines += [f"    warning: {text}" for text in self.warnings]
+        return "\n".join(lines)
+
+
+def ran(plant: Plant, runs: Runs, unknowns: Any, rig: Rig, z: Array | None = None) -> FreeRun:
+    """The runs, with a warning where some diverge."""
+    found = runs.result(
+        Rollout(plant, runs, unknowns, rig).predicted(np.empty(0) if z is None else z)
+    )
+    for text in found.warnings:
+        warnings.warn(text, RuntimeWarning, stacklevel=outside())
+    return found

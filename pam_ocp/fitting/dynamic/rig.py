@@ -1,0 +1,322 @@
+"""What stands between a plant and a record of it: dead times, sensors, starts, a correction by what
+is measured; each known, or to be estimated along with the plant's parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError, require_finite, require_positive
+from ...plants.plant import Plant
+from ..statistics import Array
+from .experiment import ParameterGroup
+
+__all__ = ["Delay", "Rig", "RunUnknowns", "known_rig", "unknowns_of"]
+
+Delay: TypeAlias = "float | tuple[float, float] | Mapping[str, float | tuple[float, float]]"
+"""[s] of all inputs, or by input (a name or a pattern: those have one delay in common); a pair is
+the range in which it is estimated.
+"""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Known figures of a rig.
+
+    delays : {input: dead time [s]}. gains, offsets : {measured variable: of its sensor}: it shows
+    gain x + offset. starts : {state that is not measured: where runs begin}. corrections : {(state,
+    measured variable): what the state gains per unit by which the model is behind}.
+    """
+
+    delays: Mapping[str, float] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
+    offsets: Mapping[str, float] = field(default_factory=dict)
+    starts: Mapping[str, float] = field(default_factory=dict)
+    corrections: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class RunUnknowns:
+    """Everything that is sought in free runs, scaled: z = (parameters, dead times, gains - 1,
+    offsets, starts, corrections, starts of each record).
+
+    delays : of each, the positions of its inputs. gains, offsets : positions among the measured
+    names. starts, own_starts : positions of states whose start is one for all runs, or one for each
+    record. corrections : positions (state, measured name).
+    """
+
+    groups: Sequence[ParameterGroup] = ()
+    delays: Sequence[tuple[int, ...]] = ()
+    gains: Sequence[int] = ()
+    offsets: Sequence[int] = ()
+    starts: Sequence[int] = ()
+    corrections: Sequence[tuple[int, int]] = ()
+    own_starts: Sequence[int] = ()
+    records: int = 1
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    guess: Array = field(default_factory=lambda: np.empty(0))
+    scale: Array = field(default_factory=lambda: np.empty(0))
+    low: Array = field(default_factory=lambda: np.empty(0))
+    high: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def shared(self) -> int:
+        """How many unknowns are the same for all records."""
+        return len(self.names) - len(self.own_starts) * self.records
+
+    def places(self, kind: str) -> NDArray[np.intp]:
+        """Positions of one kind of unknowns in z."""
+        kinds = ("groups", "delays", "gains", "offsets", "starts", "corrections")
+        first = 0
+        for name in kinds:
+            count = len(getattr(self, name))
+            if name == kind:
+                return np.arange(first, first + count)
+            first += count
+        return np.arange(first, len(self.names))
+
+
+def known_rig(
+    plant: Plant,
+    measured: Sequence[str],
+    delay: Any = 0.0,
+    gains: Mapping[str, float] | None = None,
+    offsets: Mapping[str, float] | None = None,
+    starts: Mapping[str, float] | None = None,
+    corrections: Mapping[tuple[str, str], float] | None = None,
+) -> Rig:
+    """A rig from what a user gave."""
+    found: dict[str, float] = {}
+    for names, ends in _delays(plant, delay):
+        if isinstance(ends, tuple):
+            raise InputError(f"delay of {names[0]} = {ends}: give seconds; a fit takes a range")
+        found |= dict.fromkeys(names, ends)
+    return Rig(
+        {n: d for n, d in found.items() if d},
+        {
+            _seen("gains", n, plant, measured): require_positive("gains", v)
+            for n, v in (gains or {}).items()
+        },
+        {
+            _seen("offsets", n, plant, measured): require_finite("offsets", v)
+            for n, v in (offsets or {}).items()
+        },
+        {
+            _state("starts", n, plant): require_finite("starts", v)
+            for n, v in (starts or {}).items()
+        },
+        {
+            (
+                _state("corrections", s, plant),
+                _seen("corrections", y, plant, measured),
+            ): require_finite("corrections", v)
+            for (s, y), v in (corrections or {}).items()
+        },
+    )
+
+
+def unknowns_of(
+    plant: Plant,
+    groups: Sequence[ParameterGroup],
+    measured: Sequence[str],
+    records: int,
+    sampling: float,
+    *,
+    delay: Any = 0.0,
+    gains: Sequence[str] = (),
+    offsets: Sequence[str] = (),
+    starts: Mapping[str, str] | Sequence[str] = (),
+    correct: Mapping[str, Sequence[str]] | bool = False,
+) -> tuple[RunUnknowns, Rig]:
+    """What is sought, and the rig where the search begins."""
+    order = [v.name for v in plant.states]
+    inputs = [v.name for v in plant.inputs]
+    rows: list[tuple[str, str, float, float, float, float]] = [
+        (g.name, g.unit, g.value / g.scale, g.scale, g.low / g.scale, g.high / g.scale)
+        for g in groups
+    ]
+    free_delays: list[tuple[int, ...]] = []
+    known: dict[str, float] = {}
+    for names, ends in _delays(plant, delay):
+        if isinstance(ends, tuple):
+            low, high = ends
+            free_delays.append(tuple(inputs.index(n) for n in names))
+            label = "delay" if len(names) == len(inputs) else f"delay of {' = '.join(names)}"
+            middle = (low + high) / 2
+            rows.append((label, "s", middle / sampling, sampling, low / sampling, high / sampling))
+            known |= dict.fromkeys(names, middle)
+        else:
+            known |= dict.fromkeys(names, ends)
+    gained = [_place("gains", n, plant, measured) for n in _listed(gains)]
+    shifted = [_place("offsets", n, plant, measured) for n in _listed(offsets)]
+    rows += [(f"{measured[i]}.gain", "1", 0.0, 1.0, -0.9, np.inf) for i in gained]
+    for i in shifted:
+        variable = plant.variable(measured[i])
+        rows.append(
+            (f"{variable.name}.offset", variable.unit, 0.0, variable.nominal, -np.inf, np.inf)
+        )
+    common, own = _starts(plant, starts, measured)
+    begin = [_start_row(plant, s) for s in common]
+    rows += begin
+    pulls, values = _corrections(plant, correct, measured, sampling)
+    rows += values
+    for r in range(records):
+        rows += [(f"{n[:-1]}, record {r + 1})", *rest) for n, *rest in map(_of(plant), own)]
+    guess, scale, low_z, high_z = np.array([r[2:] for r in rows], dtype=float).reshape(-1, 4).T
+    unknowns = RunUnknowns(
+        tuple(groups),
+        tuple(free_delays),
+        tuple(gained),
+        tuple(shifted),
+        tuple(common),
+        tuple(pulls),
+        tuple(own),
+        records,
+        tuple(r[0] for r in rows),
+        tuple(r[1] for r in rows),
+        guess,
+        scale,
+        low_z,
+        high_z,
+    )
+    rig = Rig(
+        {n: d for n, d in known.items() if d},
+        corrections={
+            (order[s], measured[y]): v[2] * v[3] for (s, y), v in zip(pulls, values, strict=True)
+        },
+    )
+    return unknowns, rig
+
+
+# ---- arguments ----------------------------------------------------------------------------------
+def _listed(given: Any) -> list[str]:
+    return [given] if isinstance(given, str) else list(given)
+
+
+def _delays(plant: Plant, given: Any) -> list[tuple[list[str], float | tuple[float, float]]]:
+    """(inputs, seconds or range) of each entry."""
+    inputs = [v.name for v in plant.inputs]
+    if not isinstance(given, Mapping):
+        given = {"*": given} if inputs else {}
+    found: list[tuple[list[str], float | tuple[float, float]]] = []
+    taken: set[str] = set()
+    for entry, ends in given.items():
+        names = (
+            [n for n in inputs if fnmatchcase(n, entry)]
+            if "*" in entry
+            else [plant.variable(entry).name]
+        )
+        wrong = [n for n in names if n not in inputs] or ([] if names else [entry])
+        if wrong:
+            raise InputError(f"delay: {wrong[0]} is no input; inputs are {', '.join(inputs)}")
+        if taken & set(names):
+            raise InputError(f"delay names {sorted(taken & set(names))[0]} twice")
+        taken |= set(names)
+        if isinstance(ends, (tuple, list)):
+            if len(ends) != 2:
+                raise InputError(f"delay = {ends!r}: give seconds, or (low, high) to estimate it")
+            low, high = (require_finite("delay", d, "s") for d in ends)
+            if not low < high:
+                raise InputError(f"delay = ({low:g}, {high:g}) s: the lower must be the smaller")
+            found.append((names, (low, high)))
+        else:
+            found.append((names, require_finite("delay", ends, "s")))
+    return found
+
+
+def _place(argument: str, name: str, plant: Plant, measured: Sequence[str]) -> int:
+    return list(measured).index(_seen(argument, name, plant, measured))
+
+
+def _seen(argument: str, name: str, plant: Plant, measured: Sequence[str]) -> str:
+    known = plant.variable(name).name
+    if known not in measured:
+        raise InputError(f"{argument}: {known} is not measured; measured are {', '.join(measured)}")
+    return known
+
+
+def _state(argument: str, name: str, plant: Plant) -> str:
+    variable = plant.variable(name)
+    if variable.causality != "state":
+        raise InputError(f"{argument}: {variable.name} is a {variable.causality}, not a state")
+    return variable.name
+
+
+def _starts(
+    plant: Plant, given: Mapping[str, str] | Sequence[str], measured: Sequence[str]
+) -> tuple[list[int], list[int]]:
+    """Positions of states with one start for all runs, and with one for each record."""
+    order = [v.name for v in plant.states]
+    ways = dict(given) if isinstance(given, Mapping) else dict.fromkeys(_listed(given), "all")
+    common: list[int] = []
+    own: list[int] = []
+    for entry, way in ways.items():
+        names = [n for n in order if fnmatchcase(n, entry)] if "*" in entry else [entry]
+        if way not in ("all", "record"):
+            raise InputError(f"starts[{entry!r}] = {way!r}: choose 'all' or 'record'")
+        for name in names:
+            known = _state("starts", name, plant)
+            if known in measured:
+                raise InputError(f"starts: {known} is measured, and so is where it starts")
+            (common if way == "all" else own).append(order.index(known))
+    return common, own
+
+
+def _start_row(plant: Plant, place: int) -> tuple[str, str, float, float, float, float]:
+    v = plant.states[place]
+    return (
+        f"{v.name}(0)",
+        v.unit,
+        float(v.start or 0.0) / v.nominal,
+        v.nominal,
+        v.min / v.nominal,
+        v.max / v.nominal,
+    )
+
+
+def _of(plant: Plant) -> Any:
+    return lambda place: _start_row(plant, place)
+
+
+def _corrections(
+    plant: Plant,
+    given: Mapping[str, Sequence[str]] | bool,
+    measured: Sequence[str],
+    sampling: float,
+) -> tuple[list[tuple[int, int]], list[tuple[str, str, float, float, float, float]]]:
+    """Positions (state, measured name) of gains that are sought, and their rows.
+
+    A measured state takes up a part of its own error (from none to all), its velocity what of it
+    lies within one sampling interval; others begin at zero.
+    """
+    order = [v.name for v in plant.states]
+    velocities = {v: p for p, v in plant.positions.items() if p in measured}
+    own = {n: [n] for n in order if n in measured} | {v: [p] for v, p in velocities.items()}
+    if isinstance(given, Mapping):
+        own |= {
+            _state("correct", s, plant): [_seen("correct", y, plant, measured) for y in _listed(ys)]
+            for s, ys in given.items()
+        }
+    elif not given:
+        own = {}
+    places, rows = [], []
+    for state, seen in own.items():
+        for name in seen:
+            places.append((order.index(state), list(measured).index(name)))
+            label = f"correction of {state} by {name}"
+            x, y = plant.variable(state), plant.variable(name)
+            unit = "1" if x.unit == y.unit else f"({x.unit})/({y.unit})"
+            if state == name:
+                rows.append((label, unit, 0.9, 1.0, 0.0, 1.0))
+            elif velocities.get(state) == name:
+                rows.append((label, unit, 0.4, 1 / sampling, 0.0, 1.0))
+            else:
+                rows.append((label, unit, 0.0, x.nominal / y.nominal, -np.inf, np.inf))
+    return places, rows

@@ -1,0 +1,97 @@
+"""How far the values of a free-run fit may be off: errors follow each other along a run, and runs
+overlap, so a sample tells less than an independent one.
+
+Blocks of the records (at least BLOCKS, each in one record) count as independent of each other; the
+covariance is H^-1 (sum of the blocks' squared gradients) H^-1 with H the normal matrix (K.-Y.
+Liang, S. Zeger, Biometrika 73 (1986) 13-22). With few blocks to an unknown only the mean widening
+over all directions is taken from them, on top of the usual covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..statistics import Array, Coefficient
+from .rig import RunUnknowns
+from .rollout import Rollout
+from .runs import Runs
+
+__all__ = ["Spread", "spread_of"]
+
+BLOCKS = 24
+ENOUGH = 3
+"""Blocks to an unknown from which each direction has a width of its own."""
+UNSEEN = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Standard errors of a free-run fit. dof : blocks of the records less one. widening : how much
+    wider the intervals are than those of independent errors, on average.
+    """
+
+    coefficients: dict[str, Coefficient]
+    covariance: Array
+    dof: int
+    widening: float
+
+
+def spread_of(
+    rollout: Rollout, runs: Runs, u: RunUnknowns, z: Array, edge: NDArray[np.bool_]
+) -> Spread:
+    """The covariance at z; unknowns at an ``edge`` count as known."""
+    label = _blocks(runs)
+    scores = np.zeros((int(label.max()) + 1, len(z)))
+    square, cost, samples = np.zeros((len(z), len(z))), 0.0, 0.0
+    for rows, errors, slopes, _ in rollout.blocks(z):
+        m, k = label[rows].shape[0], slopes.shape[1] // len(runs.names)
+        own = np.repeat(label[rows, :k], len(runs.names), axis=1)
+        for i in range(m):
+            np.add.at(scores, own[i], slopes[i] * errors[i][:, None])
+        flat = slopes.reshape(-1, len(z))
+        square += flat.T @ flat
+        cost += float(np.sum(errors**2))
+    samples = 1.0 / float(np.sum((runs.weights / max(runs.weights.sum(), 1e-300)) ** 2))
+    samples *= len(runs.names)
+    free = ~edge & (np.diag(square) > UNSEEN * np.diag(square).max(initial=0.0))
+    covariance = np.full((len(z), len(z)), np.nan)
+    inverse = np.linalg.pinv(square[np.ix_(free, free)], rcond=1e-13, hermitian=True)
+    blocks, seen = len(scores), scores[:, free]
+    meat = seen.T @ seen * blocks / max(blocks - 1, 1)
+    robust = inverse @ meat @ inverse
+    usual = inverse * cost / max(samples - free.sum(), 1.0)
+    ratio = (
+        np.trace(meat @ inverse)
+        / max(free.sum(), 1)
+        / max(cost / max(samples - free.sum(), 1.0), 1e-300)
+    )
+    inner = robust if blocks >= ENOUGH * free.sum() else usual * max(ratio, 1.0)
+    covariance[np.ix_(free, free)] = inner * np.outer(u.scale[free], u.scale[free])
+    errors_ = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    values = z * u.scale
+    values[u.places("gains")] += 1.0
+    coefficients = {
+        n: Coefficient(n, float(v), float(e) if np.isfinite(e) else float("inf"), unit, bool(at))
+        for n, v, e, unit, at in list(zip(u.names, values, errors_, u.units, edge, strict=True))[
+            : u.shared
+        ]
+    }
+    return Spread(coefficients, covariance, max(blocks - 1, 1), float(np.sqrt(max(ratio, 0.0))))
+
+
+def _blocks(runs: Runs) -> NDArray[np.intp]:
+    """The block (n, K) of each sample: equal parts of each record's time, by when it was taken."""
+    records = np.unique(runs.record)
+    parts = max(1, -(-BLOCKS // len(records)))
+    time = runs.start[:, None] + runs.t
+    label = np.zeros(time.shape, dtype=np.intp)
+    for number, r in enumerate(records):
+        own = runs.record == r
+        last = float((runs.start[own] + runs.t[runs.length[own] - 1]).max())
+        first = float(runs.start[own].min())
+        share = (time[own] - first) / max(last - first, 1e-300)
+        label[own] = number * parts + np.clip((share * parts).astype(int), 0, parts - 1)
+    return label

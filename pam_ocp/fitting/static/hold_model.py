@@ -1,0 +1,235 @@
+"""Where a plant rests, at many holds side by side, with derivatives in what is to be estimated.
+
+Per hold some inputs and states are given (a measured pressure, say); the others follow from the
+rates that vanish. Held memories (hysteresis) have the value that they take on the way to the hold,
+dry friction its full size against that way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError
+from ...numerics.elementwise import Elementwise
+from ...operating.held import held
+from ...plants.plant import Plant
+from ..statistics import Array
+
+__all__ = ["HoldModel"]
+
+CREEP, SHARP = 1e-9, 1e-11
+"""Speed [m/s, rad/s] at which a position creeps into rest, and below which friction is rounded off:
+far below all damping, so that friction is what it is on the way.
+"""
+STEPS, HALVINGS = 40, 8
+SETTLED = 1e-11
+"""Step, in nominal sizes, at which an equilibrium counts as found."""
+
+
+@dataclass(frozen=True, eq=False)
+class HoldModel:
+    """The equilibria of n holds as functions of k parameters.
+
+    given : values (n,) of inputs and states. measured : what is compared. parameters : of the
+    plant, to be estimated. zeroed : given variables whose sensor may have a zero, in the order of
+    the estimates behind the parameters. side : (n,), the way in which each hold was come to.
+    start : (n, states that are sought), where Newton's method begins.
+    """
+
+    plant: Plant
+    given: Mapping[str, Array]
+    measured: Sequence[str]
+    parameters: Sequence[str]
+    zeroed: Sequence[str]
+    side: Array
+    sought: Sequence[str]
+    function: Elementwise
+    constants: tuple[Array, ...]
+    start: Array
+    nominal: Array
+
+    @classmethod
+    def of(
+        cls,
+        plant: Plant,
+        given: Mapping[str, Array],
+        measured: Sequence[str],
+        parameters: Sequence[str],
+        zeroed: Sequence[str],
+        side: Array,
+        near: Mapping[str, Array],
+    ) -> HoldModel:
+        """near : measured values of states that are sought, where to begin."""
+        velocities = {v: x for x, v in plant.positions.items() if x not in given}
+        memories = [v.name for v in plant.states if v.memory == "held" and v.name not in given]
+        sought = [
+            v.name
+            for v in plant.states
+            if v.name not in given and v.name not in memories and v.name not in velocities
+        ]
+        rows = [plant.positions.get(n, n) for n in sought]
+        symbols = _Symbols(plant)
+        unknown, told = symbols.take(sought), symbols.take(list(given))
+        moving, kept = symbols.take(list(velocities)), symbols.take(memories)
+        free, zeros = symbols.take(list(parameters)), [ca.SX.sym(f"zero {n}") for n in zeroed]
+        for name, zero in zip(zeroed, zeros, strict=True):
+            symbols.shift(name, zero)
+        unit = [plant.variable(r).nominal for r in rows]
+        equations = [
+            symbols.put(plant.expression(f"der({r})")) / u for r, u in zip(rows, unit, strict=True)
+        ]
+        compared = [symbols.put(plant.expression(n)) for n in measured]
+        _require_told(plant, ca.vertcat(*equations, *compared), symbols)
+        estimates = ca.vertcat(*free, *zeros)
+        residual, y, z = ca.vertcat(*equations), ca.vertcat(*compared), ca.vertcat(*unknown)
+        found = [residual, ca.jacobian(residual, z), ca.jacobian(residual, estimates)]
+        found += [y, ca.jacobian(y, z), ca.jacobian(y, estimates)]
+        arguments = [z, estimates, ca.vertcat(*told), ca.vertcat(*moving), ca.vertcat(*kept)]
+        function = ca.Function("holds", arguments, [ca.densify(ca.SX(f)) for f in found])
+        start = [
+            np.broadcast_to(near.get(n, plant.variable(n).start or 0.0), side.shape) for n in sought
+        ]
+        return cls(
+            plant,
+            given,
+            measured,
+            parameters,
+            zeroed,
+            side,
+            sought,
+            Elementwise(function),
+            (*given.values(), *[CREEP * side for _ in velocities], *_kept(plant, memories, side)),
+            np.stack(start, axis=1),
+            np.array([plant.variable(n).nominal for n in sought]),
+        )
+
+    def at(self, z: Array, estimates: Array) -> list[Array]:
+        """Residuals, their derivatives in z and estimates; the same of what is measured."""
+        n, m, k, y = len(z), len(self.sought), len(estimates), len(self.measured)
+        flat = self.function(*z.T, *estimates, *self.constants)
+        sizes = [(m,), (m, m), (m, k), (y,), (y, m), (y, k)]
+        found, first = [], 0
+        for size in sizes:
+            count = int(np.prod(size))
+            parts = [np.broadcast_to(v, (n,)) for v in flat[first : first + count]]
+            first += count
+            block = np.stack(parts, axis=1) if parts else np.empty((n, 0))
+            # CasADi counts down the columns
+            found.append(block if len(size) == 1 else block.reshape(n, *size[::-1]).swapaxes(1, 2))
+        return found
+
+    def solved(self, estimates: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Where the plant rests (n, sought), and which of the holds were found."""
+        z, part = start.copy(), np.ones(len(start))
+        residual, slopes, *_ = self.at(z, estimates)
+        step, size = _newton(residual, slopes, self.nominal)
+        done = np.zeros(len(z), dtype=bool)
+        for _ in range(STEPS):
+            trial = z + part[:, None] * np.where(done[:, None], 0.0, step)
+            residual, slopes, *_ = self.at(trial, estimates)
+            new, length = _newton(residual, slopes, self.nominal)
+            # a shorter step that the next one does not undo (natural monotonicity, P. Deuflhard)
+            better = (length <= (1 - part / 4) * size) | (length < SETTLED) | (part < 0.5**HALVINGS)
+            better &= np.isfinite(length) & ~done
+            z[better], step[better], size[better] = trial[better], new[better], length[better]
+            part = np.where(better, np.minimum(2 * part, 1.0), part / 2)
+            done |= size < SETTLED
+            if done.all():
+                break
+        return z, done
+
+    def anchored(self, estimates: Array) -> Array:
+        """The start (n, sought), with what was not measured at rest at the measured positions."""
+        z: Array = self.start.copy()
+        other = [i for i, n in enumerate(self.sought) if n not in self.measured]
+        for _ in range(STEPS if other else 0):
+            residual, slopes, *_ = self.at(z, estimates)
+            step, size = _newton(
+                residual[:, other], slopes[:, other][:, :, other], self.nominal[other]
+            )
+            z[:, other] += np.where(np.isfinite(step), step, 0.0)
+            if np.nanmax(size) < SETTLED:
+                break
+        return z
+
+    def predicted(self, estimates: Array, start: Array | None) -> tuple[Array, Array, Array]:
+        """Measured variables (n, y) as they should be, their derivatives (n, y, k), and z.
+
+        start : where to begin; None for the linear model at the measured positions, which also
+        stands in where Newton's method finds no rest.
+        """
+        z = self.anchored(estimates) if start is None else self.solved(estimates, start)[0]
+        residual, slopes, by, y, y_z, y_by = self.at(z, estimates)
+        inverse = _inverted(slopes)
+        moved = -np.einsum("nij,nj->ni", inverse, residual)
+        value = y + np.einsum("nyi,ni->ny", y_z, moved)
+        return np.asarray(value), np.asarray(y_by - y_z @ inverse @ by), z
+
+
+class _Symbols:
+    """A plant's symbols, some replaced by one's own, the rest by the plant's values."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.names = [v.name for v in (*plant.states, *plant.inputs, *plant.parameters)]
+        self.old = ca.vertcat(plant.x, plant.u, plant.p)
+        self.new: dict[str, Any] = {}
+        self.plant = plant
+        for v in plant.parameters:
+            sharp = v.widest > 0 and v.unit in ("m/s", "rad/s")
+            self.new[v.name] = SHARP if sharp else v.start
+
+    def take(self, names: Sequence[str]) -> list[ca.SX]:
+        for name in names:
+            self.new[name] = ca.SX.sym(name)
+        return [self.new[n] for n in names]
+
+    def shift(self, name: str, zero: ca.SX) -> None:
+        self.new[name] = self.new[name] - zero
+
+    def open(self) -> list[str]:
+        return [n for n in self.names if n not in self.new]
+
+    def put(self, expression: ca.SX) -> ca.SX:
+        symbols = ca.vertsplit(self.old)
+        new = [ca.SX(self.new.get(n, s)) for n, s in zip(self.names, symbols, strict=True)]
+        return ca.SX(ca.substitute([expression], [self.old], [ca.vertcat(*new)])[0])
+
+
+def _require_told(plant: Plant, expressions: ca.SX, symbols: _Symbols) -> None:
+    left = {s.name() for s in ca.symvar(expressions)}
+    own = dict(zip(symbols.names, ca.vertsplit(symbols.old), strict=True))
+    for name in symbols.open():
+        if own[name].name() in left and ca.depends_on(expressions, own[name]):
+            raise InputError(
+                f"the rest of {plant.name!r} depends on {name}: give it in a column, or as a "
+                f"constant, inputs={{{name!r}: ...}}"
+            )
+
+
+def _kept(plant: Plant, memories: Sequence[str], side: Array) -> list[Array]:
+    """Values (n,) of the held memories, slid fully on the way; those of a virgin without one."""
+    below, above, virgin = (held(plant, m) for m in ("below", "above", "virgin"))
+    return [np.where(side > 0, below[n], np.where(side < 0, above[n], virgin[n])) for n in memories]
+
+
+def _inverted(matrices: Array) -> Array:
+    good = np.isfinite(matrices).all(axis=(1, 2))
+    safe = np.where(np.asarray(good)[:, None, None], matrices, np.eye(matrices.shape[1]))
+    try:
+        found = np.linalg.inv(safe)
+    except np.linalg.LinAlgError:
+        found = np.linalg.pinv(safe)
+    return np.where(np.asarray(good)[:, None, None], found, np.nan)
+
+
+def _newton(residual: Array, slopes: Array, nominal: Array) -> tuple[Array, Array]:
+    """Newton's step (n, m), and its length in nominal sizes."""
+    with np.errstate(all="ignore"):
+        step = -np.einsum("nij,nj->ni", _inverted(slopes), residual)
+        return step, np.max(np.abs(step) / nominal, axis=1)

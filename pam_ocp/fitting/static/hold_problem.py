@@ -1,0 +1,202 @@
+"""The least-squares problem of holds, and its optimum."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.stop import check
+from ..statistics import Array
+from .hold_model import HoldModel
+from .least_squares import Terms
+from .scales import BISQUARE, HUBER, spread
+
+__all__ = ["Holds", "settled"]
+
+ROUNDS = 30
+
+
+class Holds:
+    """Residuals (n, y) of holds over estimates (k,): the model's, then outer zeros and bands."""
+
+    def __init__(self, model: HoldModel, y: Array, names: list[str], way: Array) -> None:
+        self.model, self.y, self.names, self.way = model, y, names, way
+        self.inner = len(model.parameters) + len(model.zeroed)
+        self.z: Array | None = None  # at first the linear model at the measured positions
+        plant = model.plant
+        self.variables = [
+            plant.variable(n.removeprefix("zero.").removeprefix("band.")) for n in names
+        ]
+        self.own = [v.causality == "parameter" for v in self.variables]
+        start = [
+            float(v.start or 0.0) if p else 0.0
+            for v, p in zip(self.variables, self.own, strict=True)
+        ]
+        self.start = np.array(start)
+        self.nominal = np.array([v.nominal for v in self.variables])
+
+    def limits(self, bounds: Mapping[str, tuple[float, float]]) -> tuple[Array, Array]:
+        """Lower and upper bounds of the estimates. Raises InputError, UnknownNameError."""
+        pairs = zip(self.variables, self.own, strict=True)
+        low, high = (
+            list(e)
+            for e in zip(
+                *((v.min, v.max) if p else (-np.inf, np.inf) for v, p in pairs), strict=True
+            )
+        )
+        for i, name in enumerate(self.names):
+            low[i] = 0.0 if name.startswith("band.") else low[i]
+        for name, ends in bounds.items():
+            if name not in self.names:
+                raise UnknownNameError("estimate in bounds", name, self.names)
+            first, second = (float(v) for v in ends)
+            if not first < second:
+                raise InputError(f"bounds[{name!r}] = {ends!r} must be (low, high)")
+            i = self.names.index(name)
+            low[i], high[i] = max(low[i], first), min(high[i], second)
+        return np.array(low), np.array(high)
+
+    def __call__(self, estimates: Array) -> tuple[Array, Array]:
+        """Measured less predicted (n, y), and its derivatives (n, y, k)."""
+        check()
+        value, slopes, z = self.model.predicted(estimates[: self.inner], self.z)
+        if self.z is not None and np.isfinite(value).all():
+            self.z = z
+        rest = self.y - value
+        outer = np.zeros((*rest.shape, len(self.names) - self.inner))
+        for i, name in enumerate(self.names[self.inner :]):
+            kind, _, variable = name.partition(".")
+            column = list(self.model.measured).index(variable)
+            effect = np.ones(len(rest)) if kind == "zero" else -self.way
+            rest[:, column] -= effect * estimates[self.inner + i]
+            outer[:, column, i] = -effect
+        return rest, np.concatenate([-slopes, outer], axis=2)
+
+
+def _minimised(
+    problem: Holds,
+    start: Array,
+    limits: tuple[Array, Array],
+    factors: Array,
+    moved: NDArray[np.bool_] | None = None,
+    scaled: str | float = "jac",
+) -> Array:
+    """Least squares of residuals times ``factors`` (n, y) within bounds; ``moved`` (k,) estimates
+    change, by default all. scaled : of the trust region; 1 for nominal sizes.
+    """
+    from scipy.optimize import least_squares
+
+    free = np.ones(len(start), dtype=bool) if moved is None else moved
+    held: dict[bytes, tuple[Array, Array]] = {}
+
+    def whole(x: Array) -> Array:
+        found: Array = start.copy()
+        found[free] = x * problem.nominal[free]
+        return found
+
+    def both(x: Array) -> tuple[Array, Array]:
+        key = x.tobytes()
+        if key not in held:
+            held.clear()
+            held[key] = problem(whole(x))
+        return held[key]
+
+    def residuals(x: Array) -> Array:
+        rest = (both(x)[0] * factors).ravel()
+        return np.where(np.isfinite(rest), rest, 1e6)
+
+    def jacobian(x: Array) -> Array:
+        slopes = both(x)[1][:, :, free] * factors[:, :, None]
+        slopes = slopes.reshape(-1, x.size) * problem.nominal[free]
+        return np.where(np.isfinite(slopes), slopes, 0.0)
+
+    low, high = (end[free] / problem.nominal[free] for end in limits)
+    found = least_squares(
+        residuals,
+        np.clip(start[free] / problem.nominal[free], low, high),
+        jac=jacobian,
+        bounds=(low, high),
+        x_scale=scaled,
+        ftol=1e-13,
+        xtol=1e-13,
+        gtol=1e-13,
+        max_nfev=200,
+    )
+    if not np.isfinite(found.cost) or found.cost > 1e10:
+        raise FitError(
+            "the plant finds no rest at these pressures near the measured positions; give start "
+            "values nearer to the truth (plant.with_values(...)) or bounds"
+        )
+    return whole(np.asarray(found.x))
+
+
+def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
+    """The best of several ways: from the plant's values; over the linear model at the measured
+    positions, which needs no rest to be found; each also with zeros and bands released last. A
+    muscle that goes slack on the way makes several optima.
+    """
+    small = np.array([not own for own in problem.own])
+    staged = bool(small.any() and not small.all())
+    starts = [problem.start, _minimised(problem, problem.start, limits, factors)]
+    if staged:
+        starts.append(_minimised(problem, problem.start, limits, factors, ~small))
+    ends: list[tuple[float, Array, Array]] = []
+    wrong = None
+    for start, scaled in itertools.product(starts, ("jac", 1.0) if staged else ("jac",)):
+        problem.z = problem.model.anchored(start[: problem.inner])
+        try:
+            if staged:
+                start = _minimised(problem, start, limits, factors, ~small)
+            found = _minimised(problem, start, limits, factors, scaled=scaled)
+        except FitError as error:
+            wrong = error
+            continue
+        ends.append((float(np.sum((problem(found)[0] * factors) ** 2)), found, problem.z))
+    if not ends:
+        raise wrong or FitError("the plant finds no rest at these pressures")
+    _, best, problem.z = min(ends, key=lambda end: end[0])
+    return best
+
+
+def settled(
+    problem: Holds,
+    limits: tuple[Array, Array],
+    sizes: Array,
+    noise: Any,
+    compared: Sequence[str],
+    loss: str,
+) -> tuple[Array, Array, Array, Terms]:
+    """Estimates, the size of errors of each variable, robust factors (n, y), and the loss."""
+    weights = np.ones_like(problem.y)
+    if noise is None and len(compared) > 1:
+        sizes = np.array([problem.model.plant.variable(n).nominal for n in compared])
+    found = _begun(problem, limits, weights / sizes)
+    k = len(problem.names)
+    for _ in range(ROUNDS if noise is None and len(compared) > 1 else 0):
+        new = np.sqrt(np.mean(problem(found)[0] ** 2, axis=0))
+        new = np.maximum(new, 1e-9 * np.abs(problem.y).max(axis=0))
+        change = np.abs(np.log(new / sizes)).max()
+        sizes = new
+        found = _minimised(problem, found, limits, weights / sizes)
+        if change < 1e-6:
+            break
+    terms = Terms()
+    for kind, edge in {
+        "squares": [],
+        "huber": [("huber", HUBER)],
+        "bisquare": [("huber", HUBER), ("bisquare", BISQUARE)],
+    }[loss]:
+        for _ in range(ROUNDS):
+            rest = (problem(found)[0] / sizes).ravel()
+            if kind == "huber" or terms.loss != kind:
+                terms = Terms(kind, edge * max(spread(rest, k), 1e-12))  # type: ignore[arg-type]
+            weights = terms.reweighting(rest, 0.0).reshape(problem.y.shape)
+            before, found = found, _minimised(problem, found, limits, weights / sizes)
+            if np.max(np.abs(found - before) / problem.nominal) < 1e-9:
+                break
+    return found, sizes, weights, terms

@@ -1,0 +1,127 @@
+"""Cells as people write them: numbers with points or commas, empty ones, stamps of time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from datetime import date, datetime
+from datetime import time as clock_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["decimal_of", "is_empty", "is_number", "is_stamp", "number", "numbers_of"]
+
+EMPTY = frozenset(
+    {
+        "",
+        "nan",
+        "na",
+        "n/a",
+        "#n/a",
+        "#nv",
+        "#na",
+        "null",
+        "none",
+        "-",
+        "--",
+        "---",
+        "nil",
+        "missing",
+    }
+    | {"#div/0!", "#value!", "#wert!", "#num!", "#zahl!", "#ref!", "#bezug!", "1.#qnan", "-1.#ind"}
+)
+"""What stands in a cell that holds nothing, in lower case."""
+_BLANKS = "’' \u00a0\u202f"
+_INFINITE = ("inf", "-inf", "+inf", "infinity", "-infinity")
+
+
+def _written(decimal: str, group: str) -> re.Pattern[str]:
+    grouped = rf"[1-9]\d{{0,2}}(?:[{group}{_BLANKS}]\d{{3}})+"
+    sign = re.escape(decimal)
+    return re.compile(
+        rf"[+-]?(?:{grouped}|\d+|(?={sign}\d))(?:{sign}\d*)?(?:[eEdD][+-]?\d+)?$", re.ASCII
+    )
+
+
+_NUMBERS = {".": _written(".", ","), ",": _written(",", ".")}
+"""Decimal sign: numbers written with it, thousands in groups allowed."""
+_STAMP = re.compile(
+    r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}([T ]+\d{1,2}:\d{2}.*)?$"
+    r"|\d{1,2}[-/.]\d{1,2}[-/.]\d{2,4}([T ,]+\d{1,2}:\d{2}.*)?$"
+    r"|\d{1,3}:\d{2}(:\d{2})?([.,:]\d+)?( ?[AP]M)?$",
+    re.IGNORECASE,
+)
+
+
+def is_empty(cell: Any) -> bool:
+    """Whether a cell holds nothing, or says so."""
+    if cell is None:
+        return True
+    if isinstance(cell, str):
+        return cell.strip().lower() in EMPTY
+    return isinstance(cell, float) and cell != cell
+
+
+def is_stamp(cell: Any) -> bool:
+    """Whether a cell is a date, a time of day, or both."""
+    if isinstance(cell, datetime | date | clock_time | np.datetime64):
+        return True
+    return isinstance(cell, str) and _STAMP.match(cell.strip()) is not None
+
+
+def is_number(cell: Any, decimal: str = ".") -> bool:
+    if isinstance(cell, bool | np.bool_):
+        return True
+    if isinstance(cell, str):
+        return (
+            _NUMBERS[decimal].match(cell.strip()) is not None or cell.strip().lower() in _INFINITE
+        )
+    return isinstance(cell, int | float | np.integer | np.floating)
+
+
+def number(cell: Any, decimal: str = ".") -> float:
+    """The number in a cell; NaN where it is empty. Raises ValueError, TypeError, OverflowError."""
+    if not isinstance(cell, str):
+        return float("nan") if cell is None else float(cell)
+    text = cell.strip()
+    if text.lower() in EMPTY:
+        return float("nan")
+    if _NUMBERS[decimal].match(text) is None:
+        return float(text)  # inf and their like; else it raises
+    text = re.sub(f"[{_BLANKS}]", "", text).replace("D", "e").replace("d", "e")
+    text = text.replace("," if decimal == "." else ".", "")
+    return float(text.replace(",", "."))
+
+
+def numbers_of(cells: Sequence[Any], decimal: str = ".") -> tuple[NDArray[np.float64], int | None]:
+    """(numbers with NaN for empty cells, index of the first that is no number or None)."""
+    plain = cells
+    if decimal == "," and not any("." in c for c in cells if isinstance(c, str)):
+        plain = [c.replace(",", ".") if isinstance(c, str) else c for c in cells]
+    if decimal == "." or plain is not cells:
+        try:  # all at once, where every cell is a plain number
+            return np.array(plain, dtype=float).reshape(len(cells)), None
+        except (TypeError, ValueError, OverflowError):
+            pass
+    found = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        try:
+            found[i] = number(cell, decimal)
+        except (TypeError, ValueError, OverflowError):
+            return found, i
+    return found, None
+
+
+def decimal_of(cells: Iterable[Any]) -> str:
+    """The decimal sign of text cells: a comma where more of them are numbers with it."""
+    points = commas = signs = 0
+    for cell in cells:
+        if not isinstance(cell, str):
+            continue
+        text = cell.strip()
+        point, comma = (_NUMBERS[d].match(text) is not None for d in ".,")
+        points, commas = points + point, commas + comma
+        signs += ("," in text) if point and comma else 0
+    return "," if commas > points or (commas == points and signs) else "."

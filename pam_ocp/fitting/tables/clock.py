@@ -1,0 +1,239 @@
+"""The clock of a record: found, read as seconds, and mended where it stands still or wraps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.calibration import scale_of
+from ...core.errors import InputError, UnknownNameError, require_positive
+from ...core.units import unit
+from .cells import is_stamp
+from .headers import TIME_NAMES, is_unit, parse_header
+from .raw import RawTable
+from .stamps import joined, seconds_of_numbers, seconds_of_stamps
+
+__all__ = ["Clock", "find_clock", "mended", "parts_of", "read_clock"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+GAP = 10.0
+"""A step of time longer than this many usual ones is a gap."""
+COARSE = 0.3
+"""Share of steps of no length from which on the clock is coarser than the record."""
+FEW = 20
+"""Rows below which a single wrong stamp cannot be told from two clocks."""
+WRAPS = (2.0**16, 2.0**32)
+"""Counts at which a counter begins anew."""
+PERIODS = (60.0, 3600.0, 86400.0)
+"""Seconds after which a time of day does."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Times [s] of a record. sample_time : usual step; jitter : standard deviation of the steps
+    without gaps; longest step, all [s]. kind : what the times were, in words.
+    """
+
+    header: str
+    kind: str
+    sample_time: float
+    jitter: float
+    longest: float
+    gaps: int
+
+    def __str__(self) -> str:
+        kind = f" ({self.kind})" if self.kind else ""
+        gaps = (
+            f", {self.gaps} gap{'s' * (self.gaps != 1)} up to {self.longest:g} s"
+            if self.gaps
+            else ""
+        )
+        if self.sample_time <= 0:
+            return f"{self.header!r}{kind}: more than one row for each time"
+        even = self.jitter < 1e-3 * self.sample_time
+        jitter = "even" if even else f"jitter {100 * self.jitter / self.sample_time:.2g} %"
+        return f"{self.header!r}{kind}: every {self.sample_time:.4g} s, {jitter}{gaps}"
+
+    @classmethod
+    def of(cls, header: str, kind: str, t: Array) -> Clock:
+        steps = np.diff(t)
+        usual = float(np.median(steps)) if steps.size else 0.0
+        inside = steps[(steps > 0) & (steps <= GAP * usual)]
+        jitter = float(np.std(inside)) if inside.size else 0.0
+        gaps = int(np.sum(steps > GAP * usual))
+        return cls(header, kind, usual, jitter, float(steps.max(initial=0.0)), gaps)
+
+
+def find_clock(raw: RawTable, time: str | None = None) -> tuple[RawTable, str | None]:
+    """(table, header of its time; None without). A column of days beside one of times is joined.
+
+    Raises UnknownNameError where ``time`` is no column.
+    """
+    if time is not None:
+        if time not in raw.columns:
+            raise UnknownNameError("column of the time", time, raw.columns)
+        return raw, time
+    named = [h for h in raw.columns if parse_header(h)[0] in TIME_NAMES]
+    if len(named) > 1:
+        days, times = (list(raw.columns[h]) for h in named[:2])
+        both = joined(days, times) or joined(times, days)
+        if both is not None:
+            columns = {h: c for h, c in raw.columns.items() if h not in named[:2]}
+            name = " ".join(named[:2])
+            return replace(raw, columns={name: both, **columns}), name
+        numeric = [h for h in named if not any(is_stamp(c) for c in list(raw.columns[h])[:3])]
+        named = numeric or named  # seconds beside a date are the finer ones
+    return raw, named[0] if named else None
+
+
+def read_clock(raw: RawTable, header: str, wanted: str | None) -> tuple[Array, str]:
+    """(times [s] with NaN for empty cells, what they were). Raises InputError."""
+    cells = raw.columns[header]
+    there = [c for c in list(cells)[:200] if c is not None and c != ""]
+
+    def place(i: int) -> str:
+        return f"{raw.label}: column {header!r}, {raw.row(i)}"
+
+    if there and sum(is_stamp(c) for c in there) > len(there) / 2:
+        return seconds_of_stamps(cells, place)
+    said = raw.unit(header)
+    values = raw.numbers(header)
+    if wanted is None and (said is None or said == "s"):
+        return seconds_of_numbers(values, header, said)
+    scale = scale_of(place(0), wanted or said or "s", unit("s"), said)
+    if not scale.measured.compatible(unit("s")):
+        raise InputError(
+            f"{raw.label}: column {header!r} is in {wanted or said}, which is no unit of time (s); "
+            "correct the header or give units={'time': ...}"
+        )
+    if wanted and said and is_unit(said):
+        header_scale = scale_of(place(0), said, None, None)
+        if scale.formula is None and header_scale.measured.factor != scale.measured.factor:
+            raise InputError(
+                f"{raw.label}: column {header!r} says {said} but units['time'] = {wanted!r}; "
+                "correct the header or leave units away"
+            )
+    return seconds_of_numbers(scale.si(values), header, "s")
+
+
+def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTable, Array]:
+    """Table and times without what can be mended: stamps that repeat, single wrong ones, wraps.
+
+    factor : seconds per count of the column. What was done is among the notes of the table.
+    """
+    if t.size and t.min() == t.max():
+        return raw, t
+    t, words = _unwrapped(t, factor)
+    notes = [words] if words else []
+    steps = np.diff(t)
+    still = steps == 0
+    kept = np.arange(t.size)
+    if t.size >= FEW and still.mean() > COARSE and not np.any(steps < 0) and t[-1] > t[0]:
+        t, words = _spread(t)
+        notes.append(words)
+    elif still.any() and t.size >= FEW:
+        kept = np.concatenate([[0], 1 + np.nonzero(~still)[0]])
+        first = raw.row(int(np.argmax(still)) + 1)
+        notes.append(
+            f"the clock stands still: {int(still.sum())} rows of a repeated time dropped (first "
+            f"{first})"
+        )
+    if kept.size >= FEW:
+        wrong = _glitches(t[kept])
+        if wrong.size:
+            first = raw.row(int(kept[wrong[0]]))
+            notes.append(f"{wrong.size} rows of a single wrong time dropped (first {first})")
+            kept = np.delete(kept, wrong)
+    if not notes:
+        return raw, t
+    return raw.taken(kept, *notes), t[kept]
+
+
+def _spread(t: Array) -> tuple[Array, str]:
+    """Times of a clock that is coarser than the record: evenly between its ticks."""
+    starts = np.concatenate([[0], 1 + np.nonzero(np.diff(t) > 0)[0]])
+    runs = np.diff(starts)
+    step = float(np.median(np.diff(t[starts]) / runs))
+    index = np.arange(t.size, dtype=float)
+    made = np.interp(index, starts, t[starts])
+    made[: starts[1]] = t[starts[1]] - step * (starts[1] - index[: starts[1]])
+    last = starts[-1]
+    made[last:] = t[last] + step * (index[last:] - last)
+    return made, (
+        f"the clock ticks every {float(np.median(np.diff(t[starts]))):g} s only, for some "
+        f"{float(np.median(runs)):g} rows each: they are spread evenly, {step:.4g} s apart"
+    )
+
+
+def _unwrapped(t: Array, factor: float) -> tuple[Array, str]:
+    """Times of a counter, or a time of day, that began anew."""
+    steps = np.diff(t)
+    back = np.nonzero(steps < 0)[0]
+    if not back.size or t.size < FEW:
+        return t, ""
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    for period in (*(w * factor for w in WRAPS), *PERIODS):
+        ahead = steps[back] + period
+        if usual > 0 and np.all((ahead > 0) & (ahead < GAP * usual)):
+            turns = np.concatenate([[0], np.cumsum(steps < 0)])
+            return t + period * turns, (
+                f"the clock begins anew after {period:g} s, {back.size} times: counted on"
+            )
+    return t, ""
+
+
+def _glitches(t: Array) -> NDArray[np.intp]:
+    """Rows whose time is wrong, and whose neighbours' are right without them."""
+    steps = np.diff(t)
+    usual = float(np.median(steps))
+    wrong = []
+    for i in np.nonzero(steps <= 0)[0]:
+        for j in (int(i), int(i) + 1):
+            if j == 0 or j == t.size - 1:
+                wrong.append(j)
+                break
+            if 0 < j < t.size - 1 and 0 < t[j + 1] - t[j - 1] <= 3 * usual:
+                wrong.append(j)
+                break
+    return np.unique(np.array(wrong, dtype=np.intp))
+
+
+def parts_of(
+    raw: RawTable, header: str, t: Array, max_gap: float | None, cut: bool
+) -> list[tuple[int, int]]:
+    """(first, behind last) of the parts between gaps and backward steps.
+
+    Raises InputError where there are several and they are not to be cut.
+    """
+    if len(t) < 2:
+        raise InputError(f"{raw.label}: {len(t)} sample; a record needs at least 2")
+    steps = np.diff(t)
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    limit = GAP * usual if max_gap is None else require_positive("max_gap", max_gap, "s")
+    back, wide = steps <= 0, steps > limit * (1 + 1e-9)
+    if not cut and np.any(back):
+        i = int(np.argmax(back))
+        words = "stands still" if steps[i] == 0 else "runs backwards"
+        raise InputError(
+            f"{raw.label}: time {words} in {raw.row(i + 1)}, from {t[i]:g} to {t[i + 1]:g} s; "
+            "sort the rows, or cut there: clock='cut' (read_records then gives all parts, "
+            "read_record the longest; a column that numbers them goes by split=...)"
+        )
+    if not cut and np.any(wide):
+        i = int(np.argmax(wide))
+        raise InputError(
+            f"{raw.label}: a gap of {steps[i]:g} s before {raw.row(i + 1)} (from {t[i]:g} to "
+            f"{t[i + 1]:g} s, where {usual:g} s are usual); cut there with clock='cut' "
+            "(read_records then gives all parts, read_record the longest), or allow it with "
+            f"max_gap={1.01 * steps[i]:.3g}"
+        )
+    cuts = [0, *(int(i) + 1 for i in np.nonzero(back | wide)[0]), len(t)]
+    found = [(a, b) for a, b in pairwise(cuts) if b - a >= 2]
+    if not found:
+        raise InputError(f"{raw.label}: no two rows follow each other in time; look at {header!r}")
+    return found

@@ -1,0 +1,143 @@
+"""The dialect of a text file: what separates its cells, its decimal sign, its comments.
+
+Each separator with each decimal sign is tried on a sample of the lines. The one is taken in which
+most cells of rows of equal width are numbers or stamps of time, as DuckDB's sniffer does
+(G. van den Burg, A. Nazábal, C. Sutton, Wrangling messy CSV files by detecting row and type
+patterns, Data Min. Knowl. Disc. 33 (2019) 1799-1820).
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ...core.errors import InputError
+from ...core.files import require_size
+from .cells import is_empty, is_number, is_stamp
+
+__all__ = ["Grid", "Unsaid", "grid_of_text"]
+
+SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}
+"""What may stand between cells, the likelier ones first."""
+COMMENTS = ("#", "%", "//", "!")
+SAMPLE = 120
+"""Lines that are looked at, from the lower part of the first thousand."""
+
+
+class Unsaid(InputError):
+    """A file can be read once a keyword says what it does not say itself."""
+
+
+@dataclass
+class Grid:
+    """Cells row by row, as they stand. lines : where each row stands in its file.
+
+    comments : lines of comment, cut like the others, one of which may name the columns. text : rows
+    that are too short are faults, not rows whose last cells are empty.
+    """
+
+    label: str
+    rows: list[Sequence[Any]]
+    lines: list[int]
+    decimal: str = "."
+    comments: list[Sequence[str]] = field(default_factory=list)
+    dialect: tuple[str, ...] = ()
+    text: bool = False
+
+
+def grid_of_text(
+    text: str,
+    label: str,
+    suffix: str = "",
+    skip: int = 0,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Grid:
+    """The cells of a text. skip : lines at its beginning that are left out.
+
+    Raises InputError for what the csv module does not read.
+    """
+    lines: list[tuple[int, str]] = []
+    comments: list[str] = []
+    for i, line in enumerate(text.splitlines(), start=1):
+        if i <= skip or not line.strip(" \t\r\n,;|"):
+            continue
+        if line.lstrip().startswith(COMMENTS):
+            comments.append(line.strip().lstrip("#%/! "))
+        else:
+            lines.append((i, line))
+    if not lines:
+        raise InputError(f"{label} is empty: it needs a header and at least one row")
+    sample = [line for _, line in lines[:1000]][-SAMPLE:]
+    if delimiter is None and suffix == ".tsv" and any("\t" in line for line in sample):
+        delimiter = "\t"
+    separator, sign = _sniffed(sample, delimiter, decimal)
+    try:
+        rows = _cut([line for _, line in lines], separator)
+    except csv.Error as error:
+        raise InputError(f"{label}: {error}; save the table as CSV anew") from None
+    require_size(label, len(rows), max(map(len, rows)))
+    widths = Counter(map(len, rows[-SAMPLE:]))
+    width = widths.most_common(1)[0][0]
+    if separator == " ":
+        rows = [
+            r if len(r) == width else _head(s, r, width)
+            for (_, s), r in zip(lines, rows, strict=True)
+        ]
+    words = [_head(c, _cut([c], separator)[0], width) for c in comments if c]
+    said = [f"cells between {SEPARATORS.get(separator, repr(separator))}"]
+    said += ["decimal comma"] if sign == "," else []
+    said += [f"{len(comments)} comment lines"] if comments else []
+    said += [f"{skip} lines skipped"] if skip else []
+    return Grid(label, rows, [i for i, _ in lines], sign, words, tuple(said), text=True)
+
+
+def _cut(lines: Sequence[str], separator: str) -> list[Sequence[str]]:
+    if separator == " ":
+        return [line.split() for line in lines]
+    rows: Iterator[list[str]] = csv.reader(lines, delimiter=separator)
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def _head(line: str, cells: Sequence[str], width: int) -> Sequence[str]:
+    """A line of words over columns between blanks: ``muscle length [mm]  p [bar]``."""
+    for pattern in (r"\t+|\s{2,}", r"\s+(?![\[(])", r"[\t;,|]\s*"):
+        found = re.split(pattern, line.strip())
+        if len(found) == width:
+            return found
+    return cells
+
+
+def _sniffed(sample: Sequence[str], delimiter: str | None, decimal: str | None) -> tuple[str, str]:
+    """(separator, decimal sign) in which the sample reads best."""
+    best: tuple[tuple[float, int, int, int], str, str] | None = None
+    for rank, separator in enumerate([delimiter] if delimiter else SEPARATORS):
+        try:
+            rows = _cut(sample, separator)
+        except csv.Error:
+            continue
+        commas = sum("," in cell for row in rows for cell in row)
+        for sign in [decimal] if decimal else ".,":
+            share, width = _sense(rows, sign)
+            # where both signs read all: beside commas the comma, else the point
+            likely = int((sign == ",") == (commas > 0 and separator != ","))
+            score = (round(share, 3), width, likely, -rank)
+            if best is None or score > best[0]:
+                best = (score, separator, sign)
+    return (best[1], best[2]) if best else (delimiter or ",", decimal or ".")
+
+
+def _sense(rows: Sequence[Sequence[str]], sign: str) -> tuple[float, int]:
+    """(share of cells that make sense in rows of the commonest width, that width)."""
+    kept = [row for row in rows if any(any(c.isdigit() for c in cell) for cell in row)] or rows
+    width = Counter(map(len, kept)).most_common(1)[0][0]
+    total = 0.0
+    for row in kept:
+        if len(row) == width:
+            sound = sum(is_number(c, sign) or is_stamp(c) or 0.5 * is_empty(c) for c in row)
+            total += sound / max(1, len(row))
+    return (total / len(kept) if width > 1 else 0.3 * total / len(kept)), width

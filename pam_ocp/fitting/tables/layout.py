@@ -1,0 +1,230 @@
+"""The layout of a grid of cells: titles, names, units, numbers; or a pivot.
+
+Columns in which most of the lower rows are numbers are columns of numbers; numbers begin in the
+first row that fits them. What stands above are a row of units, the names, and titles.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from ...core.errors import InputError
+from ...core.files import MOST_NAME, require_size
+from .cells import is_empty, is_number, is_stamp
+from .dialect import Grid, Unsaid
+from .headers import is_unit
+from .pivot import pivoted
+from .raw import RawTable
+
+__all__ = ["has_table", "require_distinct", "tabulated"]
+
+LOOKED_AT = 400
+"""Rows at the end of a grid whose cells say what its columns hold."""
+CUT_OFF = 10
+"""Rows from which on a last line that is too short was cut off, as by a logger without power."""
+
+
+def tabulated(
+    grid: Grid, names: Sequence[str | None] | None = None, pivot: Sequence[str] | None = None
+) -> RawTable:
+    """Columns of a grid.
+
+    names : of the columns, from the left; None or "" leaves one out. Without them the grid must
+    hold them. pivot : what runs down, across, and stands in the cells of a pivot.
+
+    Raises InputError.
+    """
+    grid = _trimmed(grid)
+    numeric = _numeric(grid)
+    start = _start(grid, numeric)
+    head = start - 1
+    if pivot is not None or (names is None and _is_pivot(grid, start)):
+        return pivoted(grid, start, pivot)
+    stated: Sequence[Any] = ()
+    if head >= 1 and _is_units(grid, head):
+        stated, head = grid.rows[head], head - 1
+    width = len(numeric)
+    found = _names(grid, head, numeric, names)
+    require_size(grid.label, len(grid.rows), width)
+    body, lines, notes = _body(grid, start, found)
+    kept = [i for i, name in enumerate(found) if name]
+    labels = [found[i] for i in kept]
+    require_distinct(labels, grid.label)
+    units = {
+        found[i]: str(stated[i]).strip(" []()")
+        for i in kept
+        if i < len(stated) and not is_empty(stated[i])
+    }
+    named = (head if names is None and head >= 0 else start) if start else 0
+    said = [*grid.dialect]
+    said += [f"names in line {grid.lines[head]}"] if names is None and 0 <= head < start else []
+    said += [f"units in line {grid.lines[start - 1]}"] if len(stated) else []
+    said += [f"{named} title rows"] if named else []
+    return RawTable(
+        grid.label,
+        {name: [row[i] for row in body] for i, name in zip(kept, labels, strict=True)},
+        lines,
+        decimal=grid.decimal,
+        stated=units,
+        dialect=tuple(said),
+        notes=notes,
+    )
+
+
+def has_table(grid: Grid) -> bool:
+    """Whether a grid holds at least two columns of numbers, two rows long."""
+    try:
+        trimmed = _trimmed(grid)
+        numeric = _numeric(trimmed)
+        return sum(numeric) >= 2 and len(trimmed.rows) - _start(trimmed, numeric) >= 2
+    except InputError:
+        return False
+
+
+# ---- where things are ----------------------------------------------------------------------------
+def _trimmed(grid: Grid) -> Grid:
+    """Without empty rows, and without columns that are empty in all."""
+    filled = [any(c is not None and c != "" for c in row) for row in grid.rows]
+    rows = [row for row, keep in zip(grid.rows, filled, strict=True) if keep]
+    if not rows:
+        raise InputError(f"{grid.label} is empty: it needs a header and at least one row")
+    width = max(map(len, rows))
+    used = [False] * width
+    for row in rows:
+        for i, cell in enumerate(row):
+            if not used[i] and cell is not None and cell != "":
+                used[i] = True
+    kept = [i for i, u in enumerate(used) if u]
+    if len(kept) < width:
+        rows = [[row[i] for i in kept if i < len(row)] for row in rows]
+    lines = [line for line, keep in zip(grid.lines, filled, strict=True) if keep]
+    return replace(grid, rows=rows, lines=lines)
+
+
+def _numeric(grid: Grid) -> list[bool]:
+    """Which columns hold numbers, by the rows below."""
+    lower = grid.rows[len(grid.rows) // 2 :][-LOOKED_AT:]
+    width = Counter(map(len, lower)).most_common(1)[0][0]
+    found = []
+    for i in range(max(width, max(map(len, lower)))):
+        cells = [row[i] for row in lower if i < len(row) and not is_empty(row[i])]
+        fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
+        found.append(bool(cells) and fitting >= 0.6 * len(cells))
+    return found
+
+
+def _start(grid: Grid, numeric: Sequence[bool]) -> int:
+    """The first row of numbers."""
+    columns = [i for i, n in enumerate(numeric) if n]
+    if not columns:
+        raise InputError(
+            f"{grid.label} is empty: it needs a header and at least one row of numbers"
+        )
+    for start, row in enumerate(grid.rows):
+        cells = [row[i] for i in columns if i < len(row) and not is_empty(row[i])]
+        fitting = sum(is_number(c, grid.decimal) or is_stamp(c) for c in cells)
+        whole = fitting == len(cells) and fitting >= min(2, len(columns))
+        if whole or fitting > len(columns) / 2:
+            return start
+    raise InputError(f"{grid.label} is empty: it needs a header and at least one row of numbers")
+
+
+def _is_units(grid: Grid, row: int) -> bool:
+    cells = [str(c) for c in grid.rows[row] if not is_empty(c) or c == "-"]
+    return bool(cells) and all(map(is_unit, cells)) and any(c not in ("-", "1") for c in cells)
+
+
+def _is_pivot(grid: Grid, start: int) -> bool:
+    from .pivot import looks_pivoted
+
+    return looks_pivoted(grid, start)
+
+
+# ---- names ---------------------------------------------------------------------------------------
+def _names(
+    grid: Grid, head: int, numeric: Sequence[bool], given: Sequence[str | None] | None
+) -> list[str]:
+    """A name for each column; "" for those that are left out."""
+    width = len(numeric)
+    if given is not None:
+        if len(given) != width:
+            raise InputError(
+                f"{grid.label} has {width} columns, columns= names {len(given)}; name each, from "
+                "the left (None leaves one out)"
+            )
+        return [str(name) if name else "" for name in given]
+    if head >= 0 and _is_head(grid, head, numeric):
+        cells = [*grid.rows[head], *[None] * width][: max(width, len(grid.rows[head]))]
+        names = ["" if c is None else str(c).strip() for c in cells]
+        return [n or (f"column {i + 1}" if i < width else "") for i, n in enumerate(names)]
+    for words in reversed(grid.comments):
+        if len(words) == width and not any(is_number(w, grid.decimal) for w in words):
+            return [str(w).strip() for w in words]
+    first = " ".join(str(c) for c in grid.rows[head + 1])[:60]
+    raise Unsaid(
+        f"{grid.label}: no line names the {width} columns (the first row of numbers is "
+        f"{first!r}); say what they are, from the left, with their units, as "
+        f"columns={_example(width)} (of a record 'time [s]', ...)"
+    )
+
+
+def _is_head(grid: Grid, head: int, numeric: Sequence[bool]) -> bool:
+    """Whether a row names most columns of numbers."""
+    row = grid.rows[head]
+    named = sum(n and i < len(row) and not is_empty(row[i]) for i, n in enumerate(numeric))
+    numbers = sum(is_number(c, grid.decimal) for c in row)
+    return named > 0.5 * sum(numeric) and numbers < len(row) / 2
+
+
+def _example(width: int) -> str:
+    usual = ["length [mm]", "pressure [bar]", "force [N]"][:width]
+    return repr([*usual, *[None] * (width - len(usual))])
+
+
+# ---- rows ----------------------------------------------------------------------------------------
+def _body(
+    grid: Grid, start: int, names: Sequence[str]
+) -> tuple[list[Sequence[Any]], list[int], tuple[str, ...]]:
+    """The rows of numbers, all of one width. Raises InputError where one is not."""
+    rows, lines, notes = grid.rows[start:], grid.lines[start:], []
+    width = len(names)
+    end = len(rows)
+    while end > 1 and not any(is_number(c, grid.decimal) or is_stamp(c) for c in rows[end - 1]):
+        end -= 1
+    if end < len(rows):
+        notes.append(f"{len(rows) - end} rows of words below the numbers left out")
+        rows = rows[:end]
+    last = len(rows) - 1
+    made: list[Sequence[Any]] = []
+    for i, row in enumerate(rows):
+        if len(row) == width:
+            made.append(row)
+        elif len(row) > width and all(is_empty(c) for c in row[width:]):
+            made.append(row[:width])
+        elif len(row) < width and not grid.text:
+            made.append([*row, *[None] * (width - len(row))])
+        elif len(row) < width and i == last >= CUT_OFF:
+            notes.append(f"line {lines[i]}, the last, is cut off and left out")
+        else:
+            raise InputError(
+                f"{grid.label}: line {lines[i]} has {len(row)} cells where the header has "
+                f"{width}; mend the line, or say what stands between cells (delimiter=';')"
+            )
+    return made, lines[: len(made)], tuple(notes)
+
+
+def require_distinct(names: Sequence[str], label: str) -> None:
+    """Raises InputError for names that are too long, too many, or stand twice."""
+    require_size(label, 0, len(names))
+    long = [n for n in names if len(n) > MOST_NAME]
+    if long:
+        raise InputError(
+            f"{label}: the header {long[0][:20]!r}... has {len(long[0])} characters; "
+            f"shorten it to {MOST_NAME}"
+        )
+    twice = sorted(n for n, count in Counter(names).items() if count > 1)
+    if twice:
+        raise InputError(f"{label}: column {twice[0]!r} occurs twice; rename one of them")

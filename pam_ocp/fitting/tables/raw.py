@@ -1,0 +1,143 @@
+"""Columns as they stand in a source, with their headers, units and places."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError
+from ...core.files import MOST_NAME
+from ...core.plausible import outside
+from .cells import decimal_of, numbers_of
+from .headers import matching, parse_header
+
+__all__ = ["RawTable", "ReadingWarning", "complete", "say"]
+
+
+class ReadingWarning(UserWarning):
+    """Not all of a file was taken as it stands: what was left out or mended, and where."""
+
+
+def say(label: str, notes: Sequence[str]) -> None:
+    """Warn of what was left out or mended; nothing where nothing was."""
+    if notes:
+        warnings.warn(f"{label}: {'; '.join(notes)}", ReadingWarning, stacklevel=outside())
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """Columns as they stand in the source.
+
+    lines : line (or row of the sheet) of each row in its file; rows : its number. decimal : sign in
+    cells of text. stated : {header: unit} of a row of units. dialect : how the file was understood,
+    notes : what was left out or mended, both in words.
+    """
+
+    label: str
+    columns: Mapping[str, Sequence[Any]]
+    lines: Sequence[int] | None = None
+    rows: Sequence[int] | None = None
+    decimal: str | None = None
+    stated: Mapping[str, str] = field(default_factory=dict)
+    dialect: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return max(map(len, self.columns.values()), default=0)
+
+    def row(self, index: int) -> str:
+        """``row 3 (line 5)``, for messages."""
+        line = f" (line {self.lines[index]})" if self.lines else ""
+        return f"row {(self.rows[index] if self.rows is not None else index) + 1}{line}"
+
+    def header(
+        self, quantity: str, spellings: Collection[str], columns: Mapping[str, str]
+    ) -> str | None:
+        """The header of a quantity: the user's choice, else the one spelled so; None without.
+
+        Raises InputError where two are.
+        """
+        if quantity in columns:
+            return columns[quantity]
+        free = [h for h in self.columns if h not in columns.values()]
+        fitting = matching(frozenset(spellings), free)
+        if len(fitting) > 1:
+            raise InputError(
+                f"{self.label}: {' and '.join(map(repr, fitting))} both read as {quantity}; "
+                f"choose one with columns={{{quantity!r}: {fitting[0]!r}}}"
+            )
+        return fitting[0] if fitting else None
+
+    def unit(self, header: str) -> str | None:
+        """The unit that stands in a header, or in the row of units below it."""
+        name, said = parse_header(header)
+        if said is None and header in self.stated:
+            said = parse_header(f"{name} [{self.stated[header]}]")[1]
+        return said
+
+    def numbers(self, header: str) -> NDArray[np.float64]:
+        """A column in the unit in which it stands, NaN for empty cells.
+
+        Raises InputError for a cell that is no number, or an infinite one.
+        """
+        cells = self.columns[header]
+        found, bad = numbers_of(cells, self.decimal or decimal_of(cells))
+        if bad is None:
+            infinite = np.nonzero(np.isinf(found))[0]
+            if not infinite.size:
+                return found
+            bad = int(infinite[0])
+        place = f"{self.label}: column {header!r}, {self.row(bad)}"
+        shown = repr(cells[bad])[:MOST_NAME]
+        if np.isinf(found[bad]):
+            raise InputError(f"{place} holds {found[bad]}; fill it or take the row out")
+        raise InputError(f"{place} holds {shown}, which is no number")
+
+    def taken(self, kept: NDArray[np.intp], *notes: str) -> RawTable:
+        """The rows of these indices, with what is to be said of the others."""
+        index = [int(i) for i in kept]
+        rows = self.rows or range(len(self))
+        return replace(
+            self,
+            columns={n: [c[i] for i in index] for n, c in self.columns.items()},
+            lines=[self.lines[i] for i in index] if self.lines else None,
+            rows=[rows[i] for i in index],
+            notes=(*self.notes, *notes),
+        )
+
+
+MOST_LOST = 0.5
+"""Share of rows that may be dropped for their empty cells without a word from the user."""
+
+
+def complete(raw: RawTable, headers: Sequence[str], empty: str = "drop") -> RawTable:
+    """The rows that have numbers in all of these columns; how many have not is noted.
+
+    empty : "drop", or "refuse". Raises InputError where most rows would go.
+    """
+    if empty not in ("drop", "refuse"):
+        raise InputError(f"empty = {empty!r}: choose 'drop' or 'refuse'")
+    missing = {h: np.isnan(raw.numbers(h)) for h in headers}
+    gone = np.any(list(missing.values()), axis=0) if missing else np.zeros(len(raw), bool)
+    if not np.any(gone):
+        return raw
+    counts = {h: int(m.sum()) for h, m in missing.items() if m.any()}
+    worst = max(counts, key=lambda h: counts[h])
+    first = int(np.argmax(missing[worst]))
+    if empty == "refuse":
+        raise InputError(
+            f"{raw.label}: column {worst!r}, {raw.row(first)} is empty; fill it or take the row out"
+        )
+    if gone.sum() > MOST_LOST * len(raw):
+        raise InputError(
+            f"{raw.label}: column {worst!r} is empty in {counts[worst]} of {len(raw)} rows (first "
+            f"{raw.row(first)}): fill it, name another with columns={{...}}, or take the rows out"
+        )
+    words = ", ".join(f"{n} in {h!r}" for h, n in counts.items())
+    dropped = f"{int(gone.sum())} of {len(raw)} rows dropped for empty cells ({words}; first "
+    return raw.taken(np.nonzero(~gone)[0], f"{dropped}{raw.row(first)})")

@@ -1,0 +1,160 @@
+"""Times as they are written: seconds, dates, times of day, days of a spreadsheet, epochs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import date, datetime
+from datetime import time as clock_time
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import InputError
+from .cells import is_empty, is_stamp
+from .headers import parse_header
+
+__all__ = ["joined", "seconds_of_numbers", "seconds_of_stamps"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+DAY = 86400.0
+DATES = frozenset(
+    {"date", "datetime", "date time", "timestamp", "time stamp", "datum", "zeitstempel"}
+    | {"datum uhrzeit", "messzeit"}
+)
+"""Names of columns in which numbers may be a spreadsheet's days."""
+SERIAL = (20_000.0, 80_000.0)
+"""Days of a spreadsheet, of the years 1954 .. 2119."""
+EPOCHS = ((1e8, 1e11, 1.0), (1e11, 1e14, 1e-3), (1e14, 1e17, 1e-6), (1e17, 1e20, 1e-9))
+"""(from, to, seconds per count) of numbers that count from 1970."""
+_TIME = (
+    r"(?P<h>\d{1,3}):(?P<m>\d{2})(?::(?P<s>\d{2}))?(?:[.,:](?P<f>\d+))?"
+    r"\s*(?P<half>[APap][Mm])?\s*(?:Z|UTC|[+-]\d{2}:?\d{2})?"
+)
+_YEAR_FIRST = re.compile(
+    rf"(?P<y>\d{{4}})[-/.](?P<a>\d{{1,2}})[-/.](?P<b>\d{{1,2}})(?:[T ,]+{_TIME})?$"
+)
+_YEAR_LAST = re.compile(
+    rf"(?P<a>\d{{1,2}})(?P<sign>[-/.])(?P<b>\d{{1,2}})[-/.](?P<y>\d{{2,4}})(?:[T ,]+{_TIME})?$"
+)
+_OF_DAY = re.compile(_TIME + "$")
+
+
+def seconds_of_stamps(cells: Sequence[Any], place: Any) -> tuple[Array, str]:
+    """(seconds since the first stamp with NaN for empty cells, what they are) of dates or times.
+
+    place : a function of the index, for messages. Raises InputError for a cell that is none.
+    """
+    parsed = [None if is_empty(c) else _parsed(c) for c in cells]
+    for i, (cell, one) in enumerate(zip(cells, parsed, strict=True)):
+        if one is None and not is_empty(cell):
+            raise InputError(f"{place(i)} holds {str(cell)[:40]!r}, which is no time")
+    there = [p for p in parsed if p is not None]
+    month_first = _month_first(there)
+    try:
+        t = np.array([np.nan if p is None else _seconds(p, month_first) for p in parsed])
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{place(0)}: the dates cannot be read ({error})") from None
+    if all(p[0] is None for p in there):
+        known = np.nonzero(~np.isnan(t))[0]
+        turns = np.concatenate([[0.0], np.cumsum(np.diff(t[known]) < -DAY / 2)])
+        t[known] += DAY * turns
+        kind = "times of day"
+    else:
+        order = {None: "", True: ", month first", False: ", day first"}[month_first]
+        kind = f"dates{order}"
+    first = next((float(v) for v in t if not np.isnan(v)), 0.0)
+    return t - first, kind
+
+
+_Stamp: TypeAlias = tuple[tuple[int, int, int, str] | None, float]
+"""(year, two numbers, sign between them; None without a date), seconds of the day."""
+
+
+def _parsed(cell: Any) -> _Stamp | None:
+    if isinstance(cell, np.datetime64):
+        cell = str(cell)
+    if isinstance(cell, datetime):
+        seconds = 3600 * cell.hour + 60 * cell.minute + cell.second + 1e-6 * cell.microsecond
+        return (cell.year, cell.month, cell.day, "y"), seconds
+    if isinstance(cell, date):
+        return (cell.year, cell.month, cell.day, "y"), 0.0
+    if isinstance(cell, clock_time):
+        return None, 3600 * cell.hour + 60 * cell.minute + cell.second + 1e-6 * cell.microsecond
+    text = str(cell).strip()
+    match = _YEAR_FIRST.match(text)
+    if match:
+        return (int(match["y"]), int(match["a"]), int(match["b"]), "y"), _of_day(match)
+    match = _YEAR_LAST.match(text)
+    if match:
+        year = int(match["y"]) + (2000 if len(match["y"]) == 2 else 0)
+        return (year, int(match["a"]), int(match["b"]), match["sign"]), _of_day(match)
+    match = _OF_DAY.match(text)
+    return (None, _of_day(match)) if match else None
+
+
+def _of_day(match: re.Match[str]) -> float:
+    if match["h"] is None:
+        return 0.0
+    h, m, s = int(match["h"]), int(match["m"]), int(match["s"] or 0)
+    fraction = float(f"0.{match['f']}") if match["f"] else 0.0
+    if match["s"] is None and match["f"] and match.re is _OF_DAY:  # minutes and seconds
+        h, m, s = 0, h, m
+    if match["half"]:
+        h = h % 12 + (12 if match["half"].lower() == "pm" else 0)
+    return 3600 * h + 60 * m + s + fraction
+
+
+def _month_first(stamps: Sequence[_Stamp]) -> bool | None:
+    """Whether 3/4/2024 is the fourth of March; None where the year stands first."""
+    dates = {d for d, _ in stamps if d is not None and d[3] != "y"}
+    if not dates:
+        return None
+    if any(d[3] == "." for d in dates) or any(d[1] > 12 for d in dates):
+        return False
+    if any(d[2] > 12 for d in dates):
+        return True
+    # both can be: a record runs through neighbouring days, not through neighbouring months
+    return len({d[1] for d in dates}) < len({d[2] for d in dates})
+
+
+def _seconds(stamp: _Stamp, month_first: bool | None) -> float:
+    if stamp[0] is None:
+        return stamp[1]
+    year, a, b, sign = stamp[0]
+    month, day = (a, b) if sign == "y" or month_first else (b, a)
+    return date(year, month, day).toordinal() * DAY + stamp[1]
+
+
+def seconds_of_numbers(values: Array, header: str, said: str | None) -> tuple[Array, str]:
+    """(times, what was made of them) of numbers in seconds, or without a unit."""
+    known = values[~np.isnan(values)]
+    if known.size < 2:
+        return values, ""
+    low, high = float(known.min()), float(known.max())
+    days = said is None and SERIAL[0] < low and high < SERIAL[1]
+    fine = float(np.median(np.abs(np.diff(known)))) < 0.01
+    if days and fine and parse_header(header)[0] in DATES:
+        return (values - known[0]) * DAY, "days of a spreadsheet"
+    for least, most, factor in EPOCHS if said is None else EPOCHS[:1]:
+        if least <= low and high < most:
+            unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[factor]
+            return (values - known[0]) * factor, f"counted from 1970 in {unit}"
+    return values, ""
+
+
+def joined(days: Sequence[Any], times: Sequence[Any]) -> list[Any] | None:
+    """Stamps of a column of days and one of times of day; None where they are no such pair."""
+    made: list[Any] = []
+    for day, time in zip(days, times, strict=True):
+        if is_empty(day) or is_empty(time):
+            made.append(None)
+            continue
+        if isinstance(day, datetime):
+            day = day.date()
+        if not is_stamp(day) or not is_stamp(time) or ":" in str(day) or ":" not in str(time):
+            return None
+        made.append(f"{day} {time}")
+    return made

@@ -1,0 +1,170 @@
+"""Hysteresis whose branches differ: generalised play operators, summed (Prandtl-Ishlinskii)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
+from .damping import Motion
+from .kinds import LOSSES
+from .memory import require_elements
+from .play import SMALLEST, SlipElements
+from .slip import Limits, PressureScale, require_scale, rounded_speed
+
+__all__ = ["PrandtlIshlinskii"]
+
+
+@LOSSES.register(
+    units={
+        "contracting": "N",
+        "relaxing": "N",
+        "yield_contraction": "1",
+        "contracting_growth": "1",
+        "relaxing_growth": "1",
+        "per_pressure": "1/Pa",
+    }
+)
+@dataclass(frozen=True)
+class PrandtlIshlinskii:
+    """F = sum k_i (kappa - w_i), w_i a play operator with one envelope for each way: asymmetric.
+
+    Each term is a spring k_i = contracting_i/yield_i that holds while -R_i(kappa) < F_i <
+    C_i(kappa) and slides on these envelopes, C_i = contracting_i (1 + contracting_growth kappa)
+    while the muscle contracts, R_i = relaxing_i (1 + relaxing_growth kappa) while it relaxes. So
+    w_i = max(kappa - C_i/k_i, min(kappa + R_i/k_i, w_i)): the generalised play operator. Major and
+    minor loops are asymmetric, rate-independent, and every motion dissipates (C_i, R_i > 0; our
+    inference). Equal envelopes without growth: the classical model, MaxwellSlip.
+
+    contracting, relaxing : friction of each element while it slides either way, at kappa = 0 [N].
+    yield_contraction : contraction from rest at which each slides [1], as many.
+    contracting_growth, relaxing_growth : of the envelopes per unit of contraction, >= -2.
+    edge : width of the passage from sticking to sliding, as a part of the envelope; 0 is the sharp
+        model, which :meth:`elements` has with its exact inverse.
+    per_pressure : [1/Pa] the envelopes are those at no pressure, (1 + per_pressure p) times these
+        at p; see :class:`MaxwellSlip`.
+
+    Source: generalised play operators, M. Al Janaideh, S. Rakheja, C.-Y. Su, Mechatronics 19 (2009)
+    656-670, and IEEE/ASME Trans. Mechatronics 16 (2011) 734-744 (inverse); for muscles, separate
+    operators for the two ways: Y. Liu et al., Strojniski vestnik 63 (2017) 56-64 (its abstract was
+    read: loops of length over pressure; here force over contraction, from which those follow).
+    The default is an example, no measurement.
+    """
+
+    contracting: Sequence[float] = (10.0, 8.0)
+    relaxing: Sequence[float] = (6.0, 5.0)
+    yield_contraction: Sequence[float] = (0.004, 0.02)
+    contracting_growth: float = 2.0
+    relaxing_growth: float = 0.0
+    edge: float = 0.02
+    per_pressure: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_elements(self, "contracting", "relaxing", "yield_contraction")
+        for argument, unit in (("contracting", "N"), ("relaxing", "N"), ("yield_contraction", "")):
+            values = tuple(
+                require_positive(f"PrandtlIshlinskii.{argument}", v, unit)
+                for v in getattr(self, argument)
+            )
+            object.__setattr__(self, argument, values)
+        for argument in ("contracting_growth", "relaxing_growth"):
+            if require_finite(f"PrandtlIshlinskii.{argument}", getattr(self, argument)) < -2:
+                raise InputError(
+                    f"PrandtlIshlinskii.{argument} = {getattr(self, argument):g} must be >= -2, or "
+                    "the friction would vanish within the stroke"
+                )
+        if not 0 < require_finite("PrandtlIshlinskii.edge", self.edge) <= 1:
+            raise InputError(f"PrandtlIshlinskii.edge = {self.edge:g} must lie in 0 .. 1")
+        require_scale("PrandtlIshlinskii.per_pressure", self.per_pressure)
+
+    def elements(self, pressure: float = 0.0) -> SlipElements:
+        """The sharp operator (edge = 0) at a constant pressure [Pa], with its exact inverse."""
+        scale = 1 + self.per_pressure * max(pressure, 0.0)
+        return SlipElements(
+            [c / y for c, y in zip(self.contracting, self.yield_contraction, strict=True)],
+            [scale * c for c in self.contracting],
+            [scale * r for r in self.relaxing],
+            self.contracting_growth,
+            self.relaxing_growth,
+        )
+
+    def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
+        """See :class:`Loss`."""
+        rate, speed = motion.rate, rounded_speed(plant, name, "play", motion.rate)
+        edge = plant.parameter(
+            f"{name}.play_edge",
+            self.edge,
+            min=1e-6,
+            max=1.0,
+            nominal=0.1,
+            widest=1.0,
+            description=f"play operators of {name}: passage from sticking to sliding, as part of "
+            "the force",
+        )
+        growth = [
+            plant.parameter(
+                f"{name}.play_{way}_growth",
+                getattr(self, f"{way}_growth"),
+                min=-2.0,
+                description=f"growth of the friction of {name} while {way}, per contraction",
+            )
+            for way in ("contracting", "relaxing")
+        ]
+        scale = PressureScale.of(plant, name, "play", self.per_pressure, motion)
+        grown = [ca.fmax(1 + g * motion.contraction, SMALLEST) for g in growth]
+        top = motion.muscle.contraction_range[1]
+        most = [ca.fmax(1 + g * top, 1) for g in growth]
+        if scale is not None:
+            grown = [g * scale.present for g in grown]
+            most = [g * scale.largest for g in most]
+        total = ca.SX(0)
+        for i in range(len(self.contracting)):
+            total += self._element(plant, name, i, (grown, most), rate, speed, edge)
+        return total
+
+    def _element(
+        self,
+        plant: Declares,
+        name: str,
+        i: int,
+        envelopes: tuple[list[ca.SX], list[ca.SX]],
+        rate: ca.SX,
+        speed: ca.SX,
+        edge: ca.SX,
+    ) -> ca.SX:
+        """Force of one element [N]; its state is the force in units of its largest envelope."""
+        (up, down), (most_up, most_down) = envelopes
+        contracting, relaxing = (
+            plant.parameter(
+                f"{name}.play{i + 1}_{way}",
+                getattr(self, way)[i],
+                unit="N",
+                min=1e-6,
+                nominal=10.0,
+                description=f"play operator {i + 1} of {name}: friction while {way}",
+            )
+            for way in ("contracting", "relaxing")
+        )
+        yielding = plant.parameter(
+            f"{name}.play{i + 1}_yield",
+            self.yield_contraction[i],
+            min=1e-9,
+            nominal=0.01,
+            display_unit="%",
+            description=f"play operator {i + 1} of {name}: contraction to slide",
+        )
+        z = plant.state(
+            f"{name}.play{i + 1}",
+            min=-1.0,
+            max=1.0,
+            memory="held",
+            description=f"play operator {i + 1} of {name}: force as part of its largest",
+        )
+        largest = ca.fmax(contracting * most_up, relaxing * most_down)
+        limits = Limits(contracting * up / largest, relaxing * down / largest)
+        stiffness = contracting / (yielding * largest)
+        plant.der(z, stiffness * limits.passing(z, rate, speed, edge) + limits.release(z))
+        return ca.SX(largest * limits.held(z))

@@ -1,0 +1,151 @@
+"""How the spool of a proportional valve follows its command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
+from .kinds import SPOOLS
+
+__all__ = ["FirstOrderSpool", "SecondOrderSpool", "Spool"]
+
+FARTHEST = 1.5
+"""Bound of a spool's position, as part of its travel: a second-order one may overshoot."""
+EDGE = 0.05
+"""Over this last part before it is dragged along, a spool with play begins to slide."""
+
+
+class Spool(Protocol):
+    """The motion of a spool."""
+
+    def position(self, plant: Declares, name: str, command: ca.SX) -> ca.SX:
+        """Declare the states ``<name>.valve.*``; the spool's position, 1 at full travel."""
+
+
+@SPOOLS.register(units={"time": "s"})
+@dataclass(frozen=True)
+class FirstOrderSpool:
+    """The spool follows its command with a lag, time s' = u - s, and perhaps with play.
+
+    time : [s]; 2 to 20 ms are usual. hysteresis : width between the way up and down as part of the
+        travel, 0 .. 0.2 (data sheets say some 0.004); 0 for none.
+    """
+
+    time: float = 5e-3
+    hysteresis: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("FirstOrderSpool.time", self.time, "s")
+        _check_hysteresis("FirstOrderSpool", self.hysteresis)
+
+    def position(self, plant: Declares, name: str, command: ca.SX) -> ca.SX:
+        """See :class:`Spool`."""
+        s = _position_state(plant, name)
+        time = plant.parameter(
+            f"{name}.valve.time",
+            self.time,
+            unit="s",
+            min=1e-6,
+            nominal=1e-2,
+            description=f"time constant of the spool of {name}",
+        )
+        rate = (command - s) / time
+        plant.der(s, rate)
+        return _with_play(plant, name, s, rate, self.hysteresis)
+
+
+@SPOOLS.register(units={"frequency": "Hz"})
+@dataclass(frozen=True)
+class SecondOrderSpool:
+    """The spool is a mass on a spring: s'' = w^2 (u - s) - 2 damping w s', w = 2 pi frequency.
+
+    frequency : natural frequency [Hz]. damping : ratio; below 0.7 it overshoots visibly, and the
+        opening then exceeds 1: end stops are left out.
+    hysteresis : see :class:`FirstOrderSpool`.
+    """
+
+    frequency: float = 60.0
+    damping: float = 0.8
+    hysteresis: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("SecondOrderSpool.frequency", self.frequency, "Hz")
+        require_positive("SecondOrderSpool.damping", self.damping)
+        _check_hysteresis("SecondOrderSpool", self.hysteresis)
+
+    def position(self, plant: Declares, name: str, command: ca.SX) -> ca.SX:
+        """See :class:`Spool`."""
+        s = _position_state(plant, name)
+        rate = plant.state(
+            f"{name}.valve.rate",
+            unit="1/s",
+            nominal=10.0,
+            memory="settling",
+            description=f"rate of the spool of {name}",
+        )
+        frequency = plant.parameter(
+            f"{name}.valve.frequency",
+            self.frequency,
+            unit="Hz",
+            min=1e-3,
+            nominal=10.0,
+            description=f"natural frequency of the spool of {name}",
+        )
+        damping = plant.parameter(
+            f"{name}.valve.damping",
+            self.damping,
+            min=0.0,
+            description=f"damping ratio of the spool of {name}",
+        )
+        w = 2 * ca.pi * frequency
+        plant.der(s, rate)
+        plant.der(rate, w**2 * (command - s) - 2 * damping * w * rate)
+        return _with_play(plant, name, s, rate, self.hysteresis)
+
+
+def _check_hysteresis(kind: str, value: Any) -> None:
+    if not 0 <= require_finite(f"{kind}.hysteresis", value) <= 0.2:
+        raise InputError(f"{kind}.hysteresis = {value:g} must lie in 0 .. 0.2 of the travel")
+
+
+def _position_state(plant: Declares, name: str) -> ca.SX:
+    return plant.state(
+        f"{name}.valve.spool",
+        min=-FARTHEST,
+        max=FARTHEST,
+        nominal=0.1,
+        memory="settling",
+        description=f"position of the spool of {name}: -1 exhaust, 0 closed, 1 supply",
+    )
+
+
+def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) -> ca.SX:
+    """s less the play's half width times z, |z| <= 1: z follows s until it is dragged along.
+
+    z' = s'/half but where it would leave -1 .. 1; its last ``EDGE`` is smooth, as in MaxwellSlip.
+    """
+    if not width:
+        return s
+    z = plant.state(
+        f"{name}.valve.play",
+        min=-1.0,
+        max=1.0,
+        memory="held",
+        description=f"where in its play the spool of {name} is: -1 going down, 1 going up",
+    )
+    whole = plant.parameter(
+        f"{name}.valve.hysteresis",
+        width,
+        min=1e-6,
+        max=0.5,
+        nominal=0.01,
+        description=f"hysteresis of the spool of {name}, part of its travel",
+    )
+    left = ca.fmin(ca.fmax((1 - ca.sign(rate) * z) / EDGE, 0.0), 1.0)
+    free = 1 - (1 - left) ** 3
+    plant.der(z, 2 * rate / whole * free)
+    return ca.SX(s - whole / 2 * z)

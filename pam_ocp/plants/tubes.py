@@ -1,0 +1,174 @@
+"""Tubes between valve and muscle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import casadi as ca
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..core.system import Declares
+from ..muscles.gas import GAS_CONSTANT
+from .airflow import Air, Place, between, holding
+from .kinds import TUBES
+
+__all__ = ["Around", "LumpedTube", "Tube", "TubeComponent"]
+
+VISCOSITY = 1.82e-5
+"""Of air at 20 degrees Celsius [Pa.s]."""
+MEETING = (64 / 0.3164) ** (4 / 3)
+"""Reynolds number where the laminar and Blasius' friction are equal: 1187."""
+
+LEAST_PRESSURE = 1e3
+"""Of the air whose density is asked for [Pa absolute]: trial steps of integrators go below zero."""
+
+
+@dataclass(frozen=True)
+class Around:
+    """What a tube knows of the muscle that it feeds.
+
+    declare : makes parameters. pressure_state : makes a state of gauge pressure by its name.
+    """
+
+    name: str
+    ambient: ca.SX
+    temperature: ca.SX
+    exponent: Any
+    declare: Callable[..., Any]
+    pressure_state: Callable[[str], ca.SX]
+
+
+class TubeComponent(Protocol):
+    """A tube between a valve and a muscle."""
+
+    def port(self, plant: Declares, around: Around, far: Place) -> Place:
+        """Declare the tube that ends in ``far``; the place at the valve's end."""
+
+
+@TUBES.register(units={"volume": "m3", "lag": "s"})
+@dataclass(frozen=True)
+class Tube:
+    """A tube between valve and muscle: a volume, and a first-order lag to the muscle's pressure.
+
+    The flow is linear (laminar) in the difference of pressures, with the resistance at which the
+    pressure in the tube settles to the muscle's within ``lag``. Sound is not modelled: for tubes
+    of more than a metre the delay of length/343 m/s is missing; :class:`LumpedTube` has it.
+
+    volume : [m3]. lag : time constant [s].
+    """
+
+    volume: float = 10e-6
+    lag: float = 5e-3
+
+    def __post_init__(self) -> None:
+        require_positive("Tube.volume", self.volume, "m3")
+        require_positive("Tube.lag", self.lag, "s")
+
+    def port(self, plant: Declares, around: Around, far: Place) -> Place:
+        """See :class:`TubeComponent`."""
+        node = around.pressure_state(f"{around.name}.tube_pressure")
+        volume = around.declare(
+            "tube_volume",
+            self.volume,
+            unit="m3",
+            min=1e-12,
+            nominal=1e-5,
+            description="volume of the tube",
+        )
+        lag = around.declare(
+            "tube_lag",
+            self.lag,
+            unit="s",
+            min=1e-6,
+            nominal=1e-2,
+            description="time constant of the tube",
+        )
+        per_flow = around.exponent * GAS_CONSTANT * around.temperature / volume  # Pa/s for 1 kg/s
+        place, net = holding(plant, Air(node + around.ambient, around.temperature))
+        between(place, far, (place.air.absolute - far.air.absolute) / (lag * per_flow))
+        plant.der(node, per_flow * net.mass)
+        return place
+
+
+@TUBES.register(units={"length": "m", "diameter": "m"})
+@dataclass(frozen=True)
+class LumpedTube:
+    """A tube of n segments with volume, friction and inertia: sound runs through it in time.
+
+    Per segment of length dx = length/n, bore A: dp/dt = n_p R T (m_in - m_out)/(A dx), and for the
+    flow m out of it towards the muscle dm/dt = (A/dx)(p - p_next - friction). Friction goes from
+    the laminar 128 mu dx m/(pi d^4 rho) at small Reynolds numbers to the turbulent after Blasius,
+    0.3164 Re^(-1/4) (dx/d) m^2/(2 rho A^2): laminar times [1 + (Re/1187)^4]^(3/16).
+
+    length, diameter : [m], inside. segments : n >= 1, each with two states.
+    exponent : polytropic n_p of the air in it; 1.4 gives the speed of sound sqrt(n_p R T), 1 that
+        of slow changes in a narrow tube.
+
+    The one-dimensional balance of mass and momentum of the textbooks, lumped (Krichel and Sawodny
+    (2014) treat long pneumatic lines; not read, so no form of theirs is claimed). Left out: the
+    air's kinetic energy (Mach numbers to some 0.3), frequency-dependent friction, a temperature of
+    its own (what leaves it is as warm as the surroundings), a soft wall. The number of segments
+    limits what it shows: n segments carry waves to about n/4 per passage time length/343 m/s.
+    """
+
+    length: float = 1.0
+    diameter: float = 4e-3
+    segments: int = 3
+    exponent: float = 1.4
+
+    def __post_init__(self) -> None:
+        require_positive("LumpedTube.length", self.length, "m")
+        require_positive("LumpedTube.diameter", self.diameter, "m")
+        if self.segments != int(self.segments) or not 1 <= self.segments <= 100:
+            raise InputError(
+                f"LumpedTube.segments = {self.segments} must be a whole number 1 .. 100"
+            )
+        if not 1 <= require_finite("LumpedTube.exponent", self.exponent) <= 1.67:
+            raise InputError(f"LumpedTube.exponent = {self.exponent:g} must lie in 1 .. 1.67")
+
+    def port(self, plant: Declares, around: Around, far: Place) -> Place:
+        """See :class:`TubeComponent`."""
+        length, diameter, exponent = (
+            around.declare(key, value, **attributes)
+            for key, value, attributes in (
+                ("tube_length", self.length, {"unit": "m", "min": 1e-3, "nominal": 1.0}),
+                ("tube_diameter", self.diameter, {"unit": "m", "min": 1e-5, "nominal": 1e-3}),
+                ("tube_exponent", self.exponent, {"min": 1.0, "max": 1.67}),
+            )
+        )
+        bore, step = math.pi / 4 * diameter**2, length / int(self.segments)
+        warm = GAS_CONSTANT * around.temperature
+        after = far
+        for i in range(int(self.segments), 0, -1):
+            node = around.pressure_state(f"{around.name}.tube_pressure{i}")
+            flow = plant.state(
+                f"{around.name}.tube_flow{i}",
+                unit="kg/s",
+                nominal=1e-3,
+                memory="settling",
+                description=f"air out of segment {i} of the tube of {around.name}",
+            )
+            place, net = holding(plant, Air(node + around.ambient, around.temperature))
+            between(place, after, flow)
+            mean = (place.air.absolute + after.air.absolute) / 2
+            density = ca.fmax(mean, LEAST_PRESSURE) / warm
+            drop = (
+                place.air.absolute - after.air.absolute - _friction(flow, density, diameter, step)
+            )
+            plant.der(node, exponent * warm / (bore * step) * net.mass)
+            plant.der(flow, bore / step * drop)
+            after = place
+        return after
+
+
+def _friction(flow: ca.SX, density: ca.SX, diameter: Any, length: Any) -> ca.SX:
+    """Loss of pressure [Pa] along a piece of tube, with the flow's sign."""
+    bore = math.pi / 4 * diameter**2
+    reynolds = flow * diameter / (bore * VISCOSITY)
+    laminar = 32 * VISCOSITY * length / (diameter**2 * bore * density)
+    # f = 64/Re blended with 0.3164 Re^(-1/4), as a factor on the laminar loss: smooth at rest
+    turbulent = (1 + (reynolds / MEETING) ** 4) ** (3 / 16)
+    return ca.SX(flow * laminar * turbulent)

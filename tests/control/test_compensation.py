@@ -1,0 +1,127 @@
+"""Hysteresis compensated by feed-forward through the inverse of the memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.control import HysteresisCompensation
+from pam_ocp.control.compensation import _PressureInputs, _Rounded
+from pam_ocp.control.memory_model import MemoryModel
+from pam_ocp.core.errors import InputError
+
+L = pam.losses
+MUSCLE = pam.muscle("DMSP-20-400N")
+STEP = 4e-3
+
+
+def triangle(middle, amplitude, frequency=0.5):
+    """From its lower end up, and back."""
+    return lambda t: middle + amplitude * (1 - 2 * abs(1 - 2 * (frequency * t % 1.0)))
+
+
+def missed(plant, path, compensate, position="x", stiffness=None, **more):
+    """Root mean square of the tracking error, once the first stroke is over."""
+    conditions = {position: path(0.0)} | ({"stiffness": stiffness} if stiffness else {})
+    start = plant.equilibrium(conditions)
+    controller = HysteresisCompensation(
+        plant.with_values(start), sample_time=STEP, compensate=compensate, **more
+    )
+    run = pam.closed_loop(controller, plant, {position: path}, duration=3.0, start=start, rtol=1e-7)
+    late = run.t > 1.0
+    return float(np.sqrt(np.mean((run[position] - run.reference[position])[late] ** 2)))
+
+
+LOSSES = [
+    L.PrandtlIshlinskii(per_pressure=3e-6),
+    pytest.param(L.MaxwellSlip(), marks=pytest.mark.slow),
+    pytest.param((L.BoucWen(), L.Creep((300.0,), (1.0,))), marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("loss", LOSSES, ids=["play", "maxwell-slip", "bouc-wen and creep"])
+def test_a_triangle_is_tracked_at_least_four_times_better(loss):
+    plant = pam.HangingLoad(MUSCLE, 15.0, losses=loss)
+    path = triangle(0.05, 0.015)
+    without, compensated = (missed(plant, path, c) for c in (False, True))
+    assert compensated < without / 4
+    assert compensated < 2e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_random_plants_and_feeds_are_tracked_at_least_four_times_better(seed):
+    rng = np.random.default_rng(700 + seed)
+    n = rng.integers(1, 4)
+    loss = L.PrandtlIshlinskii(
+        *rng.uniform(4, 15, (2, n)), rng.uniform(0.002, 0.02, n), *rng.uniform(-1, 3, 2)
+    )
+    feed = [
+        pam.feeds.SpoolValve(),
+        pam.feeds.Regulator(rng.uniform(0.02, 0.1)),
+        pam.feeds.OnOffValves(),
+        pam.feeds.IdealPressure(),
+    ][seed]
+    frequency = rng.choice([0.0, 1.0])
+    if seed % 2:
+        plant = pam.HangingLoad(MUSCLE, rng.uniform(5, 30), losses=loss, feed=feed)
+        position, path, more = "x", triangle(0.048, 0.016), {}
+    else:
+        plant = pam.AntagonisticSlide(MUSCLE, rng.uniform(1, 5), losses=loss, feed=feed)
+        position, path = "x", triangle(0.0, 0.012)
+        middle = plant.equilibrium({"x": 0.0, "muscle1.pressure": 3.2e5})
+        more = {"stiffness": middle["stiffness"]}
+    without, compensated = (
+        missed(plant, path, c, position, frequency=frequency, **more) for c in (False, True)
+    )
+    assert compensated < without / 4
+
+
+def test_the_memory_along_a_motion_is_that_of_the_sharp_operator():
+    loss = L.PrandtlIshlinskii(edge=0.01)
+    plant = pam.HangingLoad(MUSCLE, 15.0, losses=loss, feed=pam.feeds.IdealPressure())
+    model, operator = MemoryModel(plant, "x", "v"), loss.elements()
+    for x in (0.002, 0.008, 0.03, 0.06, 0.055, 0.03, 0.034, 0.02):
+        for part in np.linspace(model._z[0], x, 30)[1:]:
+            model.move(float(part), 0.01)
+        largest = [c * (1 + 2 * 0.279) for c in loss.contracting]
+        force = sum(f * z for f, z in zip(largest, model.values.values(), strict=True))
+        assert force == pytest.approx(operator.force(x / 0.4), abs=0.05)
+    model.reset()
+    assert set(model.values.values()) == {0.0}
+
+
+def test_a_corner_is_rounded_within_the_kernel_and_a_line_stays():
+    path = _Rounded(lambda t: abs(t - 1.0), 0.1, preview=True)
+    x, v, a = path(0.5)
+    assert (x, v, a) == pytest.approx((0.5, -1.0, 0.0), abs=1e-12)
+    x, v, a = path(1.0)
+    assert x == pytest.approx(0.1 / 3, rel=1e-9)  # integral of (1 - |s|) |s| h
+    assert v == pytest.approx(0.0, abs=1e-12)
+    assert a == pytest.approx(2 / 0.1, rel=1e-9)
+    assert _Rounded(lambda t: t, 0.1, preview=False)(1.0)[0] == pytest.approx(0.9)
+
+
+def test_inputs_give_a_pressure_the_rate_that_was_asked_whatever_feeds_it():
+    for feed in (pam.feeds.Regulator(0.08), pam.feeds.SpoolValve(), pam.feeds.OnOffValves()):
+        plant = pam.HangingLoad(MUSCLE, 15.0, feed=feed)
+        inputs = _PressureInputs(plant, ["muscle"])
+        state = {v.name: v.start for v in plant.states} | {"muscle.pressure": 2e5, "v": 0.05}
+        for rate in (-3e5, 2e5, 6e5):
+            sent = inputs({"muscle": (2e5, rate)}, 0.02, state)
+            u = plant.vector("input", sent)
+            xdot = plant.function(plant.vector("state", state), u, plant.vector("parameter"))[0]
+            at = [v.name for v in plant.states].index("muscle.pressure")
+            assert float(xdot[at]) == pytest.approx(rate, rel=1e-6)
+
+
+def test_what_it_cannot_track_is_refused():
+    plant = pam.HangingLoad(MUSCLE, 15.0, losses=L.MaxwellSlip())
+    controller = HysteresisCompensation(plant)
+    with pytest.raises(InputError, match="v is not tracked; give x"):
+        pam.closed_loop(controller, plant, {"v": 0.0}, duration=0.1)
+    with pytest.raises(InputError, match="no choice of it"):
+        HysteresisCompensation(plant, stiffness=1e4)
+    with pytest.raises(InputError, match="relative degree"):
+        HysteresisCompensation(pam.SeriesLoad(MUSCLE))

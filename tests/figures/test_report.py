@@ -1,0 +1,96 @@
+"""The HTML report."""
+
+import hashlib
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.cli.main import main
+from pam_ocp.figures import write_report
+
+
+class Page(HTMLParser):
+    """Tags that are opened are closed; nothing is loaded from elsewhere."""
+
+    VOID = frozenset({"meta", "img", "br", "hr", "link"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.ids, self.links = [], [], set(), []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        said = dict(attrs)
+        self.ids.add(said.get("id"))
+        if tag == "img":
+            assert said["src"].startswith("data:image/png;base64,")
+        if tag == "a":
+            self.links.append(said["href"])
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        assert tag in self.VOID
+        self.handle_starttag(tag, attrs)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)
+    fit = pam.fit_force(table)
+    muscle = fit.muscle(name="<b>mine</b>")
+    motion = pam.simulate(pam.HangingLoad(muscle, mass=10.0), duration=0.05)
+    pam.save_muscle(muscle, folder / "muscle.toml")
+    fit.to_json(folder / "fit.json")
+    motion.save(folder / "motion.npz")
+    return folder
+
+
+def test_a_report_is_one_page_with_all_that_was_given(files, tmp_path):
+    named = [files / n for n in ("muscle.toml", "fit.json", "motion.npz")]
+    out = tmp_path / "r.html"
+    assert main(["report", *map(str, named), "--out", str(out), "--title", "Rig & all"]) == 0
+    text = out.read_text("utf-8")
+    page = Page(text)
+    assert page.open == []
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    assert not re.search(r"https?://(?!www\.w3\.org)", re.sub(r"data:image[^\"]*", "", text))
+    assert {link.removeprefix("#") for link in page.links} <= page.ids
+    assert page.tags.count("img") == 3
+    assert "Rig &amp; all" in text
+    assert "&lt;b&gt;mine" in text  # a name is text
+    for file in named:
+        assert hashlib.sha256(file.read_bytes()).hexdigest() in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("none.toml",), "none.toml"),
+        (("README.md",), "README.md"),
+        (("motion.npz", "--out", "r.pdf"), ".html"),
+    ],
+)
+def test_what_cannot_be_shown_is_said(files, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(files)
+    (files / "README.md").write_text("x")
+    assert main(["report", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not (files / "report.html").exists()
+
+
+def test_what_shows_nothing_is_refused(tmp_path):
+    with pytest.raises(pam.InputError, match="ndarray"):
+        write_report(tmp_path / "r.html", {"numbers": np.zeros(3)})
+    with pytest.raises(pam.InputError, match="empty"):
+        write_report(tmp_path / "r.html", {})

@@ -1,0 +1,168 @@
+"""Choice among structures: nested, honest, in parallel; and the yardstick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.core.errors import FitError, InputError, OutOfTime
+from pam_ocp.fitting import ArxStructure, choose
+
+
+@dataclass(frozen=True)
+class Power:
+    """y = a polynomial of t, by least squares."""
+
+    degree: int
+    fails: bool = False
+
+    @property
+    def complexity(self) -> float:
+        return self.degree + 1.0
+
+    def fit(self, records: Sequence[pam.Trajectory], /) -> Any:
+        if self.fails:
+            raise FitError("never")
+        t = np.concatenate([r.t for r in records])
+        return np.polyfit(t, np.concatenate([r["y"] for r in records]), self.degree)
+
+    def losses(self, model: Any, records: Sequence[pam.Trajectory], /) -> np.ndarray:
+        return np.array([np.mean((np.polyval(model, r.t) - r["y"]) ** 2) for r in records])
+
+
+def parabolas(seed: int, count: int = 24, noise: float = 0.3) -> list[pam.Trajectory]:
+    random = np.random.default_rng(seed)
+    t = np.linspace(-1, 1, 12)
+    return [
+        pam.Trajectory(t, {"y": 1 + t - 2 * t**2 + noise * random.standard_normal(t.size)})
+        for _ in range(count)
+    ]
+
+
+POWERS = {f"degree {d}": Power(d) for d in range(6)}
+
+
+def test_the_simplest_that_is_not_behind_is_taken() -> None:
+    names = [choose(POWERS, parabolas(s), seed=s).name for s in range(12)]
+    assert names.count("degree 2") >= 10  # at 95 %, one in twenty may be taken for better
+    assert all(n in ("degree 2", "degree 3", "degree 4", "degree 5") for n in names)
+
+
+def test_losses_of_a_record_come_from_fits_without_its_fold() -> None:
+    records = parabolas(3)
+    found = choose(POWERS, records, seed=1)
+    for i in (0, 7, 20):
+        training = [r for r, k in zip(records, found.folds, strict=True) if k != found.folds[i]]
+        by_hand = Power(2).losses(Power(2).fit(training), [records[i]])
+        np.testing.assert_allclose(found["degree 2"].losses[i], by_hand)
+    assert sorted(np.bincount(found.folds)) == [4, 5, 5, 5, 5]
+
+
+def test_the_choice_of_a_fold_does_not_see_its_records() -> None:
+    """Records of one fold may be anything: what is chosen for that fold stays the same."""
+    records = parabolas(5)
+    fair = choose(POWERS, records, seed=2)
+    spoilt = [
+        pam.Trajectory(r.t, {"y": 100 * np.sin(9 * r.t)}) if k == 0 else r
+        for r, k in zip(records, fair.folds, strict=True)
+    ]
+    again = choose(POWERS, spoilt, seed=2)
+    np.testing.assert_array_equal(fair.folds, again.folds)
+    assert again.chosen[0] == fair.chosen[0]
+    np.testing.assert_allclose(
+        again.nested[again.folds == 0][:, 0],
+        Power(int(again.chosen[0][-1])).losses(
+            Power(int(again.chosen[0][-1])).fit(
+                [r for r, k in zip(records, fair.folds, strict=True) if k != 0]
+            ),
+            [r for r, k in zip(spoilt, fair.folds, strict=True) if k == 0],
+        ),
+    )
+
+
+def test_the_winner_of_many_useless_structures_is_too_good_and_the_nested_loss_is_not() -> None:
+    """Constants drawn at random: the best of 40 looks better than it is."""
+
+    gaps = []
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        records = [pam.Trajectory([0.0, 1.0], {"y": random.standard_normal(2)}) for _ in range(12)]
+        many = {f"{i}": _Guess(float(c)) for i, c in enumerate(random.normal(0, 0.5, 40))}
+        found = choose(many, records, folds=4, rule="best", seed=seed, refit=False)
+        gaps.append(found.rmse["RMSE"] ** 2 - float(found[found.name].loss[0]))
+    assert min(gaps) > -1e-12
+    assert np.mean(gaps) > 0
+
+
+@dataclass(frozen=True)
+class _Guess:
+    value: float
+    complexity: float = 1.0
+
+    def fit(self, records: Sequence[pam.Trajectory], /) -> float:
+        return self.value
+
+    def losses(self, model: float, records: Sequence[pam.Trajectory], /) -> np.ndarray:
+        return np.array([np.mean((r["y"] - model) ** 2) for r in records])
+
+
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_any_executor_gives_the_same(pool: Any) -> None:
+    records = parabolas(1)
+    here = choose(POWERS, records, seed=4)
+    told: list[tuple[int, int]] = []
+    with pool(2) as executor:
+        there = choose(
+            POWERS, records, seed=4, executor=executor, progress=lambda *a: told.append(a)
+        )
+    assert there.name == here.name
+    np.testing.assert_array_equal(there.nested, here.nested)
+    assert told[-1] == (len(POWERS) * 15, len(POWERS) * 15)
+
+
+def test_groups_stay_together_and_failures_are_told() -> None:
+    records = parabolas(2)
+    groups = [i // 3 for i in range(24)]
+    found = choose({**POWERS, "broken": Power(2, fails=True)}, records, groups=groups, seed=0)
+    for g in range(8):
+        assert len(set(found.folds[3 * g : 3 * g + 3])) == 1
+    assert "failed: FitError: never" in found.table()
+    assert found.name != "broken"
+
+
+def test_what_cannot_be_is_refused() -> None:
+    records = parabolas(0)
+    with pytest.raises(InputError, match="folds = 2"):
+        choose(POWERS, records, folds=2)
+    with pytest.raises(InputError, match="3 independent records make no 5 folds"):
+        choose(POWERS, records[:3])
+    with pytest.raises(InputError, match=r"structures\['a'\] is a int"):
+        choose({"a": 3}, records)  # type: ignore[dict-item]
+    with pytest.raises(FitError, match="no structure could be fitted"):
+        choose({"broken": Power(2, fails=True)}, records)
+    with pytest.raises(OutOfTime):
+        choose(POWERS, records, time_limit=1e-9)
+
+
+def test_an_arx_model_of_an_arx_process_predicts_it_to_its_noise() -> None:
+    random = np.random.default_rng(0)
+
+    def record() -> pam.Trajectory:
+        u, y = random.standard_normal(80), np.zeros(80)
+        for k in range(2, 80):
+            y[k] = 1.5 * y[k - 1] - 0.7 * y[k - 2] + 0.4 * u[k] + 0.2 * u[k - 1]
+        return pam.Trajectory(0.01 * np.arange(80), {"y": y, "u": u})
+
+    records = [record() for _ in range(9)]
+    structure = ArxStructure(["y"], ["u"], 2, (0.1, 0.3), 0.05)
+    model = structure.fit(records)
+    np.testing.assert_allclose(model.coefficients[:, 0], [1.5, -0.7, 0.4, 0.2, 0], atol=1e-9)
+    assert np.max(structure.losses(model, records)) < 1e-16
+    orders = {f"{n}": ArxStructure(["y"], ["u"], n, (0.1, 0.3), 0.05) for n in (1, 2, 3)}
+    assert choose(orders, records, folds=3, seed=0).rmse["RMSE 2"] < 1e-6

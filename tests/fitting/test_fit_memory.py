@@ -1,0 +1,52 @@
+"""Losses and the muscle's body are found back from a synthetic record, within their intervals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+
+MUSCLE = pam.muscle("DMSP-20-200N")
+BODY = replace(
+    MUSCLE, law=pam.laws.with_ends(pam.laws.with_bladder(MUSCLE.law, 3e4), 0.05, 1.05, 60.0)
+)
+CASES = {
+    "force-velocity": (
+        MUSCLE,
+        pam.losses.ForceVelocity(),
+        {"muscle.velocity_contracting_per_pressure": 1.4, "muscle.velocity_relaxing": 0.7},
+    ),
+    "bladder and ends": (BODY, (), {"muscle.threshold": 1.3, "muscle.tube": 0.6}),
+}
+
+
+def record(plant, seed):
+    """4 s under six sines of pressure, with noise on position (20 um) and pressure (2 mbar)."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 4, 0.01)
+    sines = [np.sin(w * t + rng.uniform(0, 6)) for w in (2, 3.7, 5.1, 9, 14, 23)]
+    command = 2.4e5 + 4e4 * np.sum(sines, axis=0)
+    started = plant.with_values(plant.equilibrium({"muscle.command": command[0]}))
+    given = pam.Trajectory(t, {"muscle.command": command}, [plant.variable("muscle.command")])
+    motion = pam.simulate(started, inputs=given)
+    columns = {
+        "muscle.command": np.interp(motion.t, t, command),
+        "x": motion["x"] + rng.normal(0, 2e-5, len(motion.t)),
+        "muscle.pressure": motion["muscle.pressure"] + rng.normal(0, 200.0, len(motion.t)),
+    }
+    return started, pam.Trajectory(motion.t, columns, [plant.variable(n) for n in columns])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_the_truth_lies_within_the_intervals(case):
+    muscle, losses, free = CASES[case]
+    plant = pam.HangingLoad(muscle, 10.0, losses=losses)
+    started, measured = record(plant, seed=3)
+    elsewhere = started.with_values({n: plant.variable(n).start * f for n, f in free.items()})
+    fit = pam.fit_plant(elsewhere, measured, list(free))
+    for name, (low, high) in fit.intervals(0.99).items():
+        true = plant.variable(name).start
+        assert low < true < high
+        assert high - low < 0.05 * true

@@ -1,0 +1,245 @@
+"""What stands between a plant and its record is found by free runs: dead time, sensors, starts."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import pam_ocp as pam
+from pam_ocp.core.errors import InputError
+from pam_ocp.fitting.dynamic.experiment import groups
+from pam_ocp.fitting.dynamic.free_run_fit import fit_free_run, free_run
+from pam_ocp.fitting.dynamic.rig import unknowns_of
+from pam_ocp.fitting.dynamic.rollout import Rollout
+from pam_ocp.fitting.dynamic.runs import runs_of
+
+K, C, G, LAG, LATE = 40.0, 3.0, 30.0, 0.08, 0.034
+
+
+def lagging() -> pam.Plant:
+    """q'' = G z - K q - C q', LAG z' = u - z: z, a pressure, is not measured."""
+    plant = pam.Plant("lagging")
+    q, w, z = plant.state("q"), plant.state("w"), plant.state("z")
+    u = plant.input("u")
+    k, c = plant.parameter("k", K, nominal=K), plant.parameter("c", C, nominal=C)
+    g, lag = plant.parameter("g", G, nominal=G), plant.parameter("lag", LAG, nominal=LAG, min=0.01)
+    plant.der(q, w)
+    plant.der(w, g * z - k * q - c * w)
+    plant.der(z, (u - z) / lag)
+    return plant
+
+
+def record(
+    seed: int,
+    samples: int = 151,
+    z0: float = 0.5,
+    late: float = LATE,
+    held: bool = False,
+    noise: float = 0.0,
+) -> pam.Trajectory:
+    """The equations once more by SciPy; u acts ``late`` seconds after it was recorded."""
+    random = np.random.default_rng(seed)
+    t = 0.01 * np.arange(samples)
+    knots = random.uniform(-1, 1, samples // 12 + 2)
+    u = np.interp(t, 0.12 * np.arange(len(knots)), knots)
+    if held:
+        u = knots[(t / 0.12 + 1e-9).astype(int)]
+
+    def value(time: float) -> float:
+        if held:
+            return float(u[max(0, min(samples - 1, int(np.floor((time - late) / 0.01 + 1e-9))))])
+        return float(np.interp(time - late, t, u))
+
+    def slope(time: float, x: np.ndarray) -> list[float]:
+        return [x[1], G * x[2] - K * x[0] - C * x[1], (value(time) - x[2]) / LAG]
+
+    run = solve_ivp(
+        slope, t[[0, -1]], [0.2, 0.0, z0], t_eval=t, rtol=1e-8, atol=1e-10, max_step=0.005
+    )
+    q = run.y[0] + noise * random.standard_normal(samples)
+    return pam.Trajectory(t, {"q": q, "u": u}, interpolation="previous" if held else "linear")
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_dead_time_and_hidden_starts_come_back_from_whole_records(held: bool) -> None:
+    records = [record(s, 120 + 20 * s, z0=0.3 * s, held=held) for s in range(3)]
+    off = lagging().with_values(k=30.0, c=5.0, g=20.0, lag=0.05)
+    fit = fit_free_run(
+        off,
+        records,
+        ["k", "c", "g", "lag"],
+        horizon=None,
+        history=2,
+        delay={"u": (0, 0.2)},
+        starts={"z": "record", "w": "record"},
+    )
+    assert fit.converged
+    assert fit.rig.delays["u"] == pytest.approx(LATE, abs=1e-3)
+    for name, truth in {"k": K, "c": C, "g": G, "lag": LAG}.items():
+        assert fit.values[name] == pytest.approx(truth, rel=0.02)
+    other = record(9, 140, z0=-0.4, held=held)
+    assert fit.validate(other).rmse["q"] < 0.01 * np.std(other["q"])
+
+
+def test_the_slope_over_everything_is_that_of_finite_differences() -> None:
+    records = [record(1, 60), record(2, 45)]
+    plant = lagging().with_values(k=33.0)
+    for horizon, every in ((None, None), ((0.05, 0.15), 0.1)):
+        runs = runs_of(plant, records, horizon, every, ["q"], 3, 2, 0.05)
+        unknowns, rig = unknowns_of(
+            plant,
+            groups(plant, ["k", "lag"], {}),
+            ["q"],
+            2,
+            0.01,
+            delay=(0.0, 0.1),
+            gains=["q"],
+            offsets=["q"],
+            starts={"z": "record"},
+            correct={"z": ["q"]},
+        )
+        rollout = Rollout(plant, runs, unknowns, rig)
+        # off the kinks of the recorded input, where a dead time has two slopes
+        z = unknowns.guess + np.where(np.arange(len(unknowns.names)) == 2, 0.237, 0.02)
+        exact, step = rollout.jacobian(z), 1e-6
+        for i, unit in enumerate(np.eye(len(z))):
+            up, down = rollout.residuals(z + step * unit), rollout.residuals(z - step * unit)
+            difference = (up - down) / (2 * step)
+            np.testing.assert_allclose(exact[:, i], difference, atol=1e-5 * np.abs(exact).max())
+        cost, gradient, square, _ = rollout.normal(z)
+        residuals = rollout.residuals(z)
+        assert cost == pytest.approx(residuals @ residuals)
+        np.testing.assert_allclose(gradient, exact.T @ residuals, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(square, exact.T @ exact, rtol=1e-9, atol=1e-15)
+
+
+def test_gain_and_offset_of_a_sensor_come_back() -> None:
+    clean = [record(s, late=0.0) for s in range(3)]
+    shown = [
+        pam.Trajectory(r.t, {"q": 1.2 * r["q"] + 0.05, "u": r["u"]}, interpolation="linear")
+        for r in clean
+    ]
+    fit = fit_free_run(
+        lagging().with_values(k=35.0),
+        shown,
+        ["k", "c"],
+        horizon=None,
+        history=2,
+        gains=["q"],
+        offsets=["q"],
+        starts={"z": "record", "w": "record"},
+    )
+    assert fit.rig.gains["q"] == pytest.approx(1.2, rel=0.01)
+    assert fit.rig.offsets["q"] == pytest.approx(0.05, abs=2e-3)
+    assert fit.values["k"] == pytest.approx(K, rel=0.01)
+
+
+def test_an_observer_brings_hidden_states_to_where_they_belong() -> None:
+    records = [record(s, late=0.0) for s in range(3)]
+    common = {"horizon": 0.1, "every": 0.05, "history": 2}
+    blind = free_run(lagging(), records, **common)  # type: ignore[arg-type]
+    fit = fit_free_run(
+        lagging(),
+        records,
+        [],
+        warm_up=0.15,
+        correct={"z": ["q"]},
+        **common,  # type: ignore[arg-type]
+    )
+    assert fit.training.rmse["q"] < 0.3 * blind.rmse["q"]
+    assert set(fit.rig.corrections) == {("q", "q"), ("w", "q"), ("z", "q")}
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    inside, total = 0, 0
+    for seed in range(8):
+        records = [record(10 * seed + s, 120, late=0.0, noise=2e-3) for s in range(3)]
+        fit = fit_free_run(
+            lagging(),
+            records,
+            ["k", "c", "g"],
+            horizon=None,
+            history=2,
+            steps=2,
+            starts={"z": "record", "w": "record"},
+            begin_short=False,
+        )
+        for name, truth in {"k": K, "c": C, "g": G}.items():
+            low, high = fit.interval(name)
+            inside, total = inside + (low <= truth <= high), total + 1
+    assert inside >= 0.8 * total
+
+
+def test_several_horizons_weigh_alike() -> None:
+    runs = runs_of(lagging(), record(1, 101), (0.1, 0.2, 0.5), 0.1, ["q"], 3, 2)
+    assert runs.length.max() == 50
+    assert runs.length.min() == 10
+    assert runs.weights.sum() == pytest.approx(1.0)
+    # a third of the weight belongs to each horizon; the longest alone has the samples behind 0.2 s
+    share = runs.weights[:, 20:].sum()
+    assert share == pytest.approx((50 - 20) / 50 / 3)
+
+
+def test_a_wild_run_is_damped_and_the_fit_still_comes_home() -> None:
+    """An upright pendulum: its slope grows by e^16 within 2 s, whichever way it falls."""
+    plant = pam.Plant("upright")
+    q, w = plant.state("q"), plant.state("w")
+    a = plant.parameter("a", 64.0, nominal=64.0, min=1.0)
+    plant.der(q, w)
+    plant.der(w, a * ca.sin(q))
+    t = 0.01 * np.arange(200)
+    run = solve_ivp(
+        lambda _, x: [x[1], 64 * np.sin(x[0])],
+        t[[0, -1]],
+        [1e-3, 0.0],
+        t_eval=t,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    measured = pam.Trajectory(t, {"q": run.y[0], "w": run.y[1]})
+    fit = fit_free_run(
+        plant.with_values(a=50.0), measured, ["a"], horizon=1.5, every=0.1, steps=8, outputs=["q"]
+    )
+    assert fit.values["a"] == pytest.approx(64.0, rel=2e-3)
+
+
+def test_progress_is_told_and_a_time_limit_keeps_the_best() -> None:
+    told: list[tuple[str, int, float]] = []
+    records = [record(s, late=0.0) for s in range(2)]
+    off = lagging().with_values(k=20.0, c=8.0)
+
+    def slow(stage: str, count: int, cost: float) -> None:
+        told.append((stage, count, cost))
+        if count == 2:
+            import time
+
+            time.sleep(2.0)
+
+    fit = fit_free_run(
+        off, records, ["k", "c", "g"], horizon=0.1, every=0.05, progress=slow, time_limit=2.0
+    )
+    assert not fit.converged
+    assert "time limit" in fit.status
+    assert any("did not come to its end" in w for w in fit.warnings)
+    assert fit.cost[1] < fit.cost[0]
+    assert told[0][1] == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"delay": {"q": 0.1}}, "q is no input"),
+        ({"delay": (0.2, 0.1)}, "the lower must be the smaller"),
+        ({"offsets": ["z"]}, "z is not measured"),
+        ({"starts": ["q"]}, "q is measured"),
+        ({"starts": {"z": "each"}}, "choose 'all' or 'record'"),
+        ({"correct": True}, "correct needs warm_up"),
+        ({"every": None}, "every: give the time"),
+    ],
+)
+def test_what_cannot_be_is_refused(options: dict[str, object], words: str) -> None:
+    given = {"horizon": 0.1, "every": 0.1, **options}
+    with pytest.raises(InputError, match=words):
+        fit_free_run(lagging(), record(1), ["k"], **given)  # type: ignore[arg-type]

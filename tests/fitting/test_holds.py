@@ -1,0 +1,151 @@
+"""Fits of holds, against equilibria that SciPy finds of balances written by hand."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import pam_ocp as pam
+from pam_ocp.fitting import fit_holds
+
+LAW = pam.muscle("DMSP-20-300").law
+REST_LENGTH, GRAVITY = 0.300, 9.80665
+UP = np.linspace(1.2e5, 5.5e5, 25)
+PRESSURE = np.concatenate([UP, UP[::-1][1:]])
+SIDE = np.concatenate([np.ones(25), -np.ones(24)])
+
+
+def positions(force, lowest=-0.05):
+    """Where the muscle of 300 mm pulls with force(x, side) at each pressure [m]."""
+    return np.array(
+        [
+            brentq(
+                lambda x, p=p, s=s: float(LAW.tension(p, x / REST_LENGTH)) - force(x, s),
+                lowest,
+                0.1,
+                xtol=1e-14,
+            )
+            for p, s in zip(PRESSURE, SIDE, strict=True)
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def spring():
+    return pam.SpringOverMuscle("DMSP-20-300", mass=2.0)
+
+
+def test_a_spring_a_band_and_the_zero_of_the_sensor_are_found_exactly_without_noise(spring):
+    x = positions(lambda x, _: 120.0 + 6000.0 * x) - 2e-4 * SIDE
+    fit = fit_holds(
+        spring,
+        {"muscle_pressure [bar]": (PRESSURE + 7e3) / 1e5, "x [mm]": 1e3 * x, "side": SIDE},
+        ["spring_stiffness", "preload", "zero.muscle.pressure", "band.x"],
+    )
+    assert fit.values == pytest.approx(
+        {
+            "spring_stiffness": 6000.0,
+            "preload": 120.0,
+            "zero.muscle.pressure": 7e3,
+            "band.x": 2e-4,
+        },
+        rel=1e-5,
+    )
+    assert fit.plant.variable("preload").start == pytest.approx(120.0, rel=1e-5)
+
+
+def test_dry_friction_and_a_load_are_found_from_the_sequence_of_commands():
+    x = positions(lambda x, side: 35.0 * GRAVITY + 15.0 * side)
+    plant = pam.HangingLoad("DMSP-20-300", mass=20.0, losses=pam.losses.CoulombFriction(5.0))
+    fit = fit_holds(
+        plant,
+        {"muscle_command": PRESSURE, "x": x, "direction": ["up"] * 25 + ["down"] * 24},
+        ["mass", "muscle.friction_constant"],
+    )
+    assert fit.values["mass"] == pytest.approx(35.0, rel=1e-6)
+    assert fit.values["muscle.friction_constant"] == pytest.approx(15.0, rel=1e-6)
+    told = fit_holds(
+        plant, {"muscle_command": PRESSURE, "x": x}, ["mass", "muscle.friction_constant"]
+    )
+    assert told.side[1:].tolist() == SIDE[1:].tolist()
+
+
+def test_hysteresis_that_slid_fully_on_the_way_is_found():
+    x = positions(lambda x, side: 30.0 * GRAVITY + 12.0 * side)
+    loss = pam.losses.BoucWen(friction=30.0)
+    fit = fit_holds(
+        pam.HangingLoad("DMSP-20-300", mass=30.0, losses=loss),
+        {"muscle_pressure": PRESSURE, "x": x, "side": SIDE},
+        "muscle.hysteresis_force",
+    )
+    assert fit.values["muscle.hysteresis_force"] == pytest.approx(12.0, rel=1e-6)
+
+
+def test_a_joint_tells_its_link_from_angles_under_two_pressures():
+    plant = pam.AntagonisticJoint("DMSP-20-300", link_mass=3.0, link_length=0.2)
+    # a grid of its own equilibria: found back from another start
+    data = {"muscle1.pressure": [], "muscle2.pressure": [], "theta": []}
+    for p1 in np.linspace(1e5, 5e5, 6):
+        for p2 in (1.5e5, 3e5):
+            point = plant.equilibrium({"muscle1.pressure": p1, "muscle2.pressure": p2})
+            for name in data:
+                data[name].append(point[name])
+    fit = fit_holds(plant.with_values(link_mass=1.0), data, ["link_mass", "zero.theta"])
+    assert fit.values["link_mass"] == pytest.approx(3.0, rel=1e-6)
+    assert fit.values["zero.theta"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_holds_cannot_tell_is_refused_by_name(spring):
+    x = positions(lambda x, _: 120.0 + 6000.0 * x)
+    with pytest.raises(pam.FitError, match=r"spring_stiffness by .* and preload by"):
+        fit_holds(
+            spring,
+            {"muscle_pressure": PRESSURE[:1].repeat(9), "x": x[:1].repeat(9) + np.arange(9) * 1e-7},
+            ["spring_stiffness", "preload"],
+        )
+    with pytest.raises(pam.InputError, match=r"muscle\.command"):
+        fit_holds(spring, {"x": x}, ["preload"])
+    with pytest.raises(pam.InputError, match="no hold has a side"):
+        fit_holds(spring, {"muscle_pressure": PRESSURE, "x": x}, ["band.x"], side=np.zeros(49))
+    with pytest.raises(pam.InputError, match="sideways"):
+        fit_holds(spring, {"muscle_pressure": PRESSURE, "x": x}, ["preload"], side="sideways")
+
+
+def test_wrong_holds_do_not_move_a_robust_fit(spring):
+    random = np.random.default_rng(5)
+    x = positions(lambda x, _: 120.0 + 6000.0 * x) + random.normal(0, 5e-5, 49)
+    x[[3, 17, 30]] += [4e-3, -6e-3, 5e-3]
+    holds = {"muscle_pressure": PRESSURE, "x": x}
+    plain = fit_holds(spring, holds, ["spring_stiffness", "preload"])
+    robust = fit_holds(spring, holds, ["spring_stiffness", "preload"], loss="bisquare")
+    low, high = robust.interval("spring_stiffness")
+    assert low < 6000.0 < high
+    assert high - low < 0.3 * np.ptp(plain.interval("spring_stiffness"))
+    assert any("3 of 49 holds" in text for text in robust.warnings)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(spring):
+    x = np.linspace(0.005, 0.055, 40)
+    at_0, at_1 = (np.asarray(LAW.tension(p, x / REST_LENGTH)) for p in (0.0, 1e5))
+    hits = 0
+    for seed in range(60):
+        random = np.random.default_rng(700 + seed)
+        k, f0 = random.uniform(3000, 8000), random.uniform(50, 250)
+        pressure = 1e5 * (f0 + k * x - at_0) / (at_1 - at_0)  # the law is affine in pressure
+        fit = fit_holds(
+            spring,
+            {"muscle_pressure": pressure, "x": x + random.normal(0, 5e-5, x.size)},
+            ["spring_stiffness", "preload"],
+            errors="independent",
+        )
+        low, high = fit.interval("spring_stiffness")
+        hits += low <= k <= high
+    assert 53 <= hits <= 60  # binomial, 0.95: within with probability 0.993
+
+
+def test_a_fit_of_holds_is_told_and_saved(spring, tmp_path):
+    x = positions(lambda x, _: 120.0 + 6000.0 * x) - 2e-4 * SIDE
+    fit = fit_holds(
+        spring, {"muscle_pressure": PRESSURE, "x": x, "side": SIDE}, ["preload", "band.x"]
+    )
+    assert "25 come to from below, 24 come to from above" in fit.report()
+    assert '"band.x"' in fit.save(tmp_path / "holds.json").read_text("utf-8")

@@ -1,0 +1,254 @@
+"""Which model: a ladder of them, and the free runs through whole records by which it judges."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.cli.main import main
+from pam_ocp.core.errors import FitError, InputError, OutOfTime, UnknownNameError
+from pam_ocp.fitting import Ladder, Rung, fit_ladder
+from pam_ocp.fitting.dynamic.experiment import groups
+from pam_ocp.fitting.dynamic.whole_runs import WholeRuns, scaled
+
+F = pam.feeds
+OUTPUTS = ("x", "muscle1.pressure")
+TRUE = {"dead_time": 0.0234, "lag": 0.06, "gain": 0.9e5, "base_pressure": 2.4e5, "damping": 50.0}
+
+
+def regulator(**more: Any) -> Any:
+    return F.PairRegulator(**{"gain": 1e5, "base": 2.5e5, "max_pressure": 6e5, **more})
+
+
+slide = partial(pam.AntagonisticSlide, "DMSP-20-200N", 2.0, damping=60.0)
+
+
+def staircase(plant: pam.Plant, seed: int, duration: float = 4.0) -> pam.Trajectory:
+    """Holds of 0.25 s at random, with noise, through an exact dead time."""
+    rng, t = np.random.default_rng(seed), np.arange(0, duration, 0.01)
+    u = np.repeat([0.0, *rng.uniform(-1.5, 1.5, len(t) // 25)], 25)[: len(t)]
+    start = plant.equilibrium(difference=0.0)
+    run = pam.simulate(plant, {"difference": u}, t=t, start=start, dead_times="exact", rtol=1e-8)
+    columns = {"difference": u}
+    for name, noise in zip(OUTPUTS, (2e-5, 300.0), strict=True):
+        columns[name] = run[name] + noise * rng.standard_normal(len(t))
+    return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+
+
+@pytest.fixture(scope="module")
+def record() -> pam.Trajectory:
+    feed = regulator(lag=0.06, gain=0.9e5, base=2.4e5, dead_time=TRUE["dead_time"])
+    return staircase(slide(feed=feed, damping=TRUE["damping"]), 3)
+
+
+def climbed(record: pam.Trajectory, **options: Any) -> Ladder:
+    given = {"rungs": ("static", "lag", "dead time"), "folds": 3, "steps": 3, **options}
+    return fit_ladder(slide, record, ["base_pressure", "muscle*.gain"], feed=regulator(), **given)
+
+
+@pytest.fixture(scope="module")
+def ladder(record: pam.Trajectory) -> Ladder:
+    return climbed(record, steps=6)
+
+
+# ---- free runs -----------------------------------------------------------------------------------
+def whole_rig(venting: float = 0.09) -> pam.Plant:
+    feed = regulator(lag=0.06, venting_lag=venting, slew=1.5e6, dead_time=F.DeadTime(0.0234, 3))
+    return slide(feed=feed, losses=pam.losses.CoulombFriction(6.0, speed=5e-3))
+
+
+def test_runs_are_those_of_an_accurate_integrator_with_exact_dead_time() -> None:
+    record = staircase(whole_rig(), 4)
+    plant, t = whole_rig(), record.t
+    start = plant.equilibrium(difference=0.0)
+    exact = pam.simulate(
+        plant, {"difference": record["difference"]}, t=t, start=start, dead_times="exact"
+    )
+    clean = pam.Trajectory(
+        t,
+        {n: exact[n] for n in ("difference", *OUTPUTS)},
+        [plant.variable(n) for n in ("difference", *OUTPUTS)],
+        "previous",
+    )
+    runs = WholeRuns(plant, [clean], OUTPUTS)
+    coarse, fine = (
+        np.sqrt(np.mean(WholeRuns(plant, [clean], OUTPUTS, steps=n).errors(np.empty(0))[0] ** 2))
+        for n in (4, 8)
+    )
+    assert np.abs(runs.errors(np.empty(0))[0]).max() < 0.03
+    assert coarse < 2e-3
+    assert fine < 0.5 * coarse
+
+
+@pytest.mark.parametrize("static", [False, True])
+def test_sensitivities_are_those_of_differences(static: bool, record: pam.Trajectory) -> None:
+    plant = slide(feed=regulator()) if static else whole_rig()
+    free = ["base_pressure", "muscle*.gain"]
+    free += [] if static else ["muscle*.lag", "difference.dead_time", "muscle*.slew", "damping"]
+    unknowns = groups(plant, free, {})
+    runs = WholeRuns(plant, [record], OUTPUTS, unknowns, steps=8, static=static)
+    z = scaled(unknowns)[0]
+    slopes = runs.slopes(z)[0]
+    for j in range(len(z)):
+        step = 1e-5 * np.eye(len(z))[j]
+        difference = (runs.errors(z + step)[0] - runs.errors(z - step)[0]) / 2e-5
+        gap = np.sqrt(np.mean((difference - slopes[:, :, j]) ** 2))
+        assert gap < 0.01 * np.sqrt(np.mean(difference**2)), free[j]
+
+
+def test_a_static_run_is_at_rest_at_every_sample(record: pam.Trajectory) -> None:
+    plant = slide(feed=regulator())
+    predicted = WholeRuns(plant, [record], OUTPUTS, static=True).predicted(np.empty(0))[0]
+    for k in (0, 60, 200, 399):
+        rest = plant.equilibrium(difference=record["difference"][k])
+        np.testing.assert_allclose(predicted[k], [rest[n] for n in OUTPUTS], rtol=1e-6, atol=1e-9)
+
+
+def test_dead_times_that_differ_are_lines_of_states(record: pam.Trajectory) -> None:
+    feed = F.Regulator(0.05, dead_time=F.DeadTime(0.02, 3))
+    plant = slide(feed=feed)
+    t = record.t
+    u = {f"muscle{i}.command": 2.5e5 + s * 1e5 * record["difference"] for i, s in ((1, 1), (2, -1))}
+    start = plant.equilibrium({n: v[0] for n, v in u.items()})
+    apart = plant.with_values({"muscle2.dead_time": 0.04})
+    for one, kind in ((plant, "exact"), (apart, "line")):
+        run = pam.simulate(one, u, t=t, start=start, dead_times=kind)  # type: ignore[arg-type]
+        found = WholeRuns(one, [run], OUTPUTS).errors(np.empty(0))[0]
+        assert np.sqrt(np.mean(found**2)) < 2e-3
+
+
+# ---- the ladder ----------------------------------------------------------------------------------
+def test_the_rung_that_made_the_record_is_chosen(ladder: Ladder) -> None:
+    assert ladder.chosen.name == "+ dead time"
+    assert [r.worse for r in ladder.rungs] == [True, True, False]
+    assert ladder["dead time"].rmse["x"] == pytest.approx(2e-5, rel=0.1)  # the noise
+    assert ladder["dead time"].against[0] < -0.8
+
+
+def test_the_truth_lies_within_the_intervals(ladder: Ladder) -> None:
+    for name, found in ladder.chosen.coefficients.items():
+        true = TRUE[name.rpartition(".")[2]]
+        assert abs(found.value - true) < 3 * found.stderr, name
+        assert found.stderr < 0.02 * true, name
+
+
+def test_the_report_marks_it_and_says_what_it_costs(ladder: Ladder) -> None:
+    text = ladder.report()
+    marked = [line for line in text.splitlines() if line.startswith("    * +")]
+    assert len(marked) == 1
+    assert "+ dead time" in marked[0]
+    assert "x [mm]" in text
+    assert "difference.dead_time: 0.023" in text
+
+
+def test_an_executor_finds_the_same(record: pam.Trajectory, ladder: Ladder) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        again = climbed(record, rungs=("static",), executor=pool)
+    np.testing.assert_allclose(again["static"].losses, ladder["static"].losses, rtol=1e-6)
+
+
+def test_more_than_the_record_asks_for_is_not_chosen(record: pam.Trajectory) -> None:
+    found = climbed(record, rungs=("dead time", "friction"))
+    assert found.chosen.name == "dead time"
+    assert found["friction"].score > 0.98 * found["dead time"].score
+
+
+def test_rungs_of_ones_own_need_no_arrangement(record: pam.Trajectory) -> None:
+    plants = [slide(feed=regulator(lag=0.06, dead_time=d)) for d in (None, 0.02)]
+    frees = [("damping", "muscle*.lag", "base_pressure", "muscle*.gain")] * 2
+    rungs = [Rung(n, p, f) for n, p, f in zip(("plain", "late"), plants, frees, strict=True)]
+    found = fit_ladder(rungs, [record], folds=3, steps=3)
+    assert found.chosen.name == "late"
+
+
+def test_when_time_is_over_the_rungs_climbed_remain(
+    record: pam.Trajectory, monkeypatch: Any
+) -> None:
+    from pam_ocp.core.stop import TimeIsUp
+    from pam_ocp.fitting.dynamic import ladder as module
+
+    whole, seen = module._climbed, []
+
+    def twice(*arguments: Any) -> Any:
+        seen.append(1)
+        if len(seen) == 2:
+            raise TimeIsUp
+        return whole(*arguments)
+
+    monkeypatch.setattr(module, "_climbed", twice)
+    found = climbed(record)
+    assert found.unclimbed == ("+ lag", "+ dead time")
+    assert "no time left" in found.report()
+    seen[:] = [1]
+    with pytest.raises(OutOfTime, match="before the first rung"):
+        climbed(record)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"rungs": ["lagg"]}, UnknownNameError, "did you mean 'lag'"),
+        ({"rungs": []}, InputError, "rungs is empty"),
+        ({"folds": 2}, InputError, "folds = 2"),
+        ({"folds": 60}, InputError, "too few for 180 parts"),
+        ({"outputs": ["mass"]}, InputError, "mass is neither a state nor an output"),
+        ({"dynamic": ["x"]}, InputError, "x is a state; only parameters"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    record: pam.Trajectory, options: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words):
+        climbed(record, **options)
+
+
+def test_a_ladder_of_nothing_that_can_be_fitted_says_why(record: pam.Trajectory) -> None:
+    plant = slide(feed=regulator()).with_values({"muscle1.a6": 1e9, "muscle2.a6": 0.0})
+    with pytest.raises(FitError, match="no rung could be fitted: free runs"):
+        fit_ladder([Rung("wild", plant, ("damping",))], record, folds=3)
+
+
+# ---- the command ---------------------------------------------------------------------------------
+OWN = """\
+import pam_ocp as pam
+
+def rig(muscle, feed, losses):
+    return pam.AntagonisticSlide(muscle, 2.0, damping=60.0, feed=feed, losses=losses)
+"""
+STUDY = """\
+records = ["run.csv"]
+free = ["base_pressure", "muscle*.gain"]
+rungs = ["dead time"]
+folds = 3
+interpolation = "previous"
+
+[plant]
+arrangement = {arrangement}
+muscle = "DMSP-20-200N"
+feed = {{ kind = "PairRegulator", base = "2.5 bar", gain = "1 bar/V", max_pressure = "6 bar" }}
+{more}
+"""
+
+
+@pytest.mark.parametrize("own", [pytest.param(False, marks=pytest.mark.slow), True])
+def test_the_command_climbs_with_plants_of_the_library_and_of_ones_own(
+    own: bool, record: pam.Trajectory, tmp_path: Path, capsys: Any
+) -> None:
+    record.save(tmp_path / "run.csv")
+    (tmp_path / "rig.py").write_text(OWN)
+    arrangement, more = ('"rig.py:rig"', "") if own else ('"AntagonisticSlide"', "damping = 60.0")
+    study = tmp_path / "study.toml"
+    study.write_text(STUDY.format(arrangement=arrangement, more=more))
+    if own:
+        assert main(["ladder", str(study)]) == 2
+        assert "--allow-code" in capsys.readouterr().err
+    assert main(["ladder", str(study), *(["--allow-code"] if own else [])]) == 0
+    shown = capsys.readouterr()
+    assert "* dead time" in shown.out
+    assert "dead time: error" in shown.err

@@ -1,0 +1,46 @@
+"""Linear systems in units that serve numbers of like size."""
+
+import control
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return pam.HangingLoad(pam.muscle("DMSP-20-300"), mass=10.0)
+
+
+@pytest.fixture(scope="module")
+def point(plant):
+    return plant.equilibrium(x=0.02)
+
+
+def test_units_change_numbers_and_no_dynamics(plant, point):
+    """1 bar more moves as many mm as 1e5 Pa move m, times 1000; poles have no unit of length."""
+    si = plant.linearize(point)
+    units = {"x": "mm", "muscle.pressure": "bar", "muscle.command": "bar"}
+    mixed = pam.linearize(plant, point, units=units)
+    assert mixed.units["x"] == "mm"
+    assert mixed.units["v"] == "m/s"
+    assert np.allclose(np.sort_complex(si.poles()), np.sort_complex(mixed.poles()), rtol=1e-9)
+    i = si.output_labels.index("x")
+    s = 3j
+    gain = mixed(s, squeeze=False)[i, 0] / si(s, squeeze=False)[i, 0]
+    assert gain == pytest.approx(1e5 / 1e-3, rel=1e-9)
+
+
+def test_in_display_units_a_transfer_function_has_no_zero_far_away(plant, point):
+    """From pressure to position there are three poles and no zero at all."""
+    system = pam.linearize(plant, point, outputs=["x"], units="display")
+    transfer = control.ss2tf(system)
+    assert not any(abs(z) < 1e9 for z in transfer.zeros())
+    assert transfer.dcgain() == pytest.approx(system.dcgain(), rel=1e-6)
+
+
+def test_wrong_units_are_refused(plant, point):
+    with pytest.raises(pam.InputError, match=r"units\['x'\] = 'bar'"):
+        pam.linearize(plant, point, units={"x": "bar"})
+    with pytest.raises(pam.InputError, match="display"):
+        pam.linearize(plant, point, units="shown")

@@ -1,0 +1,55 @@
+"""What the pages of docs/ show runs as it stands there, block after block."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+FRAGMENT = "<!-- a fragment -->\n"
+BLOCK = re.compile(rf"({FRAGMENT})?^```python\n(.*?)^```", re.S | re.M)
+
+
+def script(page):
+    """The page's blocks as one script, at their lines; fragments left out."""
+    text, lines = page.read_text("utf-8"), []
+    for match in BLOCK.finditer(text):
+        if match[1]:
+            continue
+        at = text.count("\n", 0, match.start(2))
+        lines += [""] * (at - len(lines)) + match[2].splitlines()
+    return "\n".join(lines)
+
+
+def files_of(page):
+    """The page's last TOML block stands in the file that it speaks of."""
+    blocks = re.findall(
+        r"^```toml\n(.*?)^```", (DOCS / f"{page}.md").read_text("utf-8"), re.S | re.M
+    )
+    return {"problem.toml": blocks[-1]} if blocks else {}
+
+
+PAGES = {page.stem: code for page in sorted(DOCS.glob("*.md")) if (code := script(page))}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, content in files_of(page).items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    exec(compile(PAGES[page], f"docs/{page}.md", "exec"), {"__name__": "__main__"})
+
+
+def test_pages_with_blocks_are_found():
+    assert {"planning", "control"} <= set(PAGES)
+
+
+def test_names_that_pages_speak_of_exist():
+    import pam_ocp as pam
+
+    for page in DOCS.glob("*.md"):
+        for name in re.findall(r"`pam\.([a-z_A-Z.]*[a-zA-Z])", page.read_text("utf-8")):
+            place = pam
+            for part in name.split("."):
+                assert hasattr(place, part), (page.name, name)
+                place = getattr(place, part)

@@ -1,0 +1,275 @@
+"""Air by its energy: limits in closed form, hand-written equations, conserved energy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import flat
+from scipy.integrate import solve_ivp
+
+import pam_ocp as pam
+from pam_ocp import InputError
+from pam_ocp.muscles.gas import Gas, PolynomialVolume
+from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
+
+R, T0, RHO0, P0, G = 287.05, 293.15, 1.185, 101325.0, 1.4
+CP = R * G / (G - 1)
+V, C, B = 1e-4, 1e-8, 0.3
+PER_SECOND = R * C * RHO0 * T0 / V  # R C rho0 sqrt(Tref T0)/V at T0
+
+
+def chamber(heat: float | None, **feed):
+    """A fixed volume behind a valve; the muscle around it does not move."""
+    transfer = None if heat is None else ConstantHeatTransfer(heat)
+    gas = Gas(PolynomialVolume([V]), dead_volume=0.0, heat=transfer, **feed.pop("gas", {}))
+    plant = pam.Plant("chamber")
+    valve = pam.feeds.SpoolValve(conductance=C, critical_ratio=B, gas=gas, **feed)
+    plant.add_muscle("m", "DMSP-20-200N", shortening=0.0, rate=0.0, pre_contraction=0.1, feed=valve)
+    return plant
+
+
+def run(plant, command, duration, **start):
+    given = {f"m.{k}": v for k, v in start.items()}
+    t = np.linspace(0.0, duration, 21)
+    return pam.simulate(plant, {"m.command": command}, t=t, start=given, rtol=1e-11)
+
+
+def test_without_heat_choked_venting_takes_its_time_in_closed_form():
+    first = 6e5 + P0
+    motion = run(chamber(0.0), -1.0, 0.04, pressure=6e5)
+    falling = (1 + (G - 1) / 2 * PER_SECOND * motion.t) ** (-2 * G / (G - 1))
+    assert first * falling[-1] > P0 / B  # choked to the end
+    assert motion["m.pressure"] + P0 == pytest.approx(first * falling, rel=1e-6)
+    assert motion["m.temperature"] == pytest.approx(T0 * falling ** ((G - 1) / G), rel=1e-6)
+
+
+def test_with_perfect_heat_choked_venting_is_exponential():
+    first = 6e5 + P0
+    motion = run(chamber(1e9), -1.0, 0.06, pressure=6e5)
+    assert motion["m.pressure"] + P0 == pytest.approx(
+        first * np.exp(-PER_SECOND * motion.t), rel=1e-6
+    )
+
+
+@pytest.mark.parametrize(("heat", "exponent"), [(0.0, G), (1e9, 1.0)])
+@pytest.mark.parametrize("warm", [T0, 330.0])
+def test_choked_filling_is_a_straight_line_in_time(heat, exponent, warm):
+    source = 9e5 + P0
+    flow = source * C * RHO0 * math.sqrt(T0 / warm)
+    motion = run(chamber(heat, supply=9e5, supply_temperature=warm), 1.0, 0.012, pressure=0.0)
+    assert motion["m.pressure"][-1] + P0 < B * source
+    entering = warm if heat == 0 else T0
+    line = P0 + exponent * R * entering * flow / V * motion.t
+    assert motion["m.pressure"] + P0 == pytest.approx(line, rel=1e-6)
+    mass = P0 * V / (R * T0) + flow * motion.t
+    assert motion["m.air_mass"] == pytest.approx(mass, rel=1e-6)
+
+
+@pytest.mark.parametrize("heat", [0.0, 1e9])
+def test_unchoked_filling_agrees_with_scipy(heat):
+    source = 3e5 + P0
+
+    def rate(t, z):
+        p, _m = z
+        r = min(p / source, 0.999)
+        flow = source * C * RHO0 * math.sqrt(1 - ((r - B) / (1 - B)) ** 2)
+        return [(G if heat == 0 else 1.0) * R * T0 * flow / V, flow]
+
+    first = [2e5 + P0, (2e5 + P0) * V / (R * T0)]
+    motion = run(chamber(heat, supply=3e5), 1.0, 0.04, pressure=2e5)
+    exact = solve_ivp(rate, (0, 0.04), first, t_eval=motion.t, rtol=1e-11, atol=1e-12)
+    assert motion["m.pressure"] + P0 == pytest.approx(exact.y[0], rel=1e-6)
+    assert motion["m.air_mass"] == pytest.approx(exact.y[1], rel=1e-6)
+
+
+@pytest.mark.parametrize(("heat", "exponent"), [(0.0, G), (1e10, 1.0)])
+def test_a_closed_muscle_is_compressed_by_the_exponent_of_the_limit(heat, exponent):
+    plant = pam.Plant("pulled")
+    x = plant.state("x", unit="m", start=0.0)
+    plant.der(x, -0.05)
+    gas = Gas(PolynomialVolume([5e-5, 4e-4]), dead_volume=0.0, heat=ConstantHeatTransfer(heat))
+    plant.add_muscle(
+        "m",
+        "DMSP-20-200N",
+        shortening=x,
+        rate=-0.05,
+        pre_contraction=0.2,
+        feed=pam.feeds.SpoolValve(gas=gas),
+    )
+    motion = pam.simulate(plant, duration=0.3, start={"m.pressure": 2e5}, rtol=1e-11)
+    product = (motion["m.pressure"] + P0) * motion["m.volume"] ** exponent
+    assert np.ptp(motion["m.volume"]) > 2e-5
+    assert product == pytest.approx(np.full(len(product), product[0]), rel=1e-6)
+
+
+# ---- hand-written equations --------------------------------------------------------------------
+A1, A2, A3, A4, A5, A6 = (
+    -4.00180705,
+    292.4620246,
+    -0.32930845,
+    -9.33564098,
+    294.0538256,
+    -280.498151,
+)
+L0, D0, DEAD = 0.2, 0.02, 20e-6
+HEAT, POWER, CAPACITY, OUTWARD, STIFF = 40.0, 0.5, 20.0, 0.5, 2e-3
+MASS, SUPPLY, OVERLAP, LEAK = 8.0, 5e5 + P0, 0.02, 2e-10
+
+
+def warm_plant():
+    gas = Gas(
+        dead_volume=DEAD,
+        heat=PressureHeatTransfer(HEAT, POWER),
+        rubber=Rubber(CAPACITY, OUTWARD, stiffening=STIFF),
+    )
+    feed = pam.feeds.SpoolValve(
+        conductance=C, supply=5e5, supply_temperature=300.0, gas=gas, leak=LEAK
+    )
+    return pam.HangingLoad("DMSP-20-200N", MASS, damping=60.0, feed=feed)
+
+
+def by_hand(x, v, p, warm, wall, command):
+    """(rates, flows of energy into the air): m x'' = F - m g - c v, with the air's energy."""
+    k = 100 * x / L0
+    grown = math.exp(A3 * k)
+    gain = (A1 * grown + A4 * k + A5) / 1e5
+    tension = (A1 * p / 1e5 + A2) * grown + A4 * k * p / 1e5 + A5 * p / 1e5 + A6
+    tension += STIFF * (wall - 293.15) * (A2 * grown + A6)
+    assert tension > 1.0, "within the rounding of the clamp, or slack"
+    own = math.pi / 4 * D0**2 * L0
+    own += L0 / 1e7 * (A1 / A3 * (grown - 1) + A4 * k**2 / 2 + A5 * k)
+    total, inside = own + DEAD, p + P0
+
+    def orifice(p1, p2, t1, conductance):
+        r = p2 / p1
+        choked = p1 * conductance * RHO0 * math.sqrt(293.15 / t1)
+        return choked * (math.sqrt(1 - ((r - B) / (1 - B)) ** 2) if r > B else 1.0)
+
+    opening = (abs(command) - OVERLAP / 2) / (1 - OVERLAP / 2)
+    drawn = opening * orifice(SUPPLY, inside, 300.0, C) if command > 0 else 0.0
+    vented = opening * orifice(inside, P0, warm, C) if command < 0 else 0.0
+    vented += orifice(inside, P0, warm, LEAK)
+    area = 2 * math.sqrt(math.pi * own * L0 * (1 - x / L0))
+    h = HEAT * (inside * warm / (101325.0 * 293.15)) ** POWER
+    heat, growing = h * area * (wall - warm), gain * v
+    enthalpy = CP * (drawn * 300.0 - vented * warm)
+    mass, flow = inside * total / (R * warm), drawn - vented
+    energy = enthalpy + heat - inside * growing  # dU/dt, U = m cv T
+    cv = R / (G - 1)
+    warming = (energy - flow * cv * warm) / (mass * cv)
+    pressing = inside * (flow / mass + warming / warm - growing / total)
+    cooling = (-heat - OUTWARD * (wall - 293.15)) / CAPACITY
+    rates = [v, (tension - MASS * 9.80665 - 60.0 * v) / MASS, pressing, warming, cooling]
+    return rates, (enthalpy, heat, inside * growing, mass * cv * warm)
+
+
+def test_the_plant_is_the_hand_written_one_at_200_random_points():
+    plant = warm_plant()
+    assert [v.name for v in plant.states] == [
+        "x",
+        "v",
+        "muscle.pressure",
+        "muscle.temperature",
+        "muscle.rubber_temperature",
+    ]
+    draw, p = np.random.default_rng(11), plant.vector("parameter")
+    for _ in range(200):
+        command = draw.choice([-1, 1]) * draw.uniform(0.05, 0.9)
+        at = [
+            draw.uniform(0.0, 0.03),
+            draw.uniform(-0.3, 0.3),
+            draw.uniform(1.8e5, 4.5e5),
+            draw.uniform(250.0, 350.0),
+            draw.uniform(285.0, 330.0),
+        ]
+        rates, outputs = plant.function(at, [command], p)[:2]
+        expected, (enthalpy, heat, _, _) = by_hand(*at, command)
+        assert flat(rates) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        named = dict(zip([v.name for v in plant.outputs], flat(outputs), strict=True))
+        assert named["muscle.enthalpy_flow"] == pytest.approx(enthalpy, rel=1e-9, abs=1e-9)
+        assert named["muscle.heat_flow"] == pytest.approx(heat, rel=1e-9, abs=1e-9)
+
+
+def test_the_energy_balance_of_a_motion_closes_to_1e_8():
+    def rates(t, z, command):
+        found, (enthalpy, heat, work, _) = by_hand(*z[:5], command)
+        return [*found, enthalpy, heat, work]
+
+    z = np.array([0.033, 0.0, 3e5, 293.15, 293.15, 0.0, 0.0, 0.0])
+    first = by_hand(*z[:5], 0.5)[1][3]
+    times, commands = [0.0, 0.1, 0.25, 0.4], [0.1, -0.2, 0.15]
+    for start, end, command in zip(times[:-1], times[1:], commands, strict=True):
+        step = solve_ivp(rates, (start, end), z, "DOP853", rtol=1e-12, atol=1e-13, args=(command,))
+        z = step.y[:, -1]
+    stored = by_hand(*z[:5], 0.5)[1][3] - first
+    assert stored == pytest.approx(z[5] + z[6] - z[7], abs=1e-8 * (abs(z[5:8]).sum() + first))
+    motion = pam.simulate(
+        warm_plant(),
+        {"muscle.command": (times, [*commands, 0.0])},
+        duration=0.4,
+        start={"x": 0.033, "muscle.pressure": 3e5},
+    )
+    end = [motion[v.name][-1] for v in warm_plant().states]
+    assert end == pytest.approx(z[:5], rel=1e-6, abs=1e-7)
+
+
+# ---- the wall -----------------------------------------------------------------------------------
+def test_friction_warms_the_rubber_by_what_it_takes_from_the_motion():
+    gas = Gas(heat=ConstantHeatTransfer(0.0), rubber=Rubber(50.0, 0.0))
+    plant = pam.HangingLoad(
+        "DMSP-20-200N",
+        8.0,
+        feed=pam.feeds.SpoolValve(gas=gas),
+        losses=pam.losses.CoulombFriction(40.0),
+    )
+    at = {"v": 0.2, "muscle.pressure": 3e5, "x": 0.01}
+    rates = plant.function(plant.vector("state", at), [0.0], plant.vector("parameter"))[0]
+    names = [v.name for v in plant.states]
+    loss = 40.0 * math.tanh(0.2 / 1e-3) * 0.2
+    assert float(rates[names.index("muscle.rubber_temperature")]) == pytest.approx(loss / 50.0)
+
+
+def test_a_warm_wall_changes_the_force_at_zero_pressure_alone():
+    plant = warm_plant()
+    force = plant.expression("muscle.force")
+    import casadi as ca
+
+    of = ca.Function("force", [plant.x, plant.p], [force])
+    p = plant.vector("parameter")
+    forces = {
+        (bar, warm): float(of([0.02, 0.0, bar * 1e5, 293.15, warm], p))
+        for bar in (2, 4)
+        for warm in (293.15, 323.15)
+    }
+    wall = A2 * math.exp(A3 * 10) + A6
+    for bar in (2, 4):
+        grown = forces[bar, 323.15] - forces[bar, 293.15]
+        assert grown == pytest.approx(STIFF * 30 * wall, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Gas(rubber=Rubber()), "give heat="),
+        (lambda: Gas(heat=30.0), "ConstantHeatTransfer"),
+        (lambda: ConstantHeatTransfer(-1.0), "must be >= 0"),
+        (lambda: Rubber(capacity=0.0), "must be > 0"),
+        (lambda: pam.feeds.SpoolValve(supply_temperature=0.0), "must be > 0"),
+    ],
+)
+def test_heat_that_cannot_be_is_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_a_file_may_speak_of_heat():
+    from pam_ocp.plants.plant_file import plant_of
+
+    heat = {"kind": "PressureHeatTransfer", "value": "25 W/(m2.K)"}
+    gas = {"heat": heat, "rubber": {"stiffening": 1e-3}, "dead_volume": 1e-5}
+    feed = {"kind": "SpoolValve", "gas": gas, "tube": {"volume": 5e-6}}
+    plant = plant_of({"arrangement": "HangingLoad", "muscle": "DMSP-20-200N", "feed": feed})
+    assert plant.variable("muscle.gas.heat_transfer").start == 25.0
+    assert plant.variable("muscle.gas.tube_volume").start == 5e-6

@@ -1,0 +1,127 @@
+"""Heat, receivers, tubes and spools in every verb: linear models, fits, plans, FMUs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.muscles.gas import Gas
+from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
+from pam_ocp.plants.feeds import (
+    Compressor,
+    FirstOrderSpool,
+    LumpedTube,
+    QuickExhaust,
+    Receiver,
+    SecondOrderSpool,
+    SpoolValve,
+    Tube,
+)
+
+WARM = Gas(heat=ConstantHeatTransfer(40.0))
+FEEDS = {
+    "heat": SpoolValve(gas=WARM),
+    "pressure heat, rubber": SpoolValve(
+        gas=Gas(heat=PressureHeatTransfer(), rubber=Rubber(20.0, stiffening=2e-3))
+    ),
+    "receiver": SpoolValve(supply=Receiver(1e-3)),
+    "warm receiver, compressor": SpoolValve(
+        supply=Receiver(1e-3, source=Compressor(pressure=6e5), wall_conductance=1.0), gas=WARM
+    ),
+    "tube": SpoolValve(tube=LumpedTube(1.0, 4e-3, 2)),
+    "first-order spool": SpoolValve(spool=FirstOrderSpool(8e-3), offset=0.01),
+    "second-order spool": SpoolValve(spool=SecondOrderSpool(), exhaust_overlap=0.05),
+    "quick exhaust": SpoolValve(tube=Tube(), quick_exhaust=QuickExhaust()),
+}
+
+
+def hanging(feed):
+    return pam.HangingLoad("DMSP-20-200N", 10.0, damping=100.0, feed=feed)
+
+
+@pytest.mark.parametrize("name", FEEDS)
+def test_it_rests_and_its_linear_model_is_that_of_differences(name):
+    plant = hanging(FEEDS[name])
+    point = plant.equilibrium({"x": 0.03})
+    assert np.abs(plant.function(point.x, point.u, plant.vector("parameter"))[0]).max() < 1e-5
+    x = point.x + 0.1 * plant.vector("state", attribute="nominal")
+    u = point.u + 0.2
+    p = plant.vector("parameter")
+    a = np.asarray(plant.jacobians(x, u, p)[0])
+    for i, v in enumerate(plant.states):
+        step = np.zeros(len(x))
+        step[i] = 1e-5 * v.nominal
+        ends = [np.asarray(plant.function(x + s, u, p)[0]).ravel() for s in (step, -step)]
+        slope = (ends[0] - ends[1]) / (2e-5 * v.nominal)
+        assert a[:, i] == pytest.approx(slope, rel=1e-5, abs=1e-5 * (1 + np.abs(slope).max()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FEEDS)
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_its_fmu_moves_as_it_does_in_python(name, fmi, tmp_path):
+    plant = hanging(FEEDS[name])
+    t = np.linspace(0, 0.5, 51)
+    command = 0.25 * np.sign(np.sin(20 * t))
+    start = {
+        "x": 0.03,
+        **{
+            v.name: 3e5
+            for v in plant.states
+            if v.name.startswith("muscle.") and "pressure" in v.name
+        },
+    }
+    motion = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start, rtol=1e-11)
+    fmu = pam.export_fmu(plant, tmp_path / "plant.fmu", platforms="native", fmi=fmi)
+    check = pam.check_fmu(fmu, against=motion)
+    assert check.findings == ()
+    assert set(check.deviations) == {"CoSimulation", "ModelExchange"}
+    assert check.largest < 1e-6
+    assert np.ptp(motion["x"]) > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FEEDS)
+def test_a_plan_with_it_is_verified(name):
+    plan = pam.plan(
+        hanging(FEEDS[name]),
+        stops=[{"x": 0.025}, {"x": 0.03}],
+        minimise="effort",
+        duration=0.4,
+        starts=1,
+        method=pam.Collocation(12, 4),
+    )
+    assert plan.verdict
+
+
+def noisy(plant, seed):
+    """Pressure and position of random commands, with noise."""
+    draw = np.random.default_rng(seed)
+    t = np.arange(0, 2.0, 0.01)
+    command = np.repeat(draw.uniform(-0.25, 0.25, 20), 10)
+    start = {"x": 0.03, "muscle.pressure": 3e5}
+    run = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start)
+    columns = {"muscle.command": command}
+    for name, size in {"x": 2e-5, "muscle.pressure": 500.0}.items():
+        columns[name] = run[name] + size * draw.standard_normal(t.size)
+    return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "free"),
+    [
+        ("heat", {"muscle.gas.heat_transfer": 20.0, "muscle.gas.conductance": 2.2e-8}),
+        ("receiver", {"receiver.volume": 1.3e-3}),
+        ("first-order spool", {"muscle.valve.time": 5e-3, "muscle.valve.offset": 0.0}),
+    ],
+)
+def test_a_fit_has_the_truth_within_its_intervals(name, free):
+    bottle = SpoolValve(supply=Receiver(1e-3, source=Compressor(2e-4, pressure=7e5)))
+    plant = hanging(bottle if name == "receiver" else FEEDS[name])
+    fit = pam.fit_plant(plant.with_values(free), noisy(plant, 3), list(free))
+    intervals = fit.intervals()
+    for parameter in free:
+        low, high = intervals[parameter]
+        assert low < plant.variable(parameter).start < high
