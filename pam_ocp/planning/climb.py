@@ -49,6 +49,10 @@ SLOWEST = 0.8
 """Ratio of what two meshes leave to be gained, at most: so slow a geometric row of changes sums to
 four times the last. Where inputs matter little the gradients alone see more than there is.
 """
+QUICKEST = 0.5
+"""The same ratio, at least: meshes that grow little at first seem to gain more quickly than they go
+on to.
+"""
 
 
 def ladder(mesh: Mesh) -> list[Mesh]:
@@ -182,7 +186,8 @@ class Climb:
         Without gradients each change is taken as half of the one before it. A change that is less
         than the row says is luck.
         """
-        ratio = min(left / before, SLOWEST) if np.isfinite(left / before) else 0.5
+        ratio = left / before if np.isfinite(left / before) else QUICKEST
+        ratio = min(max(ratio, QUICKEST), SLOWEST)
         self._pace = float(np.fmax(self.change, ratio * self._pace))
         row = self._pace * ratio / (1 - ratio)
         known = [value for value in (UNSEEN * left, row) if np.isfinite(value)]
