@@ -49,6 +49,10 @@ SLOWEST = 0.8
 """Ratio of what two meshes leave to be gained, at most: so slow a geometric row of changes sums to
 four times the last. Where inputs matter little the gradients alone see more than there is.
 """
+QUICKEST = 0.5
+"""The same ratio, at least: meshes that grow little at first seem to gain more quickly than they go
+on to.
+"""
 
 
 def ladder(mesh: Mesh) -> list[Mesh]:
@@ -98,6 +102,8 @@ class Climb:
     rungs: list[Solved] = field(default_factory=list)
     _best: dict[int, float] = field(default_factory=dict)
     """The least objective by the number of intervals."""
+    _pace: float = float("nan")
+    """The last change, or what the ones before it let expect where that is more."""
 
     def reached(
         self,
@@ -177,10 +183,13 @@ class Climb:
         """What is to be gained: by the gradients (``left``; ``before`` on the mesh before), or by
         a geometric row of changes (Richardson), whichever is less.
 
-        Without gradients each change is taken as half of the one before it.
+        Without gradients each change is taken as half of the one before it. A change that is less
+        than the row says is luck.
         """
-        ratio = min(left / before, SLOWEST) if np.isfinite(left / before) else 0.5
-        row = self.change * ratio / (1 - ratio)
+        ratio = left / before if np.isfinite(left / before) else QUICKEST
+        ratio = min(max(ratio, QUICKEST), SLOWEST)
+        self._pace = float(np.fmax(self.change, ratio * self._pace))
+        row = self._pace * ratio / (1 - ratio)
         known = [value for value in (UNSEEN * left, row) if np.isfinite(value)]
         self.gap = min(known) if known else float("nan")
 

@@ -40,6 +40,12 @@ POLYNOMIAL_ITERATIONS = 300
 CLOSER = 0.8
 """Of the tolerance: what refinement aims at, so that who looks at other times finds it kept, too.
 """
+ROUGH = 0.3
+"""Replay error in units of nominal from which a mesh does not resolve the motion at all: the solver
+has made use of its errors, and finer meshes have other optima.
+"""
+RESOLVING = 2
+"""Times that such a mesh is halved, at most."""
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is slow to solve."""
 
@@ -106,6 +112,8 @@ class Refinement:
         if self.met():
             return
         first = self.best
+        if first.replay.error > ROUGH and has_kinks(first.found.program.problem):
+            first = self._resolved(first) or first
         if self.meshes[0].form.control != "polynomial":
             self._rounds(first, ROUNDS, ITERATIONS)
             return
@@ -120,6 +128,23 @@ class Refinement:
                 "polynomial inputs did not meet the tolerance, so inputs are held "
                 "constant on each interval"
             )
+
+    def _resolved(self, rough: Checked) -> Checked | None:
+        """A solution on a mesh that resolves the motion, found with roundings at their widest; None
+        when there is none.
+
+        With the plant's own kinks the way from one optimum to another is long.
+        """
+        here, problem = rough.found, rough.found.program.problem
+        for _ in range(RESOLVING):
+            run = Run(transcribe(problem, halved(here.program.mesh)), self.backend)
+            here = run.widely(here)
+            self.iterations += here.outcome.iterations
+            if not here.outcome.success:
+                return None
+            if checked(here).replay.error <= ROUGH:
+                break
+        return self._taken(run.narrowed(here))
 
     def _rounds(self, current: Checked, most: int, iterations: int) -> None:
         """From a solution to finer ones."""
@@ -144,14 +169,17 @@ class Refinement:
     def _solved(self, mesh: Mesh, coarse: Solved) -> Checked | None:
         """The solution on another mesh; None when it was not found."""
         run = Run(transcribe(coarse.program.problem, mesh), self.backend)
-        found = run.refined(coarse, again=mesh.form.control != "polynomial")
+        return self._taken(run.refined(coarse, again=mesh.form.control != "polynomial"))
+
+    def _taken(self, found: Solved) -> Checked | None:
+        """A solution replayed, kept when it is the best; None when there is none."""
         self.iterations += found.outcome.iterations
         if not found.outcome.success:
             return None
         now = checked(found)
         if now.miss < self.best.miss:
             self.best = now
-            self.meshes.append(mesh)
+            self.meshes.append(found.program.mesh)
         return now
 
     def _finer(self, current: Checked) -> list[Mesh]:

@@ -55,6 +55,19 @@ class Run:
         found = self.from_guess(guess, "near")
         return found if found.outcome.ended or not again else self.from_guess(guess)
 
+    def widely(self, coarse: Solved) -> Solved:
+        """With the widest roundings, from the solution on a coarser mesh."""
+        program = widened(self.program)
+        guess = from_solution(program.problem, program.mesh, coarse.solution)
+        outcome = self.solver(program, guess, "near")
+        if not outcome.ended:
+            outcome = self.solver(program, guess)
+        return Solved(program, outcome, unpack(program.problem, program.mesh, outcome.w))
+
+    def narrowed(self, wide: Solved) -> Solved:
+        """With the plant's own roundings, from the widest ones."""
+        return self._solution(narrowing(self.solver, self.program, wide.outcome.w, "step"))
+
     def several(self, starts: int) -> tuple[list[Solved], Ends]:
         """(solutions from different starts, the best first; where all of them ended)."""
         kinks = has_kinks(self.program.problem)

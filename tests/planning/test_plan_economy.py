@@ -208,3 +208,12 @@ def test_a_motion_that_costs_nothing_has_settled_whatever_its_gradients_say(monk
     assert abs(plan.objective) < 1e-6
     assert abs(plan.statistics["objective_gap"]) < 1e-3
     assert plan.statistics["intervals"] == 50
+
+
+def test_one_small_change_between_large_ones_is_no_sign_that_an_objective_has_settled():
+    # changes and gradients as a joint with regulators gave them on 100, 106, 114 and 128 intervals
+    way, left = climb.Climb(Backend()), (2.9e-2, 1.8e-2, 9.6e-3, 5.2e-3)
+    for change, before, now in zip((5.1e-3, 8.5e-4), left, left[1:], strict=False):
+        way.change = change
+        way._estimate(now, before)
+    assert way.gap > 1.39e-3  # the change that followed
