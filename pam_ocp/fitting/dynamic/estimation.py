@@ -133,9 +133,12 @@ def estimate(
             sigma = last
             break
         bounds = _around(task, found, limits)
-        if bounds is not None:
-            program = task.program(found, bounds)
-        solution = task.solved(program, 1 / sigma, solution.w, "noise weighed")
+        again = program if bounds is None else task.program(found, bounds)
+        weighed = task.solved(again, 1 / sigma, solution.w, "noise weighed")
+        if solution.found and not weighed.found and not weighed.timed:
+            sigma = last  # exact records: the rest is rounding, and weighs too much to go on
+            break
+        program, solution = again, weighed
         found = _delay_of(task, program, solution, found)
     if not solution.found and not solution.timed and task.iterations is None:
         raise FitError(
