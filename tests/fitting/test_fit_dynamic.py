@@ -332,3 +332,12 @@ def test_a_step_parts_the_samples_evenly_and_no_more_than_it_asks(
         assert len(mesh) - 1 == parts * (len(plain) - 1)
         assert mesh[::parts] == pytest.approx(plain, abs=1e-12)
         assert np.diff(mesh).max() <= step * (1 + 1e-6)
+
+
+def test_a_record_without_noise_is_fitted_to_its_last_digits() -> None:
+    """Weights by what is left of it would grow beyond rounding."""
+    plant = pam.HangingLoad(pam.muscle("DMSP-20-200N"), mass=4.0)
+    commands = {"muscle.command": lambda t: 2e5 + 5e4 * np.sin(30 * t)}
+    exact = pam.simulate(plant, commands, t=np.linspace(0.0, 0.3, 61))
+    found = fit_plant(plant.with_values(mass=4.5), exact, ["mass"], outputs=["x"])
+    assert found.values["mass"] == pytest.approx(4.0, rel=1e-4)
