@@ -397,7 +397,9 @@ def records(folder: Path) -> list[Case]:
         between=";",
     )
     add("two_columns.csv", [[f"{s:%d.%m.%Y}", f"{s:%H:%M:%S.%f}"] for s in stamps], "Datum|Uhrzeit")
-    add("american.csv", [f"{s:%m/%d/%Y %I:%M:%S.%f %p}" for s in stamps], "Date")
+    half = ("AM", "PM")  # %p is empty in some locales
+    american = [f"{s:%m/%d/%Y %I:%M:%S.%f} {half[s.hour // 12]}" for s in stamps]
+    add("american.csv", american, "Date")
     add("time_of_day.csv", [f"{s:%H:%M:%S.%f}" for s in stamps], "Time")
     add("epoch.csv", [f"{1e3 * s.timestamp():.0f}" for s in stamps], "timestamp")
     add("days.csv", [f"{45363 + (86397 + s) / 86400:.10f}" for s in t], "Date", rtol=2e-3)
