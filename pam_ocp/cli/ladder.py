@@ -99,7 +99,13 @@ def _ladder(options: argparse.Namespace) -> int:
             study[name] = getattr(options, name)
     listed = [folder / n for n in _list("records", study.get("records", []))]
     study["records"] = options.records or listed
-    plant: Plant = build(feed=feed, losses=())
+    try:
+        plant: Plant = build(feed=feed, losses=())
+    except TypeError as error:
+        raise InputError(
+            f"{options.study}: the arrangement is called with muscle, feed= and losses= on every "
+            f"rung; {error}"
+        ) from error
     records = _records(study, plant, "records")
     if not records:
         raise InputError("no record: give files, or records = [...] in the study file")

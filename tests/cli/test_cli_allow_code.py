@@ -8,7 +8,7 @@ CODE = """
 import pathlib
 import pam_ocp
 pathlib.Path(__file__).with_name("ran").touch()
-def load(muscle):
+def load(muscle, **parts):
     raise pam_ocp.InputError("here it ends")
 """
 TABLE = '[plant]\narrangement = "mine.py:load"\nmuscle = "DMSP-20-300"\n'
@@ -20,6 +20,7 @@ COMMANDS = {
     "simulate": [TABLE],
     "linearize": [TABLE],
     "fit-holds": [TABLE],
+    "ladder": [TABLE],
     "mpc": [TABLE, NAMED],
     "fit-plant": ['free = ["mass"]\n' + TABLE, 'free = ["mass"]\n' + NAMED],
 }
@@ -60,3 +61,11 @@ def test_an_fmu_named_in_a_file_runs_with_consent_only(tmp_path, capsys):
     assert "--allow-code" in capsys.readouterr().err
     assert main(["mpc", str(file), "--allow-code"]) == 2
     assert "--allow-code" not in capsys.readouterr().err
+
+
+def test_a_plant_that_takes_no_feed_has_no_ladder(tmp_path, capsys):
+    (tmp_path / "mine.py").write_text("def load(muscle): ...\n")
+    file = tmp_path / "study.toml"
+    file.write_text(TABLE)
+    assert main(["ladder", str(file), "--allow-code"]) == 2
+    assert "muscle, feed= and losses=" in capsys.readouterr().err

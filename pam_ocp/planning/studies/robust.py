@@ -39,6 +39,11 @@ if TYPE_CHECKING:
 
 __all__ = ["RobustPlan", "robust_plan"]
 
+ALIKE = {"mumps_pivtol": 1e-4, "mumps_scaling": 0}
+"""IPOPT's options for ensembles: with smaller pivots steps are too inexact where copies of a plant
+are nearly alike.
+"""
+
 Widths: TypeAlias = Mapping[str, float]
 Start: TypeAlias = Literal["rest", "same"]
 Cases: TypeAlias = Sequence[Mapping[str, Any]]
@@ -290,6 +295,8 @@ class _Task:
         guess = _stacked(ensemble, base, motion, self.cyclic, self.rest)
         further = {k: v for k, v in self.arguments.items() if k != "guess"}
         said = ensemble_arguments(ensemble, further, self.all_within)
+        if said.get("solver", "ipopt") == "ipopt":
+            said["options"] = {**ALIKE, **(said.get("options") or {})}
         return plan(ensemble, wanted, guess=guess, **said)
 
     def explained(self, error: PlanError, draws: Sequence[Draw], share: float | None) -> PlanError:
