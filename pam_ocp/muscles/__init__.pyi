@@ -5,6 +5,9 @@ from .catalogue import Attribution as Attribution
 from .catalogue import attribution as attribution
 from .catalogue import muscle as muscle
 from .catalogue import muscle_names as muscle_names
+from .heat import ConstantHeatTransfer as ConstantHeatTransfer
+from .heat import PressureHeatTransfer as PressureHeatTransfer
+from .heat import Rubber as Rubber
 from .muscle_file import load_muscle as load_muscle
 from .muscle_file import save_muscle as save_muscle
 from .parallel import in_parallel as in_parallel

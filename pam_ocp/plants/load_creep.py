@@ -12,7 +12,7 @@ from ..core.system import Declares
 from ..muscles.law import clamp
 from .damping import Motion
 from .kinds import LOSSES
-from .memory import require_elements
+from .memory import creep_force, require_creep
 
 __all__ = ["LoadCreep"]
 
@@ -40,13 +40,7 @@ class LoadCreep:
     load: float = 500.0
 
     def __post_init__(self) -> None:
-        require_elements(self, "stiffness", "time")
-        for argument, unit, zero in (("stiffness", "N", True), ("time", "s", False)):
-            values = tuple(
-                require_positive(f"LoadCreep.{argument}", v, unit, zero=zero)
-                for v in getattr(self, argument)
-            )
-            object.__setattr__(self, argument, values)
+        require_creep(self)
         require_positive("LoadCreep.load", self.load, "N")
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
@@ -61,31 +55,13 @@ class LoadCreep:
         )
         muscle = motion.muscle
         carried = clamp(muscle.tension(motion.pressure, motion.contraction), muscle.slack_width)
-        total = ca.SX(0)
-        for i, (value, time) in enumerate(zip(self.stiffness, self.time, strict=True), start=1):
-            stiffness = plant.parameter(
-                f"{name}.load_creep{i}_stiffness",
-                value,
-                unit="N",
-                min=0.0,
-                nominal=1e3,
-                description=f"creep element {i} of {name}: force per contraction",
-            )
-            tau = plant.parameter(
-                f"{name}.load_creep{i}_time",
-                time,
-                unit="s",
-                min=1e-6,
-                nominal=1.0,
-                description=f"creep element {i} of {name}: relaxation time without load",
-            )
-            settled = plant.state(
-                f"{name}.load_creep{i}",
-                nominal=0.1,
-                display_unit="%",
-                memory="settling",
-                description=f"creep element {i} of {name}: contraction to which it has settled",
-            )
-            plant.der(settled, (1 + carried / load) * (motion.contraction - settled) / tau)
-            total += stiffness * (motion.contraction - settled)
-        return total
+        return creep_force(
+            plant,
+            name,
+            "load_creep",
+            self.stiffness,
+            self.time,
+            motion,
+            quicker=1 + carried / load,
+            words="relaxation time without load",
+        )

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -220,44 +221,65 @@ class Creep:
     time: Sequence[float] = (1.0,)
 
     def __post_init__(self) -> None:
-        require_elements(self, "stiffness", "time")
-        for argument, unit, zero in (("stiffness", "N", True), ("time", "s", False)):
-            values = tuple(
-                require_positive(f"Creep.{argument}", v, unit, zero=zero)
-                for v in getattr(self, argument)
-            )
-            object.__setattr__(self, argument, values)
+        require_creep(self)
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """See :class:`Loss`."""
-        total = ca.SX(0)
-        for i, (value, time) in enumerate(zip(self.stiffness, self.time, strict=True), start=1):
-            stiffness = plant.parameter(
-                f"{name}.creep{i}_stiffness",
-                value,
-                unit="N",
-                min=0.0,
-                nominal=1e3,
-                description=f"creep element {i} of {name}: force per contraction",
-            )
-            tau = plant.parameter(
-                f"{name}.creep{i}_time",
-                time,
-                unit="s",
-                min=1e-6,
-                nominal=1.0,
-                description=f"creep element {i} of {name}: relaxation time",
-            )
-            settled = plant.state(
-                f"{name}.creep{i}",
-                nominal=0.1,
-                display_unit="%",
-                memory="settling",
-                description=f"creep element {i} of {name}: contraction to which it has settled",
-            )
-            plant.der(settled, (motion.contraction - settled) / tau)
-            total += stiffness * (motion.contraction - settled)
-        return total
+        return creep_force(plant, name, "creep", self.stiffness, self.time, motion)
+
+
+def require_creep(component: Any) -> None:
+    """Make ``stiffness`` [N] and ``time`` [s] of a component series of numbers, equally long."""
+    require_elements(component, "stiffness", "time")
+    for argument, unit, zero in (("stiffness", "N", True), ("time", "s", False)):
+        label = f"{type(component).__name__}.{argument}"
+        values = (require_positive(label, v, unit, zero=zero) for v in getattr(component, argument))
+        object.__setattr__(component, argument, tuple(values))
+
+
+def creep_force(
+    plant: Declares,
+    name: str,
+    key: str,
+    stiffnesses: Sequence[float],
+    times: Sequence[float],
+    motion: Motion,
+    *,
+    quicker: ca.SX | float = 1.0,
+    words: str = "relaxation time",
+) -> ca.SX:
+    """Sum of K_i (kappa - e_i), de_i/dt = quicker (kappa - e_i)/tau_i: springs on dashpots [N].
+
+    key : of what is declared, ``<name>.<key>1``, ... words : what the times are.
+    """
+    total = ca.SX(0)
+    for i, (value, time) in enumerate(zip(stiffnesses, times, strict=True), start=1):
+        stiffness = plant.parameter(
+            f"{name}.{key}{i}_stiffness",
+            value,
+            unit="N",
+            min=0.0,
+            nominal=1e3,
+            description=f"creep element {i} of {name}: force per contraction",
+        )
+        tau = plant.parameter(
+            f"{name}.{key}{i}_time",
+            time,
+            unit="s",
+            min=1e-6,
+            nominal=1.0,
+            description=f"creep element {i} of {name}: {words}",
+        )
+        settled = plant.state(
+            f"{name}.{key}{i}",
+            nominal=0.1,
+            display_unit="%",
+            memory="settling",
+            description=f"creep element {i} of {name}: contraction to which it has settled",
+        )
+        plant.der(settled, quicker * (motion.contraction - settled) / tau)
+        total += stiffness * (motion.contraction - settled)
+    return total
 
 
 def require_elements(component: object, *arguments: str) -> None:

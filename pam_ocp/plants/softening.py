@@ -38,7 +38,7 @@ class Preconditioning:
     Source: R. W. Ogden, D. G. Roxburgh, Proc. R. Soc. A 455 (1999) 2861-2877, eta = 1 - (1/r)
     erf[(Wm - W)/m], with tanh for erf and the contraction in place of the energy W (our
     simplifications: for one spring both grow together). L. Mullins, Rubber Chem. Technol. 42 (1969)
-    339-362. Both are cited from memory, and known from the manuals of finite-element codes.
+    339-362. Neither could be read here: the form is that of the manuals of finite-element codes.
     """
 
     stiffness: float = 300.0

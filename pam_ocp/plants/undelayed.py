@@ -9,7 +9,7 @@ import casadi as ca
 
 from ..core.errors import InputError
 from ..core.variables import Variable
-from .plant import Plant
+from .plant import Plant, require_plant
 
 __all__ = ["without_dead_times"]
 
@@ -22,6 +22,7 @@ def without_dead_times(plant: Plant) -> Plant:
     Whoever drives this plant (a simulator's own transport delay around an FMU of it) delays
     exactly. Values are kept; the plant itself where it has no dead times.
     """
+    require_plant(plant)
     if not plant.delay_lines:
         return plant
     template: Plant = plant.cached("without dead times", lambda: _rebuilt(plant))

@@ -206,6 +206,10 @@ def coverage(
     ------
     InputError : inputs without a duration, a fit without records.
     """
+    if not (hasattr(fit, "plant") and hasattr(fit, "records")):
+        raise InputError(
+            f"fit is a {type(fit).__name__}: give what fit_plant or fit_free_run returned"
+        )
     plant: Plant = fit.plant
     if not fit.records:
         raise InputError("the fit holds no records: give one that was fitted here or loaded whole")

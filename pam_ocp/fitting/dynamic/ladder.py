@@ -269,7 +269,7 @@ def _climbed_all(
 
 # ---- arguments ----------------------------------------------------------------------------------
 def _own(given: Sequence[Rung]) -> list[Rung]:
-    ladder = list(given)
+    ladder = list(given) if isinstance(given, Sequence) else []
     wrong = [r for r in ladder if not isinstance(r, Rung)]
     if wrong or not ladder:
         raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.errors import FitError, InputError, require_count, require_instance
 from ...core.trajectory import Trajectory
-from ...plants.plant import Plant
+from ...plants.plant import Plant, require_plant
 from ..statistics import Array
 from .dynamic import fit_plant
 from .experiment import groups
@@ -35,6 +35,9 @@ class FreeRunStructure:
     free: Sequence[str | Sequence[str]]
     options: Mapping[str, Any]
     judged: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_plant(self.plant)
 
     @property
     def complexity(self) -> float:
@@ -92,6 +95,9 @@ class PlantStructure:
     plant: Plant
     free: Sequence[str | Sequence[str]]
     options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        require_plant(self.plant)
 
     @property
     def complexity(self) -> float:
