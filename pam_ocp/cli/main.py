@@ -22,7 +22,7 @@ from .fit import add_fit_plant
 from .ladder import add_ladder
 from .linearize import add_linearize
 from .mpc import add_mpc
-from .options import require_places
+from .options import length_of, require_places
 from .plan import add_plan
 from .plants import add_plant, muscle_named, plant_said
 from .reading import add_look
@@ -246,7 +246,7 @@ def _add_muscles(commands: Any) -> None:
         "name", nargs="?", metavar="NAME", help="name in the catalogue, or a muscle file"
     )
     muscles.add_argument(
-        "--rest-length", type=float, metavar="M", help="in metres, where the catalogue holds none"
+        "--rest-length", metavar="M", help="such as '300 mm', where the catalogue holds none"
     )
     muscles.add_argument(
         "--plot", type=Path, metavar="FILE.png", help="draw force over contraction and pressure"
@@ -328,7 +328,7 @@ def _show(options: argparse.Namespace) -> int:
         raise InputError("muscles show: give the NAME of a muscle; 'pam-ocp muscles' lists them")
     from ..muscles.catalogue import attribution, muscle_names
 
-    muscle = muscle_named(options.name, options.rest_length)
+    muscle = muscle_named(options.name, length_of("--rest-length", options.rest_length))
     print(muscle_text(muscle))
     if options.name in muscle_names():
         print(f"\n{attribution(options.name)}")

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from ..core.files import require_place
+from ..core.quantities import quantity
 
-__all__ = ["add_allow_code", "pairs", "require_places"]
+__all__ = ["add_allow_code", "length_of", "pairs", "require_places"]
 
 
 def add_allow_code(command: argparse.ArgumentParser) -> None:
@@ -38,3 +39,8 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
             raise InputError(f"{option} {text}: give NAME=VALUE, as mass=2kg or mass=2.0")
         found[name.strip()] = value
     return found
+
+
+def length_of(option: str, text: str | None) -> float | None:
+    """A length [m] of "300 mm" or "0.3"; None where nothing is said. Raises InputError."""
+    return None if text is None else quantity(option, text, "m")

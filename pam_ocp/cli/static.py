@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.quantities import quantity
-from .options import pairs, require_places
+from .options import length_of, pairs, require_places
 from .plants import PLANT, add_plant_options, plant_said
 from .reading import add_reading, reading_options
 
@@ -41,14 +41,11 @@ def add_fit(commands: Any) -> None:
     )
     fit.add_argument(
         "--rest-length",
-        type=float,
         metavar="M",
-        help="length at zero pressure and load, in metres (needed unless the table holds "
-        "contractions)",
+        help="length at zero pressure and load, such as '300 mm'; metres without a unit (needed "
+        "unless the table holds contractions)",
     )
-    fit.add_argument(
-        "--diameter", type=float, metavar="M", help="inner diameter at rest, in metres"
-    )
+    fit.add_argument("--diameter", metavar="M", help="inner diameter at rest, such as '20 mm'")
     fit.add_argument(
         "--law",
         action="append",
@@ -170,7 +167,9 @@ def _fit(options: argparse.Namespace) -> int:
     from ..muscles.muscle_file import save_muscle
 
     require_places(options.out, options.plot)
-    table = read_table(options.table, rest_length=options.rest_length, **reading_options(options))
+    length = length_of("--rest-length", options.rest_length)
+    diameter = length_of("--diameter", options.diameter)
+    table = read_table(options.table, rest_length=length, **reading_options(options))
     laws = options.law or ["six-parameter"]
     if len(laws) > 1 or laws == ["all"]:
         fitted = _ranked(table, laws, options.fixed, options.loss)
@@ -186,11 +185,11 @@ def _fit(options: argparse.Namespace) -> int:
 
         print(f"-> {save_figure(plot_fit(fitted), options.plot)}")
     if options.out:
-        length = table.rest_length if options.rest_length is None else options.rest_length
+        length = table.rest_length if length is None else length
         if length is None:
             raise InputError("--rest-length is needed to write a muscle file")
         name = options.name or Path(options.table).stem
-        muscle = fitted.muscle(rest_length=length, diameter=options.diameter, name=name)
+        muscle = fitted.muscle(rest_length=length, diameter=diameter, name=name)
         print(f"-> {save_muscle(muscle, options.out)}")
     return 0
 

@@ -107,3 +107,16 @@ def test_the_module_runs_as_the_command_and_knows_its_version():
     command = [sys.executable, "-m", "pam_ocp", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout == f"pam-ocp {pam.__version__}\n"
+
+
+def test_lengths_take_units(capsys, tmp_path):
+    written = []
+    for length, diameter in (("0.3", "0.02"), ("300 mm", "2 cm")):
+        out = tmp_path / f"{len(written)}.json"
+        sizes = ("--rest-length", length, "--diameter", diameter, "--name", "mine")
+        assert said(capsys, "fit", "DMSP-20-300_static.csv", *sizes, "--out", out)[0] == 0
+        written.append(out.read_text())
+    assert written[0] == written[1]
+    code, text = said(capsys, "fit", "DMSP-20-300_static.csv", "--rest-length", "3 bar")
+    assert code == 2
+    assert "--rest-length = '3 bar'" in text.err
