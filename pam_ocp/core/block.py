@@ -1,0 +1,82 @@
+"""Block: a sampled system with named variables and one step function, such as a controller.
+
+What a controller is outside of Python: the FMU, the C code and the simulation of a block all call
+its one ``step``. It knows nothing of muscles or of control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError, require_positive
+from .variables import Causality, Variable
+
+__all__ = ["Block"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """(memory, outputs) = step(memory, inputs, parameters), every ``sample_time`` seconds.
+
+    Parameters
+    ----------
+    name : of the block, as a variable's name.
+    sample_time : time between two steps [s].
+    inputs : measurements and references, causality "input"; an input may be NaN (a measurement that
+        is missing) where the block says so in its description.
+    outputs : commands, estimates and status, causality "output".
+    parameters : causality "parameter"; those with ``tunable`` may change while it runs.
+    memory : what is carried from step to step, causality "state", with start values.
+    step : Function (memory, inputs, parameters) -> (memory, outputs), dense columns in SI. Time is
+        not among its arguments: a block that follows a clock counts its steps in its memory.
+    description : one line for people.
+    """
+
+    name: str
+    sample_time: float
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    parameters: tuple[Variable, ...]
+    memory: tuple[Variable, ...]
+    step: ca.Function = field(repr=False)
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        Variable(self.name, "parameter")
+        require_positive("sample_time", self.sample_time, "s")
+        kinds: tuple[tuple[str, Causality], ...] = (
+            ("inputs", "input"),
+            ("outputs", "output"),
+            ("parameters", "parameter"),
+            ("memory", "state"),
+        )
+        seen: set[str] = set()
+        for argument, causality in kinds:
+            for variable in getattr(self, argument):
+                if variable.causality != causality:
+                    raise InputError(
+                        f"{argument}: {variable.name} is a {variable.causality}, not of "
+                        f"causality {causality!r}"
+                    )
+                if variable.name in seen:
+                    raise InputError(f"{argument}: {variable.name} is there twice; rename one")
+                seen.add(variable.name)
+        wanted = [len(getattr(self, a)) for a in ("memory", "inputs", "parameters")]
+        found = [self.step.size_in(i) for i in range(self.step.n_in())]
+        if found != [(n, 1) for n in wanted]:
+            raise InputError(f"step takes {found}; it must take columns of {wanted} entries")
+        wanted = [len(self.memory), len(self.outputs)]
+        found = [self.step.size_out(i) for i in range(self.step.n_out())]
+        if found != [(n, 1) for n in wanted]:
+            raise InputError(f"step gives {found}; it must give columns of {wanted} entries")
+
+    def start(self, kind: str) -> Array:
+        """Start values of "memory", "inputs" or "parameters", in order [SI]."""
+        return np.array([v.start or 0.0 for v in getattr(self, kind)], dtype=float)
