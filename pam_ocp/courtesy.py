@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from .figures.vibration import plot_multipliers as plot_multipliers
     from .figures.vibration import plot_phase as plot_phase
     from .figures.vibration import plot_stability as plot_stability
+    from .figures.vibration_maps import plot_amplitude_map as plot_amplitude_map
+    from .figures.vibration_maps import plot_hopf_map as plot_hopf_map
     from .fitting.dynamic.coverage import coverage as coverage
     from .fitting.dynamic.outcome import validate as validate
     from .fitting.dynamic.plant_report import plant_report as plant_report
@@ -57,6 +59,7 @@ _HOMES: dict[str, str] = {
     "html_of": "figures.html",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",
+    "plot_amplitude_map": "figures.vibration_maps",
     "plot_backbone": "figures.vibration",
     "plot_border": "figures.vibration",
     "plot_branch": "figures.vibration",
@@ -64,6 +67,7 @@ _HOMES: dict[str, str] = {
     "plot_energy": "figures.vibration",
     "plot_envelope": "figures.vibration",
     "plot_fit": "figures.trajectory",
+    "plot_hopf_map": "figures.vibration_maps",
     "plot_multipliers": "figures.vibration",
     "plot_muscle": "figures.trajectory",
     "plot_pareto": "figures.plan",

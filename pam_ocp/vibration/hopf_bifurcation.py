@@ -319,7 +319,7 @@ def hopf_border(
     last: HopfPoint | None = None
     for value in map(float, numbers):
         try:
-            last = _near(
+            last = near_hopf(
                 plant, parameter, {**given, second.name: value}, bracket, last, points, memory
             )
             points_found.append(last)
@@ -340,7 +340,7 @@ def hopf_border(
     )
 
 
-def _near(
+def near_hopf(
     plant: Plant,
     parameter: str,
     given: Values,
