@@ -92,6 +92,23 @@ def test_a_position_servo_of_a_leaking_muscle_begins_to_vibrate_where_theory_say
     assert found.value == pytest.approx(gain, rel=2e-4)
 
 
+def test_a_border_is_found_where_a_pair_is_born_and_crosses_between_two_points() -> None:
+    """A pressure loop too fast for its spool and its electronics."""
+    valve = pam.feeds.ServoValve(
+        command_lag=0.004,
+        spool=pam.feeds.FirstOrderSpool(0.006),
+        conductance=5e-8,
+        leak=2e-10,
+        overlap=0.0,
+    )
+    plant = pam.HangingLoad(MUSCLE, 20.0, feed=valve)
+    found = vibration.hopf(plant, "muscle.pressure_gain", (1e-6, 1e-3), {"x": 0.05}, points=5)
+    for factor, stable in ((0.99, True), (1.01, False)):
+        near = plant.with_values({"muscle.pressure_gain": factor * found.value})
+        poles = np.linalg.eigvals(near.linearize(near.equilibrium(x=0.05)).A)
+        assert (poles.real.max() < 0) == stable
+
+
 # ---- how large it becomes ---------------------------------------------------------------------
 
 
@@ -118,7 +135,7 @@ def test_the_amplitude_in_a_map_is_that_of_scipy() -> None:
         return [v, (tension - m * G - c * v) / m, (clamp(wanted) - clamp(wanted - top) - p) / lag]
 
     run = solve_ivp(
-        rates, (0, 100), [0.05, 0.0, middle], method="LSODA", rtol=1e-9, atol=1e-9, dense_output=True
+        rates, (0, 100), [0.05, 0.0, middle], "LSODA", rtol=1e-9, atol=1e-9, dense_output=True
     )
     tail = run.sol(np.linspace(90, 100, 20001))[0]
     assert found.closed[0, 0]
