@@ -21,7 +21,45 @@ __all__ = ["CExport", "Vectors"]
 Array: TypeAlias = NDArray[np.float64]
 
 _KEYWORDS = frozenset(
-    ["auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "real", "memory", "scratch"]
+    [
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+        "real",
+        "memory",
+        "scratch",
+    ]
 )
 
 
@@ -165,10 +203,12 @@ void {p}_step({p}_state *state, const {p}_parameters *parameters, const {p}_inpu
         portable = '#include "elementary.h"\n' if portable_functions(c, self.precision) else ""
         iw = f"    int iw[{c.integers}];\n" if c.integers else ""
         none = "" if b.parameters else "    (void)parameters;\n"
-        return f"""/* {_plain(b.description or b.name)}: see {p}.h. Written by pam_ocp; do not edit. */
+        said = _plain(b.description or b.name)
+        needs_math = c.functions or re.search(r"\b(?:INFINITY|NAN)\b", c.text + init)
+        math = "#include <math.h>\n" if needs_math else ""
+        return f"""/* {said}: see {p}.h. Written by pam_ocp; do not edit. */
 #include "{p}.h"
-#include <math.h>
-{portable}#if defined(__clang__)
+{math}{portable}#if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #endif
 typedef {p}_real real;
