@@ -31,8 +31,8 @@ def _samples(end: float, sample_time: float) -> int:
     count = math.ceil(max(end, 0.0) / sample_time - 1e-9) + 2
     if count >= LONGEST:
         raise InputError(
-            f"the motion of {end:g} s has {count} samples of {sample_time:g} s; give it in parts of "
-            f"less than {LONGEST}"
+            f"the motion of {end:g} s has {count} samples of {sample_time:g} s; give it in parts "
+            f"of less than {LONGEST}"
         )
     return count
 

@@ -122,6 +122,10 @@ class Draft:
             )
         )
 
+    def repeats(self, what: str, count: int) -> None:
+        """What is done ``count`` times in a step, besides what was told before."""
+        self.loops[what] = self.loops.get(what, 0) + count
+
     # ---- what the guard tells -------------------------------------------------------------------
     @property
     def active(self) -> Symbol:

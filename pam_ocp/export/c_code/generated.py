@@ -18,7 +18,15 @@ from ...core.block import Block
 from ...core.errors import ExportError
 from ..runtime import c_text
 
-__all__ = ["Precision", "StepCode", "portable_functions", "step_code"]
+__all__ = [
+    "PRECISIONS",
+    "Precision",
+    "StepCode",
+    "inexact",
+    "library_functions",
+    "portable_functions",
+    "step_code",
+]
 
 STEP = "block_step"
 
@@ -179,6 +187,12 @@ def portable_functions(code: StepCode, precision: Precision) -> str:
         return ""
     text = re.sub(r"\bINFINITY\b", "(double)INFINITY", c_text("elementary.h"))
     return re.sub(r"(?m)^static double (?=\w+\()", "static inline double ", text)
+
+
+def library_functions(code: StepCode, precision: Precision) -> tuple[str, ...]:
+    """The functions of the C library that are called."""
+    own = _PORTABLE if precision.name == "double" else ()
+    return tuple(f"{n}{precision.suffix}" for n in code.functions if n not in own)
 
 
 def inexact(code: StepCode, precision: Precision) -> tuple[str, ...]:

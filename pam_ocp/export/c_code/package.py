@@ -85,7 +85,8 @@ def export_c(
         if not error <= USELESS:
             raise ExportError(
                 f"{block.name}: rounding in {precision} precision changes its outputs by "
-                f"{error:.1g} of their size; take precision='double', or give inputs=... of its normal use"
+                f"{error:.1g} of their size; take precision='double', or give inputs=... of its "
+                "normal use"
             )
         tolerance = max(TOLERANCE[precision], MARGIN * error)
     limit = require_positive("tolerance", tolerance)
