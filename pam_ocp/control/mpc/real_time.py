@@ -55,7 +55,7 @@ class Bound:
 
 
 class RealTimeIteration:
-    """(memory, x, references, q, bounds, safe) -> (memory, inputs, facts).
+    """(memory, x, applied, references, q, bounds, safe) -> (memory, inputs, facts).
 
     x : measured state [SI]; an entry that is not finite is replaced by the model's prediction.
     references (tracked, horizon + 1), q : [SI]. bounds : of :attr:`bounds`, [SI]. safe : inputs
@@ -63,13 +63,13 @@ class RealTimeIteration:
 
     facts : see FACTS. ``status`` is 0 where the tolerance was met, 1 where the SQP steps or their
     ``work`` were used up before, 2 where a quadratic program failed and the plan of the call before
-    is followed, 3 where measurements are missing or programs fail for longer than ``patience``
-    calls: the safe inputs. ``active`` counts the limits that hold the plan back, ``violation`` is
+    is followed, 3 where more than ``patience`` failed in a row: the safe inputs, and the next call
+    begins anew. ``active`` counts the limits that hold the plan back, ``violation`` is
     the largest by which a soft one gives way, in units of nominal.
 
-    Memory holds the solution (states and inputs, node after node, scaled), the inputs applied, the
-    state expected at the next call, and whether there is a solution, how many calls in a row missed
-    a measurement, how many failed.
+    applied : inputs that act now [SI]. Memory holds the solution (states and inputs, node after
+    node, scaled), the state expected at the next call, and whether there is a solution, how many
+    calls in a row missed a measurement, how many failed.
     """
 
     def __init__(
@@ -99,7 +99,6 @@ class RealTimeIteration:
         self.sizes = {
             "states": nx * (n + 1),
             "inputs": nu * n,
-            "applied": nu,
             "expected": nx,
             "counts": 3,
         }
@@ -113,17 +112,11 @@ class RealTimeIteration:
             return self.iterations * each
         return int(min(self.iterations * each, self.work - 1 + each))
 
-    def start(self, x: Array, applied: Array) -> Array:
-        """The memory before the first call, from a state and the inputs that act [SI]."""
-        p = self.program
-        sizes = self.sizes
-        parts = [
-            np.zeros(sizes["states"] + sizes["inputs"]),
-            applied / p.u_nominal,
-            x / p.x_nominal,
-            np.zeros(sizes["counts"]),
-        ]
-        return np.concatenate(parts)
+    def start(self, x: Array) -> Array:
+        """The memory before the first call, from a state [SI]."""
+        memory: Array = np.zeros(sum(self.sizes.values()))
+        memory[self.places()["expected"]] = x / self.program.x_nominal
+        return memory
 
     def places(self) -> dict[str, slice]:
         """Where each part stands in the memory."""
@@ -135,11 +128,12 @@ class RealTimeIteration:
         p, n = self.program, self.program.horizon
         memory = ca.MX.sym("memory", sum(self.sizes.values()))
         x_si, safe_si = ca.MX.sym("x", p.nx), ca.MX.sym("safe", p.nu)
+        applied_si = ca.MX.sym("applied", p.nu)
         references = ca.MX.sym("references", len(p.penalties), n + 1)
         q, bounds_si = ca.MX.sym("q", p.q.numel()), ca.MX.sym("bounds", len(self.bounds))
         bounds, safe = bounds_si / self._nominal, safe_si / p.u_nominal
         part = {name: memory[at] for name, at in self.places().items()}
-        before, applied = ca.reshape(part["states"], p.nx, n + 1), part["applied"]
+        before, applied = ca.reshape(part["states"], p.nx, n + 1), applied_si / p.u_nominal
         warm, missing, failures = ca.vertsplit(part["counts"])
 
         present = ca.fabs(x_si) <= LARGEST
@@ -155,7 +149,7 @@ class RealTimeIteration:
         # zero: damping, step, work, iterations, finished, usable, active, violation, converged
         usable, converged = told[5], told[8]
         failures = _either(usable, 0, failures + 1)
-        lost = ca.logic_or(missing > self.patience, failures > self.patience)
+        lost = failures > self.patience
         states = _either(usable, found, states)
         inputs = _either(usable, chosen, inputs)
         first = _either(lost, safe, self._held(inputs[:, 0], bounds))
@@ -167,13 +161,13 @@ class RealTimeIteration:
         facts = [status, told[3], told[2], told[1], converged, told[6], told[7], missing, failures]
         return ca.Function(
             "mpc",
-            [memory, x_si, references, q, bounds_si, safe_si],
+            [memory, x_si, applied_si, references, q, bounds_si, safe_si],
             [
-                ca.vertcat(ca.vec(states), ca.vec(inputs), first, expected, counts),
+                ca.vertcat(ca.vec(states), ca.vec(inputs), expected, counts),
                 first * p.u_nominal,
                 ca.vertcat(*facts),
             ],
-            ["memory", "x", "references", "q", "bounds", "safe"],
+            ["memory", "x", "applied", "references", "q", "bounds", "safe"],
             ["memory_next", "inputs", "facts"],
         )
 
