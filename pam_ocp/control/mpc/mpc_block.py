@@ -14,12 +14,9 @@ from ...plants.inversion import Inversion
 from ..blocks.draft import as_output
 from ..blocks.kinds import BLOCKS, SENT
 from .mpc import Mpc
-from .real_time import FACTS, RealTimeIteration
+from .real_time import FACTS, PATIENCE, RealTimeIteration
 
 __all__ = ["mpc_block"]
-
-PATIENCE = 10
-"""Calls in a row whose quadratic programs may fail before the fallback is sent."""
 
 _TOLD = {
     "status": "0 solved, 1 unfinished, 2 failed: the plan before is followed, 3 failed for too "
@@ -89,14 +86,7 @@ def mpc_block(
     count = controller.iterations if iterations is None else iterations
     require_count("iterations", count)
     require_count("patience", patience, 0)
-    core = RealTimeIteration(
-        controller.program,
-        iterations=count,
-        work=controller.work,
-        tolerance=controller._sqp.tolerance,
-        delay=controller.delay,
-        patience=patience,
-    )
+    core = controller.real_time(count, patience)
     return _MpcBlock(controller, core, preview, estimated).block(name)
 
 

@@ -10,21 +10,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from time import perf_counter
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from .riccati import ITERATIONS, RiccatiQp, Side, repeated
-from .shooting import NodeLimit, TrackingProgram
-from .sqp import DAMPING, MISS
+from .shooting import NodeLimit, TrackingPoint, TrackingProgram
+from .sqp import DAMPING, MISS, SqpOutcome
 
-__all__ = ["FACTS", "Bound", "RealTimeIteration"]
+__all__ = ["FACTS", "PATIENCE", "Bound", "RealTimeCalls", "RealTimeIteration"]
 
 Array = NDArray[np.float64]
 
 LARGEST = 1e300
 """What is not below it is no number."""
+PATIENCE = 10
+"""Calls in a row whose quadratic programs may fail before the fallback is sent."""
 FACTS = (
     "status",
     "iterations",
@@ -230,6 +233,45 @@ class RealTimeIteration:
                 i = names.index(bound.limit.variable.name)
                 rows[i] = (ca.fmin if bound.high else ca.fmax)(rows[i], bounds[k])
         return ca.MX(ca.vertcat(*rows))
+
+
+class RealTimeCalls:
+    """Calls of a RealTimeIteration in turn, with the memory between them."""
+
+    def __init__(self, core: RealTimeIteration) -> None:
+        self.core = core
+        self._bounds = np.array([b.value for b in core.bounds])
+        self._places = core.places()
+
+    def reset(self, x: Array, safe: Array) -> None:
+        """Forget the solution; ``x`` [SI] stands in for what was never measured."""
+        self._memory, self._safe = self.core.start(x), safe
+
+    def __call__(self, point: TrackingPoint, x: Array, applied: Array) -> SqpOutcome:
+        """One call from a state, under inputs [SI]; leaves its solution in ``point``."""
+        p = self.core.program
+        begin = perf_counter()
+        memory, _, told = self.core.step(
+            self._memory, x, applied, point.references.T, point.given, self._bounds, self._safe
+        )
+        spent = perf_counter() - begin
+        self._memory = np.asarray(memory).ravel()
+        states, inputs = (
+            self._memory[self._places[n]].reshape(-1, size)
+            for n, size in (("states", p.nx), ("inputs", p.nu))
+        )
+        before = np.vstack([applied / p.u_nominal, inputs[:-1]])[:, p.rated]
+        point.unknowns[p.at[: p.nx + len(p.rated) + p.nu]] = np.hstack([states[:-1], before, inputs]).T
+        point.unknowns[p.at_last[: p.nx]] = states[-1]
+        facts = dict(zip(FACTS, np.asarray(told).ravel().tolist(), strict=True))
+        return SqpOutcome(
+            facts["status"] <= UNFINISHED,
+            bool(facts["converged"]),
+            int(facts["iterations"]),
+            facts["last_step"],
+            spent,
+            int(facts["work"]),
+        )
 
 
 def _bounds(program: TrackingProgram) -> tuple[Bound, ...]:

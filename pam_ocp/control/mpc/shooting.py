@@ -149,7 +149,8 @@ class TrackingProgram:
         self.row_low, self.row_high = np.array(early[1] + late[1]), np.array(early[2] + late[2])
         y = ca.vertcat(self.x, self.v, self.u, self.s)
         following = ca.vertcat(self.step.expression(self.given, self.x, self.u, self.q))
-        following = ca.vertcat(following, self.u[self.rated])
+        if self.rated:  # u[[]] of a scalar u is not empty
+            following = ca.vertcat(following, self.u[self.rated])
         errors = [
             np.sqrt(e.weight) * (z - self.reference[i] / e.variable.nominal)
             for i, (e, z) in enumerate(zip(self.penalties, self._tracked, strict=True))
