@@ -66,8 +66,8 @@ class RealTimeIteration:
 
     facts : see FACTS. ``status`` is 0 where the tolerance was met, 1 where the SQP steps or their
     ``work`` were used up before, 2 where a quadratic program failed and the plan of the call before
-    is followed, 3 where more than ``patience`` failed in a row: the safe inputs, and the next call
-    begins anew. ``active`` counts the limits that hold the plan back, ``violation`` is
+    is followed, 3 where more than ``patience`` failed in a row: the safe inputs. After a failure
+    the next call begins anew, from the state and the inputs as they are. ``active`` counts the limits that hold the plan back, ``violation`` is
     the largest by which a soft one gives way, in units of nominal.
 
     applied : inputs that act now [SI]. Memory holds the solution (states and inputs, node after
@@ -158,7 +158,7 @@ class RealTimeIteration:
         first = _either(lost, safe, self._held(inputs[:, 0], bounds))
         after = self._advance(now, applied if self.delay else first, q)
         expected = _either(ca.fabs(after) <= LARGEST, after, now)
-        counts = ca.vertcat(1 - lost, missing, failures)
+        counts = ca.vertcat(usable, missing, failures)
         status = _either(converged, SOLVED, UNFINISHED)
         status = _either(lost, SAFE, _either(usable, status, SHIFTED))
         facts = [status, told[3], told[2], told[1], converged, told[6], told[7], missing, failures]

@@ -30,6 +30,10 @@ SHORT = 0.995
 """Share of the way to the nearest wall of the barrier that is gone."""
 FIRST = 1.0
 """Complementarity at the start, where nothing is known of the multipliers."""
+SMALLEST = 1e-14
+"""A pivot of a factorisation, as a share of its diagonal, below which it is rounding."""
+LARGEST = 1e30
+"""A sum beyond it is no number."""
 ROOM = 0.1
 """Least distance from a limit at the start, in units of nominal."""
 
@@ -357,13 +361,13 @@ class RiccatiQp:
     # ---- the method -----------------------------------------------------------------------------
     def _iterate(self) -> tuple[list[ca.MX], list[ca.MX]]:
         """Symbols of (iterate, data): dy, s, t, l of the inner nodes and of the last; the share of
-        the defects left, the complementarity, the iterations done.
+        the defects left, the complementarity, the iterations done, whether the last was lost.
         """
         n, i, e = self.n, self.inner, self.last
         sizes = [
             *((k, n) for k in (i.ny, i.ns, i.m, i.m)),
             *((k, 1) for k in (e.ny, e.ns, e.m, e.m)),
-            (3, 1),
+            (4, 1),
         ]
         iterate = [ca.MX.sym(f"i{k}", *size) for k, size in enumerate(sizes)]
         data = [ca.MX.sym("data", i.size, n), ca.MX.sym("data_end", e.size)]
@@ -411,7 +415,16 @@ class RiccatiQp:
         changes = [dy, ds, dt, dl, dy_end, ds_end, dt_end, dl_end]
         moved = [a + length * b for a, b in zip(iterate[:-1], changes, strict=True)]
         left = (ca.dot(moved[2], moved[3]) + ca.dot(moved[6], moved[7])) / self.sides
-        told = ca.vertcat(share * (1 - length), left, facts[2] + 1)
+        # an iteration that ends in no number is not taken, and is the last
+        size = sum((ca.norm_1(ca.vec(a)) for a in moved), ca.MX(0.0))
+        sound = size <= LARGEST
+        moved = [ca.if_else(sound, a, b) for a, b in zip(moved, iterate[:-1], strict=True)]
+        told = ca.vertcat(
+            ca.if_else(sound, share * (1 - length), share),
+            ca.if_else(sound, left, mu),
+            facts[2] + 1,
+            ca.logic_not(sound),
+        )
         return ca.Function("iteration", [*iterate, data, data_end], [*moved, told])
 
     def _solve(self) -> ca.Function:
@@ -429,11 +442,11 @@ class RiccatiQp:
             ca.MX.ones(e.ns) * ROOM,
             t_end,
             l_end,
-            ca.vertcat(1.0, mu, 0.0),
+            ca.vertcat(1.0, mu, 0.0, 0.0),
         ]
         symbols, _ = self._iterate()
-        # not "> GAP or ...": what is not a number any more ends it
-        open_ = ca.logic_or(symbols[-1][1] > GAP, symbols[-1][0] > CLOSED)
+        told = symbols[-1]
+        open_ = ca.logic_and(ca.logic_or(told[1] > GAP, told[0] > CLOSED), ca.logic_not(told[3]))
         loop = repeated(self._iteration(), len(iterate), self.iterations, open_, symbols)
         found = loop(*iterate, data, data_end)
         y, s, t, lam, y_end, s_end, t_end, l_end, facts = found
@@ -442,7 +455,7 @@ class RiccatiQp:
         miss = ca.fmax(ca.mmax(seen[0, :]), seen_end[0])
         active = ca.sum2(seen[1, :]) + seen_end[1]
         largest = ca.mmax(ca.vertcat(ca.vec(s), s_end)) if i.ns else ca.MX(0.0)
-        told = ca.vertcat(facts, miss, active, largest)
+        told = ca.vertcat(facts[:3], miss, active, largest)
         return ca.Function("qp", [data, data_end], [y, s, y_end, s_end, told])
 
 
@@ -505,12 +518,16 @@ def _symmetric(column: ca.SX, size: int) -> ca.SX:
 
 
 def _cholesky(matrix: ca.SX) -> ca.SX:
-    """The lower factor of a positive definite matrix; its diagonal holds the inverses."""
+    """The lower factor of a positive definite matrix; its diagonal holds the inverses.
+
+    Where rounding has left nothing of a pivot its inverse is 0: that input is not moved.
+    """
     size = matrix.shape[0]
     root = ca.SX(size, size)
     for j in range(size):
         pivot = matrix[j, j] - sum((root[j, k] ** 2 for k in range(j)), ca.SX(0.0))
-        root[j, j] = 1 / ca.sqrt(pivot)
+        sound = pivot > SMALLEST * matrix[j, j]
+        root[j, j] = ca.if_else(sound, 1 / ca.sqrt(ca.if_else(sound, pivot, 1.0)), 0.0)
         for i in range(j + 1, size):
             rest = matrix[i, j] - sum((root[i, k] * root[j, k] for k in range(j)), ca.SX(0.0))
             root[i, j] = rest * root[j, j]
