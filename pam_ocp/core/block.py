@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from .errors import InputError, UnknownNameError, require_positive
 from .variables import Causality, Variable
 
@@ -88,6 +89,11 @@ class Block:
         found = [self.step.size_out(i) for i in range(self.step.n_out())]
         if found != [(n, 1) for n in wanted]:
             raise InputError(f"step gives {found}; it must give columns of {wanted} entries")
+
+    @classmethod
+    def of(cls, controller: Any, **options: Any) -> Block:
+        """What ``pam_ocp.control.block`` makes of a controller, an estimator or a motion."""
+        return courtesy.block(controller, **options)
 
     def start(self, kind: str) -> Array:
         """Start values of "memory", "inputs" or "parameters", in order [SI]."""
