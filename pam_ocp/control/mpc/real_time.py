@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .riccati import ITERATIONS, RiccatiQp, Side, repeated
+from .riccati import ITERATIONS, RiccatiQp, Side, inlined, repeated
 from .shooting import NodeLimit, TrackingPoint, TrackingProgram
 from .sqp import DAMPING, MISS, SqpOutcome
 
@@ -146,9 +146,9 @@ class RealTimeIteration:
         states, inputs = self._guess()(
             before, ca.reshape(part["inputs"], p.nu, n), start, applied, warm, q
         )
-        loop = self._sqp()
         zero = ca.DM([0, math.inf, 0, 0, 0, 0, 0, 0, 0])
-        found, chosen, told = loop(states, inputs, zero, start, applied, references, q, bounds)
+        given = [states, inputs, zero, start, applied, references, q, bounds]
+        found, chosen, told = inlined(self._sqp(), given)
         # zero: damping, step, work, iterations, finished, usable, active, violation, converged
         usable, converged = told[5], told[8]
         failures = _either(usable, 0, failures + 1)
@@ -203,7 +203,7 @@ class RealTimeIteration:
         rated = ca.horzcat(applied, inputs[:, : n - 1])[p.rated, :] if p.rated else ca.MX(0, n)
         y = ca.vertcat(states[:, :n], rated, inputs)
         data = qp.write(y, states[:, n], references, q, bounds, damping)
-        dy, _, dy_end, _, facts = qp.solve(*data)
+        dy, dy_end, facts = inlined(qp.solve, data)
         share, miss = facts[0], facts[3]
         size = ca.fmax(ca.mmax(ca.fabs(dy)), ca.mmax(ca.fabs(dy_end)))
         finite = ca.sum1(ca.sum2(ca.fabs(dy))) + ca.sum1(ca.fabs(dy_end)) <= LARGEST

@@ -18,7 +18,7 @@ import numpy as np
 
 from .shooting import TrackingProgram
 
-__all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "repeated"]
+__all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "inlined", "repeated"]
 
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
@@ -32,6 +32,8 @@ FIRST = 1.0
 """Complementarity at the start, where nothing is known of the multipliers."""
 SMALLEST = 1e-14
 """A pivot of a factorisation, as a share of its diagonal, below which it is rounding."""
+FLAT = 20
+"""Calls in a row that are written one after another."""
 LARGEST = 1e30
 """A sum beyond it is no number."""
 ROOM = 0.1
@@ -58,6 +60,8 @@ class _Packed:
 
     def __init__(self, parts: Mapping[str, ca.SX]) -> None:
         self._parts: dict[str, tuple[ca.Sparsity, list[float | None]]] = {}
+        self.ends: dict[str, int] = {}
+        """Of each part's entries in the column."""
         entries: list[ca.SX] = []
         for name, part in parts.items():
             values: list[float | None] = []
@@ -66,6 +70,7 @@ class _Packed:
                 if values[-1] is None:
                     entries.append(entry)
             self._parts[name] = (part.sparsity(), values)
+            self.ends[name] = len(entries)
         self.column = ca.SX(ca.vertcat(*entries)) if entries else ca.SX(0, 1)
         self.size = len(entries)
 
@@ -122,11 +127,11 @@ class _Stage:
         to_value = ca.jacobian(value, y) if sides else ca.SX(0, self.ny)
         self.packed = _Packed(
             {
-                "h": h[: self.ny, : self.ny],
-                "g": ca.densify(g[: self.ny]),
                 "a": to_next[:, : self.nz],
                 "b": to_next[:, self.nz : self.ny],
                 "defect": ca.densify(following) - target,
+                "h": h[: self.ny, : self.ny],
+                "g": ca.densify(g[: self.ny]),
                 "c": ca.vertcat(to_value, ca.SX(p.ns, self.ny)),
                 "d": ca.vertcat(ca.densify(value), ca.SX.zeros(p.ns)),
                 "damping": damping,
@@ -137,6 +142,8 @@ class _Stage:
         column = ca.cse(self.packed.column)
         self.write = ca.Function("write", arguments, [column])
         self.size = self.packed.size
+        self.motion = self.packed.ends["defect"]
+        """Of the data, the first ones say how the node after follows: all that a roll-out needs."""
         self._symbols()
         self._functions()
 
@@ -231,8 +238,10 @@ class _Stage:
         share = ca.SX.sym("share")
         if self.last:
             matrix, gradient, change = (self._padded(e) for e in (self._matrix(), gradient, change))
-            self.backward = ca.Function("end", self._in, [ca.vertcat(_lower(matrix), gradient)])
-            self.again = ca.Function("end_again", [*self._in, products, centre], [change])
+            value = ca.densify(ca.vertcat(_lower(matrix), gradient))
+            self.backward = ca.Function("end", self._in, [value])
+            again = [*self._in, products, centre]
+            self.again = ca.Function("end_again", again, [ca.densify(change)])
         else:
             self._recursions(gradient, change, share, products, centre)
         self._steps(force, more, products, centre)
@@ -290,7 +299,9 @@ class _Stage:
         du = gain @ dz + constant
         after = self.a @ dz + self.b @ du + share * self.defect
         self.forward = ca.Function(
-            "forward", [dz, self.data, known, constant, share], [ca.densify(after), du]
+            "forward",
+            [dz, self.data[: self.motion], known, constant, share],
+            [ca.densify(after), du],
         )
 
     def _steps(self, force: ca.SX, more: ca.SX, products: ca.SX, centre: ca.SX) -> None:
@@ -312,16 +323,25 @@ class _Stage:
         sums = ca.vertcat(longest, ca.dot(t, dl) + ca.dot(lam, dt), ca.dot(dt, dl))
         self.predict = ca.Function("predict", [*self._in, dy], [dt * dl, sums])
         ds, dt, dl, longest = steps(force + more)
+        size = sum((ca.sum1(ca.fabs(e)) for e in (dy, ds, dt, dl)), ca.SX(0.0))
+        told = ca.vertcat(longest, size)
         self.correct = ca.Function(
-            "correct", [*self._in, dy, products, centre], [ds, dt, dl, longest]
+            "correct", [*self._in, dy, products, centre], [ds, dt, dl, told]
         )
+        length, here = ca.SX.sym("length"), [self.y, self.s, t, lam]
+        changes = [ca.SX.sym("d", e.numel()) for e in here]
+        moved = [
+            ca.if_else(length > 0, e + length * d, e) for e, d in zip(here, changes, strict=True)
+        ]
+        self.move = ca.Function("move", [*here, *changes, length], moved)
 
 
 class RiccatiQp:
     """The quadratic program of ``program`` at any point, solved by Functions alone.
 
     write : (y (ny, N), end, references, q, bounds, damping) -> data of inner nodes and of the last.
-    solve : data -> (dy, slacks, dy and slack of the last node, facts).
+    solve : data -> (dy, dy of the last node, facts): the share of the defects that is left, the
+    complementarity, iterations, the largest miss of a limit, limits that hold, the largest slack.
     bounds : those of all sides, symbols of the expressions in ``sides``.
     """
 
@@ -360,8 +380,10 @@ class RiccatiQp:
 
     # ---- the method -----------------------------------------------------------------------------
     def _iterate(self) -> tuple[list[ca.MX], list[ca.MX]]:
-        """Symbols of (iterate, data): dy, s, t, l of the inner nodes and of the last; the share of
-        the defects left, the complementarity, the iterations done, whether the last was lost.
+        """Symbols of (iterate, data): dy, s, t, l of the inner nodes, the last of them first, and
+        of the last node; the share of the defects left, the complementarity, the iterations done,
+        and 1 where one was lost. Data: of the inner nodes, the last of them first; of their motion,
+        the first of them first; of the last node.
         """
         n, i, e = self.n, self.inner, self.last
         sizes = [
@@ -370,30 +392,27 @@ class RiccatiQp:
             (4, 1),
         ]
         iterate = [ca.MX.sym(f"i{k}", *size) for k, size in enumerate(sizes)]
-        data = [ca.MX.sym("data", i.size, n), ca.MX.sym("data_end", e.size)]
-        return iterate, data
+        data = [ca.MX.sym("data", i.size, n), ca.MX.sym("motion", i.motion, n)]
+        return iterate, [*data, ca.MX.sym("data_end", e.size)]
 
     def _iteration(self) -> ca.Function:
         """One iteration: (iterate, data) -> iterate."""
         n, i, e = self.n, self.inner, self.last
-        iterate, (data, data_end) = self._iterate()
-        y, s, t, lam, y_end, s_end, t_end, l_end, facts = iterate
-        here, end = [data, y, s, t, lam], [data_end, y_end, s_end, t_end, l_end]
+        iterate, (back, motion, data_end) = self._iterate()
+        here, end, facts = [back, *iterate[:4]], [data_end, *iterate[4:8]], iterate[8]
         share, mu = facts[0], facts[1]
-        backward = [_turned(a) for a in here]
         shares = ca.repmat(share, 1, n)
-        _, policy = i.backward.mapaccum("sweep", n, 1)(e.backward(*end), *backward, shares)
-        policy = _turned(policy)
-        constant = policy[policy.shape[0] - i.nu :, :]
+        _, policy = i.backward.mapaccum("sweep", n, 1)(e.backward(*end), *here, shares)
+        forward = _backwards(policy)
         roll = i.forward.mapaccum("roll", n, 1)
         start = ca.MX.zeros(i.nz)
 
-        def rolled(first: ca.MX, shares: Any) -> tuple[ca.MX, ca.MX]:
-            after, du = roll(start, data, policy, first, shares)
+        def rolled(first: ca.MX, shares: ca.MX) -> tuple[ca.MX, ca.MX]:
+            after, du = roll(start, motion, forward, first, shares)
             dz = ca.horzcat(start, after[:, : n - 1])
-            return ca.vertcat(dz, du), after[: e.nz, n - 1]
+            return _backwards(ca.vertcat(dz, du)), after[: e.nz, n - 1]
 
-        dy, dy_end = rolled(constant, shares)
+        dy, dy_end = rolled(forward[policy.shape[0] - i.nu :, :], shares)
         products, sums = i.predict.map(n)(*here, dy)
         products_end, sums_end = e.predict(*end, dy_end)
         length = 1 / ca.fmax(ca.mmax(sums[0, :]), sums_end[0])
@@ -403,34 +422,28 @@ class RiccatiQp:
 
         centres = ca.repmat(centre, 1, n)
         slope = e.again(*end, products_end, centre)
-        _, change = i.again.mapaccum("sweep_again", n, 1)(
-            slope, *backward, _turned(policy), _turned(products), centres
-        )
-        more, more_end = rolled(_turned(change), ca.MX.zeros(1, n))
+        _, change = i.again.mapaccum("sweep_again", n, 1)(slope, *here, policy, products, centres)
+        more, more_end = rolled(_backwards(change), ca.MX.zeros(1, n))
         dy, dy_end = dy + more, dy_end + more_end
-        ds, dt, dl, longest = i.correct.map(n)(*here, dy, products, centres)
-        ds_end, dt_end, dl_end, longest_end = e.correct(*end, dy_end, products_end, centre)
-        longest = ca.fmax(ca.mmax(longest), longest_end)
-        length = ca.fmin(1.0, SHORT / longest)
-        changes = [dy, ds, dt, dl, dy_end, ds_end, dt_end, dl_end]
-        moved = [a + length * b for a, b in zip(iterate[:-1], changes, strict=True)]
-        left = (ca.dot(moved[2], moved[3]) + ca.dot(moved[6], moved[7])) / self.sides
+        *changes, told = i.correct.map(n)(*here, dy, products, centres)
+        *changes_end, told_end = e.correct(*end, dy_end, products_end, centre)
+        longest = ca.fmax(ca.mmax(told[0, :]), told_end[0])
         # an iteration that ends in no number is not taken, and is the last
-        size = sum((ca.norm_1(ca.vec(a)) for a in moved), ca.MX(0.0))
-        sound = size <= LARGEST
-        moved = [ca.if_else(sound, a, b) for a, b in zip(moved, iterate[:-1], strict=True)]
-        told = ca.vertcat(
-            ca.if_else(sound, share * (1 - length), share),
-            ca.if_else(sound, left, mu),
-            facts[2] + 1,
-            ca.logic_not(sound),
-        )
-        return ca.Function("iteration", [*iterate, data, data_end], [*moved, told])
+        sound = ca.sum2(told[1, :]) + told_end[1] <= LARGEST
+        length = ca.if_else(sound, ca.fmin(1.0, SHORT / longest), 0.0)
+        lengths = ca.repmat(length, 1, n)
+        moved = i.move.map(n)(*iterate[:4], dy, *changes, lengths)
+        moved_end = e.move(*iterate[4:8], dy_end, *changes_end, length)
+        left = (ca.dot(moved[2], moved[3]) + ca.dot(moved_end[2], moved_end[3])) / self.sides
+        facts = ca.vertcat(share * (1 - length), left, facts[2] + 1, ca.logic_not(sound))
+        given = [*iterate, back, motion, data_end]
+        return ca.Function("iteration", given, [*moved, *moved_end, facts])
 
     def _solve(self) -> ca.Function:
         n, i, e = self.n, self.inner, self.last
-        _, (data, data_end) = self._iterate()
-        t, lam = i.begin.map(n)(data)
+        _, (data, _, data_end) = self._iterate()
+        back = _backwards(data)
+        t, lam = i.begin.map(n)(back)
         t_end, l_end = e.begin(data_end)
         mu = (ca.dot(t, lam) + ca.dot(t_end, l_end)) / self.sides
         iterate = [
@@ -448,50 +461,51 @@ class RiccatiQp:
         told = symbols[-1]
         open_ = ca.logic_and(ca.logic_or(told[1] > GAP, told[0] > CLOSED), ca.logic_not(told[3]))
         loop = repeated(self._iteration(), len(iterate), self.iterations, open_, symbols)
-        found = loop(*iterate, data, data_end)
-        y, s, t, lam, y_end, s_end, t_end, l_end, facts = found
-        seen = i.look.map(n)(data, y, s, t, lam)
-        seen_end = e.look(data_end, y_end, s_end, t_end, l_end)
+        found = inlined(loop, [*iterate, back, data[: i.motion, :], data_end])
+        seen = i.look.map(n)(back, *found[:4])
+        seen_end = e.look(data_end, *found[4:8])
         miss = ca.fmax(ca.mmax(seen[0, :]), seen_end[0])
         active = ca.sum2(seen[1, :]) + seen_end[1]
-        largest = ca.mmax(ca.vertcat(ca.vec(s), s_end)) if i.ns else ca.MX(0.0)
-        told = ca.vertcat(facts[:3], miss, active, largest)
-        return ca.Function("qp", [data, data_end], [y, s, y_end, s_end, told])
+        slacks = ca.vertcat(ca.vec(found[1]), found[5])
+        largest = ca.mmax(slacks) if i.ns else ca.MX(0.0)
+        told = ca.vertcat(found[8][:3], miss, active, largest)
+        return ca.Function("qp", [data, data_end], [_backwards(found[0]), found[4], told])
 
 
 def repeated(
     body: ca.Function, carried: int, count: int, wanted: ca.MX, symbols: Sequence[ca.MX]
 ) -> ca.Function:
     """At most ``count`` calls of ``body`` (carried..., constants...) -> carried..., each only while
-    ``wanted`` (of ``symbols``, the carried) holds: nested, so that C code stays short.
+    ``wanted`` (of ``symbols``, the carried) holds. Many calls are nested, so that C code stays
+    short; each level takes memory for what it hands on.
     """
     arguments = [ca.MX.sym(f"a{k}", body.sparsity_in(k)) for k in range(body.n_in())]
     still = ca.Function("still", list(symbols), [wanted])
     stay = ca.Function("stay", arguments, arguments[:carried])
 
-    def chain(part: ca.Function, times: int) -> ca.Function:
+    def chain(part: ca.Function, times: int, now: list[ca.MX]) -> list[ca.MX]:
         """So many calls in turn, each only while wanted."""
         either = ca.Function.if_else("while", part, stay)
-        now = list(arguments)
         for _ in range(times):
-            now[:carried] = either.call([still(*now[:carried]), *now])
-        return ca.Function("chain", arguments, now[:carried])
+            now = [*either.call([still(*now[:carried]), *now]), *now[carried:]]
+        return now
 
-    outer = int(np.sqrt(count))
-    inner, rest = divmod(count, outer)
-    if outer == 1:
-        return chain(body, count)
-    full = chain(chain(body, inner), outer)
-    if not rest:
-        return full
-    tail = chain(body, rest)
-    now = list(arguments)
-    now[:carried] = full.call(now)
-    now[:carried] = tail.call(now)
-    return ca.Function("chain", arguments, now[:carried])
+    full, rest = divmod(count, FLAT)
+    now = arguments
+    if full > 1:
+        part = ca.Function("chain", arguments, chain(body, FLAT, arguments)[:carried])
+        now = chain(part, full, now)
+    elif full:
+        rest += FLAT
+    return ca.Function("chain", arguments, chain(body, rest, now)[:carried])
 
 
-def _turned(columns: ca.MX) -> ca.MX:
+def inlined(function: ca.Function, arguments: Sequence[ca.MX]) -> list[ca.MX]:
+    """The results of a call written out where it stands, which takes no memory of its own."""
+    return list(function.call(list(arguments), True, False))
+
+
+def _backwards(columns: ca.MX) -> ca.MX:
     """The last column first."""
     return columns[:, ::-1]
 
