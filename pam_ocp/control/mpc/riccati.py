@@ -139,8 +139,7 @@ class _Stage:
             }
         )
         arguments = [y, target, p.reference, p.q, bounds, keep, damping]
-        column = ca.cse(self.packed.column)
-        self.write = ca.Function("write", arguments, [column])
+        self.write = _function("write", arguments, [self.packed.column])
         self.size = self.packed.size
         self.motion = self.packed.ends["defect"]
         """Of the data, the first ones say how the node after follows: all that a roll-out needs."""
@@ -161,24 +160,13 @@ class _Stage:
         self.keep = ca.SX(ca.vertcat(*(keep if e else ca.SX(1.0) for e in self._given)))
         if not self.m:
             self.keep = ca.SX(0, 1)
-        self.w = self.lam / self.t
-        self._others()
-
-    def _others(self) -> None:
-        """The sum of all weights on the slack, and for each side that of the others: M - w_i,
-        summed without it, since a weight may be larger than the others by all digits.
-        """
-        weights = [self.w[i] for i in range(self.m)]
-        at = [i for i in range(self.m) if self.e[i]]
-        before, after = [ca.SX(self._hss)], [ca.SX(0.0)]
-        for i in at:
-            before.append(before[-1] + weights[i])
-        for i in reversed(at):
-            after.append(after[-1] + weights[i])
-        after.reverse()
-        self._soft = at
-        self._all = before[-1]
-        self._rest = [before[k] + after[k + 1] for k in range(len(at))]
+        self._inverse = 1 / self.t
+        self.w = self.lam * self._inverse
+        self._soft = [i for i in range(self.m) if self.e[i]]
+        # weights may differ by all digits: M - w_i is summed without w_i
+        self._rest = _others([self.w[i] for i in self._soft], self._hss)
+        self._all = self._rest[0] + self.w[self._soft[0]] if self._soft else ca.SX(1.0)
+        self._share = 1 / self._all
 
     def _gap(self, y: ca.SX, s: ca.SX) -> ca.SX:
         return ca.densify(self.c @ y) + self._slack(s)
@@ -198,17 +186,18 @@ class _Stage:
             if not self.e[i]:
                 weight[i, i] = self.w[i]
         for k, i in enumerate(self._soft):
-            weight[i, i] = self.w[i] * self._rest[k] / self._all
+            scaled = self.w[i] * self._share
+            weight[i, i] = scaled * self._rest[k]
             for j in self._soft[:k]:
-                weight[i, j] = weight[j, i] = -self.w[i] * self.w[j] / self._all
+                weight[i, j] = weight[j, i] = -scaled * self.w[j]
         return ca.SX(self.h + self.c.T @ weight @ self.c)
 
     def _turned(self, force: ca.SX) -> ca.SX:
         """The forces of the sides on dy once the slack has given way: (I - W e e'/M) force."""
         turned = ca.SX(force)
+        others = _others([force[i] for i in self._soft], 0.0)
         for k, i in enumerate(self._soft):
-            others = sum((force[j] for j in self._soft if j != i), ca.SX(0.0))
-            turned[i] = (self._rest[k] * force[i] - self.w[i] * others) / self._all
+            turned[i] = (self._rest[k] * force[i] - self.w[i] * others[k]) * self._share
         return turned
 
     def _slack_step(self, force: ca.SX, dy: ca.SX, own: ca.SX | float) -> ca.SX:
@@ -217,7 +206,7 @@ class _Stage:
             return ca.SX(0, 1)
         pull = sum((force[i] for i in self._soft), ca.SX(0.0))
         carried = ca.dot(ca.SX(self.e) * self.w, self.c @ dy)
-        return ca.SX(-(own - pull + carried) / self._all)
+        return ca.SX(-(own - pull + carried) * self._share)
 
     @property
     def _own(self) -> ca.SX:
@@ -230,18 +219,18 @@ class _Stage:
         pushed = self._turned(force)
         if self.ns:
             for i in self._soft:
-                pushed[i] += self.w[i] * self._own / self._all
+                pushed[i] += self.w[i] * self._share * self._own
         gradient = self.h @ self.y + self.g - self.c.T @ pushed
         products, centre = ca.SX.sym("products", self.m), ca.SX.sym("centre")
-        more = self.keep * (centre - products) / self.t
+        more = self.keep * (centre - products) * self._inverse
         change = -(self.c.T @ self._turned(more))
         share = ca.SX.sym("share")
         if self.last:
             matrix, gradient, change = (self._padded(e) for e in (self._matrix(), gradient, change))
             value = ca.densify(ca.vertcat(_lower(matrix), gradient))
-            self.backward = ca.Function("end", self._in, [value])
+            self.backward = _function("end", self._in, [value])
             again = [*self._in, products, centre]
-            self.again = ca.Function("end_again", again, [ca.densify(change)])
+            self.again = _function("end_again", again, [ca.densify(change)])
         else:
             self._recursions(gradient, change, share, products, centre)
         self._steps(force, more, products, centre)
@@ -250,10 +239,10 @@ class _Stage:
         active = ca.sum1(self.keep * (self.lam > self.t)) if self.m else ca.SX(0.0)
         if self.ns:  # the slack's own side is not a limit
             active -= self.lam[-1] > self.t[-1]
-        self.look = ca.Function("look", self._in, [ca.vertcat(least, active)])
+        self.look = _function("look", self._in, [ca.vertcat(least, active)])
         start = self._gap(ca.SX.zeros(self.ny), ca.SX.ones(self.ns) * ROOM) + self.d
         t = self.keep * ca.fmax(start, ROOM) + (1 - self.keep)
-        self.begin = ca.Function("begin", [self.data], [t, self.keep * FIRST / t])
+        self.begin = _function("begin", [self.data], [t, self.keep * FIRST / t])
 
     def _padded(self, part: ca.SX) -> ca.SX:
         size = self.full - self.nz
@@ -279,10 +268,10 @@ class _Stage:
         before = whole[:nz, :nz] + cross.T @ gain
         slope_before = pull[:nz] + gain.T @ pull[nz:]
         policy = ca.vertcat(ca.vec(gain), _lower(root), constant)
-        self.backward = ca.Function(
+        self.backward = _function(
             "backward",
             [value, *self._in, share],
-            [ca.cse(ca.vertcat(_lower(before), slope_before)), ca.cse(policy)],
+            [ca.vertcat(_lower(before), slope_before), policy],
         )
         known = ca.SX.sym("policy", policy.numel())
         sizes = np.cumsum([0, nu * nz, nu * (nu + 1) // 2, nu])
@@ -290,7 +279,7 @@ class _Stage:
         gain, root = ca.reshape(k, nu, nz), _triangle(r, nu)
         slope = ca.SX.sym("slope", nz)
         pull = change + ab.T @ slope
-        self.again = ca.Function(
+        self.again = _function(
             "again",
             [slope, *self._in, known, products, centre],
             [pull[:nz] + gain.T @ pull[nz:], -_solved(root, pull[nz:])],
@@ -298,7 +287,7 @@ class _Stage:
         dz, constant = ca.SX.sym("dz", nz), ca.SX.sym("constant", nu)
         du = gain @ dz + constant
         after = self.a @ dz + self.b @ du + share * self.defect
-        self.forward = ca.Function(
+        self.forward = _function(
             "forward",
             [dz, self.data[: self.motion], known, constant, share],
             [ca.densify(after), du],
@@ -316,16 +305,16 @@ class _Stage:
             dt = self.keep * self._gap(dy, ds) + self._miss
             # total = l + (r - l miss)/t  with r the complementarity asked for
             dl = total - lam - self.w * (dt - self._miss)
-            ratios = ca.vertcat(-dt / t, -dl / (lam + (1 - self.keep)), 1.0)
+            ratios = ca.vertcat(-dt * self._inverse, -dl / (lam + (1 - self.keep)), 1.0)
             return ds, dt, dl, ca.SX(ca.mmax(ratios))
 
         _, dt, dl, longest = steps(force)
         sums = ca.vertcat(longest, ca.dot(t, dl) + ca.dot(lam, dt), ca.dot(dt, dl))
-        self.predict = ca.Function("predict", [*self._in, dy], [dt * dl, sums])
+        self.predict = _function("predict", [*self._in, dy], [dt * dl, sums])
         ds, dt, dl, longest = steps(force + more)
         size = sum((ca.sum1(ca.fabs(e)) for e in (dy, ds, dt, dl)), ca.SX(0.0))
         told = ca.vertcat(longest, size)
-        self.correct = ca.Function(
+        self.correct = _function(
             "correct", [*self._in, dy, products, centre], [ds, dt, dl, told]
         )
         length, here = ca.SX.sym("length"), [self.y, self.s, t, lam]
@@ -333,7 +322,7 @@ class _Stage:
         moved = [
             ca.if_else(length > 0, e + length * d, e) for e, d in zip(here, changes, strict=True)
         ]
-        self.move = ca.Function("move", [*here, *changes, length], moved)
+        self.move = _function("move", [*here, *changes, length], moved)
 
 
 class RiccatiQp:
@@ -505,12 +494,25 @@ def inlined(function: ca.Function, arguments: Sequence[ca.MX]) -> list[ca.MX]:
     return list(function.call(list(arguments), True, False))
 
 
+def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+    return ca.Function(name, arguments, results, {"cse": True})
+
+
 def _backwards(columns: ca.MX) -> ca.MX:
     """The last column first."""
     return columns[:, ::-1]
 
 
-# ---- small matrices -----------------------------------------------------------------------------
+# ---- sums and small matrices --------------------------------------------------------------------
+def _others(values: Sequence[ca.SX], more: float) -> list[ca.SX]:
+    """For each value the sum of all the others, and ``more``."""
+    before, after = [ca.SX(more)], [ca.SX(0.0)]
+    for value, last in zip(values, reversed(values), strict=True):
+        before.append(before[-1] + value)
+        after.append(after[-1] + last)
+    return [before[k] + after[len(values) - 1 - k] for k in range(len(values))]
+
+
 def _lower(matrix: ca.SX) -> ca.SX:
     """The lower triangle of a matrix, column by column."""
     size = matrix.shape[0]
