@@ -22,8 +22,9 @@ __all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "inlined", "repeated"]
 
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
-GAP = 1e-8
-"""Mean complementarity that ends it, in units of nominal: as that of HPIPM here."""
+GAP = 1e-11
+"""Mean complementarity that ends it, in units of nominal: leaves about 1e-9 of nominal, so that the
+commands of two machines whose functions differ in the last bit differ by no more."""
 CLOSED = 1e-8
 """Share of the defects that may be left when it ends."""
 SHORT = 0.995
@@ -148,10 +149,13 @@ class _Stage:
 
     # ---- pieces ---------------------------------------------------------------------------------
     def _symbols(self) -> None:
-        names = {"data": self.size, "y": self.ny, "s": self.ns, "t": self.m, "l": self.m}
-        symbols = {n: ca.SX.sym(n, k) for n, k in names.items()}
-        self._in = [symbols[n] for n in names]
-        self.data, self.y, self.s, self.t, self.lam = self._in
+        sizes = {"data": self.size, "y": self.ny, "s": self.ns, "t": self.m, "l": self.m}
+        known = {n: ca.SX.sym(n, k) for n, k in sizes.items()}
+        self.data, self.y, self.s, self.t, self.lam = self._here = list(known.values())
+        # divisions are dear, and each sweep would do them again
+        scales = ca.SX.sym("scales", 2 * self.m + 1)
+        self._in = [*self._here, scales]
+        self._inverse, self.w, self._share = ca.vertsplit(scales, [0, self.m, 2 * self.m, 2 * self.m + 1])
         parts = self.packed(self.data)
         self.g, self.a, self.b = parts["g"], parts["a"], parts["b"]
         self.defect, self.c, self.d = parts["defect"], parts["c"], parts["d"]
@@ -160,13 +164,13 @@ class _Stage:
         self.keep = ca.SX(ca.vertcat(*(keep if e else ca.SX(1.0) for e in self._given)))
         if not self.m:
             self.keep = ca.SX(0, 1)
-        self._inverse = 1 / self.t
-        self.w = self.lam * self._inverse
         self._soft = [i for i in range(self.m) if self.e[i]]
         # weights may differ by all digits: M - w_i is summed without w_i
         self._rest = _others([self.w[i] for i in self._soft], self._hss)
-        self._all = self._rest[0] + self.w[self._soft[0]] if self._soft else ca.SX(1.0)
-        self._share = 1 / self._all
+        exact = [self.lam[i] / self.t[i] for i in self._soft]
+        total = sum(exact, ca.SX(self._hss))
+        column = ca.vertcat(1 / self.t, self.lam / self.t, 1 / total if exact else 1.0)
+        self.scale = _function("scale", [self.t, self.lam], [column])
 
     def _gap(self, y: ca.SX, s: ca.SX) -> ca.SX:
         return ca.densify(self.c @ y) + self._slack(s)
@@ -239,7 +243,7 @@ class _Stage:
         active = ca.sum1(self.keep * (self.lam > self.t)) if self.m else ca.SX(0.0)
         if self.ns:  # the slack's own side is not a limit
             active -= self.lam[-1] > self.t[-1]
-        self.look = _function("look", self._in, [ca.vertcat(least, active)])
+        self.look = _function("look", self._here, [ca.vertcat(least, active)])
         start = self._gap(ca.SX.zeros(self.ny), ca.SX.ones(self.ns) * ROOM) + self.d
         t = self.keep * ca.fmax(start, ROOM) + (1 - self.keep)
         self.begin = _function("begin", [self.data], [t, self.keep * FIRST / t])
@@ -306,7 +310,7 @@ class _Stage:
             # total = l + (r - l miss)/t  with r the complementarity asked for
             dl = total - lam - self.w * (dt - self._miss)
             ratios = ca.vertcat(-dt * self._inverse, -dl / (lam + (1 - self.keep)), 1.0)
-            return ds, dt, dl, ca.SX(ca.mmax(ratios))
+            return ds, dt, dl, _largest(ratios)
 
         _, dt, dl, longest = steps(force)
         sums = ca.vertcat(longest, ca.dot(t, dl) + ca.dot(lam, dt), ca.dot(dt, dl))
@@ -389,6 +393,8 @@ class RiccatiQp:
         n, i, e = self.n, self.inner, self.last
         iterate, (back, motion, data_end) = self._iterate()
         here, end, facts = [back, *iterate[:4]], [data_end, *iterate[4:8]], iterate[8]
+        here.append(i.scale.map(n)(*iterate[2:4]))
+        end.append(e.scale(*iterate[6:8]))
         share, mu = facts[0], facts[1]
         shares = ca.repmat(share, 1, n)
         _, policy = i.backward.mapaccum("sweep", n, 1)(e.backward(*end), *here, shares)
@@ -504,6 +510,15 @@ def _backwards(columns: ca.MX) -> ca.MX:
 
 
 # ---- sums and small matrices --------------------------------------------------------------------
+def _largest(column: ca.SX) -> ca.SX:
+    """The largest entry, by pairs: a chain of comparisons would wait for each."""
+    values = ca.vertsplit(column)
+    while len(values) > 1:
+        pairs = zip(values[::2], values[1::2], strict=False)
+        values = [*(ca.fmax(a, b) for a, b in pairs), *values[len(values) & ~1 :]]
+    return ca.SX(values[0])
+
+
 def _others(values: Sequence[ca.SX], more: float) -> list[ca.SX]:
     """For each value the sum of all the others, and ``more``."""
     before, after = [ca.SX(more)], [ca.SX(0.0)]
