@@ -22,7 +22,7 @@ __all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "inlined", "repeated"]
 
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
-GAP = 1e-11
+GAP = 1e-12
 """Mean complementarity that ends it, in units of nominal: leaves about 1e-9 of nominal, so that the
 commands of two machines whose functions differ in the last bit differ by no more."""
 CLOSED = 1e-8
