@@ -1,9 +1,8 @@
-"""Which variables an FMU has, in which order: one value reference for FMI 2,
-FMI 3 and the C code.
-"""
+"""Which variables an FMU has, in which order: one value reference for FMI and C."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -17,7 +16,7 @@ from ..core.variables import Variable
 if TYPE_CHECKING:
     from ..plants.plant import Plant
 
-__all__ = ["Dependency", "Entry", "Layout"]
+__all__ = ["Dependency", "Entry", "Layout", "PlantLayout", "Role"]
 
 Role = Literal["time", "state", "derivative", "input", "parameter", "output"]
 Dependency = tuple[int, str]
@@ -37,26 +36,29 @@ class Entry:
 
 
 class Layout:
-    """The variables of a plant's FMU, numbered as in fmu/src/model.h, and what depends on what.
+    """The variables of an FMU, numbered as in fmu/src/model.h, and what depends on what.
 
+    groups : the variables by role, in the order of their references.
     shown : states and outputs to be outputs of the FMU, by default all; the others are local
-    variables, which can be read but are not offered for connections.
+        variables, which can be read but are not offered for connections.
 
-    Raises ExportError when a name of the plant is one that FMI needs.
+    Raises ExportError when a name is one that FMI needs.
     """
 
-    def __init__(self, plant: Plant, shown: frozenset[str] | None = None) -> None:
-        self.plant = plant
+    sample_time: float | None = None
+    """Of a sampled block [s]; None for a plant."""
+
+    def __init__(
+        self,
+        name: str,
+        description: str,
+        groups: Sequence[tuple[Role, tuple[Variable, ...]]],
+        shown: frozenset[str] | None = None,
+    ) -> None:
+        self.name, self.description = name, description
         time = Variable("time", "input", unit="s", description="independent variable")
-        groups: list[tuple[Role, tuple[Variable, ...]]] = [
-            ("time", (time,)),
-            ("state", plant.states),
-            ("derivative", tuple(_derivative(v) for v in plant.states)),
-            ("input", plant.inputs),
-            ("parameter", plant.parameters),
-            ("output", plant.outputs),
-        ]
-        numbered = [(role, v) for role, variables in groups for v in variables]
+        numbered: list[tuple[Role, Variable]] = [("time", time)]
+        numbered += [(role, v) for role, variables in groups for v in variables]
         self.entries = tuple(
             Entry(
                 i,
@@ -69,8 +71,8 @@ class Layout:
         )
         if sum(e.name == "time" for e in self.entries) > 1:
             raise ExportError(
-                f"plant {plant.name!r} has a variable named 'time'; FMI keeps this name for the "
-                "independent variable: rename it"
+                f"{name!r} has a variable named 'time'; FMI keeps this name for the independent "
+                "variable: rename it"
             )
 
     @property
@@ -81,6 +83,39 @@ class Layout:
     def of(self, role: Role) -> tuple[Entry, ...]:
         """All entries of a role, in order."""
         return tuple(e for e in self.entries if e.role == role)
+
+    def variables(self, role: Role) -> tuple[Variable, ...]:
+        """The variables of a role, in order."""
+        return tuple(e.variable for e in self.of(role))
+
+    def vector(self, role: Role, attribute: str) -> list[float]:
+        """One attribute of all variables of a role; 0 for a start that is not given."""
+        return [float(getattr(v, attribute) or 0.0) for v in self.variables(role)]
+
+    @cached_property
+    def dependencies(self) -> Mapping[int, tuple[Dependency, ...]]:
+        """For each derivative and output: the states and inputs it depends on, and how."""
+        raise NotImplementedError
+
+    @cached_property
+    def initial_dependencies(self) -> Mapping[int, tuple[Dependency, ...]]:
+        """For each derivative and output: states, inputs and parameters it starts from."""
+        raise NotImplementedError
+
+
+class PlantLayout(Layout):
+    """The variables of a plant's FMU."""
+
+    def __init__(self, plant: Plant, shown: frozenset[str] | None = None) -> None:
+        self.plant = plant
+        groups: list[tuple[Role, tuple[Variable, ...]]] = [
+            ("state", plant.states),
+            ("derivative", tuple(_derivative(v) for v in plant.states)),
+            ("input", plant.inputs),
+            ("parameter", plant.parameters),
+            ("output", plant.outputs),
+        ]
+        super().__init__(plant.name, plant.description, groups, shown)
 
     @cached_property
     def unknowns(self) -> ca.SX:

@@ -14,7 +14,7 @@ from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from . import description, package
+from . import assembly, description
 from .motion import export_motion, player
 from .package import export_fmu
 
@@ -88,7 +88,7 @@ def export_ssp(
             content[f"resources/{key}.fmu"] = file.read_bytes()
         text = description.to_text(_structure(name, plants, wires, stop_time))
         content["SystemStructure.ssd"] = text.encode()
-        package.write_archive(target, content)
+        assembly.write_archive(target, content)
     return Path(path)
 
 
