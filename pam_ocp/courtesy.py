@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from .core.lazy import lazily
 
 if TYPE_CHECKING:
+    from .control.blocks.making import block as block
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
     from .figures.html import html_of as html_of
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from .planning.saved_plan import save_plan as save_plan
 
 _HOMES: dict[str, str] = {
+    "block": "control.blocks.making",
     "closed_loop": "control.loop",
     "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",

@@ -1,4 +1,5 @@
 # Names of pam_ocp.export, loaded at their first use.
+from .c_code.package import export_c as export_c
 from .check import FmuCheck as FmuCheck
 from .check import check_fmu as check_fmu
 from .compile import PLATFORMS as PLATFORMS
