@@ -52,7 +52,7 @@ def export_fmu(
     Parameters
     ----------
     system : any Plant (its parameter values and starts become the FMU's start values), a Block, or
-        a controller with a method ``block()``.
+        a controller, of which ``pam_ocp.control.block`` makes one.
     path : the file to write, such as "slide.fmu". An existing file is replaced when all is done.
     fmi : "2.0" (default: read by every importer) or "3.0" (adjoint derivatives, event mode, a
         block's clock, intermediate update).

@@ -11,6 +11,8 @@ import casadi as ca
 
 from ..core.block import Block
 from ..core.errors import ExportError, InputError
+from ..core.trajectory import Trajectory
+from ..plants.plant import Plant
 from . import source
 from .layout import Dependency, Layout
 
@@ -22,12 +24,14 @@ _FORBIDDEN = re.compile(r"\b(malloc|calloc|realloc|fopen|dlopen|printf)\s*\(|#in
 
 
 def as_block(system: Any) -> Block | None:
-    """The block that ``system`` is, or that its method ``block()`` makes; None for all others."""
+    """The block that ``system`` is or, for a controller, is made of; None for a plant, a motion and
+    what is plainly neither.
+    """
     if isinstance(system, Block):
         return system
-    made = getattr(system, "block", None)
-    found = made() if callable(made) else None
-    return found if isinstance(found, Block) else None
+    if isinstance(system, Plant | Trajectory) or type(system).__module__ == "builtins":
+        return None
+    return Block.of(system)
 
 
 class BlockLayout(Layout):

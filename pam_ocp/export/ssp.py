@@ -52,6 +52,7 @@ def export_ssp(
     fmi: FmiVersion = "2.0",
     step_size: float | None = None,
     stop_time: float = 1.0,
+    tolerance: float = 1e-6,
     platforms: Iterable[str] | None = None,
 ) -> Path:
     """Write FMUs (Co-Simulation) and their connections as an SSP 1.0; returns its path.
@@ -69,6 +70,7 @@ def export_ssp(
     fmi : of the units; not all tools for systems read 3.0.
     step_size : proposed communication step [s]; by default the blocks' sample time, else 1 ms.
     stop_time : proposed end [s].
+    tolerance : of the plants, see :func:`export_fmu`.
     platforms : see :func:`export_fmu`.
 
     Start values and parameters stand in the FMUs and, to be changed there, in the SSP. Inputs are
@@ -81,7 +83,7 @@ def export_ssp(
     stop_time = require_positive("stop_time", stop_time, "s")
     found = _named(components)
     size = _step_size(found, step_size)
-    parts = {n: _part(n, c, fmi, platforms, size) for n, c in found.items()}
+    parts = {n: _part(n, c, size, tolerance, fmi, platforms) for n, c in found.items()}
     wires = _wires(parts, connections)
     with (
         atomic_path(path) as target,
@@ -151,9 +153,10 @@ def _step_size(components: Mapping[str, Component], step_size: float | None) -> 
 def _part(
     name: str,
     component: Plant | Block | Trajectory,
+    step_size: float,
+    tolerance: float,
     fmi: FmiVersion,
     platforms: Iterable[str] | None,
-    step_size: float,
 ) -> Part:
     chosen = None if platforms is None else [platforms] if isinstance(platforms, str) else platforms
     more: dict[str, Any] = {"fmi": fmi, "platforms": chosen, "step_size": step_size}
@@ -181,7 +184,7 @@ def _part(
         model.inputs,
         model.states + model.outputs,
         model.states + model.parameters,
-        lambda path: export_fmu(model, path, **more),
+        lambda path: export_fmu(model, path, tolerance=tolerance, **more),
     )
 
 
