@@ -209,7 +209,7 @@ def _variables_3(root: ET.Element, layout: Layout, types: Types) -> None:
         if entry.role == "derivative":
             attributes["derivative"] = str(entry.reference - len(layout.of("state")))
         ET.SubElement(parent, "Float64", attributes)
-    if layout.sample_time is not None:
+    if layout.clock and layout.sample_time is not None:
         _clock(parent, layout, layout.sample_time)
 
 

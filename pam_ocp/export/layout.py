@@ -47,6 +47,8 @@ class Layout:
 
     sample_time: float | None = None
     """Of a sampled block [s]; None for a plant."""
+    clock = False
+    """Whether FMI 3 shows the samples' clock."""
 
     def __init__(
         self,

@@ -34,6 +34,7 @@ def export_fmu(
     step_size: float | None = None,
     tolerance: float = 1e-6,
     fixed_step: float | None = None,
+    clock: bool = True,
     stop_time: float = 1.0,
     reference: Trajectory | None = None,
     author: str | None = None,
@@ -70,6 +71,8 @@ def export_fmu(
         the importer's own solver, whose tolerance is that of one step.
     fixed_step : internal steps of this length [s] without error control, so that the work in a
         step is known beforehand (real time); by default steps follow the tolerance.
+    clock : False leaves the clock out of a block's FMI 3 description, for importers that cannot
+        read one (ecos 0.7.2 crashes); the samples are the same.
     stop_time : proposed end of a simulation [s].
     reference : a motion of this plant, to go into the FMU as reference result: a picture, tables
         of inputs and outputs (``*_in.csv``, ``*_ref.csv``) to check an importer with, and the
@@ -93,7 +96,7 @@ def export_fmu(
                 raise InputError(f"{argument}: a block has none; leave it out")
         size = block.sample_time if step_size is None else step_size
         settings = checked(fmi, size, tolerance, None, stop_time, about)
-        return write_block(block, path, settings, platforms)
+        return write_block(block, path, settings, platforms, clock)
     plant = require_plant(system)
     size = 1e-3 if step_size is None else step_size
     settings = checked(fmi, size, tolerance, fixed_step, stop_time, about)
@@ -115,6 +118,7 @@ def write_block(
     path: str | os.PathLike[str],
     settings: Settings,
     platforms: Iterable[str] | None,
+    clock: bool,
 ) -> Path:
     """Write a block as an FMU."""
     content = Content(
@@ -124,4 +128,4 @@ def write_block(
         sampled.block_notes(block),
         sampled.block_data(block),
     )
-    return write_fmu(sampled.BlockLayout(block), path, settings, platforms, content)
+    return write_fmu(sampled.BlockLayout(block, clock), path, settings, platforms, content)

@@ -37,8 +37,8 @@ def as_block(system: Any) -> Block | None:
 class BlockLayout(Layout):
     """The variables of a block's FMU; its memory is not among them."""
 
-    def __init__(self, block: Block) -> None:
-        self.block = block
+    def __init__(self, block: Block, clock: bool = True) -> None:
+        self.block, self.clock = block, clock
         self.sample_time = block.sample_time
         super().__init__(
             block.name,

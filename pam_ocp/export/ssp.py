@@ -67,7 +67,8 @@ def export_ssp(
         component must have one, since some tools take 0 for an open one.
     path : the file to write. An existing file is replaced when all is done.
     name : of the system.
-    fmi : of the units; not all tools for systems read 3.0.
+    fmi : of the units; not all tools for systems read 3.0. Blocks have no clock here, since no
+        such tool ticks one.
     step_size : proposed communication step [s]; by default the blocks' sample time, else 1 ms.
     stop_time : proposed end [s].
     tolerance : of the plants, see :func:`export_fmu`.
@@ -166,7 +167,7 @@ def _part(
             block.inputs,
             block.outputs,
             block.parameters,
-            lambda path: export_fmu(block, path, **more),
+            lambda path: export_fmu(block, path, clock=False, **more),
             block.sample_time,
         )
     if isinstance(component, Trajectory):

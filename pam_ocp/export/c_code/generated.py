@@ -61,7 +61,37 @@ class StepCode:
     """Of the C library that are called."""
 
 
-_LIBRARY = ["acos", "acosh", "asin", "asinh", "atan", "atan2", "atanh", "ceil", "copysign", "cos", "cosh", "erf", "exp", "expm1", "fabs", "floor", "fmax", "fmin", "fmod", "hypot", "log", "log1p", "pow", "remainder", "sin", "sinh", "sqrt", "tan", "tanh"]
+_LIBRARY = [
+    "acos",
+    "acosh",
+    "asin",
+    "asinh",
+    "atan",
+    "atan2",
+    "atanh",
+    "ceil",
+    "copysign",
+    "cos",
+    "cosh",
+    "erf",
+    "exp",
+    "expm1",
+    "fabs",
+    "floor",
+    "fmax",
+    "fmin",
+    "fmod",
+    "hypot",
+    "log",
+    "log1p",
+    "pow",
+    "remainder",
+    "sin",
+    "sinh",
+    "sqrt",
+    "tan",
+    "tanh",
+]
 _PORTABLE = ("exp", "expm1", "tanh")
 """Those of fmu/src/elementary.h, the same to the last bit on every platform."""
 _EXACT = {"ceil", "copysign", "fabs", "floor", "fmax", "fmin", "fmod", "remainder", "sqrt"}
