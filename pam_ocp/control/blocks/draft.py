@@ -14,7 +14,7 @@ from ...core.errors import InputError
 from ...core.variables import Variable
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant
-from .kinds import ACTIVE, LARGEST, LIMITED, SENT
+from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
 __all__ = ["Draft", "compensated", "least_norm"]
 
@@ -122,6 +122,10 @@ class Draft:
             )
         )
 
+    def repeats(self, what: str, count: int) -> None:
+        """What is done ``count`` times in a step, besides what was told before."""
+        self.loops[what] = self.loops.get(what, 0) + count
+
     # ---- what the guard tells -------------------------------------------------------------------
     @property
     def active(self) -> Symbol:
@@ -132,6 +136,12 @@ class Draft:
     def limited(self) -> Symbol:
         """1 where the last command was not what was asked for."""
         return self.input(LIMITED, 0.0, description="1 where a limit acted on the last command")
+
+    @property
+    def held_back(self) -> Symbol:
+        """1 where a limit that the law cannot know acted on the last command."""
+        words = "1 where a rate or a narrower range acted on the last command"
+        return self.input(HELD_BACK, 0.0, description=words)
 
     def sent(self, variables: Iterable[Variable]) -> Symbol:
         """The commands that acted since the last step, as a column."""

@@ -23,7 +23,7 @@ import numpy as np
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.variables import Causality, Variable
-from .kinds import ACTIVE, LARGEST, LIMITED, SENT
+from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
 __all__ = ["STATUS", "Guard", "guarded"]
 
@@ -81,7 +81,7 @@ class _Guarded:
             for name in getattr(guard, argument):
                 if name not in law.commands:
                     raise UnknownNameError(f"command ({argument})", name, law.commands)
-        told = {ACTIVE, LIMITED, *(SENT + v.name for v in self.commands)}
+        told = {ACTIVE, LIMITED, HELD_BACK, *(SENT + v.name for v in self.commands)}
         self.inputs = [v for v in law.inputs if v.name not in told]
         self.told = [v for v in law.inputs if v.name in told]
         self.ranges = {v.name: self._range(v) for v in self.commands}
@@ -132,6 +132,7 @@ class _Guarded:
             )
             self._enter("was_active", "state", 1.0, description="the law's commands acted")
             self._enter("was_limited", "state", 0.0, description="a limit acted on a command")
+            self._enter("was_held_back", "state", 0.0, description="one that the law cannot know")
 
     def _declare_command(self, v: Variable) -> None:
         low, high = self.ranges[v.name]
@@ -191,7 +192,7 @@ class _Guarded:
             missing = ca.fmax(missing, ca.logic_not(good))
             lost = ca.fmax(lost, age > s["hold_samples"])
         for v in self.told:
-            names = {ACTIVE: "was_active", LIMITED: "was_limited"}
+            names = {ACTIVE: "was_active", LIMITED: "was_limited", HELD_BACK: "was_held_back"}
             seen[v.name] = s[names.get(v.name, v.name)]
         inner = [seen[v.name] for v in self.law.inputs]
         flags = ca.vertcat(s["enable"] >= 0.5, missing, lost)
@@ -199,7 +200,7 @@ class _Guarded:
 
     def _act(self) -> ca.Function:
         """(memory, inputs, enable, parameters, flags, law's memory before and after, law's outputs)
-        -> (law's memory, sent, fade, was active and limited, outputs)."""
+        -> (law's memory, sent, fade, was active, limited and held back, outputs)."""
         columns, s = self._columns()
         flags = ca.SX.sym("flags", 3)
         before, after = (ca.SX.sym(n, len(self.law.memory)) for n in ("before", "after"))
@@ -212,20 +213,23 @@ class _Guarded:
         awake = ca.logic_and(flags[0], ca.logic_not(flags[2]))
         kept = ca.if_else(whole, after, before) if after.numel() else after
         status = ca.logic_not(flags[0]) + 2 * flags[1] + 4 * flags[2] + 32 * ca.logic_not(whole)
-        sent, fade, at_range, at_rate = [], [], ca.SX(0), ca.SX(0)
+        sent, fade, at_range, narrowed, at_rate = [], [], ca.SX(0), ca.SX(0), ca.SX(0)
         given = [outputs[i] for i in range(len(place))]
         for v in self.commands:
             value, left, ranged, rated = self._sent(v, s, asked[v.name], awake, whole)
             sent.append(value)
             fade.append(left)
             at_range, at_rate = ca.fmax(at_range, ranged), ca.fmax(at_rate, rated)
+            if self.ranges[v.name] != (v.min, v.max):
+                narrowed = ca.fmax(narrowed, ranged)
             given[place.index(v.name)] = value
         for i, v in enumerate(self.law.outputs):
             if v.name not in asked:  # an estimate or a status that is no number is not told either
                 good = ca.fabs(outputs[i]) <= LARGEST
                 given[i] = ca.if_else(good, outputs[i], v.start or 0.0)
         status += 8 * at_range + 16 * at_rate
-        done = [awake * whole, ca.fmax(at_range, at_rate)] if self.commands else []
+        limited = [ca.fmax(at_range, at_rate), ca.fmax(narrowed, at_rate)]
+        done = [ca.logic_and(awake, whole), *limited] if self.commands else []
         results = [kept, _cat(sent), _cat(fade), _cat(done), _cat([*given, status])]
         return _function("act", [*columns, flags, before, after, outputs], results)
 
@@ -252,7 +256,7 @@ class _Guarded:
     # ---- the block ------------------------------------------------------------------------------
     def block(self) -> Block:
         law = self.law
-        clash = {v.name for v in (*law.memory, *law.parameters, *law.outputs)} & {
+        clash = {v.name for v in (*self.inputs, *law.memory, *law.parameters, *law.outputs)} & {
             *(n for kept in self._kept.values() for n in kept),
             "enable",
             "status",
@@ -308,7 +312,7 @@ class _Guarded:
         memory, sent, fade, done, given = results
         order = [f"held.{v.name}" for v in self.inputs] + [f"age.{v.name}" for v in self.inputs]
         order += [f"{part}.{v.name}" for part in ("sent", "fade") for v in self.commands]
-        order += ["was_active", "was_limited"] if self.commands else []
+        order += ["was_active", "was_limited", "was_held_back"] if self.commands else []
         parts = ca.vertcat(held, ages, sent, fade, done)
         places = [order.index(n) for n in kept["state"]]
         sorted_parts = parts[places] if places else parts

@@ -11,6 +11,8 @@ on and off) is put around it by :func:`guarded`. A law may take these inputs, wh
 ``sent.NAME``  the command NAME that acted since the last sample
 ``active``     1 while the law's own commands acted, 0 while something else was sent
 ``limited``    1 where a limit of the guard kept the last command from being what was asked for
+``held_back``  the same, of limits that the law cannot know: rates, and ranges narrower than the
+               command's own
 """
 
 from __future__ import annotations
@@ -22,12 +24,12 @@ from ...core.block import Block
 from ...core.errors import InputError
 from ...core.registry import Registry
 
-__all__ = ["ACTIVE", "BLOCKS", "LARGEST", "LIMITED", "SENT", "TOLD", "law_of"]
+__all__ = ["ACTIVE", "BLOCKS", "HELD_BACK", "LARGEST", "LIMITED", "SENT", "TOLD", "law_of"]
 
 BLOCKS: Registry[Callable[..., Block]] = Registry("block", "pam_ocp.control")
 
-ACTIVE, LIMITED, SENT = "active", "limited", "sent."
-TOLD = (ACTIVE, LIMITED, "sent", "enable", "wanted", "ahead", "place")
+ACTIVE, LIMITED, HELD_BACK, SENT = "active", "limited", "held_back", "sent."
+TOLD = (ACTIVE, LIMITED, HELD_BACK, "sent", "enable", "wanted", "ahead", "place")
 """First parts of names of inputs that are no measurements: references, and what the guard tells."""
 LARGEST = 1e30
 """A number beyond is none [SI]; single precision holds it."""

@@ -14,7 +14,7 @@ from ...core.block import Block
 from ...core.errors import ExportError
 from ...core.variables import Variable
 from .counts import Counts
-from .generated import Precision, StepCode, inexact, portable_functions
+from .generated import Precision, StepCode, inexact, library_functions, portable_functions
 
 __all__ = ["CExport", "Vectors"]
 
@@ -203,10 +203,12 @@ void {p}_step({p}_state *state, const {p}_parameters *parameters, const {p}_inpu
         portable = '#include "elementary.h"\n' if portable_functions(c, self.precision) else ""
         iw = f"    int iw[{c.integers}];\n" if c.integers else ""
         none = "" if b.parameters else "    (void)parameters;\n"
-        return f"""/* {_plain(b.description or b.name)}: see {p}.h. Written by pam_ocp; do not edit. */
+        said = _plain(b.description or b.name)
+        needs_math = c.functions or re.search(r"\b(?:INFINITY|NAN)\b", c.text + init)
+        math = "#include <math.h>\n" if needs_math else ""
+        return f"""/* {said}: see {p}.h. Written by pam_ocp; do not edit. */
 #include "{p}.h"
-#include <math.h>
-{portable}#if defined(__clang__)
+{math}{portable}#if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #endif
 typedef {p}_real real;
@@ -345,6 +347,7 @@ add_test(NAME selftest COMMAND {p}_selftest)
             "\n".join(f"- {k}: {v}" for k, v in b.loops.items())
             or "- none: the code of a step runs straight through"
         )
+        whole = "at most" if self.counts.whole else "at least (linear systems are not counted)"
         rough = inexact(c, self.precision)
         bits = (
             "The same bits on every machine that computes by IEEE 754 and fuses no product with a "
@@ -357,8 +360,8 @@ add_test(NAME selftest COMMAND {p}_selftest)
             )
         return f"""# {p}
 
-{_plain(b.description or b.name)}; one step every {b.sample_time:g} s, in {self.precision.name}
-precision. Written by pam_ocp.
+{_plain(b.description or b.name)}; one step every {b.sample_time:g} s, in
+{self.precision.name} precision. Written by pam_ocp.
 
 ## How to call it
 
@@ -388,9 +391,9 @@ is a saved state.
 
 The stack holds {pointers} pointers, {4 * c.integers} bytes of indices, and the compiler's own
 variables. Nothing is allocated; no function of the system is called, of the C library
-{_list(c.functions)}.
+{_list(library_functions(c, self.precision))}.
 
-Operations of one step, at most (both branches of every choice are computed, so that each step
+Operations of one step, {whole} (both branches of every choice are computed, so that each step
 takes the same time):
 
 | operation | count |

@@ -18,7 +18,15 @@ from ...core.block import Block
 from ...core.errors import ExportError
 from ..runtime import c_text
 
-__all__ = ["Precision", "StepCode", "portable_functions", "step_code"]
+__all__ = [
+    "PRECISIONS",
+    "Precision",
+    "StepCode",
+    "inexact",
+    "library_functions",
+    "portable_functions",
+    "step_code",
+]
 
 STEP = "block_step"
 
@@ -61,49 +69,23 @@ class StepCode:
     """Of the C library that are called."""
 
 
-_LIBRARY = [
-    "acos",
-    "acosh",
-    "asin",
-    "asinh",
-    "atan",
-    "atan2",
-    "atanh",
-    "ceil",
-    "copysign",
-    "cos",
-    "cosh",
-    "erf",
-    "exp",
-    "expm1",
-    "fabs",
-    "floor",
-    "fmax",
-    "fmin",
-    "fmod",
-    "hypot",
-    "log",
-    "log1p",
-    "pow",
-    "remainder",
-    "sin",
-    "sinh",
-    "sqrt",
-    "tan",
-    "tanh",
-]
+_LIBRARY = re.findall(
+    r"\w+",
+    "acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 floor fmod hypot "
+    "log log1p pow remainder sin sinh sqrt tan tanh",
+)
 _PORTABLE = ("exp", "expm1", "tanh")
 """Those of fmu/src/elementary.h, the same to the last bit on every platform."""
-_EXACT = {"ceil", "copysign", "fabs", "floor", "fmax", "fmin", "fmod", "remainder", "sqrt"}
+_EXACT = {"ceil", "copysign", "floor", "fmod", "remainder", "sqrt"}
 """Those that every C library rounds correctly."""
 _REFUSED = ("casadi_malloc", "malloc(", "calloc(", "fprintf", "PRINTF", "static casadi_real *")
 
 
 def step_code(block: Block, precision: Precision) -> StepCode:
     """The step of a block in C. Raises ExportError where it calls what a target does not have."""
-    arguments: list[Any]
-    arguments = block.step.sx_in() if block.step.is_a("SXFunction") else block.step.mx_in()
-    step = ca.Function(STEP, arguments, block.step.call(arguments))
+    kept: Any = block.step
+    arguments = kept.sx_in() if kept.is_a("SXFunction") else kept.mx_in()
+    step = ca.Function(STEP, arguments, kept.call(arguments))
     options: dict[str, Any] = {
         "casadi_int": "int",
         "casadi_real": precision.ctype,
@@ -136,6 +118,7 @@ def _computing(raw: str) -> str:
     raw = re.sub(r"(?m)^ *#.*(?:\\\n.*)*\n", "", raw)
     for name, sign in (("fmin", "<"), ("fmax", ">")):  # of -0 and 0 C libraries take either
         raw = raw.replace(f"return {name}(x, y);", f"return (x {sign} y || y != y) ? x : y;")
+    raw = raw.replace("return fabs(x);", "return x > 0 ? x : 0 - x;")
     raw = re.sub(r"(?ms)^CASADI_SYMBOL_EXPORT [^\n{]*\{[^\n]*\}\n", "", raw)  # of one line
     raw = re.sub(r"(?ms)^CASADI_SYMBOL_EXPORT .*?^\}\n", "", raw)
     raw = re.sub(r"/\*.*?\*/", "", raw, flags=re.S)
@@ -185,6 +168,7 @@ def _spelt(text: str, precision: Precision, used: tuple[str, ...]) -> str:
     text = re.sub(rf"\({atom}\?{atom}:0\)", r"(\1!=0?\2:0)", text)  # a number is no condition
     text = re.sub(rf"\(! *{atom} *\)", r"(\1==0)", text)
     text = re.sub(rf"\({atom}(&&|\|\|){atom}\)", r"(\1!=0\2\3!=0)", text)
+    text = text.replace("*(ng-1)/dg", "*(real)(ng-1)/dg")
     for name in used:
         spelt = name + precision.suffix
         if precision.name == "double" and name in _PORTABLE:
@@ -201,8 +185,14 @@ def portable_functions(code: StepCode, precision: Precision) -> str:
     """fmu/src/elementary.h where its functions are called; "" elsewhere."""
     if precision.name != "double" or not set(code.functions) & set(_PORTABLE):
         return ""
-    text = c_text("elementary.h")
+    text = re.sub(r"\bINFINITY\b", "(double)INFINITY", c_text("elementary.h"))
     return re.sub(r"(?m)^static double (?=\w+\()", "static inline double ", text)
+
+
+def library_functions(code: StepCode, precision: Precision) -> tuple[str, ...]:
+    """The functions of the C library that are called."""
+    own = _PORTABLE if precision.name == "double" else ()
+    return tuple(f"{n}{precision.suffix}" for n in code.functions if n not in own)
 
 
 def inexact(code: StepCode, precision: Precision) -> tuple[str, ...]:

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.atomic import make_folder
 from ...core.block import Block
-from ...core.errors import InputError, require_count
+from ...core.errors import ExportError, InputError, require_count, require_positive
 from ...core.exceptions import WriteError
 from ...core.stop import verb
 from .counts import counted
 from .files import CExport, Vectors
 from .generated import PRECISIONS, Precision, step_code
-from .vectors import inputs_of, outputs_of
+from .vectors import inputs_of, outputs_of, sensitivity
 
 __all__ = ["export_c"]
 
@@ -30,6 +30,11 @@ Array: TypeAlias = NDArray[np.float64]
 MARK = "pam_ocp_export.json"
 """Tells a folder that export_c wrote."""
 TOLERANCE = {"double": 1e-12, "single": 1e-4}
+"""Least tolerance of a self-test."""
+MARGIN = 10.0
+"""How much more than the effect of rounding the memory a self-test allows."""
+USELESS = 0.02
+"""Effect of rounding, relative, beyond which a block is no use in a precision."""
 LARGEST_SINGLE = 3e38
 
 
@@ -56,10 +61,11 @@ def export_c(
     Parameters
     ----------
     controller : a Block, or what ``pam_ocp.control.block`` makes one of, with its ``options``.
-    precision : of all numbers. "single" is compared with Python's double to ``tolerance`` only.
+    precision : of all numbers. The self-test compares with Python's double in either.
     name : prefix of all names in C; by default the block's.
     steps, seed : of the test vectors; or inputs (n, inputs) [SI] in the block's order.
-    tolerance : of the self-test, relative; by default 1e-12 (double) or 1e-4 (single).
+    tolerance : of the self-test, relative; by default 1e-12 (double) or 1e-4 (single), or ten times
+        what rounding the memory makes of the outputs, where that is more.
 
     Returns the folder. Raises InputError for what cannot be meant, ExportError for a block that
     cannot be C, WriteError for a folder that is there and is no such export.
@@ -72,8 +78,18 @@ def export_c(
     _require_finite(block, kind)
     place = _place(folder)
     given = _inputs(block, steps, inputs, seed)
-    limit = TOLERANCE[precision] if tolerance is None else float(tolerance)
-    expected = outputs_of(block, given, precision == "single")
+    single = precision == "single"
+    expected = outputs_of(block, given, single=single)
+    if tolerance is None:
+        error = sensitivity(block, given, expected, kind.digits, single)
+        if not error <= USELESS:
+            raise ExportError(
+                f"{block.name}: rounding in {precision} precision changes its outputs by "
+                f"{error:.1g} of their size; take precision='double', or give inputs=... of its "
+                "normal use"
+            )
+        tolerance = max(TOLERANCE[precision], MARGIN * error)
+    limit = require_positive("tolerance", tolerance)
     export = CExport(
         block,
         step_code(block, kind),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...core.block import Block
 from ...core.errors import ExportError
 
-__all__ = ["inputs_of", "outputs_of"]
+__all__ = ["inputs_of", "outputs_of", "sensitivity"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -44,14 +44,25 @@ def inputs_of(block: Block, steps: int, seed: int) -> Array:
     return found
 
 
-def outputs_of(block: Block, inputs: Array, single: bool) -> Array:
-    """Outputs (steps, outputs) of the block in Python. single : inputs are rounded, as in C."""
+def outputs_of(
+    block: Block, inputs: Array, rounding: float = 0.0, single: bool = False, seed: int = 0
+) -> Array:
+    """Outputs (steps, outputs) of the block in Python.
+
+    single : inputs and parameters are rounded, as in C. rounding : relative error that the memory
+    suffers in each step.
+    """
+    random = np.random.default_rng(seed)
     memory, parameters = block.start("memory"), block.start("parameters")
+    if single:
+        inputs, parameters = (a.astype(np.float32).astype(float) for a in (inputs, parameters))
     rows = []
     for row in inputs:
-        given = row.astype(np.float32).astype(float) if single else row
-        memory, outputs = (np.asarray(m).ravel() for m in block.step(memory, given, parameters))
+        memory, outputs = (np.asarray(m).ravel() for m in block.step(memory, row, parameters))
         rows.append(outputs)
+        if rounding:
+            moved = memory * (1 + rounding * random.uniform(-1, 1, len(memory)))
+            memory = np.where(memory == np.round(memory), memory, moved)  # counts are exact
     found = np.array(rows).reshape(len(inputs), len(block.outputs))
     if not np.all(np.isfinite(found)):
         raise ExportError(
@@ -59,3 +70,13 @@ def outputs_of(block: Block, inputs: Array, single: bool) -> Array:
             "(pam_ocp.control.block(...)), or give inputs=... of its normal use"
         )
     return found
+
+
+def sensitivity(block: Block, inputs: Array, expected: Array, digits: float, single: bool) -> float:
+    """The largest change of an output, relative to itself and its nominal, that rounding makes.
+
+    digits : spacing of numbers at 1. Each value of the memory errs by some of it in each step.
+    """
+    nominal = np.array([v.nominal for v in block.outputs])
+    rounded = outputs_of(block, inputs, 4 * digits, single)
+    return float(np.max(np.abs(rounded - expected) / (nominal + np.abs(expected)), initial=0.0))
