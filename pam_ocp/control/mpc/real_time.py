@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .riccati import ITERATIONS, RiccatiQp, Side, repeated
+from .riccati import ITERATIONS, RiccatiQp, Side, inlined, repeated
 from .shooting import NodeLimit, TrackingPoint, TrackingProgram
 from .sqp import DAMPING, MISS, SqpOutcome
 
@@ -66,8 +66,8 @@ class RealTimeIteration:
 
     facts : see FACTS. ``status`` is 0 where the tolerance was met, 1 where the SQP steps or their
     ``work`` were used up before, 2 where a quadratic program failed and the plan of the call before
-    is followed, 3 where more than ``patience`` failed in a row: the safe inputs, and the next call
-    begins anew. ``active`` counts the limits that hold the plan back, ``violation`` is
+    is followed, 3 where more than ``patience`` failed in a row: the safe inputs. After a failure
+    the next call begins anew, from the state and the inputs as they are. ``active`` counts the limits that hold the plan back, ``violation`` is
     the largest by which a soft one gives way, in units of nominal.
 
     applied : inputs that act now [SI]. Memory holds the solution (states and inputs, node after
@@ -146,9 +146,9 @@ class RealTimeIteration:
         states, inputs = self._guess()(
             before, ca.reshape(part["inputs"], p.nu, n), start, applied, warm, q
         )
-        loop = self._sqp()
         zero = ca.DM([0, math.inf, 0, 0, 0, 0, 0, 0, 0])
-        found, chosen, told = loop(states, inputs, zero, start, applied, references, q, bounds)
+        given = [states, inputs, zero, start, applied, references, q, bounds]
+        found, chosen, told = inlined(self._sqp(), given)
         # zero: damping, step, work, iterations, finished, usable, active, violation, converged
         usable, converged = told[5], told[8]
         failures = _either(usable, 0, failures + 1)
@@ -158,7 +158,7 @@ class RealTimeIteration:
         first = _either(lost, safe, self._held(inputs[:, 0], bounds))
         after = self._advance(now, applied if self.delay else first, q)
         expected = _either(ca.fabs(after) <= LARGEST, after, now)
-        counts = ca.vertcat(1 - lost, missing, failures)
+        counts = ca.vertcat(usable, missing, failures)
         status = _either(converged, SOLVED, UNFINISHED)
         status = _either(lost, SAFE, _either(usable, status, SHIFTED))
         facts = [status, told[3], told[2], told[1], converged, told[6], told[7], missing, failures]
@@ -203,7 +203,7 @@ class RealTimeIteration:
         rated = ca.horzcat(applied, inputs[:, : n - 1])[p.rated, :] if p.rated else ca.MX(0, n)
         y = ca.vertcat(states[:, :n], rated, inputs)
         data = qp.write(y, states[:, n], references, q, bounds, damping)
-        dy, _, dy_end, _, facts = qp.solve(*data)
+        dy, dy_end, facts = inlined(qp.solve, data)
         share, miss = facts[0], facts[3]
         size = ca.fmax(ca.mmax(ca.fabs(dy)), ca.mmax(ca.fabs(dy_end)))
         finite = ca.sum1(ca.sum2(ca.fabs(dy))) + ca.sum1(ca.fabs(dy_end)) <= LARGEST

@@ -18,18 +18,25 @@ import numpy as np
 
 from .shooting import TrackingProgram
 
-__all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "repeated"]
+__all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "inlined", "repeated"]
 
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
-GAP = 1e-8
-"""Mean complementarity that ends it, in units of nominal: as that of HPIPM here."""
+GAP = 1e-12
+"""Mean complementarity that ends it, in units of nominal: leaves about 1e-9 of nominal, so that the
+commands of two machines whose functions differ in the last bit differ by no more."""
 CLOSED = 1e-8
 """Share of the defects that may be left when it ends."""
 SHORT = 0.995
 """Share of the way to the nearest wall of the barrier that is gone."""
 FIRST = 1.0
 """Complementarity at the start, where nothing is known of the multipliers."""
+SMALLEST = 1e-14
+"""A pivot of a factorisation, as a share of its diagonal, below which it is rounding."""
+FLAT = 20
+"""Calls in a row that are written one after another."""
+LARGEST = 1e30
+"""A sum beyond it is no number."""
 ROOM = 0.1
 """Least distance from a limit at the start, in units of nominal."""
 
@@ -54,6 +61,8 @@ class _Packed:
 
     def __init__(self, parts: Mapping[str, ca.SX]) -> None:
         self._parts: dict[str, tuple[ca.Sparsity, list[float | None]]] = {}
+        self.ends: dict[str, int] = {}
+        """Of each part's entries in the column."""
         entries: list[ca.SX] = []
         for name, part in parts.items():
             values: list[float | None] = []
@@ -62,6 +71,7 @@ class _Packed:
                 if values[-1] is None:
                     entries.append(entry)
             self._parts[name] = (part.sparsity(), values)
+            self.ends[name] = len(entries)
         self.column = ca.SX(ca.vertcat(*entries)) if entries else ca.SX(0, 1)
         self.size = len(entries)
 
@@ -118,11 +128,11 @@ class _Stage:
         to_value = ca.jacobian(value, y) if sides else ca.SX(0, self.ny)
         self.packed = _Packed(
             {
-                "h": h[: self.ny, : self.ny],
-                "g": ca.densify(g[: self.ny]),
                 "a": to_next[:, : self.nz],
                 "b": to_next[:, self.nz : self.ny],
                 "defect": ca.densify(following) - target,
+                "h": h[: self.ny, : self.ny],
+                "g": ca.densify(g[: self.ny]),
                 "c": ca.vertcat(to_value, ca.SX(p.ns, self.ny)),
                 "d": ca.vertcat(ca.densify(value), ca.SX.zeros(p.ns)),
                 "damping": damping,
@@ -130,18 +140,22 @@ class _Stage:
             }
         )
         arguments = [y, target, p.reference, p.q, bounds, keep, damping]
-        column = ca.cse(self.packed.column)
-        self.write = ca.Function("write", arguments, [column])
+        self.write = _function("write", arguments, [self.packed.column])
         self.size = self.packed.size
+        self.motion = self.packed.ends["defect"]
+        """Of the data, the first ones say how the node after follows: all that a roll-out needs."""
         self._symbols()
         self._functions()
 
     # ---- pieces ---------------------------------------------------------------------------------
     def _symbols(self) -> None:
-        names = {"data": self.size, "y": self.ny, "s": self.ns, "t": self.m, "l": self.m}
-        symbols = {n: ca.SX.sym(n, k) for n, k in names.items()}
-        self._in = [symbols[n] for n in names]
-        self.data, self.y, self.s, self.t, self.lam = self._in
+        sizes = {"data": self.size, "y": self.ny, "s": self.ns, "t": self.m, "l": self.m}
+        known = {n: ca.SX.sym(n, k) for n, k in sizes.items()}
+        self.data, self.y, self.s, self.t, self.lam = self._here = list(known.values())
+        # divisions are dear, and each sweep would do them again
+        scales = ca.SX.sym("scales", 2 * self.m + 1)
+        self._in = [*self._here, scales]
+        self._inverse, self.w, self._share = ca.vertsplit(scales, [0, self.m, 2 * self.m, 2 * self.m + 1])
         parts = self.packed(self.data)
         self.g, self.a, self.b = parts["g"], parts["a"], parts["b"]
         self.defect, self.c, self.d = parts["defect"], parts["c"], parts["d"]
@@ -150,24 +164,13 @@ class _Stage:
         self.keep = ca.SX(ca.vertcat(*(keep if e else ca.SX(1.0) for e in self._given)))
         if not self.m:
             self.keep = ca.SX(0, 1)
-        self.w = self.lam / self.t
-        self._others()
-
-    def _others(self) -> None:
-        """The sum of all weights on the slack, and for each side that of the others: M - w_i,
-        summed without it, since a weight may be larger than the others by all digits.
-        """
-        weights = [self.w[i] for i in range(self.m)]
-        at = [i for i in range(self.m) if self.e[i]]
-        before, after = [ca.SX(self._hss)], [ca.SX(0.0)]
-        for i in at:
-            before.append(before[-1] + weights[i])
-        for i in reversed(at):
-            after.append(after[-1] + weights[i])
-        after.reverse()
-        self._soft = at
-        self._all = before[-1]
-        self._rest = [before[k] + after[k + 1] for k in range(len(at))]
+        self._soft = [i for i in range(self.m) if self.e[i]]
+        # weights may differ by all digits: M - w_i is summed without w_i
+        self._rest = _others([self.w[i] for i in self._soft], self._hss)
+        exact = [self.lam[i] / self.t[i] for i in self._soft]
+        total = sum(exact, ca.SX(self._hss))
+        column = ca.vertcat(1 / self.t, self.lam / self.t, 1 / total if exact else 1.0)
+        self.scale = _function("scale", [self.t, self.lam], [column])
 
     def _gap(self, y: ca.SX, s: ca.SX) -> ca.SX:
         return ca.densify(self.c @ y) + self._slack(s)
@@ -187,17 +190,18 @@ class _Stage:
             if not self.e[i]:
                 weight[i, i] = self.w[i]
         for k, i in enumerate(self._soft):
-            weight[i, i] = self.w[i] * self._rest[k] / self._all
+            scaled = self.w[i] * self._share
+            weight[i, i] = scaled * self._rest[k]
             for j in self._soft[:k]:
-                weight[i, j] = weight[j, i] = -self.w[i] * self.w[j] / self._all
+                weight[i, j] = weight[j, i] = -scaled * self.w[j]
         return ca.SX(self.h + self.c.T @ weight @ self.c)
 
     def _turned(self, force: ca.SX) -> ca.SX:
         """The forces of the sides on dy once the slack has given way: (I - W e e'/M) force."""
         turned = ca.SX(force)
+        others = _others([force[i] for i in self._soft], 0.0)
         for k, i in enumerate(self._soft):
-            others = sum((force[j] for j in self._soft if j != i), ca.SX(0.0))
-            turned[i] = (self._rest[k] * force[i] - self.w[i] * others) / self._all
+            turned[i] = (self._rest[k] * force[i] - self.w[i] * others[k]) * self._share
         return turned
 
     def _slack_step(self, force: ca.SX, dy: ca.SX, own: ca.SX | float) -> ca.SX:
@@ -206,7 +210,7 @@ class _Stage:
             return ca.SX(0, 1)
         pull = sum((force[i] for i in self._soft), ca.SX(0.0))
         carried = ca.dot(ca.SX(self.e) * self.w, self.c @ dy)
-        return ca.SX(-(own - pull + carried) / self._all)
+        return ca.SX(-(own - pull + carried) * self._share)
 
     @property
     def _own(self) -> ca.SX:
@@ -219,16 +223,18 @@ class _Stage:
         pushed = self._turned(force)
         if self.ns:
             for i in self._soft:
-                pushed[i] += self.w[i] * self._own / self._all
+                pushed[i] += self.w[i] * self._share * self._own
         gradient = self.h @ self.y + self.g - self.c.T @ pushed
         products, centre = ca.SX.sym("products", self.m), ca.SX.sym("centre")
-        more = self.keep * (centre - products) / self.t
+        more = self.keep * (centre - products) * self._inverse
         change = -(self.c.T @ self._turned(more))
         share = ca.SX.sym("share")
         if self.last:
             matrix, gradient, change = (self._padded(e) for e in (self._matrix(), gradient, change))
-            self.backward = ca.Function("end", self._in, [ca.vertcat(_lower(matrix), gradient)])
-            self.again = ca.Function("end_again", [*self._in, products, centre], [change])
+            value = ca.densify(ca.vertcat(_lower(matrix), gradient))
+            self.backward = _function("end", self._in, [value])
+            again = [*self._in, products, centre]
+            self.again = _function("end_again", again, [ca.densify(change)])
         else:
             self._recursions(gradient, change, share, products, centre)
         self._steps(force, more, products, centre)
@@ -237,10 +243,10 @@ class _Stage:
         active = ca.sum1(self.keep * (self.lam > self.t)) if self.m else ca.SX(0.0)
         if self.ns:  # the slack's own side is not a limit
             active -= self.lam[-1] > self.t[-1]
-        self.look = ca.Function("look", self._in, [ca.vertcat(least, active)])
+        self.look = _function("look", self._here, [ca.vertcat(least, active)])
         start = self._gap(ca.SX.zeros(self.ny), ca.SX.ones(self.ns) * ROOM) + self.d
         t = self.keep * ca.fmax(start, ROOM) + (1 - self.keep)
-        self.begin = ca.Function("begin", [self.data], [t, self.keep * FIRST / t])
+        self.begin = _function("begin", [self.data], [t, self.keep * FIRST / t])
 
     def _padded(self, part: ca.SX) -> ca.SX:
         size = self.full - self.nz
@@ -266,10 +272,10 @@ class _Stage:
         before = whole[:nz, :nz] + cross.T @ gain
         slope_before = pull[:nz] + gain.T @ pull[nz:]
         policy = ca.vertcat(ca.vec(gain), _lower(root), constant)
-        self.backward = ca.Function(
+        self.backward = _function(
             "backward",
             [value, *self._in, share],
-            [ca.cse(ca.vertcat(_lower(before), slope_before)), ca.cse(policy)],
+            [ca.vertcat(_lower(before), slope_before), policy],
         )
         known = ca.SX.sym("policy", policy.numel())
         sizes = np.cumsum([0, nu * nz, nu * (nu + 1) // 2, nu])
@@ -277,7 +283,7 @@ class _Stage:
         gain, root = ca.reshape(k, nu, nz), _triangle(r, nu)
         slope = ca.SX.sym("slope", nz)
         pull = change + ab.T @ slope
-        self.again = ca.Function(
+        self.again = _function(
             "again",
             [slope, *self._in, known, products, centre],
             [pull[:nz] + gain.T @ pull[nz:], -_solved(root, pull[nz:])],
@@ -285,8 +291,10 @@ class _Stage:
         dz, constant = ca.SX.sym("dz", nz), ca.SX.sym("constant", nu)
         du = gain @ dz + constant
         after = self.a @ dz + self.b @ du + share * self.defect
-        self.forward = ca.Function(
-            "forward", [dz, self.data, known, constant, share], [ca.densify(after), du]
+        self.forward = _function(
+            "forward",
+            [dz, self.data[: self.motion], known, constant, share],
+            [ca.densify(after), du],
         )
 
     def _steps(self, force: ca.SX, more: ca.SX, products: ca.SX, centre: ca.SX) -> None:
@@ -301,23 +309,32 @@ class _Stage:
             dt = self.keep * self._gap(dy, ds) + self._miss
             # total = l + (r - l miss)/t  with r the complementarity asked for
             dl = total - lam - self.w * (dt - self._miss)
-            ratios = ca.vertcat(-dt / t, -dl / (lam + (1 - self.keep)), 1.0)
-            return ds, dt, dl, ca.SX(ca.mmax(ratios))
+            ratios = ca.vertcat(-dt * self._inverse, -dl / (lam + (1 - self.keep)), 1.0)
+            return ds, dt, dl, _largest(ratios)
 
         _, dt, dl, longest = steps(force)
         sums = ca.vertcat(longest, ca.dot(t, dl) + ca.dot(lam, dt), ca.dot(dt, dl))
-        self.predict = ca.Function("predict", [*self._in, dy], [dt * dl, sums])
+        self.predict = _function("predict", [*self._in, dy], [dt * dl, sums])
         ds, dt, dl, longest = steps(force + more)
-        self.correct = ca.Function(
-            "correct", [*self._in, dy, products, centre], [ds, dt, dl, longest]
+        size = sum((ca.sum1(ca.fabs(e)) for e in (dy, ds, dt, dl)), ca.SX(0.0))
+        told = ca.vertcat(longest, size)
+        self.correct = _function(
+            "correct", [*self._in, dy, products, centre], [ds, dt, dl, told]
         )
+        length, here = ca.SX.sym("length"), [self.y, self.s, t, lam]
+        changes = [ca.SX.sym("d", e.numel()) for e in here]
+        moved = [
+            ca.if_else(length > 0, e + length * d, e) for e, d in zip(here, changes, strict=True)
+        ]
+        self.move = _function("move", [*here, *changes, length], moved)
 
 
 class RiccatiQp:
     """The quadratic program of ``program`` at any point, solved by Functions alone.
 
     write : (y (ny, N), end, references, q, bounds, damping) -> data of inner nodes and of the last.
-    solve : data -> (dy, slacks, dy and slack of the last node, facts).
+    solve : data -> (dy, dy of the last node, facts): the share of the defects that is left, the
+    complementarity, iterations, the largest miss of a limit, limits that hold, the largest slack.
     bounds : those of all sides, symbols of the expressions in ``sides``.
     """
 
@@ -356,40 +373,41 @@ class RiccatiQp:
 
     # ---- the method -----------------------------------------------------------------------------
     def _iterate(self) -> tuple[list[ca.MX], list[ca.MX]]:
-        """Symbols of (iterate, data): dy, s, t, l of the inner nodes and of the last; the share of
-        the defects left, the complementarity, the iterations done.
+        """Symbols of (iterate, data): dy, s, t, l of the inner nodes, the last of them first, and
+        of the last node; the share of the defects left, the complementarity, the iterations done,
+        and 1 where one was lost. Data: of the inner nodes, the last of them first; of their motion,
+        the first of them first; of the last node.
         """
         n, i, e = self.n, self.inner, self.last
         sizes = [
             *((k, n) for k in (i.ny, i.ns, i.m, i.m)),
             *((k, 1) for k in (e.ny, e.ns, e.m, e.m)),
-            (3, 1),
+            (4, 1),
         ]
         iterate = [ca.MX.sym(f"i{k}", *size) for k, size in enumerate(sizes)]
-        data = [ca.MX.sym("data", i.size, n), ca.MX.sym("data_end", e.size)]
-        return iterate, data
+        data = [ca.MX.sym("data", i.size, n), ca.MX.sym("motion", i.motion, n)]
+        return iterate, [*data, ca.MX.sym("data_end", e.size)]
 
     def _iteration(self) -> ca.Function:
         """One iteration: (iterate, data) -> iterate."""
         n, i, e = self.n, self.inner, self.last
-        iterate, (data, data_end) = self._iterate()
-        y, s, t, lam, y_end, s_end, t_end, l_end, facts = iterate
-        here, end = [data, y, s, t, lam], [data_end, y_end, s_end, t_end, l_end]
+        iterate, (back, motion, data_end) = self._iterate()
+        here, end, facts = [back, *iterate[:4]], [data_end, *iterate[4:8]], iterate[8]
+        here.append(i.scale.map(n)(*iterate[2:4]))
+        end.append(e.scale(*iterate[6:8]))
         share, mu = facts[0], facts[1]
-        backward = [_turned(a) for a in here]
         shares = ca.repmat(share, 1, n)
-        _, policy = i.backward.mapaccum("sweep", n, 1)(e.backward(*end), *backward, shares)
-        policy = _turned(policy)
-        constant = policy[policy.shape[0] - i.nu :, :]
+        _, policy = i.backward.mapaccum("sweep", n, 1)(e.backward(*end), *here, shares)
+        forward = _backwards(policy)
         roll = i.forward.mapaccum("roll", n, 1)
         start = ca.MX.zeros(i.nz)
 
-        def rolled(first: ca.MX, shares: Any) -> tuple[ca.MX, ca.MX]:
-            after, du = roll(start, data, policy, first, shares)
+        def rolled(first: ca.MX, shares: ca.MX) -> tuple[ca.MX, ca.MX]:
+            after, du = roll(start, motion, forward, first, shares)
             dz = ca.horzcat(start, after[:, : n - 1])
-            return ca.vertcat(dz, du), after[: e.nz, n - 1]
+            return _backwards(ca.vertcat(dz, du)), after[: e.nz, n - 1]
 
-        dy, dy_end = rolled(constant, shares)
+        dy, dy_end = rolled(forward[policy.shape[0] - i.nu :, :], shares)
         products, sums = i.predict.map(n)(*here, dy)
         products_end, sums_end = e.predict(*end, dy_end)
         length = 1 / ca.fmax(ca.mmax(sums[0, :]), sums_end[0])
@@ -399,25 +417,28 @@ class RiccatiQp:
 
         centres = ca.repmat(centre, 1, n)
         slope = e.again(*end, products_end, centre)
-        _, change = i.again.mapaccum("sweep_again", n, 1)(
-            slope, *backward, _turned(policy), _turned(products), centres
-        )
-        more, more_end = rolled(_turned(change), ca.MX.zeros(1, n))
+        _, change = i.again.mapaccum("sweep_again", n, 1)(slope, *here, policy, products, centres)
+        more, more_end = rolled(_backwards(change), ca.MX.zeros(1, n))
         dy, dy_end = dy + more, dy_end + more_end
-        ds, dt, dl, longest = i.correct.map(n)(*here, dy, products, centres)
-        ds_end, dt_end, dl_end, longest_end = e.correct(*end, dy_end, products_end, centre)
-        longest = ca.fmax(ca.mmax(longest), longest_end)
-        length = ca.fmin(1.0, SHORT / longest)
-        changes = [dy, ds, dt, dl, dy_end, ds_end, dt_end, dl_end]
-        moved = [a + length * b for a, b in zip(iterate[:-1], changes, strict=True)]
-        left = (ca.dot(moved[2], moved[3]) + ca.dot(moved[6], moved[7])) / self.sides
-        told = ca.vertcat(share * (1 - length), left, facts[2] + 1)
-        return ca.Function("iteration", [*iterate, data, data_end], [*moved, told])
+        *changes, told = i.correct.map(n)(*here, dy, products, centres)
+        *changes_end, told_end = e.correct(*end, dy_end, products_end, centre)
+        longest = ca.fmax(ca.mmax(told[0, :]), told_end[0])
+        # an iteration that ends in no number is not taken, and is the last
+        sound = ca.sum2(told[1, :]) + told_end[1] <= LARGEST
+        length = ca.if_else(sound, ca.fmin(1.0, SHORT / longest), 0.0)
+        lengths = ca.repmat(length, 1, n)
+        moved = i.move.map(n)(*iterate[:4], dy, *changes, lengths)
+        moved_end = e.move(*iterate[4:8], dy_end, *changes_end, length)
+        left = (ca.dot(moved[2], moved[3]) + ca.dot(moved_end[2], moved_end[3])) / self.sides
+        facts = ca.vertcat(share * (1 - length), left, facts[2] + 1, ca.logic_not(sound))
+        given = [*iterate, back, motion, data_end]
+        return ca.Function("iteration", given, [*moved, *moved_end, facts])
 
     def _solve(self) -> ca.Function:
         n, i, e = self.n, self.inner, self.last
-        _, (data, data_end) = self._iterate()
-        t, lam = i.begin.map(n)(data)
+        _, (data, _, data_end) = self._iterate()
+        back = _backwards(data)
+        t, lam = i.begin.map(n)(back)
         t_end, l_end = e.begin(data_end)
         mu = (ca.dot(t, lam) + ca.dot(t_end, l_end)) / self.sides
         iterate = [
@@ -429,61 +450,84 @@ class RiccatiQp:
             ca.MX.ones(e.ns) * ROOM,
             t_end,
             l_end,
-            ca.vertcat(1.0, mu, 0.0),
+            ca.vertcat(1.0, mu, 0.0, 0.0),
         ]
         symbols, _ = self._iterate()
-        # not "> GAP or ...": what is not a number any more ends it
-        open_ = ca.logic_or(symbols[-1][1] > GAP, symbols[-1][0] > CLOSED)
+        told = symbols[-1]
+        open_ = ca.logic_and(ca.logic_or(told[1] > GAP, told[0] > CLOSED), ca.logic_not(told[3]))
         loop = repeated(self._iteration(), len(iterate), self.iterations, open_, symbols)
-        found = loop(*iterate, data, data_end)
-        y, s, t, lam, y_end, s_end, t_end, l_end, facts = found
-        seen = i.look.map(n)(data, y, s, t, lam)
-        seen_end = e.look(data_end, y_end, s_end, t_end, l_end)
+        found = inlined(loop, [*iterate, back, data[: i.motion, :], data_end])
+        seen = i.look.map(n)(back, *found[:4])
+        seen_end = e.look(data_end, *found[4:8])
         miss = ca.fmax(ca.mmax(seen[0, :]), seen_end[0])
         active = ca.sum2(seen[1, :]) + seen_end[1]
-        largest = ca.mmax(ca.vertcat(ca.vec(s), s_end)) if i.ns else ca.MX(0.0)
-        told = ca.vertcat(facts, miss, active, largest)
-        return ca.Function("qp", [data, data_end], [y, s, y_end, s_end, told])
+        slacks = ca.vertcat(ca.vec(found[1]), found[5])
+        largest = ca.mmax(slacks) if i.ns else ca.MX(0.0)
+        told = ca.vertcat(found[8][:3], miss, active, largest)
+        return ca.Function("qp", [data, data_end], [_backwards(found[0]), found[4], told])
 
 
 def repeated(
     body: ca.Function, carried: int, count: int, wanted: ca.MX, symbols: Sequence[ca.MX]
 ) -> ca.Function:
     """At most ``count`` calls of ``body`` (carried..., constants...) -> carried..., each only while
-    ``wanted`` (of ``symbols``, the carried) holds: nested, so that C code stays short.
+    ``wanted`` (of ``symbols``, the carried) holds. Many calls are nested, so that C code stays
+    short; each level takes memory for what it hands on.
     """
     arguments = [ca.MX.sym(f"a{k}", body.sparsity_in(k)) for k in range(body.n_in())]
     still = ca.Function("still", list(symbols), [wanted])
     stay = ca.Function("stay", arguments, arguments[:carried])
 
-    def chain(part: ca.Function, times: int) -> ca.Function:
+    def chain(part: ca.Function, times: int, now: list[ca.MX]) -> list[ca.MX]:
         """So many calls in turn, each only while wanted."""
         either = ca.Function.if_else("while", part, stay)
-        now = list(arguments)
         for _ in range(times):
-            now[:carried] = either.call([still(*now[:carried]), *now])
-        return ca.Function("chain", arguments, now[:carried])
+            now = [*either.call([still(*now[:carried]), *now]), *now[carried:]]
+        return now
 
-    outer = int(np.sqrt(count))
-    inner, rest = divmod(count, outer)
-    if outer == 1:
-        return chain(body, count)
-    full = chain(chain(body, inner), outer)
-    if not rest:
-        return full
-    tail = chain(body, rest)
-    now = list(arguments)
-    now[:carried] = full.call(now)
-    now[:carried] = tail.call(now)
-    return ca.Function("chain", arguments, now[:carried])
+    full, rest = divmod(count, FLAT)
+    now = arguments
+    if full > 1:
+        part = ca.Function("chain", arguments, chain(body, FLAT, arguments)[:carried])
+        now = chain(part, full, now)
+    elif full:
+        rest += FLAT
+    return ca.Function("chain", arguments, chain(body, rest, now)[:carried])
 
 
-def _turned(columns: ca.MX) -> ca.MX:
+def inlined(function: ca.Function, arguments: Sequence[ca.MX]) -> list[ca.MX]:
+    """The results of a call written out where it stands, which takes no memory of its own."""
+    return list(function.call(list(arguments), True, False))
+
+
+def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+    return ca.Function(name, arguments, results, {"cse": True})
+
+
+def _backwards(columns: ca.MX) -> ca.MX:
     """The last column first."""
     return columns[:, ::-1]
 
 
-# ---- small matrices -----------------------------------------------------------------------------
+# ---- sums and small matrices --------------------------------------------------------------------
+def _largest(column: ca.SX) -> ca.SX:
+    """The largest entry, by pairs: a chain of comparisons would wait for each."""
+    values = ca.vertsplit(column)
+    while len(values) > 1:
+        pairs = zip(values[::2], values[1::2], strict=False)
+        values = [*(ca.fmax(a, b) for a, b in pairs), *values[len(values) & ~1 :]]
+    return ca.SX(values[0])
+
+
+def _others(values: Sequence[ca.SX], more: float) -> list[ca.SX]:
+    """For each value the sum of all the others, and ``more``."""
+    before, after = [ca.SX(more)], [ca.SX(0.0)]
+    for value, last in zip(values, reversed(values), strict=True):
+        before.append(before[-1] + value)
+        after.append(after[-1] + last)
+    return [before[k] + after[len(values) - 1 - k] for k in range(len(values))]
+
+
 def _lower(matrix: ca.SX) -> ca.SX:
     """The lower triangle of a matrix, column by column."""
     size = matrix.shape[0]
@@ -505,12 +549,16 @@ def _symmetric(column: ca.SX, size: int) -> ca.SX:
 
 
 def _cholesky(matrix: ca.SX) -> ca.SX:
-    """The lower factor of a positive definite matrix; its diagonal holds the inverses."""
+    """The lower factor of a positive definite matrix; its diagonal holds the inverses.
+
+    Where rounding has left nothing of a pivot its inverse is 0: that input is not moved.
+    """
     size = matrix.shape[0]
     root = ca.SX(size, size)
     for j in range(size):
         pivot = matrix[j, j] - sum((root[j, k] ** 2 for k in range(j)), ca.SX(0.0))
-        root[j, j] = 1 / ca.sqrt(pivot)
+        sound = pivot > SMALLEST * matrix[j, j]
+        root[j, j] = ca.if_else(sound, 1 / ca.sqrt(ca.if_else(sound, pivot, 1.0)), 0.0)
         for i in range(j + 1, size):
             rest = matrix[i, j] - sum((root[i, k] * root[j, k] for k in range(j)), ca.SX(0.0))
             root[i, j] = rest * root[j, j]
