@@ -157,6 +157,10 @@ def _causality(entry: Entry, sampled: bool) -> dict[str, str]:
         return {"causality": "parameter", "variability": variability, "initial": "exact"}
     if entry.role == "input":
         return {"causality": "input", "variability": "continuous"}
+    if entry.is_calculated:
+        variability = "tunable" if entry.variable.tunable else "fixed"
+        causality = "calculatedParameter"
+        return {"causality": causality, "variability": variability, "initial": "calculated"}
     return {
         "causality": "output" if entry.is_output else "local",
         "variability": "discrete" if sampled else "continuous",
@@ -253,7 +257,7 @@ def _initial(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
     return [
         (e.reference, layout.initial_dependencies[e.reference])
         for e in layout.entries
-        if e.role == "derivative" or (e.role == "output" and e.is_output)
+        if e.role == "derivative" or e.is_calculated or (e.role == "output" and e.is_output)
     ]
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -10,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import casadi as ca
 
 from ..core.errors import ExportError
+from ..core.plausible import largest_usual
 from ..core.units import display_unit
 from ..core.variables import Variable
 
@@ -33,6 +36,8 @@ class Entry:
     variable: Variable
     is_output: bool = False
     """In the sense of FMI: a state or an output of the plant that is shown as one."""
+    is_calculated: bool = False
+    """In the sense of FMI: an output that is a parameter, given by others."""
 
 
 class Layout:
@@ -41,6 +46,7 @@ class Layout:
     groups : the variables by role, in the order of their references.
     shown : states and outputs to be outputs of the FMU, by default all; the others are local
         variables, which can be read but are not offered for connections.
+    calculated : outputs that are calculated parameters.
 
     Raises ExportError when a name is one that FMI needs.
     """
@@ -56,6 +62,7 @@ class Layout:
         description: str,
         groups: Sequence[tuple[Role, tuple[Variable, ...]]],
         shown: frozenset[str] | None = None,
+        calculated: frozenset[str] = frozenset(),
     ) -> None:
         self.name, self.description = name, description
         time = Variable("time", "input", unit="s", description="independent variable")
@@ -67,7 +74,10 @@ class Layout:
                 f"der({v.name})" if role == "derivative" else v.name,
                 role,
                 v,
-                role in ("state", "output") and (shown is None or v.name in shown),
+                role in ("state", "output")
+                and v.name not in calculated
+                and (shown is None or v.name in shown),
+                role == "output" and v.name in calculated,
             )
             for i, (role, v) in enumerate(numbered)
         )
@@ -108,16 +118,21 @@ class Layout:
 class PlantLayout(Layout):
     """The variables of a plant's FMU."""
 
-    def __init__(self, plant: Plant, shown: frozenset[str] | None = None) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        shown: frozenset[str] | None = None,
+        calculated: frozenset[str] = frozenset(),
+    ) -> None:
         self.plant = plant
         groups: list[tuple[Role, tuple[Variable, ...]]] = [
             ("state", plant.states),
             ("derivative", tuple(_derivative(v) for v in plant.states)),
             ("input", plant.inputs),
-            ("parameter", plant.parameters),
+            ("parameter", tuple(map(_bounded, plant.parameters))),
             ("output", plant.outputs),
         ]
-        super().__init__(plant.name, plant.description, groups, shown)
+        super().__init__(plant.name, plant.description, groups, shown, calculated)
 
     @cached_property
     def unknowns(self) -> ca.SX:
@@ -177,6 +192,22 @@ class PlantLayout(Layout):
 def _columns(matrix: ca.SX, row: int) -> list[int]:
     """Columns of the structural non-zeros of a row, rising."""
     return sorted(int(c) for c in matrix[row, :].sparsity().get_col()) if matrix.numel() else []
+
+
+_FAR = 100.0
+
+
+def _bounded(parameter: Variable) -> Variable:
+    """The parameter with a largest value far beyond any usual one, where it has none: a pressure in
+    Pa typed as one in uPa is refused by the FMU, too.
+    """
+    if math.isfinite(parameter.max):
+        return parameter
+    usual = largest_usual(parameter.unit) or _FAR * _FAR * parameter.nominal
+    most = max(usual, _FAR * parameter.nominal, _FAR * abs(parameter.start or 0.0))
+    bounded = copy(parameter)  # made anew, it would doubt this bound as a value far from usual ones
+    object.__setattr__(bounded, "max", 10.0 ** math.ceil(math.log10(most) - 1e-9))
+    return bounded
 
 
 def _derivative(state: Variable) -> Variable:

@@ -37,6 +37,7 @@ def export_fmu(
     clock: bool = True,
     stop_time: float = 1.0,
     reference: Trajectory | None = None,
+    share: bool = False,
     author: str | None = None,
     version: str | None = None,
     copyright: str | None = None,
@@ -77,6 +78,8 @@ def export_fmu(
     reference : a motion of this plant, to go into the FMU as reference result: a picture, tables
         of inputs and outputs (``*_in.csv``, ``*_ref.csv``) to check an importer with, and the
         experiment as the layered standard FMI-LS-REF describes it.
+    share : True gives muscles with equal constants one parameter for each (``muscle.a1``), and
+        makes theirs (``muscle1.a1``, ...) calculated ones.
     author, version, copyright, license : of the model, for its description.
     date : of the model, ISO 8601 or a datetime; by default a fixed one, so that the same plant
         gives the same bytes.
@@ -91,6 +94,7 @@ def export_fmu(
     block = as_block(system)
     if block is not None:
         refused = {"inputs": inputs, "outputs": outputs, "fixed_step": fixed_step}
+        refused |= {"share": share or None}
         for argument, value in {**refused, "reference": reference}.items():
             if value is not None:
                 raise InputError(f"{argument}: a block has none; leave it out")
@@ -104,13 +108,16 @@ def export_fmu(
     offered = interface.with_inputs(plant, inputs)
     if reference is not None:
         interface.check_reference(reference, offered)
+    calculated: frozenset[str] = frozenset()
+    if share:
+        offered, calculated = interface.with_shared(offered)
     content = Content(
         "fmu",
         lambda: source.plant_sources(offered),
         lambda: documentation.equations(offered),
         reference=reference,
     )
-    return write_fmu(PlantLayout(offered, shown), path, settings, platforms, content)
+    return write_fmu(PlantLayout(offered, shown, calculated), path, settings, platforms, content)
 
 
 def write_block(
