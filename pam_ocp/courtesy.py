@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from .control.blocks.making import block as block
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
+    from .export.ssv import save_ssv as save_ssv
+    from .export.ssv import write_muscle_ssv as write_muscle_ssv
     from .figures.html import html_of as html_of
     from .figures.loop import plot_closed_loop as plot_closed_loop
     from .figures.plan import plot_pareto as plot_pareto
@@ -82,7 +84,9 @@ _HOMES: dict[str, str] = {
     "plot_trajectory": "figures.trajectory",
     "read_fit": "fitting.static.saved_force",
     "save_plan": "planning.saved_plan",
+    "save_ssv": "export.ssv",
     "validate": "fitting.dynamic.outcome",
+    "write_muscle_ssv": "export.ssv",
     "write_fit": "fitting.static.saved_force",
     "write_plant_fit": "fitting.dynamic.saved_plant",
 }

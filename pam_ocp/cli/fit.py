@@ -140,6 +140,12 @@ def add_fit_plant(commands: Any) -> None:
         metavar="FILE.json",
         help="write the fit (pam_ocp.fitting.load_plant_fit reads it)",
     )
+    fit.add_argument(
+        "--ssv",
+        type=Path,
+        metavar="FILE.ssv",
+        help="write the fitted parameters for the plant's FMU, to be set there without Python",
+    )
     add_allow_code(fit)
     fit.set_defaults(run=_fit_plant)
 
@@ -147,7 +153,7 @@ def add_fit_plant(commands: Any) -> None:
 def _fit_plant(options: argparse.Namespace) -> int:
     from ..core.errors import FitError
 
-    require_places(options.out, options.plot)
+    require_places(options.out, options.plot, options.ssv)
     study, plant = _study(options)
     if options.variables:
         print(_variables(plant))
@@ -311,6 +317,8 @@ def _written(
     done: list[Path] = []
     if options.out:
         done.append(fit.save(options.out))
+    if options.ssv:
+        done.append(fit.save_ssv(options.ssv))
     if options.plot:
         from ..figures.saved import save_figure
 

@@ -68,6 +68,19 @@ def add_fit(commands: Any) -> None:
         help="write the muscle file (.toml, .json) that the other commands take",
     )
     fit.add_argument(
+        "--ssv",
+        type=Path,
+        metavar="FILE.ssv",
+        help="write the parameters for a plant's FMU, to be set there without Python (SSP 1.0)",
+    )
+    fit.add_argument(
+        "--muscles",
+        nargs="+",
+        default=["muscle"],
+        metavar="NAME",
+        help="names of the muscles in that FMU, such as muscle1 muscle2 (default: muscle)",
+    )
+    fit.add_argument(
         "--plot", type=Path, metavar="FILE.png", help="draw measurement, law and residuals"
     )
     fit.set_defaults(run=_fit)
@@ -166,7 +179,7 @@ def _fit(options: argparse.Namespace) -> int:
     from ..fitting.tables.force_table import read_table
     from ..muscles.muscle_file import save_muscle
 
-    require_places(options.out, options.plot)
+    require_places(options.out, options.plot, options.ssv)
     length = length_of("--rest-length", options.rest_length)
     diameter = length_of("--diameter", options.diameter)
     table = read_table(options.table, rest_length=length, **reading_options(options))
@@ -191,6 +204,8 @@ def _fit(options: argparse.Namespace) -> int:
         name = options.name or Path(options.table).stem
         muscle = fitted.muscle(rest_length=length, diameter=diameter, name=name)
         print(f"-> {save_muscle(muscle, options.out)}")
+    if options.ssv:
+        print(f"-> {fitted.save_ssv(options.ssv, options.muscles, rest_length=length)}")
     return 0
 
 

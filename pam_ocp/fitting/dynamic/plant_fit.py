@@ -244,6 +244,14 @@ class PlantFit:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
         return courtesy.write_plant_fit(self, path)
 
+    def save_ssv(self, path: str | os.PathLike[str]) -> Path:
+        """Write the fitted parameters as SSV (SSP 1.0), which sets the plant's FMU without
+        Python.
+        """
+        known = {v.name for v in self.plant.parameters}
+        values = {n: v for n, v in self.values.items() if n in known}
+        return courtesy.save_ssv(self.plant, path, values)
+
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())
         return f"PlantFit({self.plant.name!r}: {shown})"

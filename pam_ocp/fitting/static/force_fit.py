@@ -277,6 +277,20 @@ class ForceFit(Optimum):
         """
         return courtesy.write_fit(self, path)
 
+    def save_ssv(
+        self,
+        path: str | os.PathLike[str],
+        muscles: str | Sequence[str] = "muscle",
+        *,
+        rest_length: float | None = None,
+    ) -> Path:
+        """Write the fitted muscle as SSV (SSP 1.0), with which a plant's FMU is set without Python.
+
+        muscles : names of the muscles in the FMU, such as ("muscle1", "muscle2").
+        rest_length : [m], where the table does not tell it.
+        """
+        return courtesy.write_muscle_ssv(self.muscle(rest_length=rest_length), path, muscles)
+
     @classmethod
     def from_json(cls, path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:
         """Read what :meth:`to_json` wrote. ``law`` : the class, for a law of the user's own."""
