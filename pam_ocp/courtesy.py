@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from .figures.vibration import plot_multipliers as plot_multipliers
     from .figures.vibration import plot_phase as plot_phase
     from .figures.vibration import plot_stability as plot_stability
+    from .figures.workbook.fit_book import write_fit_book as write_fit_book
+    from .figures.workbook.motion_book import write_motion_book as write_motion_book
+    from .figures.workbook.motion_book import write_plan_book as write_plan_book
+    from .figures.workbook.motion_book import write_plant_fit_book as write_plant_fit_book
     from .fitting.dynamic.coverage import coverage as coverage
     from .fitting.dynamic.outcome import validate as validate
     from .fitting.dynamic.plant_report import plant_report as plant_report
@@ -77,6 +81,10 @@ _HOMES: dict[str, str] = {
     "read_fit": "fitting.static.saved_force",
     "save_plan": "planning.saved_plan",
     "validate": "fitting.dynamic.outcome",
+    "write_fit_book": "figures.workbook.fit_book",
+    "write_motion_book": "figures.workbook.motion_book",
+    "write_plan_book": "figures.workbook.motion_book",
+    "write_plant_fit_book": "figures.workbook.motion_book",
     "write_fit": "fitting.static.saved_force",
     "write_plant_fit": "fitting.dynamic.saved_plant",
 }

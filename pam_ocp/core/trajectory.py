@@ -303,6 +303,13 @@ class Trajectory:
         table = np.column_stack(list(self._columns.values()))
         return frame(table, list(self._columns), self.t, "time")  # type: ignore[arg-type]
 
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write a workbook (.xlsx): all columns in display units, a chart per unit.
+
+        Raises InputError for more rows than a sheet has.
+        """
+        return courtesy.write_motion_book(self, path)
+
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
         """Read what :meth:`save` wrote. A CSV keeps names and units; its columns are outputs."""

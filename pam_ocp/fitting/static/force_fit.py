@@ -271,6 +271,12 @@ class ForceFit(Optimum):
         """The coefficients as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
         return coefficient_frame(self.coefficients, self.intervals())
 
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write a workbook (.xlsx): data, coefficients with intervals, the law as formulas that
+        follow when a coefficient is changed, charts.
+        """
+        return courtesy.write_fit_book(self, path)
+
     def to_json(self, path: str | os.PathLike[str]) -> Path:
         """Write law, coefficients, data and statistics;
         :meth:`from_json` reads them back exactly.
