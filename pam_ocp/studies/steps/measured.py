@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...core.errors import InputError
 from ...core.quantities import quantity, table
-from .step import STEPS, Job, Made, Step, csv_text, text_of
+from .step import STEPS, Job, Made, Step, csv_text, doubts, text_of
 
 if TYPE_CHECKING:
     from ...fitting.static.force_fit import ForceFit
@@ -132,8 +132,8 @@ class FitStep(Step):
         _write_coefficients(fit, job.out / "coefficients.csv")
         return Made(
             fit,
-            f"RMSE {fit.rmse:.4g} N over {fit.n} taut cells",
-            not fit.warnings,
+            f"RMSE {fit.rmse:.4g} N over {fit.n} taut cells{doubts(fit.warnings)}",
+            True,
             _numbers(fit),
             tuple(_sure(fit)),
             text + fit.report(),

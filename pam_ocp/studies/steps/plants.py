@@ -11,7 +11,7 @@ import tomli_w
 from ...core.errors import InputError
 from ...core.files import read_toml, require_file
 from ..plant_fit_problem import FITTING, READING, fit_arguments, records_of
-from .step import STEPS, Job, Made, Step, csv_text
+from .step import STEPS, Job, Made, Step, csv_text, doubts
 
 if TYPE_CHECKING:
     from ...fitting.dynamic.plant_fit import PlantFit
@@ -122,7 +122,8 @@ class FitPlantStep(Step):
         numbers = {f"rmse.{n}": (e, plant.variable(n).unit) for n, e in fit.rmse.items()}
         numbers |= {c.name: (c.value, c.unit) for c in fit.coefficients.values()}
         said = ", ".join(f"{n} {p:.1f} %" for n, p in fit.fit_percent.items())
-        return Made(fit, f"fit {said}", not fit.warnings, numbers, _sure(fit, checked), text)
+        said += doubts(fit.warnings)
+        return Made(fit, f"fit {said}", True, numbers, _sure(fit, checked), text)
 
     @classmethod
     def read(cls, noun: str, job: Job) -> Plant:

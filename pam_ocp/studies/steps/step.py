@@ -21,7 +21,20 @@ if TYPE_CHECKING:
 
     from ...core.trajectory import Trajectory
 
-__all__ = ["STAGES", "STEPS", "Job", "Made", "Step", "csv_text", "seconds", "text_of"]
+__all__ = [
+    "STAGES",
+    "STEPS",
+    "Job",
+    "Made",
+    "Step",
+    "csv_text",
+    "doubts",
+    "ends",
+    "in_si",
+    "seconds",
+    "text_of",
+    "values",
+]
 
 Stage: TypeAlias = Literal["measured", "assumed", "fitted", "computed", "verified"]
 STAGES: dict[Stage, str] = {
@@ -141,6 +154,12 @@ def csv_text(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def _number(cell: Any) -> bool:
     return hasattr(cell, "__float__") and not isinstance(cell, str | bool | int)
+
+
+def doubts(warnings: Sequence[str]) -> str:
+    """Behind a verdict: how many doubts stand under "how sure"."""
+    count = len(warnings)
+    return f"; {count} doubt{'s' if count > 1 else ''}, see how sure" if count else ""
 
 
 def seconds(job: Job, key: str) -> float:
