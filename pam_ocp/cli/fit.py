@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from ..core.files import read_toml, reading
 from ..core.quantities import known_keys, quantity, table
 from ..studies.plant_fit_problem import FITTING, READING, fit_arguments, listed, records_of
 from .options import add_allow_code, pairs, require_places
+from .output import add_json, coefficients, tell, wrote
 
 if TYPE_CHECKING:
     from ..fitting.dynamic.plant_fit import PlantFit
@@ -123,6 +125,7 @@ def add_fit_plant(commands: Any) -> None:
         help="write the fit (pam_ocp.fitting.load_plant_fit reads it)",
     )
     add_allow_code(fit)
+    add_json(fit)
     fit.set_defaults(run=_fit_plant)
 
 
@@ -132,7 +135,9 @@ def _fit_plant(options: argparse.Namespace) -> int:
     require_places(options.out, options.plot)
     study, plant = _study(options)
     if options.variables:
-        print(_variables(plant))
+        tell(
+            options, _variables(plant), lambda: {"variables": [asdict(v) for v in plant.variables]}
+        )
         return 0
     records, others = (records_of(study, plant, study[name]) for name in ("records", "validate"))
     if not records:
@@ -150,13 +155,23 @@ def _fit_plant(options: argparse.Namespace) -> int:
     except FitError as error:
         print(f"pam-ocp fit-plant: {error}", file=sys.stderr)
         return 1
-    print(fit.report())
     checked = fit.validate(others) if others else []
+    tell(
+        options,
+        fit.report(),
+        lambda: {
+            "parameters": coefficients(fit),
+            "rmse": fit.rmse,
+            "fit_percent": fit.fit_percent,
+            "warnings": fit.warnings,
+            "validation": [{a.name: a.fit_percent for a in c.agreements} for c in checked],
+        },
+    )
     for number, comparison in enumerate(checked, start=1):
-        print(f"[[Validation]] record {number}, only its initial state estimated")
-        print("\n".join(f"    {line}" for line in str(comparison).splitlines()[1:]))
+        tell(options, f"[[Validation]] record {number}, only its initial state estimated")
+        tell(options, "\n".join(f"    {line}" for line in str(comparison).splitlines()[1:]))
     for path in _written(fit, checked, options):
-        print(f"-> {path}")
+        wrote(options, path)
     return 0
 
 

@@ -16,6 +16,7 @@ from ..core.quantities import known_keys
 from ..plants.plant import Plant
 from ..studies.plant_fit_problem import bounds_of, listed, records_of
 from .options import add_allow_code
+from .output import add_json, tell
 
 __all__ = ["add_ladder"]
 
@@ -80,7 +81,27 @@ def add_ladder(commands: Any) -> None:
     ladder.add_argument("--folds", type=int, metavar="N", help="of parts left out (default 5)")
     ladder.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
     add_allow_code(ladder)
+    add_json(ladder)
     ladder.set_defaults(run=_ladder)
+
+
+def _said(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _data(found: Any) -> dict[str, Any]:
+    return {
+        "chosen": found.chosen.name,
+        "rungs": {
+            r.name: {
+                "rmse": r.rmse,
+                "worse": r.worse,
+                "failure": r.failure,
+                "parameters": {n: c.value for n, c in r.coefficients.items()},
+            }
+            for r in found.rungs
+        },
+    }
 
 
 def _ladder(options: argparse.Namespace) -> int:
@@ -123,12 +144,12 @@ def _ladder(options: argparse.Namespace) -> int:
                 feed=feed,
                 folds=study.get("folds", 5),
                 executor=pool,
-                progress=lambda text: print(text, file=sys.stderr, flush=True),
+                progress=None if options.quiet else _said,
                 time_limit=options.time_limit,
                 **given,
             )
         except FitError as error:
             print(f"pam-ocp ladder: {error}", file=sys.stderr)
             return 1
-    print(found.report())
+    tell(options, found.report(), lambda: _data(found))
     return 0

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ..core.files import read_toml, reading
-from .options import add_allow_code, pairs, require_places
+from .options import add_allow_code, add_out, add_plot, pairs, require_places, written
+from .output import add_json, tell, wrote
 
 __all__ = ["add_mpc"]
 
@@ -89,9 +90,10 @@ def add_mpc(commands: Any) -> None:
     mpc.add_argument("--estimator", metavar="KIND", help="kind of estimator (default: kalman)")
     mpc.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
     mpc.add_argument("--seed", type=int, help="of the noise (default: 0)")
-    mpc.add_argument("--out", type=Path, metavar="FILE", help="write the motion (.csv, .npz)")
-    mpc.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the run")
+    add_out(mpc, "FILE", "write the motion (.csv, .npz, .parquet, .xlsx)")
+    add_plot(mpc, "draw the run")
     add_allow_code(mpc)
+    add_json(mpc)
     mpc.set_defaults(run=_mpc)
 
 
@@ -101,14 +103,26 @@ def _mpc(options: argparse.Namespace) -> int:
     require_places(options.out, options.plot)
     study = _study(options)
     loop = run_loop(study)
-    print(loop_text(study, loop))
+    tell(options, loop_text(study, loop), lambda: _data(study, loop))
     if options.out:
-        print(f"-> {loop.trajectory.save(options.out)}")
+        wrote(options, written(loop.trajectory, options.out))
     if options.plot:
         from ..figures.saved import save_figure
 
-        print(f"-> {save_figure(loop.plot(loop_title(study)), options.plot, dpi=120)}")
+        wrote(options, save_figure(loop.plot(loop_title(study)), options.plot, dpi=120))
     return 1 if loop.statistics and loop.statistics.failures else 0
+
+
+def _data(study: Any, loop: Any) -> dict[str, Any]:
+    window = min(float(study["window"]), float(study["duration"]))
+    names = loop.reference.names if loop.reference else ()
+    return {
+        "duration": loop.trajectory.duration,
+        "failures": loop.statistics.failures if loop.statistics else 0,
+        "prediction_error": loop.prediction_error,
+        "steady_error": {n: loop.steady_error(n, window) for n in names},
+        "last": loop.trajectory.row(-1),
+    }
 
 
 def _study(options: argparse.Namespace) -> dict[str, Any]:

@@ -38,8 +38,8 @@ class LinearizeStep(Step):
         rest = values("rest", plant, table("rest", job.get("rest", {})))
         point = plant.equilibrium(rest or {v.name: v.start or 0.0 for v in plant.inputs})
         chosen: dict[str, Any] = {n: job.listed(n) or None for n in ("inputs", "outputs")}
-        units = None if job.get("si") else "display"
-        system = linearize(plant, point, stuck=True, units=units, **chosen)
+        chosen["units"] = None if job.get("si") else "display"
+        system = linearize(plant, point, stuck=True, **chosen)
         found = modes(system)
         matrices = {n: getattr(system, n).tolist() for n in "ABCD"}
         labels = {n: getattr(system, f"{n}_labels") for n in ("state", "input", "output")}
