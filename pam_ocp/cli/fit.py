@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.files import read_toml, reading
+from ..core.progress import heard, working
 from ..core.quantities import known_keys, quantity, table
 from ..studies.plant_fit_problem import FITTING, READING, fit_arguments, listed, records_of
 from .options import add_allow_code, pairs, require_places
@@ -151,7 +152,14 @@ def _fit_plant(options: argparse.Namespace) -> int:
     with reading(options.plant, "a study file", "see its keys"):
         arguments = fit_arguments(study, plant)
     try:
-        fit = fit_plant(plant, records, study["free"], **arguments)
+        if heard():
+            with working("fit") as bar:
+                arguments["progress"] = lambda stage, count, cost: bar.step(
+                    note=f"{stage}, cost {cost:.4g}"
+                )
+                fit = fit_plant(plant, records, study["free"], **arguments)
+        else:
+            fit = fit_plant(plant, records, study["free"], **arguments)
     except FitError as error:
         print(f"pam-ocp fit-plant: {error}", file=sys.stderr)
         return 1

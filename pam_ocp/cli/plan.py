@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, PlanError, PlanWarning
+from ..core.progress import heard, working
 from .options import add_allow_code, require_places
 from .output import add_json, tell, wrote
 
@@ -95,8 +96,14 @@ def _plan(options: argparse.Namespace) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PlanWarning)  # said below
-            limit = options.time_limit
-            found = plan(plant, **arguments, progress=options.progress, time_limit=limit)
+            shown = heard() and not options.progress
+            with working("plan") as bar:
+
+                def told(number: int, objective: float, violation: float) -> None:
+                    bar.step(note=f"objective {objective:.4g}, violation {violation:.1e}")
+
+                arguments["progress"] = told if shown else options.progress
+                found = plan(plant, **arguments, time_limit=options.time_limit)
     except InputError as error:
         raise InputError(f"{options.problem}: {error}") from error
     except PlanError as error:

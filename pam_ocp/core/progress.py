@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
-__all__ = ["Bar", "counted", "listening", "working"]
+__all__ = ["Bar", "counted", "heard", "listening", "working"]
 
 T = TypeVar("T")
 
@@ -39,6 +39,11 @@ def listening(listener: Listener) -> Iterator[None]:
         yield
     finally:
         _listeners.pop()
+
+
+def heard() -> bool:
+    """Whether anybody listens to work that begins now."""
+    return bool(_listeners) and not _inside
 
 
 class _Silent:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import (
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from ..core.errors import InputError, PamError, UnknownNameError, require_count
 from ..core.files import atomic_path, make_folder, read_json, reading, write_json
 from ..core.interrupts import interruptible
+from ..core.progress import Bar, working
 from ..core.shown import shown
 from ..core.stop import check, limited
 from .kept_results import Kept, digest_of, file_digest, own_digest, versions
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["StudyResult", "StudyStep", "run_study"]
 
+LOG = logging.getLogger(__name__)
 MANIFEST = "study.json"
 FORMAT = "pam_ocp study 1"
 REPORT = "report.html"
@@ -140,8 +143,13 @@ def run_study(
         raise InputError("give executor or workers, not both")
     study = read_study(Path(path))
     target = make_folder(Path(study.path.stem) if out is None else out)
-    with interruptible(), limited(time_limit), _pool(executor, workers) as pool:
-        run = _Run(study, target, Kept(cache), allow_code, fresh, progress)
+    with (
+        interruptible(),
+        limited(time_limit),
+        _pool(executor, workers) as pool,
+        working("study", len(study.entries)) as bar,
+    ):
+        run = _Run(study, target, Kept(cache), allow_code, fresh, progress, bar)
         run.prepare()
         run.go(pool)
         return run.finish()
@@ -175,7 +183,9 @@ class _Run:
         allow_code: bool,
         fresh: bool,
         progress: Callable[[StudyStep, int, int], None] | None,
+        bar: Bar,
     ) -> None:
+        self.bar = bar
         self.study, self.out, self.kept, self.fresh = study, out, kept, fresh
         self.allow_code, self.progress = allow_code, progress
         self.steps: dict[str, StudyStep] = {}
@@ -293,6 +303,8 @@ class _Run:
 
     def _tell(self, step: StudyStep) -> None:
         self.steps[step.name] = step
+        LOG.info("%s: %s; %s", step.name, step.state, step.verdict)
+        self.bar.step(note=step.name)
         if self.progress is not None:
             self.progress(step, len(self.steps), len(self.study.entries))
 

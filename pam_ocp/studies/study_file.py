@@ -98,6 +98,8 @@ def read_study(path: str | Path) -> Study:
         if not said:
             raise InputError("steps is empty: give at least one table [steps.NAME] with its kind")
         entries = {n: _entry(n, table(f"steps.{n}", v), said) for n, v in said.items()}
+        for entry in entries.values():
+            _require_offers(entry, entries)
         for entry in list(entries.values()):
             if entry.kind == "sweep":
                 entries |= _repeated(entry, entries)

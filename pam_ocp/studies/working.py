@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import InputError, PamError
+from ..core.errors import InputError, PamError, UnknownNameError
 from .steps.step import Job, Made
 from .study_file import Entry, Study
 
@@ -103,4 +103,13 @@ def rehearse(study: Study, allow_code: bool) -> None:
                 warnings.simplefilter("ignore")  # the work itself will warn
                 nouns[name] = entry.step.check(job)
         except PamError as error:
-            raise InputError(f"steps.{name}: {error}") from error
+            raise InputError(f"steps.{name}: {error}{_steps(study, entry, error)}") from error
+
+
+def _steps(study: Study, entry: Entry, error: PamError) -> str:
+    """The steps that could have been meant where a name is not known."""
+    nouns = {entry.step.parts[k] for k in entry.step.loose if k not in entry.parts}
+    if not isinstance(error, UnknownNameError) or not any(f" {n} '" in str(error) for n in nouns):
+        return ""
+    able = [n for n, e in study.entries.items() if nouns & set(e.step.offers) and "[" not in n]
+    return f"; or a step: {', '.join(able)}" if able else ""

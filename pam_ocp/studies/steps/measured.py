@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
-from ...core.errors import InputError
+from ...core.errors import InputError, UnknownNameError
 from ...core.quantities import quantity, table
 from .step import STEPS, Job, Made, Step, csv_text, doubts, text_of
 
@@ -87,12 +87,18 @@ class FitStep(Step):
 
     @classmethod
     def check(cls, job: Job) -> dict[str, Any]:
+        from ...fitting.static.least_squares import Loss
         from ...fitting.static.static import law_class
         from ...muscles.catalogue import muscle
 
-        cls._fixed(job)
         said = job.get("law", "six-parameter")
-        kind = law_class(said[0] if isinstance(said, list) else said)
+        kinds = [law_class(law) for law in (said if isinstance(said, list) else [said])]
+        kind, known = kinds[0], {v.name for k in kinds for v in k.coefficient_variables()}
+        for name in cls._fixed(job):
+            if name not in known:
+                raise UnknownNameError("fixed: coefficient", name, sorted(known))
+        if job.get("loss", "squares") not in get_args(Loss):
+            raise UnknownNameError("loss", job.said["loss"], get_args(Loss))
         length = job.si("rest_length", "m") or job.parts["table"].rest_length
         if length is None:
             raise InputError("rest_length is missing: the table holds none; give it here or there")
