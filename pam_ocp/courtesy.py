@@ -24,6 +24,12 @@ if TYPE_CHECKING:
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
+    from .figures.surface import plot_fit_surface as plot_fit_surface
+    from .figures.surface import plot_surface as plot_surface
+    from .figures.tables import frame_of as frame_of
+    from .figures.tables import plot_table as plot_table
+    from .figures.tables import report_of as report_of
+    from .figures.tables import save_result as save_result
     from .figures.trajectory import plot_fit as plot_fit
     from .figures.trajectory import plot_muscle as plot_muscle
     from .figures.trajectory import plot_record as plot_record
@@ -58,6 +64,12 @@ _HOMES: dict[str, str] = {
     "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
     "force_report": "fitting.static.report",
+    "plot_fit_surface": "figures.surface",
+    "plot_surface": "figures.surface",
+    "frame_of": "figures.tables",
+    "plot_table": "figures.tables",
+    "report_of": "figures.tables",
+    "save_result": "figures.tables",
     "html_of": "figures.html",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",

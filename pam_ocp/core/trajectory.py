@@ -37,6 +37,7 @@ from .variables import Causality, Variable, variable_of
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["HELD", "Comparison", "Event", "Trajectory", "interpolation_of"]
@@ -381,9 +382,19 @@ class Trajectory:
         return cls(t, columns, variables, content["interpolation"], (), signals)
 
     # ---- looking ----------------------------------------------------------------------------
-    def plot(self, names: Sequence[str] | None = None) -> Figure:
-        """A figure with one panel per unit, over time. Returns the matplotlib Figure."""
-        return courtesy.plot_trajectory(self, names)
+    def plot(
+        self,
+        names: Sequence[str] | None = None,
+        *,
+        ax: Axes | None = None,
+        interactive: bool = False,
+    ) -> Figure:
+        """A figure with one panel per unit, over time. Returns the matplotlib Figure.
+
+        ax : draw into this panel instead; the names must be of one unit.
+        interactive : a plotly figure instead (needs the extra ``interactive``).
+        """
+        return courtesy.plot_trajectory(self, names, ax=ax, interactive=interactive)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
+from ..core.shown import shown
 from .sheet import DPI, Sheet
 from .sheets import SHEETS
 
@@ -30,8 +31,13 @@ def sheet_of(thing: Any) -> Sheet:
 def _plain(thing: Any) -> Sheet:
     """Of a result without a sheet of its own: its text and its picture."""
     plot = getattr(thing, "plot", None)
-    drawable = callable(plot) and all(
-        p.default is not p.empty or p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
-        for p in inspect.signature(plot).parameters.values()
+    own = getattr(type(thing).plot, "__module__", "") != shown.__module__ if plot else False
+    drawable = (
+        own
+        and callable(plot)
+        and all(
+            p.default is not p.empty or p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL)
+            for p in inspect.signature(plot).parameters.values()
+        )
     )
     return Sheet(type(thing).__name__, text=str(thing), picture=plot if drawable else None)
