@@ -131,7 +131,7 @@ def driven(plant: pam.Plant, draw: np.random.Generator, t: np.ndarray, hold: flo
     return pam.simulate(plant, {name: (t, column)}, t=t, start=start, rtol=1e-11), name, column
 
 
-def fmu(plant: pam.Plant, draw: np.random.Generator) -> str:
+def fmu(plant: pam.Plant, free: list[str], draw: np.random.Generator) -> str:
     motion, _, _ = driven(plant, draw, np.linspace(0, 0.6, 61), 0.06)
     found = []
     with tempfile.TemporaryDirectory() as folder:
@@ -143,7 +143,7 @@ def fmu(plant: pam.Plant, draw: np.random.Generator) -> str:
     return " ".join(found)
 
 
-def plan(plant: pam.Plant, draw: np.random.Generator) -> str:
+def plan(plant: pam.Plant, free: list[str], draw: np.random.Generator) -> str:
     end = float(draw.uniform(0.028, 0.036))
     found = pam.plan(
         plant, stops=[{"x": 0.025}, {"x": end}], minimise="effort", duration=0.4, starts=1
@@ -175,11 +175,14 @@ def fit(plant: pam.Plant, free: list[str], draw: np.random.Generator) -> str:
     return ", ".join(words) + spent
 
 
+VERBS = {"fmu": fmu, "plan": plan, "fit": fit}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--only", nargs="*", default=[*LOSSES, *FEEDS])
-    parser.add_argument("--verbs", nargs="*", default=["fmu", "plan", "fit"])
+    parser.add_argument("--verbs", nargs="*", default=list(VERBS))
     chosen = parser.parse_args()
     print(f"seed {chosen.seed}")
     warnings.simplefilter("ignore")
@@ -189,11 +192,7 @@ def main() -> None:
             draw = np.random.default_rng([chosen.seed, sum(map(ord, name))])
             before = time.process_time()
             try:
-                said = {
-                    "fmu": lambda: fmu(plant, draw),
-                    "plan": lambda: plan(plant, draw),
-                    "fit": lambda: fit(plant, free, draw),
-                }[verb]()
+                said = VERBS[verb](plant, free, draw)
             except pam.PamError as error:
                 said = f"FAILED: {error}"
             print(f"{name:26} {verb:4} {time.process_time() - before:6.1f} s  {said}", flush=True)
