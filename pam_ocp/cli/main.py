@@ -17,6 +17,7 @@ from .. import __version__
 from ..core.errors import InputError, PamError
 from ..core.interrupts import interruptible
 from ..core.stop import limited
+from .bench import add_bench
 from .components import add_components
 from .fit import add_fit_plant
 from .ladder import add_ladder
@@ -101,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
         add_report,
         add_plan,
         add_mpc,
+        add_bench,
     ):
         add(commands)
     for name, command in commands.choices.items():
