@@ -25,7 +25,7 @@ import numpy as np
 
 import pam_ocp as pam
 '''
-ROOMS = ("feeds", "losses", "loads", "plants")
+ROOMS = ("feeds", "losses", "loads", "plants", "gas", "muscles")
 """Where the script looks for components: pam.feeds.Regulator."""
 
 
@@ -151,9 +151,6 @@ def _component(argument: str, content: Mapping[str, Any]) -> str:
     assert kinds is not None
     given = dict(content)
     kind = kinds.name(argument, given.pop("kind", kinds.default or next(iter(kinds))))
-    room = next((r for r in ROOMS if hasattr(getattr(pam, r), kind)), None)
+    room = next(r for r in ROOMS if hasattr(getattr(pam, r), kind))
     said = {k: _argument(k, v, kinds, kind) for k, v in given.items()}
-    if room is not None:
-        return _written(f"pam.{room}.{kind}", [], said)
-    module = getattr(kinds[kind], "__module__", "")
-    return _written(f"__import__({module!r}, fromlist=['{kind}']).{kind}", [], said)
+    return _written(f"pam.{room}.{kind}", [], said)
