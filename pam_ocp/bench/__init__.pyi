@@ -1,3 +1,3 @@
 # Names of pam_ocp.bench, loaded at their first use.
-from .serve import serve as serve
+from .server import serve as serve
 from .session import Session as Session

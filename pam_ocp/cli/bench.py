@@ -42,7 +42,7 @@ def add_bench(commands: Any) -> None:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from ..bench.serve import require_framework, serve
+    from ..bench.server import require_framework, serve
 
     require_framework()
     password = os.environ.pop(PASSWORD, None)  # the processes that it starts need not know it
