@@ -6,6 +6,7 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -112,12 +113,12 @@ class MuscleTab(Tab):
             now = said["law"] if said else None
             if said and not _same(said["table"], item):
                 el.note("The data have changed since the fit.", "bench-bad")
-            law = now if now in LAWS else "six-parameter"
+            law = now if now is not None and now in LAWS else "six-parameter"
             titles = {name: LAWS[name].title for name in LAWS}
             self._law = law
             el.choice("Law", titles, law, lambda v: setattr(self, "_law", v))
             with ui.element("div").classes("bench-row"):
-                el.button("Fit", lambda: self._fit_law(self._law), main=True)
+                el.button("Fit", lambda: self._fit_law(str(self._law)), main=True)
                 el.button("Rank all laws", self._rank)
             with ui.expansion("Known constants").props("dense").classes("bench-note"):
                 for name, unit in CONSTANTS.items():
@@ -127,7 +128,7 @@ class MuscleTab(Tab):
                         words,
                         value,
                         unit,
-                        lambda v, name=name: self._constant(name, v),
+                        partial(self._constant, name),
                         low=1e-4,
                         high=1.0,
                         optional=True,
@@ -308,16 +309,16 @@ class MuscleTab(Tab):
                 low / factor,
                 high / factor,
                 shown,
-                lambda v, name=name, factor=factor: self._slide(name, v * factor),
-                lambda v, name=name, factor=factor: self._settle(name, v * factor),
+                partial(self._slide, name, factor),
+                partial(self._settle, name, factor),
             )
         if said["moved"]:
             with ui.element("div").classes("bench-row"):
                 el.button("Back to the fit", self._unmoved)
 
-    def _slide(self, name: str, value: float) -> None:
-        """The curves follow; nothing is kept yet."""
-        self._now[name] = value
+    def _slide(self, name: str, factor: float, value: float) -> None:
+        """The curves follow; nothing is kept yet. factor : of the unit shown."""
+        self._now[name] = factor * value
         said, fit = self._said, self._fit
         if said is None or fit is None:
             return
@@ -333,8 +334,8 @@ class MuscleTab(Tab):
             self._rest.curves([0], y=[look.numbers(residuals)])
             self._force_words.set_text(f"RMSE {rmse:.4g} N (fitted {fit['rmse']:.4g} N)")
 
-    def _settle(self, name: str, value: float) -> None:
-        self._now[name] = value
+    def _settle(self, name: str, factor: float, value: float) -> None:
+        self._now[name] = factor * value
         self._change(f"{name} by hand", coefficients=dict(self._now), moved=True)
 
     def _unmoved(self) -> None:
