@@ -26,6 +26,7 @@ from ..core.units import unit as unit_of
 __all__ = [
     "Field",
     "Plot",
+    "Scene",
     "Slider",
     "button",
     "check",
@@ -303,6 +304,34 @@ class Slider(Element, component=Path(__file__).with_name("static") / "slider.js"
     def set(self, value: float) -> None:
         """Show another value."""
         self._props["value"] = value
+        self.update()
+
+
+class Scene(Element, component=Path(__file__).with_name("static") / "scene.js"):
+    """A plant drawn to scale and moving. scene : of figures.scene.scene_of, or None for nothing.
+
+    label : for who cannot see it. words, unit : of what its slider moves along ("time", "s").
+    seconds : that playing it takes. A scene's ``still`` is the moment that is shown first.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        scene: Mapping[str, Any] | None = None,
+        *,
+        height: int = 300,
+        words: str = "time",
+        unit: str = "s",
+        seconds: float = 4.0,
+    ) -> None:
+        super().__init__()
+        self._props.update(label=label, height=height, words=words, unit=unit, seconds=seconds)
+        self._props["scene"] = scene
+
+    def show(self, scene: Mapping[str, Any] | None, **said: Any) -> None:
+        """Another scene; further arguments as at first."""
+        self._props.update(said)
+        self._props["scene"] = scene
         self.update()
 
 
