@@ -17,6 +17,7 @@ from ..core.errors import PamError
 from ..core.interrupts import interruptible
 from ..core.stop import limited
 from .bars import bars
+from .bench import add_bench
 from .completion import add_completion
 from .components import add_components
 from .fit import add_fit_plant
@@ -117,6 +118,7 @@ def _parser() -> argparse.ArgumentParser:
         add_plan,
         add_mpc,
         add_completion,
+        add_bench,
     ):
         add(commands)
     for name, command in commands.choices.items():
