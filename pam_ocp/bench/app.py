@@ -17,6 +17,7 @@ from nicegui import ui
 from ..core.errors import InputError
 from .frame import Bench
 from .guard import App, Guard
+from .jobs.prepare import prepare
 from .session import Session, safe_name, saved_sessions
 from .work import Workshop
 
@@ -72,11 +73,12 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> App:
 
     root : folder of the sessions. guard : arguments of :class:`Guard`.
     """
-    shop = Workshop()
+    shop = Workshop(prepare=prepare)
     sessions = _Sessions(root, shop)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
+        shop.warm_up()
         yield
         shop.close()
         for id in [*sessions.open]:

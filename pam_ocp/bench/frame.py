@@ -109,7 +109,7 @@ class Bench:
 
     def open(self, title: str) -> None:
         """Show a tab."""
-        self._panels.set_value(title)
+        self._tabs.set_value(title)
 
     # ---- the page ------------------------------------------------------------------------------
     def build(self) -> None:
@@ -139,18 +139,20 @@ class Bench:
         first = self.session.view("page", "open", self.tabs[0].title)
         if first not in [tab.title for tab in self.tabs]:
             first = self.tabs[0].title
-        with ui.tab_panels(tabs, value=first, on_change=self._opened).classes("bench-panels") as p:
-            p.props("keep-alive animated=false")
-            self._panels = p
-            self._bodies = {}
+        self._bodies = {}
+        with ui.element("main").classes("bench-panels"):
             for tab in self.tabs:
-                with ui.tab_panel(tab.title):
-                    self._bodies[tab.title] = ui.element("main").classes("bench-main")
+                body = ui.element("div").classes("bench-main").props("role=tabpanel")
+                body._props["aria-label"] = tab.title
+                self._bodies[tab.title] = body
         with ui.footer().classes("bench-footer"):
             self._status = ui.label().classes("bench-status")
             self._work = ui.row().classes("bench-work")
         ui.keyboard(on_key=self._key, ignore=["input", "select", "textarea"])
-        self._build(first)
+        self._tabs = tabs
+        tabs.on_value_change(self._opened)
+        tabs.set_value(first)
+        self._show_panel(first)
         self._show_state()
 
     def close(self) -> None:
@@ -160,8 +162,15 @@ class Bench:
             tab.close()
 
     def _opened(self, event: Any) -> None:
-        self.session.remember("page", open=event.value)
-        self._build(event.value)
+        if event.value in self._bodies:
+            self.session.remember("page", open=event.value)
+            self._show_panel(event.value)
+
+    def _show_panel(self, title: str) -> None:
+        # hidden ones keep their width (bench.css): pictures in them need not be laid out anew
+        for name, body in self._bodies.items():
+            body.classes(**{"remove" if name == title else "add": "is-hidden"})
+        self._build(title)
 
     def _build(self, title: str) -> None:
         if title in self._built:

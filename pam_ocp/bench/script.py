@@ -56,7 +56,12 @@ def call(function: str, *args: str, **keywords: Any) -> str:
 def data_lines(state: Mapping[str, Any]) -> list[str]:
     """The chosen table, without the cells that are switched off; records by their names."""
     lines = []
-    for item in state["data"]:
+    fitted = state["muscle"] is not None and state["muscle"]["kind"] == "fit"
+    data = [d for d in state["data"] if d.get("is") == "record" or d["id"] == state["chosen"]]
+    if fitted:  # the table that was fitted, whatever has been chosen since
+        table = state["muscle"]["table"]
+        data = [d for d in data if d.get("is") == "record"] + [table]
+    for item in data:
         source = item["bundled"] if "bundled" in item else f"files/{item['file']}"
         said = {k: v for k, v in item["said"].items() if k != "kind"}
         if item.get("is") == "record":
@@ -64,7 +69,7 @@ def data_lines(state: Mapping[str, Any]) -> list[str]:
                 f"# {_comment(item['name'])}",
                 f"{item['id']} = {call('pam.read_records', literal(source), **said)}",
             ]
-        elif item["id"] == state["chosen"]:
+        else:
             lines += [f"# {_comment(item['name'])}"]
             lines += [f"table = {call('pam.read_table', literal(source), **said)}"]
             if item.get("off"):

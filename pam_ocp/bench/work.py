@@ -105,10 +105,14 @@ class Workshop:
     """Processes that take jobs in turn.
 
     processes : that work at once; by default the processors of this machine, two at least.
+    prepare : called in each of them before its first job, to load what jobs need.
     """
 
-    def __init__(self, processes: int | None = None) -> None:
+    def __init__(
+        self, processes: int | None = None, prepare: Callable[[], None] | None = None
+    ) -> None:
         self.most = processes or max(2, os.cpu_count() or 2)
+        self.prepare = prepare
         self.jobs: list[Job] = []
         self._idle: list[_Worker] = []
         self._busy: dict[Job, _Worker] = {}
@@ -144,6 +148,11 @@ class Workshop:
         job.changed(job)
         self._next()
         return job
+
+    def warm_up(self) -> None:
+        """Have one process ready before the first job."""
+        if not self._idle and not self._busy:
+            self._idle.append(_Worker(self, asyncio.get_running_loop()))
 
     def stop(self, job: Job, why: str = "stopped") -> None:
         """End a job; its process, if it runs, is killed."""
@@ -258,7 +267,7 @@ class _Worker:
         self._shop, self._loop = shop, loop
         self._own, theirs = context.Pipe()
         name = f"pam-ocp bench {next(_numbers)}"
-        self._process = context.Process(target=_serve, args=(theirs,), name=name, daemon=False)
+        self._process = context.Process(target=_serve, args=(theirs, shop.prepare), name=name)
         self._process.start()
         theirs.close()
         self.job: Job | None = None
@@ -297,7 +306,7 @@ class _Worker:
                 return
 
 
-def _serve(pipe: Connection) -> None:
+def _serve(pipe: Connection, prepare: Callable[[], None] | None) -> None:
     """The life of a process: jobs from the pipe, one after the other."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this
     if hasattr(os, "setsid"):
@@ -306,6 +315,8 @@ def _serve(pipe: Connection) -> None:
         os.nice(5)  # the page answers first
     parent = multiprocessing.parent_process()
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    if prepare is not None:
+        prepare()
     while True:
         try:
             function, args, kwargs, limit = pipe.recv()

@@ -1,0 +1,14 @@
+"""What a process loads before its first job."""
+
+from __future__ import annotations
+
+from ...muscles.catalogue import muscle
+
+__all__ = ["prepare"]
+
+
+def prepare() -> None:
+    """Load the modules of the first jobs of a session, and build one law's functions."""
+    from . import data  # noqa: F401 - loading them is what is wanted
+
+    muscle("DMSP-20-300").force(3e5, 0.1)
