@@ -18,6 +18,7 @@ __all__ = [
     "FAINT",
     "SCALE",
     "SYMBOLS",
+    "axis",
     "band",
     "figure",
     "line",
@@ -91,6 +92,11 @@ def figure(
             "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
         },
     }
+
+
+def axis(title: str = "", **more: Any) -> dict[str, Any]:
+    """A further axis of a figure, named with its unit."""
+    return {**_AXIS, "title": {"text": title, "standoff": 6}, **more}
 
 
 def line(x: Any, y: Any, name: str = "", colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:

@@ -261,9 +261,7 @@ def _told(found: Plan, motion: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "ok": True,
         "t": numbers(drawn.t[rows]),
-        "columns": {
-            n: numbers(drawn[n][rows] / drawn.variable(n).display_factor) for n in names
-        },
+        "columns": {n: numbers(drawn[n][rows] / drawn.variable(n).display_factor) for n in names},
         "position": numbers(drawn[motion["variable"]][rows]),
         "panels": panels,
         "stop_times": _stop_times(found),

@@ -121,7 +121,8 @@ class Motion(Tab):
                 self._choices(motion, plant)
             if motion is None:
                 return
-            if any(n not in plant for n in (motion["variable"], motion["second"] or "x") if n):
+            known = {v.name for v in plant.variables}
+            if not {motion["variable"], motion["second"] or motion["variable"]} <= known:
                 self._not_of(plant, motion)
                 return
             with self._stops_box:
@@ -157,9 +158,7 @@ class Motion(Tab):
             )
             el.check("Returns", motion["cyclic"], self._cyclic, "a cycle, again and again")
             methods = {n: words for n, (words, _) in jobs.METHODS.items()}
-            el.choice(
-                "Mesh", methods, motion["method"], lambda v: self._change("mesh", method=v)
-            )
+            el.choice("Mesh", methods, motion["method"], lambda v: self._change("mesh", method=v))
         with ui.element("div").classes("bench-row").style("margin-top: 6px"):
             el.button("New motion", self._new, main=motion is None)
             if motion is not None:
@@ -219,14 +218,10 @@ class Motion(Tab):
         count = len(motion["stops"])
         for i, stop in enumerate(motion["stops"]):
             el.tag("h3", f"Stop {i + 1}", "bench-h3")
-            el.Field(
-                v.name, stop["at"], v.unit, self._stop_act(i, "at"), low=low, high=high
-            )
+            el.Field(v.name, stop["at"], v.unit, self._stop_act(i, "at"), low=low, high=high)
             if motion["second"]:
                 w = plant.variable(motion["second"])
-                el.Field(
-                    w.name, stop["second"], w.unit, self._stop_act(i, "second"), optional=True
-                )
+                el.Field(w.name, stop["second"], w.unit, self._stop_act(i, "second"), optional=True)
             el.Field("Stays for", stop["dwell"], "s", self._stop_act(i, "dwell"), low=0, high=60)
             el.check("At rest", stop["rest"], self._stop_act(i, "rest"), "no velocity there")
             if i < len(motion["durations"]):
@@ -686,9 +681,7 @@ class Motion(Tab):
                     value = self._told[m["id"]]["figures"].get(name)
                     row.append("" if value is None else _with_unit(plant, name, value))
                 rows.append([name, *row])
-            rows.append(
-                ["found in", *[f"{self._told[m['id']]['seconds']:.3g} s" for m in shown]]
-            )
+            rows.append(["found in", *[f"{self._told[m['id']]['seconds']:.3g} s" for m in shown]])
             el.table(["figure", *[m["name"] for m in shown]], rows, label="Figures of the plans")
             if self._record is not None:
                 self._show_record(self._record)
@@ -791,7 +784,9 @@ def motion_lines(state: Mapping[str, Any]) -> list[str]:
         return lines
     for motion in state["motions"]:
         said = jobs.arguments(motion)
-        stops = ", ".join(literal(s) if isinstance(s, dict) else _stop_code(s) for s in said["stops"])
+        stops = ", ".join(
+            literal(s) if isinstance(s, dict) else _stop_code(s) for s in said["stops"]
+        )
         method = jobs.METHODS[motion["method"]][1]
         shown = {k: v for k, v in said.items() if k != "stops"}
         code = call("pam.plan", "plant", f"[{stops}]", **shown, time_limit=jobs.TIME_LIMIT)
@@ -808,7 +803,7 @@ def motion_lines(state: Mapping[str, Any]) -> list[str]:
             },
         )
         lines += [
-            f"for v in (*plant.states, *plant.inputs):",
+            "for v in (*plant.states, *plant.inputs):",
             f'    figures[f"{id}.max({{v.name}})"] = float({id}.trajectory[v.name].max())',
         ]
     return lines
