@@ -26,6 +26,7 @@ from ..core.units import unit as unit_of
 __all__ = [
     "Field",
     "Plot",
+    "Scene",
     "Slider",
     "button",
     "check",
@@ -277,6 +278,7 @@ class Slider(Element, component=Path(__file__).with_name("static") / "slider.js"
     """A coefficient on a slider and in a number, in its own unit.
 
     slide : called with each value while it moves, and must be quick; settle : when it is let go.
+    log : even in the logarithm; its lower end is 0, then.
     """
 
     def __init__(
@@ -288,9 +290,11 @@ class Slider(Element, component=Path(__file__).with_name("static") / "slider.js"
         unit: str,
         slide: Callable[[float], Any],
         settle: Callable[[float], Any],
+        *,
+        log: bool = False,
     ) -> None:
         super().__init__()
-        self._props.update(label=label, value=value, low=low, high=high, unit=unit, seen=0)
+        self._props.update(label=label, value=value, low=low, high=high, unit=unit, seen=0, log=log)
 
         def moved(event: Any) -> None:
             slide(float(event.args))
@@ -303,6 +307,38 @@ class Slider(Element, component=Path(__file__).with_name("static") / "slider.js"
     def set(self, value: float) -> None:
         """Show another value."""
         self._props["value"] = value
+        self.update()
+
+
+class Scene(Element, component=Path(__file__).with_name("static") / "scene.js"):
+    """A plant drawn to scale and moving. scene : of figures.scene.scene_of, or None for nothing.
+
+    label : for who cannot see it. words, unit : of what its slider moves along ("time", "s").
+    seconds : that playing it takes. A scene's ``still`` is the moment that is shown first.
+    pull : called with {"x", "y"} [pixels, right and up] while a pointer pulls it.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        scene: Mapping[str, Any] | None = None,
+        *,
+        height: int = 300,
+        words: str = "time",
+        unit: str = "s",
+        seconds: float = 4.0,
+        pull: Callable[[dict[str, Any]], Any] | None = None,
+    ) -> None:
+        super().__init__()
+        self._props.update(label=label, height=height, words=words, unit=unit, seconds=seconds)
+        self._props.update(scene=scene, held=pull is not None)
+        if pull is not None:
+            self.on("pull", lambda e: pull(e.args) if isinstance(e.args, dict) else None)
+
+    def show(self, scene: Mapping[str, Any] | None, **said: Any) -> None:
+        """Another scene; further arguments as at first."""
+        self._props.update(said)
+        self._props["scene"] = scene
         self.update()
 
 

@@ -1,4 +1,4 @@
-"""Elements that are held by hand: stops on a stroke, films, and what runs live (static/*.js)."""
+"""Elements that are held by hand: stops on a stroke, and what runs live (static/*.js)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from nicegui.element import Element
 
-__all__ = ["Film", "Stops", "Strip"]
+__all__ = ["Stops", "Strip"]
 
 STATIC = Path(__file__).with_name("static")
 
@@ -42,28 +42,6 @@ class Stops(Element, component=STATIC / "stops.js"):
         """As :meth:`show`, and the next position of the hand may come."""
         self._props["seen"] += 1
         self.show(**props)
-
-
-class Film(Element, component=STATIC / "film.js"):
-    """A plant that moves. push : called with {"x", "y"} [pixels] while it is pulled (live)."""
-
-    def __init__(
-        self,
-        label: str,
-        *,
-        live: bool = False,
-        height: int = 260,
-        push: Callable[[dict[str, Any]], Any] | None = None,
-    ) -> None:
-        super().__init__()
-        self._props.update(label=label, live=live, height=height, scene={})
-        if push is not None:
-            self.on("push", lambda e: push(e.args) if isinstance(e.args, dict) else None)
-
-    def show(self, scene: Mapping[str, Any]) -> None:
-        """Another scene (scene.py)."""
-        self._props["scene"] = scene
-        self.update()
 
 
 class Strip(Element, component=STATIC / "strip.js"):

@@ -15,11 +15,10 @@ from ..core.errors import InputError, require_count, require_instance, require_p
 from ..core.files import atomic_path, require_place
 from ..core.interrupts import interruptible
 from ..planning.result import Plan
-from ..plants.hanging import hanging_sketch
 from ..plants.sketch import Line, Mark, Polygon, Sketch, Spindle
 from .canvas import new_figure
 from .plan import GREY, colours_of, panels_of
-from .shapes import Places, outline, rim
+from .scene import Places, outline, rim, sketch_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,13 +152,15 @@ STYLES: dict[str, dict[str, Any]] = {
 
 def _scene(plan: Plan, motion: Trajectory) -> Callable[[Axes], Frame] | None:
     """Who draws the plant; None for one that says nothing of how it looks."""
-    sketch = plan.plant.sketch() or hanging_sketch(plan.plant)
+    sketch = sketch_of(plan.plant)
     return None if sketch is None else lambda ax: _drawn(ax, plan, motion, sketch)
 
 
 def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
     """The sketch on its stage; what moves its shapes."""
-    places = Places(plan.plant, motion)
+    plant = plan.plant
+    x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
+    places = Places(plant, x, u)
     names = [s.muscle for s in sketch.shapes if isinstance(s, Spindle)]
     muscles = dict(zip(names, _stage(ax, plan, motion, names), strict=True))
     frames: list[Frame] = []
@@ -244,7 +245,7 @@ class _Muscle:
 
     def draw(self, i: int, a: Sequence[float], b: Sequence[float]) -> None:
         """Between the points a and b [m]."""
-        self.patch.set_xy(outline(a, b, self.length, self.kappa[i]))
+        self.patch.set_xy(outline(a, b, self.kappa[i], self.length))
         self.patch.set_facecolor(self.colours(0.05 + 0.9 * float(np.clip(self.pressure[i], 0, 1))))
 
 

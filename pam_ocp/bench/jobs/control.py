@@ -27,13 +27,12 @@ from ...control.mpc.mpc import Mpc
 from ...control.point_pid import PointPid
 from ...control.sides import PlantSide, Side, side_of
 from ...core.errors import InputError, PamError
-from ...core.trajectory import Trajectory
 from ...export.package import export_fmu
+from ...figures.scene import scene_of
 from ...operating.linear import OperatingPoint, equilibrium
 from ...plants.plant import Plant
 from ..look import numbers
 from ..made import plant_of
-from ..scene import scene_of
 from ..script import PUSH
 from ..work import Say
 
@@ -92,7 +91,9 @@ def first_point(plant: Plant) -> dict[str, float]:
     return said
 
 
-def first_controller(plant: Plant, point: Mapping[str, float], kind: str, id: str) -> dict[str, Any]:
+def first_controller(
+    plant: Plant, point: Mapping[str, float], kind: str, id: str
+) -> dict[str, Any]:
     """A controller to begin with; PID gains by the margin of the proportional loop."""
     gains = {n: value for n, (_, value) in GAINS[kind].items()}
     name = next(iter(plant.positions))
@@ -345,7 +346,6 @@ def closed(
         for n in (position, *inputs)
     }
     units = {n: motion.variable(n).display_unit for n in columns}
-    frames = np.linspace(0.0, float(motion.t[-1]), 80)
     return {
         "t": numbers(motion.t[::every]),
         "columns": columns,
@@ -357,7 +357,6 @@ def closed(
         "inputs": inputs,
         "words": str(found),
         "figures": loop_figures(found, position),
-        "scene": scene_of(side, motion.at(frames)),
     }
 
 
@@ -435,16 +434,14 @@ class _Live:
             self.since = 0
         return {"t": times, "rows": rows}
 
-    def scene(self) -> dict[str, Any]:
+    def scene(self) -> dict[str, Any] | None:
         """The side as it stands."""
-        names = [*self.whole.states, *self.whole.inputs, *self.whole.outputs]
         values = self.side.values()
-        columns = {v.name: [values.get(v.name, 0.0)] * 2 for v in names}
-        largest = max(
-            (v.max for v in self.whole.states if v.name.endswith(".pressure")), default=6e5
+        x, u = (
+            np.array([[values.get(v.name, v.start or 0.0)] for v in each])
+            for each in (self.whole.states, self.whole.inputs)
         )
-        moment = Trajectory(np.array([0.0, 1.0]), columns, names)
-        return scene_of(self.whole, moment, largest if np.isfinite(largest) else 6e5)
+        return scene_of(self.whole, np.zeros(1), x, u)
 
 
 def _fmu(folder: Path, whole: Plant) -> Path:

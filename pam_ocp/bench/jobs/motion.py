@@ -25,6 +25,7 @@ import numpy as np
 from ...core.errors import InputError, PlanError
 from ...core.trajectory import Trajectory
 from ...figures.plan import panels_of
+from ...figures.scene import scene_of
 from ...planning.active import limits_along
 from ...planning.planner import Planner, plan
 from ...planning.problem.costs import COSTS
@@ -34,13 +35,13 @@ from ...planning.transcription.mesh import Collocation, Method, Shooting
 from ...plants.plant import Plant
 from ..look import numbers
 from ..made import plant_of, records_of
-from ..scene import scene_of
 from ..work import Say
 
 __all__ = [
     "METHODS",
     "arguments",
     "dragged",
+    "film_of",
     "first_motion",
     "motion_figures",
     "plan_of",
@@ -315,10 +316,16 @@ def _place(words: str) -> int | None:
     return int(found[1]) - 1 if found else None
 
 
-def _film(found: Plan) -> dict[str, Any]:
+def _film(found: Plan) -> dict[str, Any] | None:
     assert found.replay is not None
     times = np.linspace(0.0, found.duration, FRAMES)
-    return scene_of(found.plant, found.replay.trajectory.at(times))
+    return film_of(found.plant, found.replay.trajectory.at(times))
+
+
+def film_of(plant: Plant, motion: Trajectory) -> dict[str, Any] | None:
+    """The plant at the moments of a motion, in ms."""
+    x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
+    return scene_of(plant, 1e3 * motion.t, x, u)
 
 
 # ---- records -------------------------------------------------------------------------------------

@@ -19,8 +19,12 @@ export default {
           <text class="stops-text" :x="X(k.v / tf)" :y="M.top + h + 15" text-anchor="middle">{{ k.text }}</text></g>
         <g v-for="k in yTicks"><line class="stops-grid" :x1="M.left" :x2="M.left + w" :y1="Y(k.v * factor)" :y2="Y(k.v * factor)" />
           <text class="stops-text" :x="M.left - 6" :y="Y(k.v * factor) + 4" text-anchor="end">{{ k.text }}</text></g>
-        <text class="stops-text" :x="M.left + w / 2" :y="height - 6" text-anchor="middle">time [{{ timeUnit }}]</text>
+        <text class="stops-text" :x="M.left + w / 2" :y="294" text-anchor="middle">time [{{ timeUnit }}]</text>
         <text class="stops-text" :transform="'rotate(-90)'" :x="-(M.top + h / 2)" y="14" text-anchor="middle">{{ variable }} [{{ unit }}]</text>
+        <g v-for="(a, i) in active" role="img" :aria-label="a.label + ' is active'">
+          <text class="stops-text" :x="M.left" :y="300 + 11 + 24 * i">{{ a.label }}</text>
+          <line class="stops-grid" :x1="M.left" :x2="M.left + w" :y1="300 + 18.5 + 24 * i" :y2="300 + 18.5 + 24 * i" />
+          <rect v-for="p in a.spans" class="stops-active" :x="X(p[0])" :width="Math.max(3, X(p[1]) - X(p[0]))" :y="300 + 15 + 24 * i" height="7" /></g>
         <g v-for="b in bounds"><rect class="stops-beyond" :x="M.left" :y="b.y" :width="w" :height="b.h" />
           <line class="stops-bound" :x1="M.left" :x2="M.left + w" :y1="b.line" :y2="b.line" /></g>
         <polyline v-for="o in others" class="stops-other" :points="path(o)" :style="{ stroke: o.colour, strokeDasharray: o.dash }" />
@@ -44,10 +48,10 @@ export default {
     </div>`,
   props: {
     stops: Array, variable: String, unit: String, factor: Number, low: Number, high: Number, curve: Object,
-    others: Array, record: Object, pending: Boolean, duration: Number, wrong: Number, problem: String, seen: Number, label: String,
+    others: Array, record: Object, pending: Boolean, duration: Number, wrong: Number, problem: String, seen: Number, label: String, active: Array,
   },
   data() {
-    return { M, width: 700, height: 300, held: null, local: null, frozen: null, sent: 0, waits: null, at: 0 };
+    return { M, width: 700, held: null, local: null, frozen: null, sent: 0, waits: null, at: 0 };
   },
   mounted() {
     this.watcher = new ResizeObserver(() => {
@@ -59,7 +63,8 @@ export default {
   unmounted() { this.watcher.disconnect(); },
   computed: {
     w() { return Math.max(50, this.width - M.left - M.right); },
-    h() { return this.height - M.top - M.bottom; },
+    h() { return 300 - M.top - M.bottom; },
+    height() { return 300 + 24 * (this.active || []).length; },
     ends() {
       const later = Math.max(0, ...(this.stops || []).map((s) => s.t + (s.dwell || 0)), ...(this.others || []).map((o) => o.t[o.t.length - 1] || 0));
       return Math.max(this.duration || 0, later) || 1;

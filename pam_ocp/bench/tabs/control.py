@@ -19,7 +19,7 @@ from ...plants.plant import Plant
 from .. import elements as el
 from .. import look
 from ..jobs import control as jobs
-from ..live import Film, Strip
+from ..live import Strip
 from ..made import plant_of
 from ..script import control_lines
 from ..tab import Tab
@@ -221,13 +221,19 @@ class Control(Tab):
             value = float(said["gains"][name])
             if name == "horizon":
                 el.Field(
-                    "Horizon [samples]", value, "1", self._gain_act(name), low=2, high=200, shown="1"
+                    "Horizon [samples]",
+                    value,
+                    "1",
+                    self._gain_act(name),
+                    low=2,
+                    high=200,
+                    shown="1",
                 )
                 continue
             unit, factor = units.get(name, ("", 1.0))
             shown = value * factor
             about = shown if shown > 0 else _about(name, said, units, usual)
-            el.LogSlider(
+            el.Slider(
                 words,
                 shown,
                 about * 10**-DECADES,
@@ -235,6 +241,7 @@ class Control(Tab):
                 unit,
                 lambda v, n=name, f=factor: self._slide(n, v / f),
                 lambda v, n=name, f=factor: self._settle(n, v / f),
+                log=True,
             )
         if said["kind"] == "lqr":
             el.note("Weights of squares in units of nominal: more effort, less gain.")
@@ -368,11 +375,10 @@ class Control(Tab):
         with ui.element("div").classes("bench-live-parts"):
             self._strip = Strip("What is reached and what is to be reached", self._set_goal)
             with ui.element("div"):
-                self._film = Film(
+                self._film = el.Scene(
                     "The plant as it stands; pull it with the pointer",
-                    live=True,
                     height=240,
-                    push=self._pulled,
+                    pull=self._pulled,
                 )
                 self._push_field = el.Field("Push", 0.0, "N", self._set_push)
         el.note(
@@ -525,9 +531,7 @@ def _poles_figure(found: Said) -> Said:
         if key in found:
             marker = {"symbol": symbol, "size": 9, "line": {"width": 2, "color": colour}}
             data.append(
-                look.points(
-                    found[key]["re"], found[key]["im"], words, colour, marker=marker
-                )
+                look.points(found[key]["re"], found[key]["im"], words, colour, marker=marker)
             )
     return look.figure(data, "real part [1/s]", "imaginary part [1/s]", height=300)
 
@@ -562,18 +566,14 @@ def _bode_figure(found: Said) -> Said:
         )
     )
     right = look.axis("phase [deg]", overlaying="y", side="right", showgrid=False)
-    return look.figure(
-        data, "frequency [Hz]", "gain [dB]", height=320, xaxis=log, yaxis2=right
-    )
+    return look.figure(data, "frequency [Hz]", "gain [dB]", height=320, xaxis=log, yaxis2=right)
 
 
 def _run_figure(found: Said) -> Said:
     position, t = found["position"], found["t"]
     data = []
     if found["reference"] is not None:
-        data.append(
-            look.line(t, found["reference"], "wanted", look.FAINT, line={"dash": "dash"})
-        )
+        data.append(look.line(t, found["reference"], "wanted", look.FAINT, line={"dash": "dash"}))
     data.append(look.line(t, found["columns"][position], position, look.COLOURS[0]))
     units = list(dict.fromkeys(found["units"][n] for n in found["inputs"]))
     layout: Said = {}

@@ -20,7 +20,7 @@ from .. import look
 from ..guard import MOST_UPLOAD
 from ..jobs import motion as jobs
 from ..jobs.data import look_at
-from ..live import Film, Stops
+from ..live import Stops
 from ..made import plant_of
 from ..script import call, figure_lines, literal
 from ..tab import Tab
@@ -62,9 +62,8 @@ class Motion(Tab):
                     self._verdict = el.note("", "bench-verdict")
                     self._verdict._props["aria-live"] = "polite"
                     self._stops = Stops(self._slide, self._settle, self._add, self._remove)
-                    self._active = ui.element("div").classes("bench-active")
                 with el.section("Animation"):
-                    self._film = Film("The plant along the motion")
+                    self._film = el.Scene("The plant along the motion", height=260, unit="ms")
                 with el.section("Figures"):
                     self._figures = ui.element("div")
                 with el.section("Pressures, commands, forces", wide=True):
@@ -481,7 +480,7 @@ class Motion(Tab):
         told = told or self._told.get(motion["id"])
         self._show_curve(motion, plant, told)
         good = self._told.get(motion["id"])
-        self._film.show(good["scene"] if good else {})
+        self._film.show(good["scene"] if good else None)
         self._plot.draw(self._curves(good) if good else look.figure([], "time [ms]"))
         self._show_figures(motion)
 
@@ -506,6 +505,7 @@ class Motion(Tab):
             label=f"Stops of {motion['name']}; double click adds one, Delete removes one",
             curve={"t": curve["t"], "x": curve["position"]} if curve else None,
             duration=curve["duration"] if curve else 0.0,
+            active=curve["active"] if curve else [],
             others=self._others(motion),
             record=self._record_curve(motion, factor),
             pending=pending or (told is not None and not told["ok"]),
@@ -529,26 +529,6 @@ class Motion(Tab):
             if not dragged:
                 self._verdict.classes("bench-good" if told["verified"] else "bench-bad")
         self._words.set_text("the motion before is shown meanwhile" if pending else "")
-        self._show_active(told if told is not None and told["ok"] else None)
-
-    def _show_active(self, told: Said | None) -> None:
-        self._active.clear()
-        if told is None:
-            return
-        with self._active:
-            for limit in told["active"]:
-                el.tag("span", limit["label"])
-                parts = "".join(
-                    f'<rect x="{1000 * a / told["duration"]:.1f}" y="1" height="10" '
-                    f'width="{max(6.0, 1000 * (b - a) / told["duration"]):.1f}"/>'
-                    for a, b in limit["spans"]
-                )
-                times = ", ".join(f"{1e3 * a:.4g} .. {1e3 * b:.4g} ms" for a, b in limit["spans"])
-                ui.html(
-                    '<svg viewBox="0 0 1000 12" preserveAspectRatio="none" fill="#c97b12" '
-                    f'role="img" aria-label="active {times}">{parts}</svg>',
-                    sanitize=False,
-                )
 
     def _drawn_stops(self, motion: Said, curve: Said | None = None) -> list[Said]:
         """Stops with the times at which the last plan was there; legs that are given have them."""

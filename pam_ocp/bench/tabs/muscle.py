@@ -586,7 +586,7 @@ def _measured(fit: Mapping[str, Any]) -> list[dict[str, Any]]:
     cells, levels = fit["cells"], np.array(fit["levels"])
     p = np.asarray(cells["pressure"], float)
     nearest = np.argmin(np.abs(p[:, None] - levels[None, :]), axis=1)
-    near = np.abs(p - levels[nearest]) <= 0.03 * levels.max()
+    near = np.abs(p - levels[nearest]) <= 0.03 * levels[nearest]
     taut = np.asarray(cells["force"], float) > 0
     made = []
     groups = [(near & taut & (nearest == i), i) for i in range(len(levels))]
