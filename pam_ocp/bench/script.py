@@ -21,6 +21,7 @@ __all__ = [
     "call",
     "control_lines",
     "data_lines",
+    "export_lines",
     "figure_lines",
     "figures_said",
     "literal",
@@ -261,4 +262,45 @@ def _run_lines(said: Mapping[str, Any]) -> list[str]:
         f'figures[f"{id}.max({{position}})"] = float({id}_run[position].max())',
         f'figures[f"{id}.min({{position}})"] = float({id}_run[position].min())',
     ]
+    return lines
+
+
+# ---- exports -------------------------------------------------------------------------------------
+def export_lines(state: Mapping[str, Any]) -> list[str]:
+    """Each FMU with its check, each SSP."""
+    lines: list[str] = []
+    if state["muscle"] is None:
+        return lines
+    for said in state["exports"]:
+        id, motion = said["id"], said["motion"]
+        if said["kind"] == "fmu":
+            made = call(
+                "pam.export_fmu",
+                "plant",
+                literal(f"{id}.fmu"),
+                fmi=said["fmi"],
+                platforms=["native"],
+                step_size=said["step_size"],
+            )
+            lines += [f"{id} = {made}"]
+            against = f"{motion}.trajectory" if motion else "None"
+            if not motion and state["point"]:
+                lines += [
+                    f"rest = pam.simulate(plant, start=point, duration=200 * {said['step_size']!r})"
+                ]
+                against = "rest"
+            lines += [f"{id}_check = pam.check_fmu({id}, against={against}, tolerance=1e-3)"]
+            lines += [f"print({id}_check)"]
+            lines += figure_lines(
+                id, {"ok": f"float({id}_check.ok)", "largest": f"{id}_check.largest"}
+            )
+        elif said["kind"] == "ssp" and motion:
+            lines += [
+                f'{id} = pam.export_ssp({{"plant": plant, "motion": {motion}.trajectory}}, '
+                f'{{f"plant.{{v.name}}": f"motion.{{v.name}}" for v in plant.inputs}}, '
+                f"{literal(f'{id}.ssp')}, step_size={said['step_size']!r}, "
+                f'stop_time={motion}.duration, platforms=["native"])'
+            ]
+        elif said["kind"] == "c" and said["controller"]:
+            lines += [f"pam.export.export_c({said['controller']}, {literal(f'{id}_c')})"]
     return lines

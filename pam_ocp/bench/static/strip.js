@@ -1,6 +1,12 @@
 // The last seconds of something that runs: what is reached, what is to be reached, and inputs
 // below. The reference is dragged up and down at the right edge, or moved by arrow keys.
 const M = { left: 62, right: 26, top: 8, gap: 14, bottom: 34 };
+function ticks(low, high) {
+  const raw = (high - low || 1) / 4, power = Math.pow(10, Math.floor(Math.log10(raw)));
+  const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= raw * 0.999), found = [];
+  for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) found.push(Math.abs(v) < 1e-9 * step ? 0 : v);
+  return found;
+}
 export default {
   template: `
     <div class="bench-strip" ref="box">
@@ -37,8 +43,7 @@ export default {
       const begin = Math.max(0, this.now - this.span), X = (t) => M.left + ((t - begin) / this.span) * this.w;
       const pane = (name, unit, top, h, low, high, curves) => {
         const pad = 0.06 * (high - low || 1), Y = (v) => top + ((high + pad - v) / (high - low + 2 * pad)) * h;
-        const step = (high - low) / 4;
-        return { name, unit, top, h, Y, ticks: [0, 1, 2, 3, 4].map((i) => low + i * step), curves: curves.map((c) => ({
+        return { name, unit, top, h, Y, ticks: ticks(low, high), curves: curves.map((c) => ({
           ...c, points: (this.rows[c.name] || []).map((v, i) => X(this.t[i]).toFixed(1) + "," + Y(v).toFixed(1)).join(" "),
         })) };
       };

@@ -21,7 +21,7 @@ from .. import look
 from ..jobs import control as jobs
 from ..live import Strip
 from ..made import plant_of
-from ..script import control_lines
+from ..script import PUSH, control_lines
 from ..tab import Tab
 
 __all__ = ["Control"]
@@ -533,7 +533,7 @@ def _poles_figure(found: Said) -> Said:
             data.append(
                 look.points(found[key]["re"], found[key]["im"], words, colour, marker=marker)
             )
-    return look.figure(data, "real part [1/s]", "imaginary part [1/s]", height=300)
+    return look.figure(data, "real part [1/s]", "imaginary part [1/s]", height=300, **look.ABOVE)
 
 
 def _step_figure(found: Said, said: Said) -> Said:
@@ -544,7 +544,7 @@ def _step_figure(found: Said, said: Said) -> Said:
             look.line(t, [1.0] * len(t), "wanted", look.FAINT, line={"dash": "dash"}),
             look.line(t, found["step"]["y"], "reached"),
         ]
-    return look.figure(data, "time [s]", "position per step [1]", height=330)
+    return look.figure(data, "time [s]", "position per step [1]", height=330, **look.ABOVE)
 
 
 def _bode_figure(found: Said) -> Said:
@@ -566,7 +566,9 @@ def _bode_figure(found: Said) -> Said:
         )
     )
     right = look.axis("phase [deg]", overlaying="y", side="right", showgrid=False)
-    return look.figure(data, "frequency [Hz]", "gain [dB]", height=320, xaxis=log, yaxis2=right)
+    return look.figure(
+        data, "frequency [Hz]", "gain [dB]", height=320, xaxis=log, yaxis2=right, **look.ABOVE
+    )
 
 
 def _run_figure(found: Said) -> Said:
@@ -575,7 +577,9 @@ def _run_figure(found: Said) -> Said:
     if found["reference"] is not None:
         data.append(look.line(t, found["reference"], "wanted", look.FAINT, line={"dash": "dash"}))
     data.append(look.line(t, found["columns"][position], position, look.COLOURS[0]))
-    units = list(dict.fromkeys(found["units"][n] for n in found["inputs"]))
+    # a push of nothing says nothing
+    inputs = [n for n in found["inputs"] if n != PUSH or any(found["columns"][n])]
+    units = list(dict.fromkeys(found["units"][n] for n in inputs))
     layout: Said = {}
     count = 1 + len(units)
     each = (1 - 0.06 * (count - 1)) / count
@@ -585,7 +589,7 @@ def _run_figure(found: Said) -> Said:
         layout[f"yaxis{k + 2}"] = look.axis(
             "inputs" if unit == "1" else f"inputs [{unit}]", domain=[max(0.0, top - each), top]
         )
-    for i, name in enumerate(found["inputs"]):
+    for i, name in enumerate(inputs):
         axis = f"y{units.index(found['units'][name]) + 2}"
         colour = look.COLOURS[(i + 1) % len(look.COLOURS)]
         data.append(look.line(t, found["columns"][name], name, colour, yaxis=axis))
@@ -593,9 +597,10 @@ def _run_figure(found: Said) -> Said:
         data,
         "time [s]",
         f"{position} [{found['units'][position]}]",
-        height=150 * count + 60,
+        height=150 * count + 90,
         hovermode="x",
         **layout,
+        **look.ABOVE,
     )
     figure["layout"]["xaxis"]["anchor"] = f"y{count}"
     return figure

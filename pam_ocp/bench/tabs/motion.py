@@ -590,7 +590,12 @@ class Motion(Tab):
                 )
         unit = "ms" if scale > 1 else "s"
         figure = look.figure(
-            data, f"time [{unit}]", height=130 * len(panels) + 60, hovermode="x", **layout
+            data,
+            f"time [{unit}]",
+            height=130 * len(panels) + 90,
+            hovermode="x",
+            **layout,
+            **look.ABOVE,
         )
         figure["layout"]["xaxis"]["anchor"] = f"y{len(panels)}" if len(panels) > 1 else "y"
         return figure
