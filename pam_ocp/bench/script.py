@@ -8,6 +8,7 @@ quoted literal, or as a comment on one line.
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -29,6 +30,7 @@ __all__ = [
     "plant_code",
     "plant_lines",
     "script_of",
+    "wrapped",
 ]
 
 HEAD = '''"""Repeats a session of pam-ocp bench; run it in the folder that holds "files"."""
@@ -40,6 +42,8 @@ import numpy as np
 import pam_ocp as pam
 '''
 FIGURES = "figures: dict[str, float] = {}  # what the page shows, too"
+WIDTH = 96
+"""Characters of a line that are not too many."""
 SAID = "figure "
 TAIL = f'''for name, value in figures.items():
     print(f"{SAID}{{name}} = {{float(value)!r}}")
@@ -52,7 +56,7 @@ ROOMS = ("feeds", "losses", "loads", "plants", "gas", "muscles")
 
 def script_of(parts: Iterable[Sequence[str]]) -> str:
     """The script: what each tab has to say, in the order of the tabs."""
-    blocks = ["\n".join(lines) for lines in parts if lines]
+    blocks = ["\n".join(map(wrapped, lines)) for lines in parts if lines]
     text = "\n\n".join(blocks)
     imports = {"dataclasses": "dataclasses.", "numpy as np": "np."}
     head = HEAD
@@ -89,6 +93,27 @@ def call(function: str, *args: str, **keywords: Any) -> str:
     """``pam.verb(table, name=value)``; arguments are code, keywords values. None is left out."""
     said = [*args, *(f"{k}={literal(v)}" for k, v in keywords.items() if v is not None)]
     return f"{function}({', '.join(said)})"
+
+
+def wrapped(line: str) -> str:
+    """A call that is too long for a line, an argument on each."""
+    if len(line) <= WIDTH or line.count("\n"):
+        return line
+    try:
+        (statement,) = ast.parse(line).body
+    except (SyntaxError, ValueError):
+        return line
+    made = statement.value if isinstance(statement, ast.Assign | ast.Expr) else None
+    if not isinstance(made, ast.Call):
+        return line
+    parts = [*made.args, *(k.value for k in made.keywords)]
+    names = [*[None] * len(made.args), *(k.arg for k in made.keywords)]
+    codes = [ast.get_source_segment(line, part) for part in parts]
+    inside = [
+        f"    {c}," if n is None else f"    {n}={c}," for n, c in zip(names, codes, strict=True)
+    ]
+    head = line.encode()[: made.func.end_col_offset].decode()  # offsets count bytes
+    return "\n".join([f"{head}(", *inside, ")"])
 
 
 # ---- data ----------------------------------------------------------------------------------------

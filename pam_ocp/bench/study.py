@@ -9,6 +9,7 @@ from typing import Any
 import tomli_w
 
 from ..planning.problem.wording import Stop
+from .jobs.export import TOLERANCE
 from .jobs.motion import METHODS, arguments
 from .made import muscle_of
 
@@ -38,7 +39,7 @@ def study_of(state: Mapping[str, Any], title: str = "") -> str:
             if said["kind"] == "fmu":
                 step = {"kind": "export", "plant": "plant", "fmi": said["fmi"]}
                 steps[said["id"]] = {**step, "platforms": ["native"]}
-                check = {"kind": "check", "fmu": said["id"]}
+                check = {"kind": "check", "fmu": said["id"], "tolerance": TOLERANCE}
                 if said["motion"]:
                     check["against"] = said["motion"]
                 steps[f"{said['id']}-check"] = check
