@@ -58,7 +58,7 @@ class Control(Tab):
                 with el.section("Controller"):
                     self._list = ui.element("div")
                 with el.section("Gains"):
-                    self._gains_box = ui.element("div")
+                    self._gains_box = ui.element("div").classes("bench-words")
                 with el.section("Run against the plant"):
                     self._study_box = ui.element("div")
             with el.plots():

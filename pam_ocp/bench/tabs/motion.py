@@ -52,7 +52,7 @@ class Motion(Tab):
                 with el.section("Stops", "drag them, or use the arrow keys"):
                     self._stops_box = ui.element("div")
                 with el.section("Objective"):
-                    self._objective = ui.element("div")
+                    self._objective = ui.element("div").classes("bench-words")
                 with el.section("Bounds", "beyond the plant's own"):
                     self._bounds_box = ui.element("div")
                 with el.section("Compare and replay"):
