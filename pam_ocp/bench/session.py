@@ -218,7 +218,7 @@ class Session:
         there = self.folder / "files"
         if sum(1 for _ in there.iterdir()) >= MOST_FILES:
             raise InputError(f"{name}: this session holds {MOST_FILES} files; begin another one")
-        kept = f"{hashlib.sha256(content).hexdigest()[:10]}-{safe_name(name)}"
+        kept = safe_name(f"{hashlib.sha256(content).hexdigest()[:10]}-{safe_name(name)}")
         if not (there / kept).exists():
             (there / kept).write_bytes(content)
         return kept

@@ -207,6 +207,7 @@ def designed(
     factor = plant.variable(position).display_factor
     linear = plant.linearize(point)
     found: dict[str, Any] = {
+        "rest": float(point[position]),
         "open": _complex(np.linalg.eigvals(np.asarray(linear.A))),
         "point": {n: plant.variable(n).shown(point[n]) for n in _shown(plant)},
         "unit": plant.variable(position).display_unit,

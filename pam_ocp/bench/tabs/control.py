@@ -51,6 +51,7 @@ class Control(Tab):
         self._runs = False
         self._push = 0.0
         self._goal: float | None = None
+        self._factor = 1.0
         with el.split():
             with el.side():
                 with el.section("Operating point"):
@@ -291,6 +292,9 @@ class Control(Tab):
         self._poles.draw(_poles_figure(found))
         self._step.draw(_step_figure(found, said))
         self._bode.draw(_bode_figure(found))
+        if not self._runs and "rest" in found:
+            self._goal = found["rest"]
+            self._strip.show(reference=found["rest"] / self._factor)
         self._margins.classes(remove="bench-bad bench-good")
         if "margins" not in found:
             self._margins.set_text("A predictive controller has no linear loop: run it.")
@@ -390,8 +394,6 @@ class Control(Tab):
         v = plant.variable(next(iter(plant.positions)))
         factor = v.display_factor
         low, high = (e / factor if np.isfinite(e) else 0.0 for e in (v.min, v.max))
-        at = self.state["point"].get(v.name, 0.0)
-        self._goal = at if self._goal is None or not self._runs else self._goal
         inputs = []
         for i, u in enumerate(u for u in plant.inputs if not u.disturbance):
             ends = [e / u.display_factor for e in (u.min, u.max)]
@@ -413,7 +415,6 @@ class Control(Tab):
             unit=v.display_unit,
             variable=v.name,
             inputs=inputs,
-            reference=self._goal / factor,
         )
         self._factor = factor
 
