@@ -121,7 +121,7 @@ def test_compensation_of_hysteresis_as_a_block_gives_the_same_commands():
     start = plant.equilibrium(x=0.03)
     controller = HysteresisCompensation(plant.with_values(start), sample_time=STEP, frequency=2.0)
     wanted = {"x": lambda t: 0.03 + 0.008 * np.sin(8 * t)}
-    path = controller.tracking({n: w for n, w in wanted.items()}, {}, True)._path
+    path = controller.tracking(dict(wanted), {}, True)._path
 
     def told(t):
         pairs = {"wanted": path(t), "ahead": path(t + STEP)}

@@ -17,16 +17,13 @@ on and off) is put around it by :func:`guarded`. A law may take these inputs, wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from ...core.block import Block
 from ...core.errors import InputError
-from ...core.registry import Registry
+from ..kinds import BLOCKS
 
 __all__ = ["ACTIVE", "BLOCKS", "HELD_BACK", "LARGEST", "LIMITED", "SENT", "TOLD", "law_of"]
-
-BLOCKS: Registry[Callable[..., Block]] = Registry("block", "pam_ocp.control")
 
 ACTIVE, LIMITED, HELD_BACK, SENT = "active", "limited", "held_back", "sent."
 TOLD = (ACTIVE, LIMITED, HELD_BACK, "sent", "enable", "wanted", "ahead", "place")

@@ -348,6 +348,9 @@ add_test(NAME selftest COMMAND {p}_selftest)
             or "- none: the code of a step runs straight through"
         )
         whole = "at most" if self.counts.whole else "at least (linear systems are not counted)"
+        straight = ""
+        if b.step.is_a("SXFunction"):
+            straight = " (nothing is skipped: each step takes the same time)"
         rough = inexact(c, self.precision)
         bits = (
             "The same bits on every machine that computes by IEEE 754 and fuses no product with a "
@@ -393,8 +396,7 @@ The stack holds {pointers} pointers, {4 * c.integers} bytes of indices, and the 
 variables. Nothing is allocated; no function of the system is called, of the C library
 {_list(library_functions(c, self.precision))}.
 
-Operations of one step, {whole} (both branches of every choice are computed, so that each step
-takes the same time):
+Operations of one step, {whole}{straight}:
 
 | operation | count |
 |---|---|
