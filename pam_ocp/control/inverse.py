@@ -90,7 +90,8 @@ class InverseDynamics:
         z = ca.vertcat(plant.x, plant.u)
         whole = ca.Function("inverse", [z, plant.p], [column, ca.densify(slopes)])
         here = ca.SX.sym("z", z.numel())
-        return ca.Function("inverse", [here], whole(here, ca.DM(self._p)), {"cse": True})
+        found, steep = whole(here, ca.DM(self._p))
+        return ca.Function("inverse", [here], [found, steep], {"cse": True})
 
     def __call__(
         self,

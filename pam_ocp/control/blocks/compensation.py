@@ -92,7 +92,7 @@ class _Compensation:
         model, time = self.model, self.owner.sample_time
         if not held:
             return {}
-        memory = ca.vertcat(*held.values())
+        memory: Any = ca.vertcat(*held.values())
         known: dict[int, Any] = {model._at[1]: (to - x) / time}
         for m, value in zip(self.inverse.muscles, p, strict=True):
             place = model._index[f"{m}.pressure"]
@@ -145,11 +145,11 @@ class _Compensation:
             for i, v in enumerate(inner.states)
         ]
         one = _regula_falsi(missed, x, wanted, s)
-        at = ca.vertcat(*states)
+        at: Any = ca.vertcat(*states)
         first, last = missed(at, low, rate), missed(at, high, rate)
         begun = ca.if_else(first >= 0, low, high)
         done = ca.logic_or(first >= 0, last <= 0)
-        state = ca.vertcat(low, high, first, last, done, begun)
+        state: Any = ca.vertcat(low, high, first, last, done, begun)
         for _ in range(BISECTIONS):
             state = one(at, rate, state)
         self.draft.repeats("steps for the inputs that give the pressures their rates", BISECTIONS)
