@@ -21,28 +21,38 @@ LARGEST = 700.0
 """Arguments of exp are held to this size: beyond are neither numbers nor zeros to compute with."""
 
 
-def _exp(x: ca.SX) -> ca.SX:
-    """exp(x) = 2^k exp(r), |r| <= ln(2)/2; powers of two are exact in every C library."""
+def _parts(x: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(2^k, exp(r) - 1) of x = k ln(2) + r, |r| <= ln(2)/2; powers of two are exact everywhere."""
     held = ca.if_else(x > LARGEST, LARGEST, ca.if_else(x < -LARGEST, -LARGEST, x))
     k = ca.floor(held * (1 / math.log(2)) + 0.5)
     r = (held - k * LN2_HIGH) - k * LN2_LOW
     series = ca.SX(1.0)
-    for n in range(TERMS, 0, -1):
+    for n in range(TERMS, 1, -1):
         series = 1 + r * series * (1 / n)
-    return ca.SX(series * ca.power(2.0, k))
+    return ca.power(2.0, k), r * series
+
+
+def _exp(x: ca.SX) -> ca.SX:
+    power, rest = _parts(x)
+    return power + power * rest
+
+
+def _expm1(x: ca.SX) -> ca.SX:
+    power, rest = _parts(x)
+    return (power - 1) + power * rest
 
 
 def _tanh(x: ca.SX) -> ca.SX:
-    small = _exp(-2 * ca.fabs(x))
-    value = (1 - small) / (1 + small)
+    grown = _expm1(-2 * ca.fabs(x))
+    value = -grown / (2 + grown)
     return ca.SX(ca.if_else(x < 0, -value, value))
 
 
-_REPLACED = {ca.OP_EXP: _exp, ca.OP_TANH: _tanh}
+_REPLACED = {ca.OP_EXP: _exp, ca.OP_EXPM1: _expm1, ca.OP_TANH: _tanh}
 
 
 def portable(function: ca.Function) -> ca.Function:
-    """An SX Function with exp and tanh written out; itself where it has none.
+    """An SX Function with exp, expm1 and tanh written out; itself where it has none.
 
     Rounding differs from the C library's by some units in the last place; an argument that is not a
     number gives none.
