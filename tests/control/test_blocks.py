@@ -10,6 +10,7 @@ from pam_ocp.control import (
     PID,
     BlockController,
     HysteresisCompensation,
+    InverseDynamics,
     KalmanFilter,
     OffsetFree,
     OpenLoop,
@@ -118,11 +119,9 @@ def test_position_control_as_a_block_gives_the_same_commands(valved, slide, inne
 def test_compensation_of_hysteresis_as_a_block_gives_the_same_commands():
     plant = pam.HangingLoad(MUSCLE, 15.0, losses=pam.losses.PrandtlIshlinskii())
     start = plant.equilibrium(x=0.03)
-    controller = HysteresisCompensation(
-        plant.with_values(start), sample_time=STEP, frequency=2.0
-    )
+    controller = HysteresisCompensation(plant.with_values(start), sample_time=STEP, frequency=2.0)
     wanted = {"x": lambda t: 0.03 + 0.008 * np.sin(8 * t)}
-    path = controller.tracking({n: w for n, w in wanted.items()}, {}, True)._path
+    path = controller.tracking(dict(wanted), {}, True)._path
 
     def told(t):
         pairs = {"wanted": path(t), "ahead": path(t + STEP)}
@@ -147,11 +146,44 @@ def test_an_extended_filter_and_a_feedback_in_a_chain_give_the_same_commands(sli
     same_commands(feedback, slide, made=made, estimator=estimator, noise={"x": 1e-5})
 
 
-def test_every_kind_of_block_is_among_these_tests():
-    tested = {"StateFeedback", "OffsetFree", "WithEstimate", "StationaryFilter", "KalmanFilter"}
-    tested |= {"ScheduledFeedback", "TrajectoryFeedback", "OpenLoop", "PositionController"}
-    tested |= {"PressureLoop", "InverseDynamics", "HysteresisCompensation", "PID", "Trajectory"}
-    assert tested <= set(BLOCKS)
+def test_a_motion_inverse_dynamics_and_pressure_loops_in_a_chain_feed_forward(valved):
+    """The commands that the controllers give for the motion, sample by sample."""
+    t = STEP * np.arange(60)
+    x, v, a = (np.array(n) for n in zip(*map(sine(0.0, 0.006, 2.0), t), strict=True))
+    motion = pam.Trajectory(
+        t,
+        {"x": x, "v": v, "acceleration": a, "stiffness": np.full(60, 2.2e4)},
+        [
+            valved.variable("x"),
+            valved.variable("v"),
+            pam.Variable("acceleration", "output", unit="m/s2"),
+            valved.variable("stiffness"),
+        ],
+    )
+    inverse, loop = InverseDynamics(valved), PressureLoop(valved)
+    parts = [
+        block(motion, sample_time=STEP, guard=False),
+        block(inverse, sample_time=STEP, guard=False),
+        block(loop, sample_time=STEP, guard=False),
+    ]
+    controller = BlockController(block(chain(parts), plant=valved))
+    rng = np.random.default_rng(3)
+    for k in range(60):
+        seen = {
+            f"muscle{i}.pressure": p for i, p in zip((1, 2), rng.uniform(1e5, 6e5, 2), strict=True)
+        }
+        p = inverse(x[k], v[k], a[k], 2.2e4)
+        expected = loop({"muscle1": p[0], "muscle2": p[1]}, seen)
+        ends = valved.variable("muscle1.command")
+        expected = {n: min(max(u, ends.min), ends.max) for n, u in expected.items()}
+        assert controller(0.0, seen) == pytest.approx(expected, abs=1e-10)
+
+
+def test_there_is_a_block_of_every_kind_of_controller():
+    kinds = {"StateFeedback", "OffsetFree", "WithEstimate", "StationaryFilter", "KalmanFilter"}
+    kinds |= {"ScheduledFeedback", "TrajectoryFeedback", "OpenLoop", "PositionController"}
+    kinds |= {"PressureLoop", "InverseDynamics", "HysteresisCompensation", "PID", "Trajectory"}
+    assert kinds <= set(BLOCKS)
 
 
 # ---- the guard ---------------------------------------------------------------------------------

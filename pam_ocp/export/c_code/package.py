@@ -32,9 +32,9 @@ MARK = "pam_ocp_export.json"
 TOLERANCE = {"double": 1e-12, "single": 1e-4}
 """Least tolerance of a self-test."""
 MARGIN = 10.0
-"""How much more than the effect of rounding the memory a self-test allows."""
-USELESS = 0.02
-"""Effect of rounding, relative, beyond which a block is no use in a precision."""
+"""How much more than the effect of rounding a self-test allows."""
+USELESS = 0.5
+"""Effect of rounding, relative, beyond which a block is of no use in a precision."""
 LARGEST_SINGLE = 3e38
 
 
@@ -65,7 +65,7 @@ def export_c(
     name : prefix of all names in C; by default the block's.
     steps, seed : of the test vectors; or inputs (n, inputs) [SI] in the block's order.
     tolerance : of the self-test, relative; by default 1e-12 (double) or 1e-4 (single), or ten times
-        what rounding the memory makes of the outputs, where that is more.
+        what rounding makes of the outputs, where that is more.
 
     Returns the folder. Raises InputError for what cannot be meant, ExportError for a block that
     cannot be C, WriteError for a folder that is there and is no such export.
