@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...numerics.portable import portable
 from .riccati import ITERATIONS, RiccatiQp, Side, inlined, repeated
 from .shooting import NodeLimit, TrackingPoint, TrackingProgram
 from .sqp import DAMPING, MISS, SqpOutcome
@@ -95,9 +96,8 @@ class RealTimeIteration:
         sides = _sides(p, self.bounds)
         at_end = [s for s in sides if not ca.depends_on(s.value, p.u)]
         self.qp = RiccatiQp(p, values, sides, at_end, qp_iterations)
-        self._advance = ca.Function(
-            "advance", [p.x, p.u, p.q], [p.step.expression(p.given, p.x, p.u, p.q)]
-        )
+        after = [p.step.expression(p.given, p.x, p.u, p.q)]
+        self._advance = portable(ca.Function("advance", [p.x, p.u, p.q], after))
         n, nx, nu = p.horizon, p.nx, p.nu
         self.sizes = {
             "states": nx * (n + 1),

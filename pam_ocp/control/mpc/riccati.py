@@ -16,6 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ...numerics.portable import portable
 from .shooting import TrackingProgram
 
 __all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "inlined", "repeated"]
@@ -501,7 +502,7 @@ def inlined(function: ca.Function, arguments: Sequence[ca.MX]) -> list[ca.MX]:
 
 
 def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    return ca.Function(name, arguments, results, {"cse": True})
+    return portable(ca.Function(name, arguments, results, {"cse": True}))
 
 
 def _backwards(columns: ca.MX) -> ca.MX:
