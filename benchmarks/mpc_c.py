@@ -142,7 +142,7 @@ def closed(
         seen = x * (1 + 1e-4 * random.standard_normal(len(x)))
         for v, value in zip(plant.states, seen, strict=True):
             row[place[v.name]] = value
-        row[place["wanted.x"]] = (-0.012 if (k * STEP) % 0.5 < 0.25 else 0.012)
+        row[place["wanted.x"]] = -0.012 if (k * STEP) % 0.5 < 0.25 else 0.012
         if "wanted.muscle1.pressure" in place:
             row[place["wanted.muscle1.pressure"]] = 2e5
         found, spent = act(row)
@@ -172,7 +172,9 @@ def compare(name: str, made: tuple[pam.Plant, pam.control.Mpc, Any], steps: int)
         python.append(thread_time() - begin)
         found.append(np.asarray(out).ravel())
     count = len(found)
-    miss = np.abs(np.array(found) - outputs[:count]) / np.abs(outputs[:count]).max(axis=0).clip(1e-9)
+    miss = np.abs(np.array(found) - outputs[:count]) / np.abs(outputs[:count]).max(axis=0).clip(
+        1e-9
+    )
     commands = [i for i, v in enumerate(block.outputs) if v.name in block.commands]
     named = {v.name: outputs[1:, i] for i, v in enumerate(block.outputs)}
     for label, t in (("C", seconds[1:]), ("the same in Python", np.array(python[1:]))):
@@ -337,7 +339,14 @@ class Osqp:
         high = np.concatenate([point.a_high, point.w_high])
         solver = osqp.OSQP()
         solver.setup(
-            h, point.gradient, rows, low, high, verbose=False, eps_abs=1e-6, eps_rel=1e-6,
+            h,
+            point.gradient,
+            rows,
+            low,
+            high,
+            verbose=False,
+            eps_abs=1e-6,
+            eps_rel=1e-6,
             max_iter=20000,
         )
         result = solver.solve()

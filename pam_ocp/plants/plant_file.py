@@ -19,6 +19,7 @@ from .plant import Plant
 
 __all__ = [
     "builder_of",
+    "component_of",
     "member_of",
     "muscle_of",
     "named_plant",
@@ -34,8 +35,10 @@ def muscle_of(value: Any, where: str = "muscle", folder: Path | None = None) -> 
     """A Muscle from a catalogue's name, a muscle file (.toml, .json), or a table.
 
     value : the name; the file, relative to ``folder``; or { name = ..., rest_length = ... } where
-        the catalogue holds no length.
+        the catalogue holds no length. A Muscle is taken as it is.
     """
+    if isinstance(value, Muscle):
+        return value
     length = None
     if isinstance(value, Mapping):
         known_keys(where, value, ("name", "rest_length"))
@@ -186,6 +189,11 @@ def _entry(where: str, value: Any, units: tuple[str, ...]) -> Any:
     if isinstance(value, list):
         return tuple(_entry(where, v, units) for v in value)
     return quantity(where, value, *units)
+
+
+def component_of(argument: str, content: Mapping[str, Any]) -> Any:
+    """The component that a table with its ``kind`` describes: component_of("feed", {...})."""
+    return _component(argument, argument, content)
 
 
 def _component(where: str, argument: str, value: Any) -> Any:

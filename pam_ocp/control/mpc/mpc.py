@@ -188,7 +188,9 @@ class Mpc:
             rest = self.inversion.rows(self.plant.vector("input")[None, :])[0]
             self._calls.reset(self.plant.vector("state"), rest[chosen])
 
-    def real_time(self, iterations: int | None = None, patience: int = PATIENCE) -> RealTimeIteration:
+    def real_time(
+        self, iterations: int | None = None, patience: int = PATIENCE
+    ) -> RealTimeIteration:
         """A call as one Function, see RealTimeIteration.
 
         iterations : SQP steps (None: as this Mpc). patience : calls in a row that may fail.

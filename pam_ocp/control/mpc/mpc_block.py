@@ -8,9 +8,8 @@ from typing import Any
 import casadi as ca
 
 from ...core.block import Block
-from ...core.errors import InputError, UnknownNameError, require_count
+from ...core.errors import InputError, require_count
 from ...core.variables import Variable
-from ...plants.inversion import Inversion
 from ..blocks.draft import as_output
 from ..blocks.kinds import BLOCKS, SENT
 from .mpc import Mpc
@@ -174,9 +173,7 @@ class _MpcBlock:
                 )
             )
 
-    def _outputs(
-        self, inputs: ca.MX, p: ca.MX, facts: ca.MX
-    ) -> list[tuple[Variable, ca.MX]]:
+    def _outputs(self, inputs: ca.MX, p: ca.MX, facts: ca.MX) -> list[tuple[Variable, ca.MX]]:
         """Commands of the inputs chosen (of openings those that give them), and the facts."""
         found = []
         for i, variable in enumerate(self.given.controls):

@@ -261,7 +261,9 @@ class RealTimeCalls:
             for n, size in (("states", p.nx), ("inputs", p.nu))
         )
         before = np.vstack([applied / p.u_nominal, inputs[:-1]])[:, p.rated]
-        point.unknowns[p.at[: p.nx + len(p.rated) + p.nu]] = np.hstack([states[:-1], before, inputs]).T
+        point.unknowns[p.at[: p.nx + len(p.rated) + p.nu]] = np.hstack(
+            [states[:-1], before, inputs]
+        ).T
         point.unknowns[p.at_last[: p.nx]] = states[-1]
         facts = dict(zip(FACTS, np.asarray(told).ravel().tolist(), strict=True))
         return SqpOutcome(

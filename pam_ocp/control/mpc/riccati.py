@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -156,7 +155,9 @@ class _Stage:
         # divisions are dear, and each sweep would do them again
         scales = ca.SX.sym("scales", 2 * self.m + 1)
         self._in = [*self._here, scales]
-        self._inverse, self.w, self._share = ca.vertsplit(scales, [0, self.m, 2 * self.m, 2 * self.m + 1])
+        self._inverse, self.w, self._share = ca.vertsplit(
+            scales, [0, self.m, 2 * self.m, 2 * self.m + 1]
+        )
         parts = self.packed(self.data)
         self.g, self.a, self.b = parts["g"], parts["a"], parts["b"]
         self.defect, self.c, self.d = parts["defect"], parts["c"], parts["d"]
@@ -319,9 +320,7 @@ class _Stage:
         ds, dt, dl, longest = steps(force + more)
         size = sum((ca.sum1(ca.fabs(e)) for e in (dy, ds, dt, dl)), ca.SX(0.0))
         told = ca.vertcat(longest, size)
-        self.correct = _function(
-            "correct", [*self._in, dy, products, centre], [ds, dt, dl, told]
-        )
+        self.correct = _function("correct", [*self._in, dy, products, centre], [ds, dt, dl, told])
         length, here = ca.SX.sym("length"), [self.y, self.s, t, lam]
         changes = [ca.SX.sym("d", e.numel()) for e in here]
         moved = [

@@ -234,6 +234,10 @@ class PlantFit:
         """The parameters as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
         return coefficient_frame(self.coefficients, self.intervals())
 
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write a workbook (.xlsx): parameters with intervals; measured and simulated, charts."""
+        return courtesy.write_plant_fit_book(self, path)
+
     def coverage(self, other: Any, **options: Any) -> Coverage:
         """Where the records of this fit have been, against a record or a signal that is to be
         predicted: see :func:`pam_ocp.fitting.coverage`.
