@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PATIENCE = 20.0
+PATIENCE = 90.0
 """Seconds after which what is awaited does not come any more; machines of tests are busy."""
 
 
@@ -76,6 +76,9 @@ def chromium():
         "--window-size=1280,1400",
         "--enable-unsafe-swiftshader",  # 3D without a graphics card
         "--force-prefers-reduced-motion",
+        "--disable-background-timer-throttling",
+        "--disable-backgrounding-occluded-windows",
+        "--disable-renderer-backgrounding",
     ):
         options.add_argument(option)
     options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
