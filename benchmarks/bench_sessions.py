@@ -121,7 +121,7 @@ def main() -> None:
                         hand.sees("stiffness in N/mm")
                         hand.press("Muscle")
                         done["mapped"] += 1
-                    hand.until(lambda: driver.execute_script(MOVE, round_, given.interval))
+                    hand.until(lambda i=round_: driver.execute_script(MOVE, i, given.interval))
                     complaints += hand.complaints()
                     hand.asked()
                     now = time.monotonic() - begin

@@ -16,7 +16,7 @@ def test_without_the_extra_it_says_in_one_sentence_what_to_install(monkeypatch, 
     )
     assert main(["bench"]) == 2
     said = capsys.readouterr().err.strip()
-    words = "the bench needs nicegui: pip install 'pam_ocp[bench]' brings what is missing"
+    words = "the bench needs nicegui, which is not installed: pip install 'pam_ocp[bench]'"
     assert said == f"pam-ocp bench: {words}"
 
 
