@@ -94,6 +94,7 @@ class Hand:
     def open(self, address):
         self.driver.get(address)
         self.until(lambda: self.all("[role=tab]") or self.all("h1"))
+        self.until(lambda: self.driver.execute_script("return window.did_handshake"), "a connection")
 
     @property
     def session(self):
@@ -169,7 +170,11 @@ class Hand:
     def choose(self, label, value):
         from selenium.webdriver.support.ui import Select
 
-        Select(self.field(label)).select_by_value(value)
+        def chosen():
+            Select(self.field(label)).select_by_value(value)
+            return True
+
+        self.until(chosen, f"choosing {value!r} of {label!r}")
 
     def drop(self, path, which=0):
         """A file onto an upload (its hidden input)."""
