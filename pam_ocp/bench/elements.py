@@ -278,6 +278,7 @@ class Slider(Element, component=Path(__file__).with_name("static") / "slider.js"
     """A coefficient on a slider and in a number, in its own unit.
 
     slide : called with each value while it moves, and must be quick; settle : when it is let go.
+    log : even in the logarithm; its lower end is 0, then.
     """
 
     def __init__(
@@ -289,9 +290,11 @@ class Slider(Element, component=Path(__file__).with_name("static") / "slider.js"
         unit: str,
         slide: Callable[[float], Any],
         settle: Callable[[float], Any],
+        *,
+        log: bool = False,
     ) -> None:
         super().__init__()
-        self._props.update(label=label, value=value, low=low, high=high, unit=unit, seen=0)
+        self._props.update(label=label, value=value, low=low, high=high, unit=unit, seen=0, log=log)
 
         def moved(event: Any) -> None:
             slide(float(event.args))
@@ -312,6 +315,7 @@ class Scene(Element, component=Path(__file__).with_name("static") / "scene.js"):
 
     label : for who cannot see it. words, unit : of what its slider moves along ("time", "s").
     seconds : that playing it takes. A scene's ``still`` is the moment that is shown first.
+    pull : called with {"x", "y"} [pixels, right and up] while a pointer pulls it.
     """
 
     def __init__(
@@ -323,10 +327,13 @@ class Scene(Element, component=Path(__file__).with_name("static") / "scene.js"):
         words: str = "time",
         unit: str = "s",
         seconds: float = 4.0,
+        pull: Callable[[dict[str, Any]], Any] | None = None,
     ) -> None:
         super().__init__()
         self._props.update(label=label, height=height, words=words, unit=unit, seconds=seconds)
-        self._props["scene"] = scene
+        self._props.update(scene=scene, held=pull is not None)
+        if pull is not None:
+            self.on("pull", lambda e: pull(e.args) if isinstance(e.args, dict) else None)
 
     def show(self, scene: Mapping[str, Any] | None, **said: Any) -> None:
         """Another scene; further arguments as at first."""

@@ -14,10 +14,12 @@ import numpy as np
 from ..figures.canvas import COLOURS
 
 __all__ = [
+    "ABOVE",
     "COLOURS",
     "FAINT",
     "SCALE",
     "SYMBOLS",
+    "axis",
     "band",
     "figure",
     "line",
@@ -91,6 +93,18 @@ def figure(
             "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
         },
     }
+
+
+ABOVE = {
+    "legend": {"orientation": "h", "x": 0.0, "y": 1.0, "yanchor": "bottom", "font": {"size": 11}},
+    "margin": {"l": 56, "r": 12, "t": 48, "b": 42},
+}
+"""Layout of a figure whose many curves are named above it."""
+
+
+def axis(title: str = "", **more: Any) -> dict[str, Any]:
+    """A further axis of a figure, named with its unit."""
+    return {**_AXIS, "title": {"text": title, "standoff": 6}, **more}
 
 
 def line(x: Any, y: Any, name: str = "", colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:

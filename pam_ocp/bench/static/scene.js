@@ -1,4 +1,5 @@
 // A plant drawn to scale: shapes of a sketch at one moment, with a slider and a button that plays it.
+// "held": a pointer may pull it; "pull" says how far, in pixels to the right and up.
 const RAMP = [[255, 247, 188], [254, 196, 79], [236, 112, 20], [153, 20, 20]];
 function heat(level) {
   const at = Math.min(0.999, Math.max(0, level)) * (RAMP.length - 1), i = Math.floor(at), f = at - i;
@@ -7,7 +8,8 @@ function heat(level) {
 export default {
   template: `
     <div class="bench-scene" v-if="scene">
-      <svg :viewBox="box" role="img" :aria-label="label" preserveAspectRatio="xMidYMid meet" :style="{height: height + 'px'}">
+      <svg :viewBox="box" role="img" :aria-label="label" preserveAspectRatio="xMidYMid meet" :style="{height: height + 'px'}"
+        ref="svg" :class="{ 'is-live': held }" @pointerdown="take" @pointermove="draw" @pointerup="drop" @pointercancel="drop">
         <g transform="scale(1,-1)">
           <template v-for="(s, i) in scene.shapes" :key="i">
             <polygon v-if="closed(s)" :points="at(s)" :class="'is-' + s.style" :style="fill(s)" vector-effect="non-scaling-stroke" />
@@ -18,6 +20,7 @@ export default {
           <line x1="0" y1="0" :x2="bar" y2="0" vector-effect="non-scaling-stroke" />
           <text x="0" :y="-0.012 * span" :font-size="0.035 * span">{{ bar }} mm</text>
         </g>
+        <line v-if="rope" class="is-pull" :x1="rope.from.x" :y1="rope.from.y" :x2="rope.to.x" :y2="rope.to.y" vector-effect="non-scaling-stroke" />
       </svg>
       <div class="bench-row" v-if="scene.t.length > 1">
         <button type="button" class="bench-play" @click="toggle" :aria-label="playing ? 'Pause' : 'Play'">{{ playing ? "❚❚" : "▶" }}</button>
@@ -25,8 +28,8 @@ export default {
         <span class="bench-unit" style="min-width: 92px; text-align: right">{{ now }}</span>
       </div>
     </div>`,
-  props: { scene: Object, label: String, height: Number, words: String, unit: String, seconds: Number },
-  data() { return { frame: 0, playing: false }; },
+  props: { scene: Object, label: String, height: Number, words: String, unit: String, seconds: Number, held: Boolean },
+  data() { return { frame: 0, playing: false, rope: null }; },
   computed: {
     box() { const s = this.scene; return [s.width[0], -s.height[1], s.width[1] - s.width[0], s.height[1] - s.height[0]].join(" "); },
     span() { return Math.max(this.scene.width[1] - this.scene.width[0], this.scene.height[1] - this.scene.height[0]); },
@@ -40,6 +43,25 @@ export default {
     closed(s) { return ["muscle", "body", "ground", "disc"].includes(s.style); },
     at(s) { return (s.frames[this.frame] || s.frames[0]).map((p) => p.join(",")).join(" "); },
     fill(s) { return s.style === "muscle" ? { fill: heat(s.level[this.frame] ?? s.level[0]) } : {}; },
+    place(e) {
+      const p = new DOMPoint(e.clientX, e.clientY).matrixTransform(this.$refs.svg.getScreenCTM().inverse());
+      return { x: p.x, y: p.y };
+    },
+    take(e) {
+      if (!this.held) return;
+      this.$refs.svg.setPointerCapture(e.pointerId);
+      this.begin = { x: e.clientX, y: e.clientY };
+      this.rope = { from: this.place(e), to: this.place(e) };
+    },
+    draw(e) {
+      if (!this.rope) return;
+      this.rope.to = this.place(e);
+      const now = performance.now();
+      if (now - (this.said || 0) < 40) return;
+      this.said = now;
+      this.$emit("pull", { x: e.clientX - this.begin.x, y: this.begin.y - e.clientY });
+    },
+    drop() { if (this.rope) { this.rope = null; this.$emit("pull", { x: 0, y: 0 }); } },
     toggle() {
       this.playing = !this.playing;
       if (!this.playing) return;

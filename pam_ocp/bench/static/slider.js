@@ -10,12 +10,16 @@ export default {
         @change="typed($event.target.value)" />
       <span class="bench-unit">{{ unit }}</span>
     </div>`,
-  props: { label: String, value: Number, low: Number, high: Number, unit: String, seen: Number },
+  props: { label: String, value: Number, low: Number, high: Number, unit: String, seen: Number, log: Boolean },
   data() {
     return { now: this.value, uid: "slider-" + Math.random().toString(36).slice(2), sent: 0, waits: false };
   },
   computed: {
-    place() { return Math.round((1000 * (this.now - this.low)) / (this.high - this.low)); },
+    place() {
+      if (!this.log) return Math.round((1000 * (this.now - this.low)) / (this.high - this.low));
+      if (this.now <= this.low) return 0; // switched off
+      return Math.round((1000 * Math.log(this.now / this.low)) / Math.log(this.high / this.low));
+    },
     text() { return String(Number(this.now.toPrecision(6))); },
   },
   watch: {
@@ -24,7 +28,9 @@ export default {
   },
   methods: {
     slide(place) {
-      this.now = this.low + (place / 1000) * (this.high - this.low);
+      const part = place / 1000;
+      if (this.log) this.now = Number(place) === 0 ? 0 : Number((this.low * Math.pow(this.high / this.low, part)).toPrecision(4));
+      else this.now = this.low + part * (this.high - this.low);
       if (this.sent > (this.seen || 0) && performance.now() - this.at < 500) this.waits = true;
       else this.send();
     },
