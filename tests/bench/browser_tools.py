@@ -94,7 +94,9 @@ class Hand:
     def open(self, address):
         self.driver.get(address)
         self.until(lambda: self.all("[role=tab]") or self.all("h1"))
-        self.until(lambda: self.driver.execute_script("return window.did_handshake"), "a connection")
+        self.until(
+            lambda: self.driver.execute_script("return window.did_handshake"), "a connection"
+        )
 
     @property
     def session(self):
