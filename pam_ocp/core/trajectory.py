@@ -90,6 +90,15 @@ class Trajectory:
         None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
 
     ``trajectory["x"]`` gives the samples of one variable; ``_`` may stand for ``.`` in names.
+
+    Examples
+    --------
+    >>> run = pam.Trajectory([0.0, 0.1, 0.2], {"x": [0.0, 1e-3, 3e-3]})
+    >>> float(run["x"][-1]), run.duration
+    (0.003, 0.2)
+    >>> path = motion.save("motion.csv")
+    >>> pam.Trajectory.load(path).compare(motion).largest < 1e-6
+    True
     """
 
     def __init__(
@@ -397,7 +406,14 @@ class Deviation:
 @shown
 @dataclass(frozen=True)
 class Comparison:
-    """Differences of two trajectories, one Deviation per shared variable."""
+    """Differences of two trajectories, one Deviation per shared variable.
+
+    Examples
+    --------
+    >>> found = motion.compare(motion)
+    >>> found.largest
+    0.0
+    """
 
     deviations: tuple[Deviation, ...]
 

@@ -94,6 +94,12 @@ def export_fmu(
     Raises InputError (a value out of range, a folder that does not exist, an input that is none),
     UnknownNameError (a platform, a variable), ExportError (no compiler, a name FMI keeps for
     itself).
+
+    Examples
+    --------
+    >>> path = pam.export_fmu(plant, "load.fmu", fmi="3.0", platforms=["native"])
+    >>> path.name
+    'load.fmu'
     """
     settings = checked(plant, fmi, step_size, tolerance, fixed_step, stop_time)
     shown = interface.shown_outputs(plant, outputs)
