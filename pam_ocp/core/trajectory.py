@@ -429,10 +429,10 @@ class Comparison:
         raise UnknownNameError("compared column", name, [d.variable.name for d in self.deviations])
 
     def __str__(self) -> str:
-        lines = [f"{'variable':<24}{'largest':>14}{'rms':>14}{'/ nominal':>12}{'at t [s]':>12}"]
+        lines = [f"{'variable':<22}{'largest':>17}{'rms':>17}{'/ nominal':>11}{'at t [s]':>12}"]
         lines += [
-            f"{d.variable.name:<24}{d.variable.shown(d.largest):>14}{d.variable.shown(d.rms):>14}"
-            f"{d.relative:>12.2e}{d.time:>12.5g}"
+            f"{d.variable.name:<22} {d.variable.shown(d.largest):>16} {d.variable.shown(d.rms):>16}"
+            f"{d.relative:>11.2e}{d.time:>12.5g}"
             for d in self.deviations
         ]
         return "\n".join(lines)
