@@ -58,7 +58,7 @@ gallery.make(HERE / "gallery")
 gallery.index(HERE / "gallery")
 
 
-# -- the reference: a page for each room, a page for each name --------------------------------------
+# -- the reference: a page for each room, a page for each name ------------------------------------
 
 
 def rooms() -> dict[str, tuple[Any, list[str]]]:
@@ -95,7 +95,7 @@ def write_reference() -> None:
             target.write_text(text, "utf-8")
 
 
-# -- docstrings: plain text with formulas, made into reStructuredText ---------------------------------
+# -- docstrings: plain text with formulas, made into reStructuredText ----------------------------
 
 CODE = re.compile(r":[a-z]+:`~?([^`]+)`|``([^`]+)``")
 ENTRY = re.compile(r"(?:\*{0,2}[\w.]+(?:, )?)+ : ")

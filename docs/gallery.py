@@ -82,7 +82,7 @@ def notebook(path: Path) -> Any:
         cell.id = f"{path.stem.replace('_', '-')}-{number}"
     made = v4.new_notebook(cells=cells)
     made.metadata.kernelspec = {"name": "python3", "display_name": "Python 3", "language": "python"}
-    made.metadata.source = hashlib.sha256(source.encode() ).hexdigest()
+    made.metadata.source = hashlib.sha256(source.encode()).hexdigest()
     return made
 
 
@@ -123,7 +123,12 @@ def make(folder: Path, names: list[str] | None = None) -> list[Path]:
 
 def index(folder: Path) -> None:
     """``folder/index.md``: a card for each example."""
-    lines = ["# Gallery", "", "Each was run for this page. The link at its end leads to the script.", ""]
+    lines = [
+        "# Gallery",
+        "",
+        "Each was run for this page. The link at its end leads to the script.",
+        "",
+    ]
     names = []
     for heading, group in groups().items():
         lines += [f"## {heading}", "", "::::{grid} 1 2 3 3", ":gutter: 2", ""]

@@ -22,15 +22,15 @@ for case in cases:
 def run() -> pam.simulation.ManySimulations:
     from distributed import Client, LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        with Client(cluster) as client:
-            return pam.simulate_many(
-                plant,
-                cases,
-                executor=client.get_executor(),
-                inputs={"muscle.command": 3e5},
-                duration=2.0,
-            )
+    settings = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(**settings) as cluster, Client(cluster) as client:
+        return pam.simulate_many(
+            plant,
+            cases,
+            executor=client.get_executor(),
+            inputs={"muscle.command": 3e5},
+            duration=2.0,
+        )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Model predictive control through spool valves, against the FMU of a plant that is heavier.
 
-The valves stay closed over 10 % of their travel to either side. The controller chooses openings, in
-which the flow has a slope through zero, and sends the commands that make them. It believes the slide
-to weigh 2 kg; the FMU moves 2.5 kg.
+The valves stay closed over 10 % of their travel to either side. The controller chooses openings,
+in which the flow has a slope through zero, and sends the commands that make them. It believes the
+slide to weigh 2 kg; the FMU moves 2.5 kg.
 """
 
 import numpy as np
