@@ -144,6 +144,8 @@ def plain(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[
         if match := HEADING.match(part):
             made += [f".. rubric:: {match[1]}", ""]
             part = part[match.end() :]
+            if match[1] == "Examples":
+                made += ["*Names not made here are those of the* :doc:`/reference`.", ""]
         made += block(part) if part.strip() else []
     lines[:] = made
 

@@ -19,9 +19,11 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 WORLD = re.compile(r"https?://[a-z0-9.-]+\.[a-z]{2,}(/[^\s<>\"]*)?$|mailto:\S+@\S+$", re.I)
-CONSOLE = re.compile(r"CONSOLE.*?\] \"(.*?)\", source", re.S)
+CONSOLE = re.compile(r"CONSOLE.*?\] (\".*?\", source: .*?) \(\d+\)$", re.S | re.M)
 SOME = 10
 """Of the pages of single names."""
+AT_ONCE = 12
+"""Pages that one browser opens side by side, each in a frame."""
 
 
 class Page(HTMLParser):
@@ -58,7 +60,7 @@ def broken(site: Path) -> list[str]:
     return found
 
 
-def opened(chromium: str, page: Path, *arguments: str) -> list[str]:
+def browse(chromium: str, page: Path, *arguments: str) -> list[str]:
     """What the console says when a page is opened."""
     with tempfile.TemporaryDirectory() as profile:
         done = subprocess.run(
@@ -69,19 +71,32 @@ def opened(chromium: str, page: Path, *arguments: str) -> list[str]:
                 "--disable-gpu",
                 "--disable-background-networking",
                 "--enable-logging=stderr",
-                "--virtual-time-budget=2000",
+                "--virtual-time-budget=3000",
                 f"--user-data-dir={profile}",
-                *(arguments or ("--dump-dom",)),
+                *arguments,
                 page.resolve().as_uri(),
             ],
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=300,
             check=False,
         )
     said = CONSOLE.findall(done.stderr)
-    if done.returncode or (not arguments and "</html>" not in done.stdout):
-        said.append(f"not opened (exit code {done.returncode}): {done.stderr[-300:]}")
+    if done.returncode or ("--dump-dom" in arguments and "</html>" not in done.stdout):
+        said.append(f"{page}: not opened, exit code {done.returncode}: {done.stderr[-300:]}")
+    return said
+
+
+def opened(chromium: str, pages: list[Path]) -> list[str]:
+    """What the console says of pages, several in one window."""
+    said = []
+    for begin in range(0, len(pages), AT_ONCE):
+        part = pages[begin : begin + AT_ONCE]
+        frames = "".join(f'<iframe src="{page.resolve().as_uri()}"></iframe>' for page in part)
+        with tempfile.TemporaryDirectory() as folder:
+            window = Path(folder) / "window.html"
+            window.write_text(f"<!doctype html><html><body>{frames}</body></html>", "utf-8")
+            said += browse(chromium, window, "--dump-dom")
     return said
 
 
@@ -95,7 +110,7 @@ def pictures(chromium: str, site: Path, folder: Path) -> None:
             "dark": ["--window-size=1300,1000", "--force-dark-mode"],
         }.items():
             target = folder / f"{name.replace('/', '_')}_{kind}.png"
-            opened(chromium, site / f"{name}.html", f"--screenshot={target}", *more)
+            browse(chromium, site / f"{name}.html", f"--screenshot={target}", *more)
 
 
 def main(site: Path, folder: Path | None = None) -> int:
@@ -107,8 +122,7 @@ def main(site: Path, folder: Path | None = None) -> int:
     if chromium is None:
         print("SKIPPED: no Chromium here, so no page was opened in a browser")
     else:
-        for page in chosen:
-            findings += [f"{page.relative_to(site)}: {said}" for said in opened(chromium, page)]
+        findings += opened(chromium, chosen)
         print(f"{len(chosen)} pages opened in {Path(chromium).name}")
         if folder is not None:
             pictures(chromium, site, folder)
