@@ -79,6 +79,22 @@ def export_ssp(
 
     Raises InputError (an open input, units that do not fit, sample times that differ, a step that
     does not fit them), UnknownNameError, ExportError.
+
+    Examples
+    --------
+    >>> weights = {"muscle.command": 1.0}
+    >>> pid = pam.control.pid_controller(plant, "x", weights, proportional=2e6)
+    >>> x, u = plant.variable("x"), plant.variable("muscle.command")
+    >>> ramp = pam.Trajectory([0, 1], {"x": [0.04, 0.05], u.name: [2e5, 3e5]}, [x, u])
+    >>> wires = {
+    ...     "load.muscle.command": "pid.muscle.command",
+    ...     "pid.position": "load.x",
+    ...     "pid.reference": "ramp.x",
+    ...     "pid.feedforward.muscle.command": "ramp.muscle.command",
+    ... }
+    >>> parts = {"load": plant, "pid": pid, "ramp": ramp}
+    >>> pam.export_ssp(parts, wires, "system.ssp", platforms=["native"]).name
+    'system.ssp'
     """
     require_ending(path, ".ssp", "a system")
     stop_time = require_positive("stop_time", stop_time, "s")

@@ -53,6 +53,14 @@ class Muscle:
     obtained : "published", "transcribed" or "fitted here", or "".
 
     ``rest_length`` and ``slack_width`` may be CasADi symbols inside a plant.
+
+    Examples
+    --------
+    >>> mine = pam.Muscle(fit.law, rest_length=0.300, diameter=0.020, name="M1")
+    >>> print(f"{mine.force(3e5, 0.10):.0f} N, {mine.stiffness(3e5, 0.10):.0f} N/m")
+    234 N, 9001 N/m
+    >>> print(f"{mine.max_contraction(6e5):.3f}")
+    0.248
     """
 
     law: ForceLaw

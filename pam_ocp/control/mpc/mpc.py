@@ -108,6 +108,14 @@ class Mpc:
     Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for
     names. The first call warns of an input that has no influence where the plant stands (a dead
     zone that is not declared): no solver of this kind finds out of it.
+
+    Examples
+    --------
+    >>> weights = {"track": {"x": 1.0}, "rate": {"muscle.command": 0.1}}
+    >>> mpc = pam.Mpc(plant, horizon=20, sample_time=0.01, **weights)
+    >>> loop = mpc.closed_loop(plant, {"x": 0.045}, duration=1.0, start=point)
+    >>> print(f"{loop['x'][-1]:.4f}")
+    0.0450
     """
 
     def __init__(

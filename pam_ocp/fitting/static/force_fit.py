@@ -51,6 +51,16 @@ class ForceFit(Optimum):
     law : the fitted law. table : the data, slack cells included. held : coefficients that were
     not fitted. weights : of the taut cells, or None. solver : how the optimum was found.
     terms : loss, censoring, bounds and priors of the fit.
+
+    Examples
+    --------
+    >>> fit
+    ForceFit(six-parameter: RMSE 6.196 N over 60 taut cells)
+    >>> low, high = fit.interval("a3")
+    >>> low < fit.law.values["a3"] < high
+    True
+    >>> fit.muscle(rest_length=0.300, diameter=0.020).law.name
+    'six-parameter'
     """
 
     def __repr__(self) -> str:
