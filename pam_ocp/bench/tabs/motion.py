@@ -40,7 +40,8 @@ class Motion(Tab):
     parts = ("muscle", "plant", "motions", "data")
 
     def build(self) -> None:
-        self._told: dict[str, Said] = {}
+        self._told: dict[str, Said] = {}  # the last plans
+        self._last: dict[str, Said] = {}  # what came of the last attempts
         self._made_of: dict[str, Any] = {}
         self._record: Said | None = None
         self._hand: Said | None = None
@@ -466,6 +467,7 @@ class Motion(Tab):
         if self._made_of.get(motion["id"]) != key:
             return
         self._note = ""
+        self._last[motion["id"]] = told
         if told["ok"]:
             self._told[motion["id"]] = told
             self.bench.session.remember(
@@ -477,7 +479,7 @@ class Motion(Tab):
 
     def _show_plan(self, motion: Said, plant: Plant, told: Said | None = None) -> None:
         """All that a finished plan says; of one that failed, why, and the one before."""
-        told = told or self._told.get(motion["id"])
+        told = told or self._last.get(motion["id"]) or self._told.get(motion["id"])
         self._show_curve(motion, plant, told)
         good = self._told.get(motion["id"])
         self._film.show(good["scene"] if good else None)
