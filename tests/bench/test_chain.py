@@ -8,9 +8,9 @@ import sys
 
 import numpy as np
 import pytest
+from browser_tools import ROOT
 
 import pam_ocp as pam
-from browser_tools import ROOT
 
 
 def rig_file(folder):
