@@ -12,6 +12,7 @@ from nicegui import background_tasks, ui
 from nicegui.events import KeyEventArguments
 
 from ..core.errors import PamError
+from .script import script_of
 from .session import Session
 from .tab import Tab
 from .tabs.control import Control
@@ -101,6 +102,10 @@ class Bench:
 
         with self.client:
             background_tasks.create(run())
+
+    def script(self) -> str:
+        """What was done in this session, as a script."""
+        return script_of([tab.lines(self.session.state) for tab in TABS])
 
     def say(self, text: str, kind: str = "info") -> None:
         """A line below the header, read out to the blind; an error stays until it is closed."""

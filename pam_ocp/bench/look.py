@@ -95,7 +95,7 @@ def figure(
     }
 
 
-ABOVE = {
+ABOVE: dict[str, Any] = {
     "legend": {"orientation": "h", "x": 0.0, "y": 1.0, "yanchor": "bottom", "font": {"size": 11}},
     "margin": {"l": 56, "r": 12, "t": 48, "b": 42},
 }

@@ -72,6 +72,9 @@ class Page(Protocol):
     def soon(self, handler: Callable[[], Any]) -> None:
         """Start a coroutine of a tab from where nothing can be awaited; its errors are shown."""
 
+    def script(self) -> str:
+        """What was done in this session, as a script."""
+
     def say(self, text: str, kind: str = "info") -> None:
         """A line below the header, read out to the blind; kind "error" stays until it is closed."""
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import copy
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,17 @@ from .. import look
 from ..jobs import control as jobs
 from ..live import Strip
 from ..made import plant_of
-from ..script import PUSH, control_lines
+from ..script import control_lines
 from ..tab import Tab
+from .control_shown import (
+    about,
+    bode_figure,
+    figure_said,
+    gain_units,
+    poles_figure,
+    run_figure,
+    step_figure,
+)
 
 __all__ = ["Control"]
 
@@ -217,7 +227,7 @@ class Control(Tab):
     # ---- gains ----------------------------------------------------------------------------------
     def _gains(self, said: Said, plant: Plant) -> None:
         """On a scale of decades, as gains are moved."""
-        units = _gain_units(said["kind"], plant)
+        units = gain_units(said["kind"], plant)
         for name, (words, usual) in jobs.GAINS[said["kind"]].items():
             value = float(said["gains"][name])
             if name == "horizon":
@@ -233,22 +243,22 @@ class Control(Tab):
                 continue
             unit, factor = units.get(name, ("", 1.0))
             shown = value * factor
-            about = shown if shown > 0 else _about(name, said, units, usual)
+            middle = shown if shown > 0 else about(name, said, units, usual)
             el.Slider(
                 words,
                 shown,
-                about * 10**-DECADES,
-                about * 10**DECADES,
+                middle * 10**-DECADES,
+                middle * 10**DECADES,
                 unit,
-                lambda v, n=name, f=factor: self._slide(n, v / f),
-                lambda v, n=name, f=factor: self._settle(n, v / f),
+                partial(self._slide, name, factor),
+                partial(self._settle, name, factor),
                 log=True,
             )
         if said["kind"] == "lqr":
             el.note("Weights of squares in units of nominal: more effort, less gain.")
 
     def _gain_act(self, name: str) -> Callable[[Any], None]:
-        return lambda value: self._settle(name, float(round(value)))
+        return lambda value: self._settle(name, 1.0, float(round(value)))
 
     def _moved(self, name: str, value: float) -> Said | None:
         said = self._controller
@@ -256,13 +266,13 @@ class Control(Tab):
             return None
         return {**said, "gains": {**said["gains"], name: value}}
 
-    def _slide(self, name: str, value: float) -> None:
-        moved = self._moved(name, value)
+    def _slide(self, name: str, factor: float, shown: float) -> None:
+        moved = self._moved(name, shown / factor)
         if moved is not None and moved["kind"] != "mpc":
             self.bench.soon(lambda: self._design_it(moved))
 
-    def _settle(self, name: str, value: float) -> None:
-        moved = self._moved(name, value)
+    def _settle(self, name: str, factor: float, shown: float) -> None:
+        moved = self._moved(name, shown / factor)
         if moved is not None:
             self._change(f"gain {name}", gains=moved["gains"])
 
@@ -289,9 +299,9 @@ class Control(Tab):
 
     def _show_design(self, said: Said) -> None:
         found = self._design or {}
-        self._poles.draw(_poles_figure(found))
-        self._step.draw(_step_figure(found, said))
-        self._bode.draw(_bode_figure(found))
+        self._poles.draw(poles_figure(found))
+        self._step.draw(step_figure(found, said))
+        self._bode.draw(bode_figure(found))
         if not self._runs and "rest" in found:
             self._goal = found["rest"]
             self._strip.show(reference=found["rest"] / self._factor)
@@ -302,9 +312,9 @@ class Control(Tab):
         m = found["margins"]
         words = [
             "stable" if found["stable"] else "UNSTABLE",
-            f"gain margin {_figure(m['gain'], 'dB')}",
-            f"phase margin {_figure(m['phase'], 'deg')}",
-            f"crossover {_figure(m['crossover'], 'Hz')}",
+            f"gain margin {figure_said(m['gain'], 'dB')}",
+            f"phase margin {figure_said(m['phase'], 'deg')}",
+            f"crossover {figure_said(m['crossover'], 'Hz')}",
         ]
         if "overshoot" in found:
             words.append(f"overshoot {100 * max(found['overshoot'], 0.0):.3g} %")
@@ -360,7 +370,7 @@ class Control(Tab):
             self._run = found
             self._run_said.classes(remove="bench-bad")
             self._run_said.set_text(found["words"])
-            self._plot.draw(_run_figure(found))
+            self._plot.draw(run_figure(found))
             self.bench.session.remember(
                 "figures", **{said["id"]: {"of": key, "values": found["figures"]}}
             )
@@ -462,9 +472,10 @@ class Control(Tab):
                 assert said is not None
                 now = time.monotonic()
                 wanted, last = now - last, now
+                seconds = float(np.clip(wanted, BEAT, LONGEST))
                 ask = {
                     "run": name,
-                    "seconds": float(np.clip(wanted, BEAT, LONGEST)),
+                    "seconds": seconds,
                     "reference": self._goal,
                     "push": self._push,
                 }
@@ -481,127 +492,12 @@ class Control(Tab):
                     warm="live",
                     time_limit=60.0,
                 )
-                if not self._runs:
-                    break
                 self._strip.add({k: found[k] for k in ("t", "rows", "restart")})
                 self._film.show(found["scene"])
                 took = time.monotonic() - now
-                simulated = 0.9 * simulated + ask["seconds"]
+                simulated = 0.9 * simulated + seconds
                 clock = 0.9 * clock + max(took, BEAT)
                 self._rate.set_text(f"{simulated / clock:.2f} of real time")
                 await asyncio.sleep(max(0.0, BEAT - took))
         finally:
             self._stop()
-
-
-# ---- pictures ------------------------------------------------------------------------------------
-def _gain_units(kind: str, plant: Plant) -> dict[str, tuple[str, float]]:
-    """{gain: (unit shown, shown value per SI value)} of a PID."""
-    if kind != "pid":
-        return {}
-    v = plant.variable(next(iter(plant.positions)))
-    u = next(u for u in plant.in_openings().inputs if not u.disturbance)
-    unit = u.display_unit if u.display_unit != "1" else ""
-    factor = v.display_factor / u.display_factor
-    per = f"{unit or '1'}/{v.display_unit}"
-    return {
-        "proportional": (per, factor),
-        "integral": (f"{per}/s", factor),
-        "derivative": (f"{per} s", factor),
-    }
-
-
-def _about(name: str, said: Said, units: Mapping[str, tuple[str, float]], usual: float) -> float:
-    """Where the slider of a gain that is 0 begins."""
-    if said["kind"] != "pid":
-        return usual or 1.0
-    shown = said["gains"]["proportional"] * units["proportional"][1]
-    return float(f"{shown * {'derivative': 0.01, 'integral': 1.0}.get(name, 1.0) or 1.0:.2g}")
-
-
-def _figure(value: float | None, unit: str) -> str:
-    return "unlimited" if value is None else f"{value:.3g} {unit}"
-
-
-def _poles_figure(found: Said) -> Said:
-    data = []
-    for key, words, symbol, colour in (
-        ("open", "plant", "x-thin-open", look.FAINT),
-        ("poles", "closed loop", "x", look.COLOURS[0]),
-    ):
-        if key in found:
-            marker = {"symbol": symbol, "size": 9, "line": {"width": 2, "color": colour}}
-            data.append(
-                look.points(found[key]["re"], found[key]["im"], words, colour, marker=marker)
-            )
-    return look.figure(data, "real part [1/s]", "imaginary part [1/s]", height=300, **look.ABOVE)
-
-
-def _step_figure(found: Said, said: Said) -> Said:
-    data = []
-    if "step" in found:
-        t = found["step"]["t"]
-        data = [
-            look.line(t, [1.0] * len(t), "wanted", look.FAINT, line={"dash": "dash"}),
-            look.line(t, found["step"]["y"], "reached"),
-        ]
-    return look.figure(data, "time [s]", "position per step [1]", height=330, **look.ABOVE)
-
-
-def _bode_figure(found: Said) -> Said:
-    log = {"type": "log"}
-    if "hertz" not in found:
-        return look.figure([], "frequency [Hz]", "gain [dB]")
-    data = [look.line(found["hertz"], found["magnitude"], "gain", look.COLOURS[0])]
-    if "phase" not in found:
-        words = "largest gain of all inputs [dB]"
-        return look.figure(data, "frequency [Hz]", words, height=300, xaxis=log)
-    data.append(
-        look.line(
-            found["hertz"],
-            found["phase"],
-            "phase",
-            look.COLOURS[1],
-            yaxis="y2",
-            line={"dash": "dash"},
-        )
-    )
-    right = look.axis("phase [deg]", overlaying="y", side="right", showgrid=False)
-    return look.figure(
-        data, "frequency [Hz]", "gain [dB]", height=320, xaxis=log, yaxis2=right, **look.ABOVE
-    )
-
-
-def _run_figure(found: Said) -> Said:
-    position, t = found["position"], found["t"]
-    data = []
-    if found["reference"] is not None:
-        data.append(look.line(t, found["reference"], "wanted", look.FAINT, line={"dash": "dash"}))
-    data.append(look.line(t, found["columns"][position], position, look.COLOURS[0]))
-    # a push of nothing says nothing
-    inputs = [n for n in found["inputs"] if n != PUSH or any(found["columns"][n])]
-    units = list(dict.fromkeys(found["units"][n] for n in inputs))
-    layout: Said = {}
-    count = 1 + len(units)
-    each = (1 - 0.06 * (count - 1)) / count
-    layout["yaxis"] = {"domain": [1 - each, 1]}
-    for k, unit in enumerate(units):
-        top = 1 - (k + 1) * (each + 0.06)
-        layout[f"yaxis{k + 2}"] = look.axis(
-            "inputs" if unit == "1" else f"inputs [{unit}]", domain=[max(0.0, top - each), top]
-        )
-    for i, name in enumerate(inputs):
-        axis = f"y{units.index(found['units'][name]) + 2}"
-        colour = look.COLOURS[(i + 1) % len(look.COLOURS)]
-        data.append(look.line(t, found["columns"][name], name, colour, yaxis=axis))
-    figure = look.figure(
-        data,
-        "time [s]",
-        f"{position} [{found['units'][position]}]",
-        height=150 * count + 90,
-        hovermode="x",
-        **layout,
-        **look.ABOVE,
-    )
-    figure["layout"]["xaxis"]["anchor"] = f"y{count}"
-    return figure

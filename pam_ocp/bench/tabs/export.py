@@ -70,7 +70,7 @@ class Export(Tab):
 
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
-        self._script.set_text(self._text())
+        self._script.set_text(self.bench.script())
         self._study.set_text(self._study_text())
         for box in (self._fmu_box, self._c_box, self._report_box, self._list):
             box.clear()
@@ -208,17 +208,12 @@ class Export(Tab):
         el.download(path.read_bytes(), path.name)
 
     # ---- script and study -----------------------------------------------------------------------
-    def _text(self) -> str:
-        from ..frame import TABS  # it lists this tab, too
-
-        return script.script_of([tab.lines(self.state) for tab in TABS])
-
     def _study_text(self) -> str:
         return study.study_of(self.state, self.bench.session.title)
 
     def _download_script(self) -> None:
         with self.bench.shown_errors():
-            el.download(self._text(), "session.py")
+            el.download(self.bench.script(), "session.py")
 
     def _download_study(self) -> None:
         with self.bench.shown_errors():
@@ -234,7 +229,7 @@ class Export(Tab):
                     for file in sorted((folder / part).glob("*")):
                         archive.write(file, f"{part}/{file.name}")
                 archive.write(folder / "session.json", "session.json")
-                archive.writestr("session.py", self._text())
+                archive.writestr("session.py", self.bench.script())
                 archive.writestr("session.toml", self._study_text())
                 if study.needs_muscle_file(self.state):
                     muscle = study.save_muscle_file(folder, self.state)
@@ -252,7 +247,7 @@ class Export(Tab):
             jobs.script_checked,
             self.bench.folder,
             self._told_state(),
-            self._text(),
+            self.bench.script(),
             self.bench.allow_code,
             warm="plan",
             time_limit=1800.0,

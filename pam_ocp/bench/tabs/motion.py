@@ -7,42 +7,35 @@ that is one step of undo, and the plan is made in full.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
-from nicegui import events, ui
+from nicegui import ui
 
 from ...core.units import unit as unit_of
 from ...plants.plant import Plant
 from .. import elements as el
 from .. import look
-from ..guard import MOST_UPLOAD
 from ..jobs import motion as jobs
-from ..jobs.data import look_at
 from ..live import Stops
-from ..made import plant_of
-from ..script import call, figure_lines, literal
-from ..tab import Tab
+from .motion_beside import Beside, Said
+from .motion_shown import also, conflict, curves, motion_lines
 
 __all__ = ["Motion"]
 
-DASHES = ("", "7 4", "2 3", "9 3 2 3")
 WEIGHTS = (0.0, 2.0)
 """Ends of the sliders of the objective."""
-Said = dict[str, Any]
 
 
-class Motion(Tab):
+class Motion(Beside):
     """Motions of the session, one of them at hand."""
 
     title = "Motion"
     parts = ("muscle", "plant", "motions", "data")
 
     def build(self) -> None:
-        self._told: dict[str, Said] = {}
-        self._made_of: dict[str, Any] = {}
-        self._record: Said | None = None
         self._hand: Said | None = None
         self._note = ""
         with el.split():
@@ -80,27 +73,6 @@ class Motion(Tab):
     @staticmethod
     def lines(state: dict[str, Any]) -> Sequence[str]:
         return motion_lines(state)
-
-    # ---- what is at hand ------------------------------------------------------------------------
-    @property
-    def _motion(self) -> Said | None:
-        motions = self.state["motions"]
-        chosen = self.bench.session.item("motions", self.bench.session.view("Motion", "chosen"))
-        return chosen or (motions[-1] if motions else None)
-
-    def _plant(self) -> Plant:
-        return plant_of(self.bench.folder, self.state, allow_code=self.bench.allow_code)
-
-    def _key(self, motion: Said) -> Any:
-        said = {k: v for k, v in motion.items() if k != "name"}
-        return copy.deepcopy([self.state["muscle"], self.state["plant"], said])
-
-    def _change(self, label: str, **values: Any) -> None:
-        """One step of undo of the motion at hand."""
-        with self.bench.shown_errors():
-            motion = self._motion
-            if motion is not None:
-                self.bench.session.put(label, "motions", {**motion, **values})
 
     # ---- drawing it all -------------------------------------------------------------------------
     def _show(self) -> None:
@@ -213,7 +185,7 @@ class Motion(Tab):
     def _stop_fields(self, motion: Said, plant: Plant) -> None:
         low, high = jobs.stroke_of(plant, motion["variable"])
         v = plant.variable(motion["variable"])
-        seconds = {"": "nothing else", **{n: n for n in _also(plant, motion["variable"])}}
+        seconds = {"": "nothing else", **{n: n for n in also(plant, motion["variable"])}}
         count = len(motion["stops"])
         for i, stop in enumerate(motion["stops"]):
             el.tag("h3", f"Stop {i + 1}", "bench-h3")
@@ -361,10 +333,6 @@ class Motion(Tab):
             with self.bench.shown_errors():
                 self.bench.session.put(f"move stop {said['stop'] + 1}", "motions", moved)
 
-    def _told_state(self) -> Said:
-        """What a process must know."""
-        return {k: self.state[k] for k in ("plant", "muscle", "data")}
-
     # ---- the objective --------------------------------------------------------------------------
     def _weights(self, motion: Said, plant: Plant) -> None:
         low, high = WEIGHTS
@@ -376,8 +344,8 @@ class Motion(Tab):
                 low,
                 max(high, weight),
                 "",
-                lambda v, term=term: self._weigh(term, v, settled=False),
-                lambda v, term=term: self._weigh(term, v, settled=True),
+                partial(self._weigh, term, settled=False),
+                partial(self._weigh, term, settled=True),
             )
             slider._props["title"] = words
         el.note("Weights; each term counts in units of its usual size.")
@@ -466,6 +434,7 @@ class Motion(Tab):
         if self._made_of.get(motion["id"]) != key:
             return
         self._note = ""
+        self._last[motion["id"]] = told
         if told["ok"]:
             self._told[motion["id"]] = told
             self.bench.session.remember(
@@ -477,11 +446,11 @@ class Motion(Tab):
 
     def _show_plan(self, motion: Said, plant: Plant, told: Said | None = None) -> None:
         """All that a finished plan says; of one that failed, why, and the one before."""
-        told = told or self._told.get(motion["id"])
+        told = told or self._last.get(motion["id"]) or self._told.get(motion["id"])
         self._show_curve(motion, plant, told)
         good = self._told.get(motion["id"])
         self._film.show(good["scene"] if good else None)
-        self._plot.draw(self._curves(good) if good else look.figure([], "time [ms]"))
+        self._plot.draw(curves(good) if good else look.figure([], "time [ms]"))
         self._show_figures(motion)
 
     def _show_curve(
@@ -494,7 +463,7 @@ class Motion(Tab):
         problem, wrong = "", None
         curve = told if told is not None and told["ok"] else self._told.get(motion["id"])
         if told is not None and not told["ok"]:
-            problem, wrong = _conflict(told)
+            problem, wrong = conflict(told)
         self._stops.show(
             stops=self._drawn_stops(motion, curve),
             variable=v.name,
@@ -545,255 +514,3 @@ class Motion(Tab):
             stops.append({**stop, "t": now, "fixed": fixed})
             now += stop["dwell"]
         return stops
-
-    def _others(self, motion: Said) -> list[Said]:
-        found = []
-        for i, other in enumerate(self._compared(motion)):
-            told = self._told.get(other["id"])
-            if told is not None and other["variable"] == motion["variable"]:
-                found.append(
-                    {
-                        "t": told["t"],
-                        "x": told["position"],
-                        "colour": look.COLOURS[(i + 1) % len(look.COLOURS)],
-                        "dash": DASHES[(i + 1) % len(DASHES)],
-                    }
-                )
-        return found
-
-    def _curves(self, told: Said) -> dict[str, Any]:
-        """All panels below each other, their units at the axes."""
-        scale = 1e3 if told["duration"] < 2 else 1.0
-        t = [scale * v for v in told["t"]]
-        panels, data, layout = told["panels"], [], {}
-        gap = 0.05
-        each = (1 - gap * (len(panels) - 1)) / len(panels)
-        for i, panel in enumerate(panels):
-            axis = "" if i == 0 else str(i + 1)
-            top = 1 - i * (each + gap)
-            layout[f"yaxis{axis}"] = {
-                **look.axis(panel["unit"] if panel["unit"] != "1" else "part"),
-                "domain": [max(0.0, top - each), top],
-            }
-            for k, name in enumerate(panel["names"]):
-                colour, dash = _style(name, k)
-                data.append(
-                    look.line(
-                        t,
-                        told["columns"][name],
-                        name,
-                        colour,
-                        yaxis=f"y{axis}",
-                        line={"dash": dash},
-                        hovertemplate=f"{name}: %{{y:.4g}} {panel['unit']}<extra></extra>",
-                    )
-                )
-        unit = "ms" if scale > 1 else "s"
-        figure = look.figure(
-            data,
-            f"time [{unit}]",
-            height=130 * len(panels) + 90,
-            hovermode="x",
-            **layout,
-            **look.ABOVE,
-        )
-        figure["layout"]["xaxis"]["anchor"] = f"y{len(panels)}" if len(panels) > 1 else "y"
-        return figure
-
-    # ---- beside each other ----------------------------------------------------------------------
-    def _compared(self, motion: Said) -> list[Said]:
-        ids = self.bench.session.view("Motion", "compared", [])
-        return [m for m in self.state["motions"] if m["id"] in ids and m["id"] != motion["id"]]
-
-    def _compare(self, motion: Said) -> None:
-        others = [m for m in self.state["motions"] if m["id"] != motion["id"]]
-        compared = [m["id"] for m in self._compared(motion)]
-        if not others:
-            el.note("Copy the motion to compare two plans.")
-        for other in others:
-            el.check(
-                f"beside {other['name']}",
-                other["id"] in compared,
-                lambda on, id=other["id"]: self._set_compared(id, on),
-            )
-        records = {d["id"]: d["name"] for d in self.state["data"] if d.get("is") == "record"}
-        if records:
-            el.choice("Record", {"": "none", **records}, self._record_id, self._set_record)
-        ui.upload(
-            label="Drop a record of the motion here",
-            auto_upload=True,
-            max_file_size=MOST_UPLOAD,
-            on_upload=self._dropped,
-            on_rejected=lambda: self.bench.say("the file was refused: it is too large", "error"),
-        ).props("flat bordered hide-upload-btn")
-
-    def _set_compared(self, id: str, on: bool) -> None:
-        ids = [i for i in self.bench.session.view("Motion", "compared", []) if i != id]
-        self.bench.session.remember("Motion", compared=[*ids, id] if on else ids)
-        self.bench.soon(lambda: self._plan_other(id))
-
-    async def _plan_other(self, id: str) -> None:
-        """The plan of a motion that is shown beside the one at hand, where it is not known yet."""
-        other, motion = self.bench.session.item("motions", id), self._motion
-        if other is not None and id not in self._told:
-            told = await self.bench.work(
-                f"Plan {other['name']}",
-                jobs.planned,
-                self.bench.folder,
-                self._told_state(),
-                other,
-                self.bench.allow_code,
-                warm="plan",
-            )
-            if told["ok"]:
-                self._told[id] = told
-                self._made_of[id] = self._key(other)
-        if motion is not None:
-            self._show_plan(motion, self._plant())
-
-    def _show_figures(self, motion: Said) -> None:
-        self._figures.clear()
-        shown = [m for m in (motion, *self._compared(motion)) if m["id"] in self._told]
-        with self._figures:
-            if not shown:
-                el.note("No plan yet.")
-                return
-            rows = []
-            plant = self._plant()
-            for name in self._told[shown[0]["id"]]["figures"]:
-                row = []
-                for m in shown:
-                    value = self._told[m["id"]]["figures"].get(name)
-                    row.append("" if value is None else _with_unit(plant, name, value))
-                rows.append([name, *row])
-            rows.append(["found in", *[f"{self._told[m['id']]['seconds']:.3g} s" for m in shown]])
-            el.table(["figure", *[m["name"] for m in shown]], rows, label="Figures of the plans")
-            if self._record is not None:
-                self._show_record(self._record)
-
-    def _show_record(self, record: Said) -> None:
-        el.note(f"{record['name']} against the plan: largest and root mean square difference")
-        rows = [
-            [r["name"], f"{r['largest']:.4g} {r['unit']}", f"{r['rms']:.4g} {r['unit']}"]
-            for r in record["rows"]
-        ]
-        el.table(["column", "largest", "rms"], rows, label="The record against the plan")
-
-    # ---- records --------------------------------------------------------------------------------
-    @property
-    def _record_id(self) -> str:
-        return str(self.bench.session.view("Motion", "record", ""))
-
-    def _set_record(self, id: str) -> None:
-        self.bench.session.remember("Motion", record=id)
-        self._record = None
-        self.bench.soon(self._replay)
-
-    async def _dropped(self, event: events.UploadEventArguments) -> None:
-        with self.bench.shown_errors():
-            session = self.bench.session
-            name = str(event.file.name)[:100]
-            item: Said = {"name": name, "said": {"kind": "record"}}
-            item["file"] = session.store(name, await event.file.read())
-            seen = await self.bench.work(
-                f"Reading {name}", look_at, self.bench.folder, item, time_limit=60.0
-            )
-            item = {**item, "id": session.fresh_id("data"), "off": [], "is": seen["kind"]}
-            session.remember("Motion", record=item["id"])
-            session.put(f"add {name}", "data", item)
-            await self._replay()
-
-    async def _replay(self) -> None:
-        motion, item = self._motion, self.bench.session.item("data", self._record_id)
-        if motion is None:
-            return
-        if item is not None:
-            self._record = await self.bench.work(
-                f"Compare {item['name']}",
-                jobs.replayed,
-                self.bench.folder,
-                self._told_state(),
-                motion,
-                item,
-                self.bench.allow_code,
-                warm="plan",
-            )
-        self._show_plan(motion, self._plant())
-
-    def _record_curve(self, motion: Said, factor: float) -> Said | None:
-        if self._record is None or motion["variable"] not in self._record["curves"]:
-            return None
-        curve = self._record["curves"][motion["variable"]]
-        return {"t": curve["t"], "x": [factor * v for v in curve["y"]]}
-
-
-# ---- words ---------------------------------------------------------------------------------------
-def _also(plant: Plant, variable: str) -> list[str]:
-    """What stops may name beside the position: stiffness, pressures."""
-    names = [v.name for v in (*plant.states, *plant.outputs)]
-    chosen = ("stiffness", ".pressure")
-    return [n for n in names if n != variable and n.endswith(chosen)]
-
-
-def _conflict(told: Said) -> tuple[str, int | None]:
-    """(words, number of the stop in whose place they are said)."""
-    for one in told["conflicts"]:
-        if one["stop"] is not None:
-            return one["words"], one["stop"]
-    return (told["conflicts"][0]["words"], None) if told["conflicts"] else ("", None)
-
-
-def _style(name: str, k: int) -> tuple[str, str]:
-    """Colour by muscle; commands and what else shares a muscle's colour are dashed."""
-    owner = name.partition(".")[0]
-    if owner.startswith("muscle"):
-        number = owner.removeprefix("muscle")
-        colour = look.COLOURS[(int(number) - 1 if number.isdigit() else 0) % len(look.COLOURS)]
-        return colour, "dot" if name.endswith(".command") else "solid"
-    return look.COLOURS[(k + 2) % len(look.COLOURS)], "solid"
-
-
-def _with_unit(plant: Plant, name: str, value: float) -> str:
-    if name == "duration":
-        return f"{1e3 * value:.5g} ms"
-    if name.startswith("max("):
-        return plant.variable(name[4:-1]).shown(value)
-    return f"{value:.4g}"
-
-
-# ---- the script ----------------------------------------------------------------------------------
-def motion_lines(state: Mapping[str, Any]) -> list[str]:
-    """Each motion as a call of pam.plan, with its figures."""
-    lines: list[str] = []
-    if state["muscle"] is None:
-        return lines
-    for motion in state["motions"]:
-        said = jobs.arguments(motion)
-        stops = ", ".join(
-            literal(s) if isinstance(s, dict) else _stop_code(s) for s in said["stops"]
-        )
-        method = jobs.METHODS[motion["method"]][1]
-        shown = {k: v for k, v in said.items() if k != "stops"}
-        code = call("pam.plan", "plant", f"[{stops}]", **shown, time_limit=jobs.TIME_LIMIT)
-        if method is not None:
-            code = f"{code[:-1]}, method=pam.{method!r})"
-        id = motion["id"]
-        lines += [f"{id} = {code}", f"print({id})"]
-        lines += figure_lines(
-            id,
-            {
-                "duration": f"{id}.duration",
-                "objective": f"{id}.objective",
-                "replay_error": f"{id}.replay_error",
-            },
-        )
-        lines += [
-            "for v in (*plant.states, *plant.inputs):",
-            f'    figures[f"{id}.max({{v.name}})"] = float({id}.trajectory[v.name].max())',
-        ]
-    return lines
-
-
-def _stop_code(stop: Any) -> str:
-    said = call("pam.Stop", literal(dict(stop.values)), rest=stop.rest)
-    return f"{said[:-1]}, dwell={stop.dwell!r})" if stop.dwell else said
