@@ -82,7 +82,7 @@ class InC:
     """A block built for this machine: ``step(inputs)`` gives outputs, and times itself."""
 
     def __init__(self, block: Block, folder: Path) -> None:
-        self.block, self.folder = block, pam.export_c(block, folder)
+        self.block, self.folder = block, pam.export_c(block, folder, steps=20, tolerance=1e-9)
         self.library = folder / "lib.so"
         source = folder / f"{block.name}.c"
         build = [sys.executable, "-m", "ziglang", "cc", "-std=c99", "-O2", "-ffp-contract=off"]
