@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core import units
 from ...core.block import Block
 from ...core.errors import InputError
 from ...core.variables import Variable
@@ -16,7 +17,7 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant
 from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
-__all__ = ["Draft", "compensated", "least_norm"]
+__all__ = ["Draft", "compensated", "least_norm", "per"]
 
 Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
@@ -78,13 +79,26 @@ class Draft:
         return self._enter(Variable(name, "parameter", start=float(value), tunable=True, **about))
 
     def matrix(
-        self, name: str, values: Array, rows: Iterable[Variable], columns: Iterable[Variable]
+        self,
+        name: str,
+        values: Array,
+        rows: Iterable[Variable],
+        columns: Iterable[Variable],
+        times: str = "1",
     ) -> Symbol:
-        """A matrix of gains, each a parameter ``name.row.column``."""
+        """A matrix of gains, each a parameter ``name.row.column``.
+
+        times : unit of what the columns are multiplied with ("s" for integrals).
+        """
         right = list(columns)
         entries = [
             [
-                self.parameter(f"{name}.{r.name}.{c.name}", float(v))
+                self.parameter(
+                    f"{name}.{r.name}.{c.name}",
+                    float(v),
+                    unit=per(r.unit, c.unit, times),
+                    description=f"gain of {r.name} over {c.name}",
+                )
                 for c, v in zip(right, line, strict=True)
             ]
             for r, line in zip(rows, np.atleast_2d(values), strict=True)
@@ -244,6 +258,27 @@ def opened_by(inversion: Inversion | None, plant: Plant, draft: Draft) -> dict[s
         commands = ca.vertcat(*(named[c] for c in inversion.commands_of(opening)))
         found[variable.name] = inversion.forward(opening)(commands, plant.vector("parameter"))
     return found
+
+
+def per(unit: str, *others: str) -> str:
+    """The unit of a ratio; "1" for one that has no plain name."""
+    above: list[str] = []
+    below: list[str] = []
+    for text, ends in ((unit, (above, below)), *((o, (below, above)) for o in others)):
+        for part, end in zip(text.split("/"), ends, strict=False):
+            end += [p for p in part.split(".") if p != "1"]
+    for p in [p for p in above if p in below]:
+        if p in below:
+            above.remove(p)
+            below.remove(p)
+    if len(below) > 1:
+        return "1"
+    name = "/".join([".".join(above) or "1", *below])
+    try:
+        units.unit(name)
+    except InputError:
+        return "1"
+    return name
 
 
 def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Symbol]:
