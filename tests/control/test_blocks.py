@@ -265,6 +265,9 @@ def test_lqi_goes_on_from_the_commands_that_acted_while_it_was_off(slide):
     for _ in range(5):
         assert controller(0.0, {**at, "enable": 0.0}) == safe
     assert controller(0.0, {**at, "enable": 1.0}) == pytest.approx(safe, rel=1e-9)
+    names = [v.name for v in controller.block.memory]
+    fading = [controller.memory[names.index(f"fade.{n}")] for n in safe]
+    assert np.abs(fading).max() < 1.0  # [Pa]: two integrals follow two commands
 
 
 def test_rates_are_kept_and_told():

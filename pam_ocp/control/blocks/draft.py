@@ -292,9 +292,12 @@ def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Sym
 
 
 def least_norm(matrix: Symbol, right: Symbol) -> Symbol:
-    """The z nearest to matrix z = right; 0 where the matrix is zero."""
-    square = ca.mtimes(matrix.T, matrix)
-    size = ca.trace(square)
-    n = square.shape[0]
-    shifted = square + ca.if_else(size > 0, 1e-14 * size, 1.0) * type(square).eye(n)
-    return ca.solve(shifted, ca.mtimes(matrix.T, right)) if n else right[:0]
+    """The z nearest to matrix z = right; 0 for columns that are zero."""
+    rows, columns = matrix.shape
+    m, r = ca.SX.sym("m", rows, columns), ca.SX.sym("r", rows)
+    sizes = [ca.sqrt(ca.sumsqr(m[:, j])) for j in range(columns)]
+    scales = [1 / ca.if_else(size > 0, size, 1) for size in sizes]
+    even = ca.horzcat(*(m[:, j] * scales[j] for j in range(columns)))
+    square = ca.mtimes(even.T, even) + 1e-14 * ca.SX.eye(columns)
+    z = ca.solve(square, ca.mtimes(even.T, r)) * ca.vertcat(*scales)
+    return ca.Function("least_norm", [m, r], [z], {"cse": True})(matrix, right)
