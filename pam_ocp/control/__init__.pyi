@@ -30,4 +30,5 @@ from .offset_free import OffsetFree as OffsetFree
 from .pid import PID as PID
 from .pid import PositionController as PositionController
 from .pid import PressureLoop as PressureLoop
+from .point_pid import PointPid as PointPid
 from .schedule import scheduled_lqr as scheduled_lqr

@@ -7,3 +7,4 @@ from .motion import export_motion as export_motion
 from .motion import save_input_table as save_input_table
 from .package import export_fmu as export_fmu
 from .ssp import export_ssp as export_ssp
+from .ssv import save_ssv as save_ssv

@@ -84,6 +84,11 @@ def _own(
             whole = _instruction(function, k, codes, own, known) and whole
     elif function.is_a("Map") and function.info().get("f") is not None:
         whole = _count(function.info()["f"], function.info()["n"], codes, own, known)
+    elif function.class_name() == "Switch":  # one of the branches is taken: at most the longest
+        branches = [*function.info()["f"], function.info()["f_def"]]
+        parts = [_own(branch, codes, known) for branch in branches]
+        own.update(max((part for part, _ in parts), key=lambda part: part.total()))
+        whole = all(understood for _, understood in parts)
     else:
         whole = False
     known[key] = own, whole

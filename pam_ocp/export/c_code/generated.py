@@ -116,6 +116,8 @@ def _computing(raw: str) -> str:
     """Of CasADi's file the functions that compute, static, without what is unused."""
     raw = re.sub(r"(?ms)^#if __STDC_VERSION__ < 199901L\n.*?^#else\n(.*?)^#endif\n", r"\1", raw)
     raw = re.sub(r'(?m)^(extern "C" \{|\} /\* extern "C" \*/)\n', "", raw)
+    raw = raw.replace("casadi_to_int(", "(casadi_int)(")  # macros of CasADi's, written out
+    raw = re.sub(r"CASADI_CAST\((\w+), *([^()]+)\)", r"((\1)(\2))", raw)
     raw = re.sub(r"(?m)^ *#.*(?:\\\n.*)*\n", "", raw)
     for name, sign in (("fmin", "<"), ("fmax", ">")):  # of -0 and 0 C libraries take either
         raw = raw.replace(f"return {name}(x, y);", f"return (x {sign} y || y != y) ? x : y;")
