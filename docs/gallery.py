@@ -57,6 +57,13 @@ def shown(code: str) -> str:
         figure = ast.get_source_segment(code, node.func.value)  # type: ignore[attr-defined]
         assert whole is not None
         code = code.replace(whole, f"display({figure})")
+    last = ast.parse(code).body[-1:]
+    if (
+        last
+        and isinstance(last[0], ast.Expr)
+        and not re.match(r"print|display", ast.unparse(last[0]))
+    ):
+        return f"{code.rstrip()};\n"  # a legend that was made, say, is no result
     return code
 
 
@@ -69,7 +76,8 @@ def notebook(path: Path) -> Any:
     docstring = ast.parse(source).body[0]
     code = "".join(source.splitlines(keepends=True)[docstring.end_lineno :])
     first, *others = re.split(r"^# %%.*\n", code, flags=re.M)
-    cells = [v4.new_markdown_cell(f"# {title}\n\n{text}")]
+    said = f"# {title}\n\n{text}\n\nAs a script: `examples/{path.name}`."
+    cells = [v4.new_markdown_cell(said)]
     ready = "%matplotlib inline\nimport sys\n\nsys.argv[1:] = ['.']  # results go here"
     cells.append(v4.new_code_cell(ready, metadata={"tags": ["remove-cell"]}))
     for part in (first, *others):
@@ -126,7 +134,7 @@ def index(folder: Path) -> None:
     lines = [
         "# Gallery",
         "",
-        "Each was run for this page. The link at its end leads to the script.",
+        "Each was run for this page, by a kernel of its own.",
         "",
     ]
     names = []

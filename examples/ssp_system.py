@@ -1,7 +1,7 @@
 """A system of FMUs: a plant, its PID and a planned motion, connected in one SSP file.
 
-The file runs in any tool that reads SSP 1.0 (OMSimulator, easySSP, FMPy). Each part is an FMU of
-its own; start values and parameters may be changed in the SSP. Here FMPy plays it.
+The file runs in any tool that reads SSP 1.0. Each part is an FMU of its own; start values and
+parameters may be changed in the SSP. Here FMPy plays it.
 """
 
 import fmpy.ssp.simulation

@@ -67,3 +67,4 @@ def test_an_example_becomes_a_notebook_that_shows_its_pictures(example, gallery)
 def test_a_picture_that_is_saved_is_shown_in_the_notebook(gallery):
     code = 'plan.plot().savefig(\n    folder / "plan.png",\n    dpi=120,\n)\n'
     assert gallery.shown(code) == "display(plan.plot())\n"
+    assert gallery.shown("ax.legend()\n") == "ax.legend();\n"
