@@ -74,6 +74,15 @@ def run_study(
 
     Raises InputError, before anything runs, for a file that cannot be meant. A step that fails ends
     what stands on it; the others go on, and the report tells.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> said = "steps.mine = { kind = 'muscle', name = 'DMSP-20-300' }"
+    >>> _ = Path("study.toml").write_text(said)
+    >>> result = pam.studies.run_study("study.toml", cache="kept")
+    >>> result.ok, result.report.name
+    (True, 'report.html')
     """
     require_count("workers", workers, 1)
     if executor is not None and workers != 1:

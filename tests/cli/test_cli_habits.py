@@ -26,7 +26,7 @@ def test_every_command_has_the_same_habits():
     for name, command in commands.choices.items():
         options = {o for a in command._actions for o in a.option_strings}
         assert {"--quiet", "--verbose", "--time-limit"} <= options, name
-        assert "--json" in options or name == "completion", name
+        assert "--json" in options or name in ("completion", "bench"), name
 
 
 @pytest.mark.parametrize(
