@@ -62,7 +62,7 @@ def portable(function: ca.Function) -> ca.Function:
     if not any(code in _REPLACED for code in codes):
         return function
     arguments = function.sx_in()
-    entries = [[ca.SX(e) for e in a.nonzeros()] for a in arguments]
+    entries = [ca.vertsplit(a.nz[:]) if a.nnz() else [] for a in arguments]
     outputs: list[list[ca.SX]] = [
         [ca.SX(0.0)] * function.nnz_out(i) for i in range(function.n_out())
     ]
