@@ -254,7 +254,8 @@ void {p}_step({p}_state *state, const {p}_parameters *parameters, const {p}_inpu
         outputs = _table(v.outputs, lit)
         nominal = ", ".join(lit(o.nominal) for o in b.outputs)
         fill = "\n".join(
-            f"        inputs.{f} = GIVEN[k][{i}];" for i, f in enumerate(field_names(b.inputs))
+            f"        inputs.{f} = GIVEN[k][{i}];"
+            for i, f in enumerate(field_names(b.inputs) or ["none"])
         )
         take = "\n".join(
             f"        found[{i}] = outputs.{f};" for i, f in enumerate(field_names(b.outputs))
