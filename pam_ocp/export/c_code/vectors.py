@@ -73,18 +73,29 @@ def outputs_of(
     return found
 
 
-def sensitivity(block: Block, inputs: Array, expected: Array, digits: float, single: bool) -> float:
-    """The largest change of an output, relative to itself and its nominal, that rounding makes.
+def sensitivity(
+    block: Block, inputs: Array, expected: Array, digits: float, single: bool
+) -> tuple[Array, Array]:
+    """Of each step so far, the largest change of an output, relative to itself and its nominal,
+    that rounding makes; and the expected outputs, NaN for flags (whole numbers) that rounding may
+    turn over.
 
     digits : spacing of numbers at 1. Each value of the memory errs by some of it in each step; in
     single precision every operation is carried out so, too, where the step allows it.
     """
     nominal = np.array([v.nominal for v in block.outputs])
+    flags = np.all(expected == np.round(expected), axis=0)
     runs = [outputs_of(block, inputs, 4 * digits, single)]
-    if single and (found := single_outputs(block, inputs)) is not None:
+    found = single_outputs(block, inputs) if single else None
+    if found is not None:
         runs.append(found)
-    errors = [
-        np.max(np.abs(r - expected[: len(r)]) / (nominal + np.abs(expected[: len(r)])), initial=0.0)
-        for r in runs
-    ]
-    return float(np.max(errors))
+    told, errors = expected.copy(), np.zeros(len(expected))
+    if single:  # flags are sure as far as every operation was carried out
+        told[0 if found is None else len(found) :, flags] = np.nan
+    for run in runs:
+        wanted = expected[: len(run)]
+        off = np.abs(run - wanted)
+        size = np.max((off / (nominal + np.abs(wanted)))[:, ~flags], axis=1, initial=0.0)
+        errors[: len(run)] = np.maximum(errors[: len(run)], size)
+        told[: len(run)][(off > 0) & flags] = np.nan
+    return np.maximum.accumulate(errors), told
