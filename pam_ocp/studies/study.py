@@ -137,6 +137,19 @@ def run_study(
 
     Raises InputError, before anything runs, for a file that cannot be meant. A step that fails ends
     what stands on it; the others go on, and the report tells.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = '''
+    ... title = "A muscle"
+    ... steps.static = { kind = "table", file = "DMSP-20-300_static.csv", rest_length = "300 mm" }
+    ... steps.law = { kind = "fit", table = "static" }
+    ... '''
+    >>> _ = Path("study.toml").write_text(text)
+    >>> found = pam.studies.run_study("study.toml", "results", cache="kept")
+    >>> found.ok, list(found.steps)
+    (True, ['static', 'law'])
     """
     require_count("workers", workers, 1)
     if executor is not None and workers != 1:
