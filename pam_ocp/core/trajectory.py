@@ -38,7 +38,6 @@ from .variables import Causality, Variable, variable_of
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["HELD", "Comparison", "Event", "Trajectory", "interpolation_of"]
 
@@ -397,7 +396,7 @@ class Trajectory:
         *,
         ax: Axes | None = None,
         interactive: bool = False,
-    ) -> Figure:
+    ) -> Any:
         """A figure with one panel per unit, over time. Returns the matplotlib Figure.
 
         ax : draw into this panel instead; the names must be of one unit.

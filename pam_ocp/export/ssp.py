@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -21,25 +20,11 @@ from .motion import export_motion, player
 from .package import export_fmu
 from .sampled import as_block
 from .settings import FmiVersion
-from .structure import system_structure
+from .structure import Part, Wire, system_structure
 
-__all__ = ["Part", "Wire", "export_ssp"]
+__all__ = ["export_ssp"]
 
 Component: TypeAlias = Plant | Block | Trajectory | Any
-Wire: TypeAlias = tuple[str, str, str, str]
-"""Component and variable of the output, component and variable of the input."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """A component: its variables, and how its FMU is written to a path."""
-
-    inputs: tuple[Variable, ...]
-    outputs: tuple[Variable, ...]
-    settable: tuple[Variable, ...]
-    """States and parameters with their start values."""
-    write: Callable[[Path], Path]
-    sample_time: float | None = None
 
 
 @verb

@@ -21,7 +21,6 @@ from .validity import Validity, warn_beyond
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["Muscle"]
 
@@ -172,7 +171,7 @@ class Muscle:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
         return replace(self, law=law, rest_length=rest_length)
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
+    def plot(self, *, ax: Axes | None = None) -> Any:
         """Force and stiffness over contraction, one line per pressure, where it was measured.
 
         ax : draw the force into this panel instead.

@@ -62,8 +62,10 @@ def portable(function: ca.Function) -> ca.Function:
     if not any(code in _REPLACED for code in codes):
         return function
     arguments = function.sx_in()
-    entries = [a.nonzeros() for a in arguments]
-    outputs: list[list[ca.SX]] = [[ca.SX(0.0)] * function.nnz_out(i) for i in range(function.n_out())]
+    entries = [[ca.SX(e) for e in a.nonzeros()] for a in arguments]
+    outputs: list[list[ca.SX]] = [
+        [ca.SX(0.0)] * function.nnz_out(i) for i in range(function.n_out())
+    ]
     work: list[ca.SX] = [ca.SX(0.0)] * function.sz_w()
     for k, code in enumerate(codes):
         from_, to = function.instruction_input(k), function.instruction_output(k)
@@ -80,7 +82,9 @@ def portable(function: ca.Function) -> ca.Function:
         else:
             work[to[0]] = ca.SX.binary(code, *(work[i] for i in from_))
     results = [
-        ca.SX(function.sparsity_out(i), ca.vertcat(*column)) if column else ca.SX(*function.size_out(i))
+        ca.SX(function.sparsity_out(i), ca.vertcat(*column))
+        if column
+        else ca.SX(*function.size_out(i))
         for i, column in enumerate(outputs)
     ]
     return ca.Function(function.name(), arguments, results, {"cse": True})

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from browser_tools import ROOT
+from test_page_motion import tab
 
 import pam_ocp as pam
 
@@ -34,23 +35,23 @@ def test_from_a_dropped_file_to_a_checked_fmu_and_a_script_with_the_same_figures
     hand.drop(rig_file(tmp_path))
     hand.type("Rest length", "300")
     hand.sees("ForceTable(49 cells")
-    hand.press("Muscle")
+    tab(hand, "Muscle")
     hand.press("Fit")
     hand.sees("taut cells")
-    hand.press("Plant")
+    tab(hand, "Plant")
     hand.choose("Arrangement", "AntagonisticSlide")
     hand.sees("muscle2.rest_length")
     hand.type("mass", "3 kg")
     hand.until(lambda: server.state(hand.session)["plant"].get("mass") == 3.0)
-    hand.press("Motion")
+    tab(hand, "Motion")
     hand.press("New motion")
     hand.until(lambda: [e for e in hand.shown(".bench-verdict") if "verified" in e.text], "a plan")
-    hand.press("Control")
+    tab(hand, "Control")
     hand.press("Mid stroke")
     hand.press("New LQR")
     hand.sees("phase margin")
     hand.sees("closed loop over 1 s")
-    hand.press("Export")
+    tab(hand, "Export")
     hand.press("Export FMU and check it")
     hand.sees("checked: all well")
     hand.press("Run it and compare")

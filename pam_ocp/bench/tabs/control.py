@@ -60,6 +60,9 @@ class Control(Tab):
         self._keys: dict[str, Any] = {}
         self._runs = False
         self._push = 0.0
+        self._drawn_form: Any = None
+        self._fields: dict[str, el.Field] = {}
+        self._sliders: dict[str, tuple[el.Slider, float]] = {}
         self._goal: float | None = None
         self._factor = 1.0
         with el.split():
@@ -93,7 +96,10 @@ class Control(Tab):
     def update(self, changed: frozenset[str]) -> None:
         if changed & {"muscle", "plant", "point"}:
             self._stop()
-        self._show()
+        if self._form() == self._drawn_form:
+            self._set_fields()
+        else:
+            self._show()
         if self._ready:
             self.bench.soon(self._design_it)
             self.bench.soon(self._run_it)
@@ -131,10 +137,30 @@ class Control(Tab):
             if said is not None:
                 self.bench.session.put(label, "controllers", {**said, **values})
 
+    def _form(self) -> Any:
+        """All that fields and buttons depend on, but the numbers that they show."""
+        said = self._controller
+        names = [(c["id"], c["name"]) for c in self.state["controllers"]]
+        at_hand = said and (said["id"], said["kind"], said["gains"].get("horizon"))
+        point = list(self.state["point"])
+        return copy.deepcopy([self.state["muscle"], self.state["plant"], point, names, at_hand])
+
+    def _set_fields(self) -> None:
+        said = self._controller
+        for name, field in self._fields.items():
+            if name in self.state["point"]:
+                field.set(self.state["point"][name])
+            elif said is not None:
+                field.set(said["sample_time"] if name == "sample_time" else said["study"][name])
+        if said is not None:
+            for name, (slider, factor) in self._sliders.items():
+                slider.set(float(said["gains"][name]) * factor)
+
     # ---- drawing --------------------------------------------------------------------------------
     def _show(self) -> None:
         for box in (self._point_box, self._list, self._gains_box, self._study_box):
             box.clear()
+        self._fields, self._sliders, self._drawn_form = {}, {}, None
         if self.state["muscle"] is None:
             with self._point_box:
                 el.note("A controller needs a muscle: choose or fit one in the tab Muscle.")
@@ -156,6 +182,7 @@ class Control(Tab):
             with self._study_box:
                 self._study(said, plant)
             self._show_live(plant)
+            self._drawn_form = self._form()
 
     def _point_fields(self, plant: Plant) -> None:
         point = self.state["point"]
@@ -165,7 +192,9 @@ class Control(Tab):
             return
         for name, value in point.items():
             v = plant.variable(name)
-            el.Field(name, value, v.unit, self._point_act(name), low=v.min, high=v.max)
+            self._fields[name] = el.Field(
+                name, value, v.unit, self._point_act(name), low=v.min, high=v.max
+            )
 
     def _middle(self) -> None:
         with self.bench.shown_errors():
@@ -188,7 +217,7 @@ class Control(Tab):
             names = {c["id"]: c["name"] for c in self.state["controllers"]}
             el.choice("Controller", names, said["id"], self._choose)
             el.text_field("Name", said["name"], lambda v: self._change("rename", name=v[:60]))
-            el.Field(
+            self._fields["sample_time"] = el.Field(
                 "Sample time",
                 said["sample_time"],
                 "s",
@@ -244,7 +273,7 @@ class Control(Tab):
             unit, factor = units.get(name, ("", 1.0))
             shown = value * factor
             middle = shown if shown > 0 else about(name, said, units, usual)
-            el.Slider(
+            slider = el.Slider(
                 words,
                 shown,
                 middle * 10**-DECADES,
@@ -254,6 +283,7 @@ class Control(Tab):
                 partial(self._settle, name, factor),
                 log=True,
             )
+            self._sliders[name] = slider, factor
         if said["kind"] == "lqr":
             el.note("Weights of squares in units of nominal: more effort, less gain.")
 
@@ -328,7 +358,7 @@ class Control(Tab):
         force = "N" if v.unit == "m" else "N.m"
 
         def field(name: str, words: str, unit: str, **more: Any) -> None:
-            el.Field(words, study[name], unit, self._study_act(name), **more)
+            self._fields[name] = el.Field(words, study[name], unit, self._study_act(name), **more)
 
         field("step", f"Step of {v.name}", v.unit)
         field("duration", "Duration", "s", low=0.01, high=20.0, shown="s")

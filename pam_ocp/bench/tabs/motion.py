@@ -37,6 +37,9 @@ class Motion(Beside):
 
     def build(self) -> None:
         self._hand: Said | None = None
+        self._drawn_form: Any = None
+        self._fields: dict[tuple[int, str], el.Field] = {}
+        self._sliders: dict[str, el.Slider] = {}
         self._note = ""
         with el.split():
             with el.side():
@@ -65,8 +68,11 @@ class Motion(Beside):
 
     def update(self, changed: frozenset[str]) -> None:
         self._hand = None
-        self._show()
         motion = self._motion
+        if motion is not None and self._form(motion) == self._drawn_form:
+            self._set_fields(motion)
+        else:
+            self._show()
         if motion is not None and self._made_of.get(motion["id"]) != self._key(motion):
             self.bench.soon(self._plan)
 
@@ -74,11 +80,40 @@ class Motion(Beside):
     def lines(state: dict[str, Any]) -> Sequence[str]:
         return motion_lines(state)
 
+    # ---- without drawing all anew, which would take the cursor out of its field ------------------
+    def _form(self, motion: Said) -> Any:
+        """All that fields and buttons depend on, but the numbers that they show."""
+        said = copy.deepcopy({k: v for k, v in motion.items() if k != "minimise"})
+        for stop in said["stops"]:
+            stop.update(at=0.0, second=None, dwell=0.0)
+        said["durations"] = len(said["durations"])
+        for bound in said["bounds"]:
+            bound.update(low=0.0, high=0.0)
+        names = [(m["id"], m["name"]) for m in self.state["motions"]]
+        seen = [(d["id"], d["name"], d.get("is")) for d in self.state["data"]]
+        return copy.deepcopy([said, names, seen, self.state["muscle"], self.state["plant"]])
+
+    def _set_fields(self, motion: Said) -> None:
+        for i, stop in enumerate(motion["stops"]):
+            for key in ("at", "second", "dwell"):
+                if (i, key) in self._fields:
+                    self._fields[i, key].set(stop[key])
+        for i, duration in enumerate(motion["durations"]):
+            self._fields[i, "leg"].set(duration)
+        for i, bound in enumerate(motion["bounds"]):
+            for side in ("low", "high"):
+                self._fields[i, side].set(bound[side])
+        for term, slider in self._sliders.items():
+            slider.set(float(motion["minimise"].get(term, 0.0)))
+        with self.bench.shown_errors():
+            self._show_plan(motion, self._plant())
+
     # ---- drawing it all -------------------------------------------------------------------------
     def _show(self) -> None:
         boxes = (self._list, self._stops_box, self._objective, self._bounds_box, self._beside)
         for box in boxes:
             box.clear()
+        self._fields, self._sliders, self._drawn_form = {}, {}, None
         motion = self._motion
         if self.state["muscle"] is None:
             with self._list:
@@ -104,6 +139,7 @@ class Motion(Beside):
                 self._bound_fields(motion, plant)
             with self._beside:
                 self._compare(motion)
+            self._drawn_form = self._form(motion)
             self._show_plan(motion, plant)
 
     def _not_of(self, plant: Plant, motion: Said) -> None:
@@ -189,15 +225,21 @@ class Motion(Beside):
         count = len(motion["stops"])
         for i, stop in enumerate(motion["stops"]):
             el.tag("h3", f"Stop {i + 1}", "bench-h3")
-            el.Field(v.name, stop["at"], v.unit, self._stop_act(i, "at"), low=low, high=high)
+            self._fields[i, "at"] = el.Field(
+                v.name, stop["at"], v.unit, self._stop_act(i, "at"), low=low, high=high
+            )
             if motion["second"]:
                 w = plant.variable(motion["second"])
-                el.Field(w.name, stop["second"], w.unit, self._stop_act(i, "second"), optional=True)
-            el.Field("Stays for", stop["dwell"], "s", self._stop_act(i, "dwell"), low=0, high=60)
+                self._fields[i, "second"] = el.Field(
+                    w.name, stop["second"], w.unit, self._stop_act(i, "second"), optional=True
+                )
+            self._fields[i, "dwell"] = el.Field(
+                "Stays for", stop["dwell"], "s", self._stop_act(i, "dwell"), low=0, high=60
+            )
             el.check("At rest", stop["rest"], self._stop_act(i, "rest"), "no velocity there")
             if i < len(motion["durations"]):
                 to = (i + 1) % count + 1
-                el.Field(
+                self._fields[i, "leg"] = el.Field(
                     f"To stop {to} in",
                     motion["durations"][i],
                     "s",
@@ -338,7 +380,7 @@ class Motion(Beside):
         low, high = WEIGHTS
         for term, words in jobs.terms_of(plant).items():
             weight = float(motion["minimise"].get(term, 0.0))
-            slider = el.Slider(
+            slider = self._sliders[term] = el.Slider(
                 term,
                 weight,
                 low,
@@ -368,7 +410,7 @@ class Motion(Beside):
         for i, bound in enumerate(motion["bounds"]):
             v = plant.variable(bound["name"])
             for side in ("low", "high"):
-                el.Field(
+                self._fields[i, side] = el.Field(
                     f"{v.name} {'>=' if side == 'low' else '<='}",
                     bound[side],
                     v.unit,

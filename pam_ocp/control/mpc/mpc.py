@@ -176,6 +176,7 @@ class Mpc:
         other = solver in ("ipopt", "riccati")
         self._sqp = Sqp(self.program, "hpipm" if other else solver, tolerance)
         self._ipopt: TrackingIpopt | None = None
+        self._cores: dict[tuple[int, int], RealTimeIteration] = {}
         self._calls = RealTimeCalls(self.real_time()) if solver == "riccati" else None
         self._how, self._advance = how, self._predictor(how)
         self._fine: ca.Function | None = None
@@ -203,14 +204,17 @@ class Mpc:
 
         iterations : SQP steps (None: as this Mpc). patience : calls in a row that may fail.
         """
-        return RealTimeIteration(
-            self.program,
-            iterations=self.iterations if iterations is None else iterations,
-            work=self.work,
-            tolerance=self._sqp.tolerance,
-            delay=self.delay,
-            patience=patience,
-        )
+        steps = self.iterations if iterations is None else iterations
+        if (steps, patience) not in self._cores:
+            self._cores[steps, patience] = RealTimeIteration(
+                self.program,
+                iterations=steps,
+                work=self.work,
+                tolerance=self._sqp.tolerance,
+                delay=self.delay,
+                patience=patience,
+            )
+        return self._cores[steps, patience]
 
     @property
     def commands(self) -> tuple[str, ...]:

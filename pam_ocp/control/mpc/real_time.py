@@ -68,8 +68,9 @@ class RealTimeIteration:
     facts : see FACTS. ``status`` is 0 where the tolerance was met, 1 where the SQP steps or their
     ``work`` were used up before, 2 where a quadratic program failed and the plan of the call before
     is followed, 3 where more than ``patience`` failed in a row: the safe inputs. After a failure
-    the next call begins anew, from the state and the inputs as they are. ``active`` counts the limits that hold the plan back, ``violation`` is
-    the largest by which a soft one gives way, in units of nominal.
+    the next call begins anew, from the state and the inputs as they are. ``active`` counts the
+    limits that hold the plan back, ``violation`` is the largest by which a soft one gives way, in
+    units of nominal.
 
     applied : inputs that act now [SI]. Memory holds the solution (states and inputs, node after
     node, scaled), the state expected at the next call, and whether there is a solution, how many

@@ -63,6 +63,10 @@ _KEYWORDS = frozenset(
 )
 
 
+WIDE = 80
+"""Characters of a comment in the header; README.md has the whole."""
+
+
 @dataclass(frozen=True)
 class Vectors:
     """What the self-test compares: inputs (n, inputs) and outputs (n, outputs) of n steps."""
@@ -146,7 +150,7 @@ class CExport:
 extern "C" {{
 #endif
 typedef {self.precision.ctype} {p}_real;
-#define {p.upper()}_SAMPLE_TIME {self.precision.literal(b.sample_time)} /* {b.sample_time:g} s */
+#define {p.upper()}_SAMPLE_TIME {b.sample_time!r}{self.precision.suffix} /* [s] */
 {structs}
 typedef struct {{
     {p}_real memory[{max(len(b.memory), 1)}];  /* carried from step to step */
@@ -436,7 +440,8 @@ def _plain(text: str) -> str:
 
 def _about(v: Variable) -> str:
     unit = "" if v.unit == "1" else f"[{v.unit}] "
-    return _plain(f"{unit}{v.description or v.name}").strip()
+    words = _plain(f"{unit}{v.description or v.name}").strip()
+    return words if len(words) <= WIDE else f"{words[:WIDE].rpartition(' ')[0]} ... (README)"
 
 
 def _list(names: Sequence[str]) -> str:
