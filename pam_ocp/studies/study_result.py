@@ -18,7 +18,14 @@ __all__ = ["StudyResult", "StudyStep"]
 
 @dataclass(frozen=True)
 class StudyStep:
-    """What became of a step."""
+    """What became of a step.
+
+    Examples
+    --------
+    >>> step = pam.studies.StudyStep("law", "fit", "done", "RMSE 6.2 N")
+    >>> step.good, step.verdict
+    (True, 'RMSE 6.2 N')
+    """
 
     name: str
     kind: str
@@ -39,7 +46,20 @@ class StudyStep:
 @shown
 @dataclass(frozen=True)
 class StudyResult:
-    """A study that was run: its steps by name, its folder, its report."""
+    """A study that was run: its steps by name, its folder, its report.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = '''
+    ... title = "A muscle"
+    ... steps.static = { kind = "table", file = "DMSP-20-300_static.csv", rest_length = "300 mm" }
+    ... '''
+    >>> _ = Path("study.toml").write_text(text)
+    >>> found = pam.studies.run_study("study.toml", "results", cache="kept")
+    >>> found.ok, found.report.name
+    (True, 'report.html')
+    """
 
     title: str
     folder: Path
