@@ -33,6 +33,13 @@ def main(folder: Path) -> None:
 
     loop = pam.closed_loop(BlockController(made, told), slide, duration=0.4, noise={"x": 1e-5})
     print(f"in Python: x = {1e3 * loop['x'][-1]:.2f} mm after {loop.t[-1]:g} s")
+    figure, ((axes,),) = pam.figures.new_figure(1, size=(8.0, 3.5))
+    axes.axvspan(0.10, 0.12, color="#dddddd", lw=0, label="not measured")
+    axes.step(loop.t, [1e3 * told(t)["wanted.x"] for t in loop.t], "k:", label="wanted")
+    axes.plot(loop.t, 1e3 * loop["x"], label="slide")
+    axes.set(xlabel="t [s]", ylabel="x [mm]")
+    axes.legend()
+    figure.savefig(folder / "export_controller.png", dpi=120)
 
     place = pam.export_c(made, folder / "slide_lqg")
     for file in sorted(place.iterdir()):

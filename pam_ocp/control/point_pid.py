@@ -38,6 +38,13 @@ class PointPid:
 
     ``loop`` is python-control's L(s), broken at the error, ``poles`` are those of the closed loop
     (continuous, linear). Raises InputError where no input moves the position.
+
+    Examples
+    --------
+    >>> pid = pam.control.PointPid(plant, point, proportional=1e6, integral=2e7, sample_time=2e-3)
+    >>> loop = pam.closed_loop(pid, plant, {"x": 0.042}, duration=2.0, start=point)
+    >>> print(f"{loop['x'][-1]:.4f}")
+    0.0420
     """
 
     plant: Plant

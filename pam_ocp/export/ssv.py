@@ -30,6 +30,11 @@ def save_ssv(
 
     values : {parameter or state: value} [SI, or a text with a unit]; by default all parameters with
         the plant's values. Raises InputError, UnknownNameError.
+
+    Examples
+    --------
+    >>> pam.export.save_ssv(plant, "load.ssv", {"mass": "12 kg"}).name
+    'load.ssv'
     """
     given = by_name("values", values)
     if values is None:

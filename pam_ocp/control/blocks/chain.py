@@ -38,6 +38,14 @@ def chain(
     guard yet: ``pam_ocp.control.block(chain)`` puts one around it.
 
     Raises InputError for sample times or units that differ, UnknownNameError for names.
+
+    Examples
+    --------
+    >>> filter = pam.control.kalman(plant, point, measured={"x": 1e-5}, sample_time=2e-3)
+    >>> law = pam.lqr(plant, point, sample_time=2e-3)
+    >>> whole = pam.control.chain([filter, law], name="lqg")
+    >>> whole.name
+    'lqg'
     """
     if not isinstance(parts, Sequence) or not parts:
         raise InputError("chain: parts has none; give a list of blocks or controllers")

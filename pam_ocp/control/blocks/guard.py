@@ -55,6 +55,12 @@ class Guard:
     safe : {command: value sent while off or blind} [SI]; those not named stay as they are.
     hold : samples for which the last good measurement stands in for a missing one.
     fade_time : [s], of what is left of the step at switching on.
+
+    Examples
+    --------
+    >>> guard = pam.control.Guard(rates={"muscle.command": 2e6}, hold=5)
+    >>> guard.hold, guard.rates
+    (5, {'muscle.command': 2000000.0})
     """
 
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -45,6 +45,13 @@ def block(
     name : of the block. limits, rates, safe, hold, fade_time : see :class:`Guard`, which stands
         around the law; ``guard`` False leaves it out (for parts of a chain).
     options : of this kind of controller.
+
+    Examples
+    --------
+    >>> law = pam.lqr(plant, point, sample_time=2e-3)
+    >>> made = pam.control.block(law, plant=plant, safe={"muscle.command": 0.0})
+    >>> [v.name for v in made.outputs][:1]
+    ['muscle.command']
     """
     if name is not None:
         options["name"] = name
@@ -83,6 +90,14 @@ class BlockController:
     measured: references, ``enable``. Inputs that are neither stay at their start values. What the
     loop's ``reference`` names are the inputs ``wanted.NAME``.
     outputs : those of the last sample by name; memory : as it stands now.
+
+    Examples
+    --------
+    >>> law = pam.lqr(plant, point, sample_time=2e-3)
+    >>> made = pam.control.block(law, plant=plant)
+    >>> loop = pam.closed_loop(pam.control.BlockController(made), plant, duration=0.5, start=point)
+    >>> bool(abs(loop["x"][-1] - 0.04) < 1e-3)
+    True
     """
 
     def __init__(

@@ -76,6 +76,14 @@ def mpc_block(
     patience : quadratic programs that may fail in a row before ``fallback`` is sent.
 
     Raises InputError where a bounded worst case cannot be given (``solver="ipopt"``).
+
+    Examples
+    --------
+    >>> weights = {"track": {"x": 1.0}, "rate": {"muscle.command": 0.1}}
+    >>> mpc = pam.Mpc(plant, horizon=10, sample_time=0.01, **weights)
+    >>> made = pam.control.mpc_block(mpc)
+    >>> made.name, "wanted.x" in [v.name for v in made.inputs]
+    ('mpc', True)
     """
     if controller._only_ipopt:
         raise InputError(

@@ -69,6 +69,13 @@ def export_c(
 
     Returns the folder. Raises InputError for what cannot be meant, ExportError for a block that
     cannot be C, WriteError for a folder that is there and is no such export.
+
+    Examples
+    --------
+    >>> law = pam.lqr(plant, point, sample_time=2e-3)
+    >>> folder = pam.export.export_c(law, "regulator", plant=plant, steps=20)
+    >>> sorted(path.name for path in folder.glob("*.h"))
+    ['state_feedback.h']
     """
     if precision not in PRECISIONS:
         raise InputError(f"precision = {precision!r}: choose 'double' or 'single'")
