@@ -127,6 +127,7 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> App:
         language="en-US",
         dark=None,
         reconnect_timeout=10.0,
+        message_history_length=100,  # of each browser: curves that follow a slider fill it
         tailwind=False,
         binding_refresh_interval=None,
         show_welcome_message=False,
