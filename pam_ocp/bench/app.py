@@ -126,7 +126,10 @@ def application(root: Path, *, allow_code: bool = False, **guard: Any) -> App:
         title="pam_ocp bench",
         language="en-US",
         dark=None,
-        reconnect_timeout=10.0,
+        # a browser that is busy for some seconds must not be taken for gone: what is clicked while
+        # it connects again would be lost (pings are awaited for 0.4 of this)
+        reconnect_timeout=60.0,
+        message_history_length=100,  # of each browser: curves that follow a slider fill it
         tailwind=False,
         binding_refresh_interval=None,
         show_welcome_message=False,
