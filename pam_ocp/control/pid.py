@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +20,8 @@ from .references import Reference
 __all__ = ["PID", "PositionController", "PressureLoop"]
 
 Array: TypeAlias = NDArray[np.float64]
+Values: TypeAlias = Mapping[str, Any]
+"""Numbers or symbols by name."""
 
 
 @dataclass
@@ -27,6 +30,12 @@ class PID:
 
     Sampled by backward differences. The integral is frozen while the caller says that the output
     is saturated and the error would drive it further (no wind-up).
+
+    Examples
+    --------
+    >>> pid = pam.control.PID(kp=2.0, ki=1.0)
+    >>> round(pid(0.5, 0.01), 3)
+    1.005
     """
 
     kp: float
@@ -72,6 +81,12 @@ class PressureLoop:
         itself); pressures that are inputs are simply set.
     gain : opening of a valve per pressure error [1/Pa], for spool and on/off valves; the command
         that gives this opening is sent, so that the dead zone of a spool leaves no error.
+
+    Examples
+    --------
+    >>> inner = pam.control.PressureLoop(plant, time_constant=0.01)
+    >>> inner({"muscle": 3e5}, {**point.values, "muscle.pressure": 2.9e5})
+    {'muscle.command': 340000.0}
     """
 
     def __init__(
@@ -80,9 +95,11 @@ class PressureLoop:
         self.gain = require_positive("gain", gain, "1/Pa")
         self.inversion = Inversion(plant)
         names = {v.name: v for v in plant.variables}
-        self._rules: list[Callable[[Mapping[str, float], Measured], dict[str, float]]] = []
+        self._rules: list[Callable[[Values, Values], dict[str, Any]]] = []
+        self.muscles: list[str] = []
         muscles = [n.removesuffix(".pressure") for n in names if n.endswith(".pressure")]
         for m in muscles:
+            self.muscles.append(m)
             command = names.get(f"{m}.command")
             if names[f"{m}.pressure"].causality == "input":
                 self._rules.append(lambda p, y, m=m: {f"{m}.pressure": p[m]})  # type: ignore[misc]
@@ -100,37 +117,42 @@ class PressureLoop:
 
     def _regulator(
         self, plant: Plant, m: str, time_constant: float | None
-    ) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
+    ) -> Callable[[Values, Values], dict[str, Any]]:
         ratio = 0.0
         if time_constant is not None:
             lag = float(plant.variable(f"{m}.lag").start or 0.0)
             ratio = lag / require_positive("time_constant", time_constant, "s")
 
-        def rule(p: Mapping[str, float], y: Measured) -> dict[str, float]:
+        def rule(p: Values, y: Values) -> dict[str, Any]:
             now = y[f"{m}.pressure"]
             return {f"{m}.command": now + ratio * (p[m] - now) if ratio else p[m]}
 
         return rule
 
-    def _spool(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
+    def _spool(self, m: str) -> Callable[[Values, Values], dict[str, Any]]:
         name = self.inversion.name(f"{m}.command")  # the opening where the plant declares one
         return lambda p, y: {name: self._opening(p[m] - y[f"{m}.pressure"])}
 
-    def _on_off(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
-        def rule(p: Mapping[str, float], y: Measured) -> dict[str, float]:
+    def _on_off(self, m: str) -> Callable[[Values, Values], dict[str, Any]]:
+        def rule(p: Values, y: Values) -> dict[str, Any]:
             opening = self._opening(p[m] - y[f"{m}.pressure"])
-            return {f"{m}.fill": max(opening, 0.0), f"{m}.vent": max(-opening, 0.0)}
+            return {f"{m}.fill": ca.fmax(opening, 0.0), f"{m}.vent": ca.fmax(-opening, 0.0)}
 
         return rule
 
-    def _opening(self, error: float) -> float:
-        return float(np.clip(self.gain * error, -1.0, 1.0))
+    def _opening(self, error: Any) -> Any:
+        return ca.fmin(ca.fmax(self.gain * error, -1.0), 1.0)
+
+    def inputs(self, wanted: Values, measured: Values) -> dict[str, Any]:
+        """Inputs for wanted pressures {muscle: Pa}, openings as they are: numbers, or symbols."""
+        found: dict[str, Any] = {}
+        for rule in self._rules:
+            found.update(rule(wanted, measured))
+        return found
 
     def __call__(self, wanted: Mapping[str, float], measured: Measured) -> dict[str, float]:
         """Inputs by name for wanted pressures {muscle: Pa}."""
-        inputs: dict[str, float] = {}
-        for rule in self._rules:
-            inputs.update(rule(wanted, measured))
+        inputs = {n: float(u) for n, u in self.inputs(wanted, measured).items()}
         return self.inversion.commands(inputs)
 
 
@@ -146,6 +168,15 @@ class PositionController:
     inner : a :class:`PressureLoop`; by default one that passes commands on.
     feedforward : False leaves the reference's motion to the PID alone (for comparison).
     sample_time : sampling time [s], that of :func:`closed_loop`.
+
+    Examples
+    --------
+    >>> law = pam.control.PositionController(
+    ...     plant, lambda t: (0.045, 0.0, 0.0), pam.control.PID.placed(3.0), sample_time=2e-3
+    ... )
+    >>> loop = pam.closed_loop(law, plant, duration=2.0, start=point)
+    >>> print(f"{loop['x'][-1]:.4f}")
+    0.0450
     """
 
     def __init__(

@@ -17,7 +17,7 @@ import numpy as np
 
 from .units import unit as unit_of
 
-__all__ = ["UnitWarning", "Usual", "doubt", "meant", "meant_within", "outside"]
+__all__ = ["UnitWarning", "Usual", "doubt", "largest_usual", "meant", "meant_within", "outside"]
 
 FAR = 100.0
 """What a variable calls its nominal size says what is usual for it: only so many times more is
@@ -31,7 +31,18 @@ ZERO_CELSIUS = 273.15
 
 
 class UnitWarning(UserWarning):
-    """A value is so far from any usual one that another unit was probably meant."""
+    """A value is so far from any usual one that another unit was probably meant.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     _ = pam.simulate(plant, {"muscle.command": 3}, duration=0.1)  # 3 Pa: bar was meant
+    ...
+    >>> given[0].category.__name__
+    'UnitWarning'
+    """
 
 
 @dataclass(frozen=True)
@@ -66,6 +77,12 @@ _USUAL: dict[str, Usual] = {
 }
 _TIME_CONSTANT = Usual(0.0, 5.0, ("ms",), 0.05)
 _BY_KIND = {unit_of(name).exponents: usual for name, usual in _USUAL.items()}
+
+
+def largest_usual(unit: str) -> float:
+    """The largest size that is usual for a quantity of this unit [SI]; 0 when none is known."""
+    usual = _BY_KIND.get(unit_of(unit).exponents)
+    return usual.most if usual else 0.0
 
 
 def _in_si(value: float, unit: str) -> float:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,10 +15,10 @@ from ..core.errors import InputError, require_count, require_instance, require_p
 from ..core.files import atomic_path, require_place
 from ..core.interrupts import interruptible
 from ..planning.result import Plan
-from ..plants.hanging import hanging_sketch
-from ..plants.sketch import Disc, Line, Mark, Point, Polygon, Sketch, Spindle
+from ..plants.sketch import Line, Mark, Polygon, Sketch, Spindle
 from .canvas import new_figure
 from .plan import GREY, colours_of, panels_of
+from .scene import Places, outline, rim, sketch_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,8 +33,6 @@ __all__ = ["animate_plan"]
 Array: TypeAlias = NDArray[np.float64]
 Frame: TypeAlias = Callable[[int], None]
 
-THICKNESS = 0.09
-"""Radius of a stretched muscle in the picture, in parts of its length."""
 CURVES = 3
 """Panels of curves beside the picture of the plant."""
 
@@ -54,6 +51,11 @@ def animate_plan(
     fps : frames per second.
 
     Raises InputError when the ending is not .gif, PlanError for a plan that failed.
+
+    Examples
+    --------
+    >>> pam.animate_plan(plan, "motion.gif", seconds=0.1, fps=10).name
+    'motion.gif'
     """
     require_instance("plan", plan, Plan, "give what plan() returned")
     target = Path(path)
@@ -155,43 +157,15 @@ STYLES: dict[str, dict[str, Any]] = {
 
 def _scene(plan: Plan, motion: Trajectory) -> Callable[[Axes], Frame] | None:
     """Who draws the plant; None for one that says nothing of how it looks."""
-    sketch = plan.plant.sketch() or hanging_sketch(plan.plant)
+    sketch = sketch_of(plan.plant)
     return None if sketch is None else lambda ax: _drawn(ax, plan, motion, sketch)
-
-
-class _Places:
-    """Points of a sketch along a motion, or at given values of the states."""
-
-    def __init__(self, plant: Plant, motion: Trajectory) -> None:
-        self._plant = plant
-        self._x, self._u = (
-            motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs)
-        )
-
-    def _at(self, points: Sequence[Point], x: Array, u: Array) -> Array:
-        plant = self._plant
-        flat = ca.vertcat(*(ca.SX(c) for point in points for c in point))
-        function = ca.Function("points", [plant.x, plant.u, plant.p], [ca.densify(flat)])
-        p = np.tile(plant.vector("parameter")[:, None], (1, x.shape[1]))
-        values = np.asarray(function(x, u, p), float)
-        found: Array = values.T.reshape(x.shape[1], len(points), 2)
-        return found
-
-    def along(self, points: Sequence[Point]) -> Array:
-        """(moments, points, 2) [m]."""
-        return self._at(points, self._x, self._u)
-
-    def where(self, points: Sequence[Point], state: str, value: float) -> Array:
-        """(points, 2) [m] for one value of a state, all else at its start."""
-        plant = self._plant
-        x = plant.vector("state", {state: value})
-        only: Array = self._at(points, x[:, None], plant.vector("input")[:, None])[0]
-        return only
 
 
 def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
     """The sketch on its stage; what moves its shapes."""
-    places = _Places(plan.plant, motion)
+    plant = plan.plant
+    x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
+    places = Places(plant, x, u)
     names = [s.muscle for s in sketch.shapes if isinstance(s, Spindle)]
     muscles = dict(zip(names, _stage(ax, plan, motion, names), strict=True))
     frames: list[Frame] = []
@@ -206,7 +180,7 @@ def _drawn(ax: Axes, plan: Plan, motion: Trajectory, sketch: Sketch) -> Frame:
             frames.append(_stretched(line, places.along(shape.points)))
         else:
             (patch,) = ax.fill([], [], **STYLES["disc"])
-            frames.append(_placed(patch.set_xy, places.along(_round(shape))))
+            frames.append(_placed(patch.set_xy, places.along(rim(shape))))
     for mark in sketch.marks:
         _marked(ax, plan, mark, places)
     (left, low), (right, high) = places.along(list(zip(sketch.width, sketch.height, strict=True)))[
@@ -234,13 +208,7 @@ def _spindle(muscle: _Muscle, ends: Array) -> Frame:
     return lambda i: muscle.draw(i, ends[i, 0], ends[i, 1])
 
 
-def _round(disc: Disc) -> list[Point]:
-    angles = np.linspace(0.0, 2 * np.pi, 60)
-    (x, y), r = disc.centre, disc.radius
-    return [(x + r * float(np.cos(a)), y + r * float(np.sin(a))) for a in angles]
-
-
-def _marked(ax: Axes, plan: Plan, mark: Mark, places: _Places) -> None:
+def _marked(ax: Axes, plan: Plan, mark: Mark, places: Places) -> None:
     """A tick, and its value in the unit in which it is shown, at each stop."""
     variable = plan.plant.variable(mark.state)
     values = _stop_values(plan, mark.state)
@@ -282,16 +250,7 @@ class _Muscle:
 
     def draw(self, i: int, a: Sequence[float], b: Sequence[float]) -> None:
         """Between the points a and b [m]."""
-        start, end = np.asarray(a, float), np.asarray(b, float)
-        along = end - start
-        across = np.array([-along[1], along[0]]) / np.hypot(*along)
-        s = np.linspace(0.0, 1.0, 40)
-        # a braid's volume hardly shrinks: what it loses in length it gains in girth
-        bulge = THICKNESS * self.length / np.sqrt(max(1.0 - 2.0 * self.kappa[i], 0.2))
-        half = bulge * (0.35 + 0.65 * np.sin(np.pi * s) ** 0.6)
-        outline = start + np.outer(s, along)
-        upper, lower = (outline + sign * np.outer(half, across) for sign in (1, -1))
-        self.patch.set_xy(np.vstack([upper, lower[::-1]]))
+        self.patch.set_xy(outline(a, b, self.kappa[i], self.length))
         self.patch.set_facecolor(self.colours(0.05 + 0.9 * float(np.clip(self.pressure[i], 0, 1))))
 
 

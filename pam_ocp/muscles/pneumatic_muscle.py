@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import casadi as ca
 
@@ -20,7 +20,7 @@ from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
 from .validity import Validity, warn_beyond
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 __all__ = ["Muscle"]
 
@@ -52,6 +52,14 @@ class Muscle:
     obtained : "published", "transcribed" or "fitted here", or "".
 
     ``rest_length`` and ``slack_width`` may be CasADi symbols inside a plant.
+
+    Examples
+    --------
+    >>> mine = pam.Muscle(fit.law, rest_length=0.300, diameter=0.020, name="M1")
+    >>> print(f"{mine.force(3e5, 0.10):.0f} N, {mine.stiffness(3e5, 0.10):.0f} N/m")
+    234 N, 9001 N/m
+    >>> print(f"{mine.max_contraction(6e5):.3f}")
+    0.248
     """
 
     law: ForceLaw
@@ -163,9 +171,21 @@ class Muscle:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
         return replace(self, law=law, rest_length=rest_length)
 
-    def plot(self) -> Figure:
-        """Force and stiffness over contraction, one line per pressure, where it was measured."""
-        return courtesy.plot_muscle(self)
+    def plot(self, *, ax: Axes | None = None) -> Any:
+        """Force and stiffness over contraction, one line per pressure, where it was measured.
+
+        ax : draw the force into this panel instead.
+        """
+        return courtesy.plot_muscle(self, ax=ax)
+
+    def plot_surface(
+        self, quantity: Literal["force", "stiffness"] = "force", *, interactive: bool = False
+    ) -> Any:
+        """Force or stiffness over contraction and pressure, in 3D.
+
+        interactive : by plotly (needs the extra ``interactive``), instead of matplotlib.
+        """
+        return courtesy.plot_surface(self, quantity, interactive=interactive)
 
     def _brief(self) -> str:
         if isinstance(self.rest_length, ca.SX):

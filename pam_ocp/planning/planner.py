@@ -148,6 +148,14 @@ def plan(
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
     (PlanWarning) when the plan is not verified: ``plan.verdict`` says why.
+
+    Examples
+    --------
+    >>> plan = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], minimise="time")
+    >>> print(f"{1e3 * plan.duration:.1f} ms")
+    36.6 ms
+    >>> plan.verified
+    True
     """
     build = functools.partial(
         Planner,
@@ -197,9 +205,13 @@ class Planner:
     the solution of a neighbour: stops, durations, bounds, budgets and constant aims may have other
     values (not other names), and so may all parameters of the plant.
 
-        planner = pam.Planner(plant, [{"x": 0.0}, {"x": 0.01}])
-        first = planner()
-        heavier = planner(values={"mass": 2.5}, guess=first)
+    Examples
+    --------
+    >>> planner = pam.Planner(slide, [{"x": -0.01}, {"x": 0.01}])
+    >>> first = planner()
+    >>> second = planner(values={"mass": 2.5}, guess=first)
+    >>> second.duration > first.duration
+    True
     """
 
     @turns

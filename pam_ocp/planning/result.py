@@ -52,6 +52,15 @@ class Plan:
 
     A failed plan is sealed: ``trajectory`` raises PlanError; what the solver left is reached only
     by :meth:`unverified`.
+
+    Examples
+    --------
+    >>> plan.verified, plan.replay_error < 1e-3
+    (True, True)
+    >>> print(f"{1e3 * plan.duration:.1f} ms")
+    36.6 ms
+    >>> plan.trajectory["x"][[0, -1]].round(6)
+    array([-0.01,  0.01])
     """
 
     plant: Plant
@@ -213,6 +222,13 @@ class Plan:
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
         return courtesy.save_plan(self, path)
+
+    def to_excel(self, path: str | Path) -> Path:
+        """Write a workbook (.xlsx): verdict and figures, the motion in display units, charts.
+
+        Raises PlanError when the plan failed.
+        """
+        return courtesy.write_plan_book(self, path)
 
     def to_pandas(self) -> pd.DataFrame:
         """The motion as a DataFrame, one column per variable, indexed by time [s]."""

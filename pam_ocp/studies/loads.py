@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..core.files import atomic_path
 from ..core.plausible import doubt
+from ..core.progress import counted
 from ..core.shown import shown
 from ..core.stop import verb
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
@@ -68,7 +69,14 @@ class LoadCase:
 @shown
 @dataclass(frozen=True)
 class LoadStudy:
-    """All cases, load by load."""
+    """All cases, load by load.
+
+    Examples
+    --------
+    >>> study = pam.load_study(muscle, masses=10.0, pressures=3e5, duration=1.0)
+    >>> study.cases[0].mass, round(study.cases[0].frequency, 2)
+    (10.0, 4.7)
+    """
 
     muscle: str
     step: float
@@ -145,6 +153,12 @@ def load_study(
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for masses, pressures or a step that are not positive.
+
+    Examples
+    --------
+    >>> study = pam.load_study(muscle, masses=[5.0, 10.0], pressures=3e5, duration=1.0)
+    >>> study.cases[1].frequency < study.cases[0].frequency
+    True
     """
     muscle = as_muscle(muscle)
     weights = _several("masses", masses, "kg")
@@ -152,7 +166,8 @@ def load_study(
     (step,) = _several("step", step, "Pa")
     duration = require_positive("duration", duration, "s")
     plant = HangingLoad(muscle, damping=damping, feed=feed, losses=losses)
-    cases = [_case(plant, muscle, m, p, step, duration, memory) for m in weights for p in levels]
+    wanted = counted([(m, p) for m in weights for p in levels], "loads")
+    cases = [_case(plant, muscle, m, p, step, duration, memory) for m, p in wanted]
     return LoadStudy(muscle.name, step, tuple(cases))
 
 

@@ -31,10 +31,22 @@ if TYPE_CHECKING:
 __all__ = ["HopfBorder", "HopfPoint", "hopf", "hopf_border"]
 
 
+WIDE = 30.0
+"""Ratio of a bracket's ends from which it is searched in equal ratios."""
+FINER = 2
+"""So often a step of the search is searched again, where eigenvalues change sides unseen."""
+
+
 @shown
 @dataclass(frozen=True)
 class HopfPoint:
-    """A point of rest with a pair of eigenvalues +-i omega."""
+    """A point of rest with a pair of eigenvalues +-i omega.
+
+    Examples
+    --------
+    >>> border.value > 1e5, round(border.frequency, 1), border.supercritical
+    (True, 2.9, True)
+    """
 
     point: OperatingPoint
     """The point of rest; ``point.plant`` holds the parameters of the Hopf point."""
@@ -77,7 +89,16 @@ class HopfPoint:
 
 @dataclass(frozen=True)
 class HopfBorder:
-    """The border between rest and vibration over two parameters."""
+    """The border between rest and vibration over two parameters.
+
+    Examples
+    --------
+    >>> rest = {"x": 0.04, "muscle.reference": 0.04}
+    >>> gain, lags = "muscle.gain", [0.1, 0.2]
+    >>> found = pam.vibration.hopf_border(regulated, gain, (1e5, 1e7), "muscle.lag", lags, rest)
+    >>> found.border.shape, found.reasons
+    ((2,), {})
+    """
 
     parameter: str
     over: str
@@ -134,12 +155,43 @@ def hopf(
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError when no pair crosses in the bracket, UnknownNameError, EquilibriumError.
+
+    Examples
+    --------
+    >>> rest = {"x": 0.04, "muscle.reference": 0.04}
+    >>> found = pam.vibration.hopf(regulated, "muscle.gain", (1e5, 1e7), rest)
+    >>> print(f"{found.value / 1e5:.2f} bar/m, {found.frequency:.2f} Hz")
+    13.83 bar/m, 2.87 Hz
     """
     given = {**(conditions or {}), **more}
     low, high = (plant.variable(parameter).check(b, "bracket") for b in bracket)
-    path = stability_path(plant, parameter, np.linspace(low, high, points), given, memory=memory)
+    start = _found(plant, parameter, _between(low, high, points), given, memory, FINER)
     rest = VariedRest(plant, parameter, given, memory)
-    return _solved(rest, _augmented(rest), _crossing(path))
+    return _solved(rest, _augmented(rest), start)
+
+
+def _between(low: float, high: float, points: int) -> Array:
+    """Values from low to high: equal ratios where they span decades."""
+    spread = np.geomspace if low * high > 0 and not 1 / WIDE < high / low < WIDE else np.linspace
+    return np.asarray(spread(low, high, points))
+
+
+def _found(
+    plant: Plant, parameter: str, values: Array, given: Values, memory: Memory, finer: int
+) -> Array:
+    """:func:`_crossing` on these values; between two of them where a pair is born and crosses."""
+    path = stability_path(plant, parameter, values, given, memory=memory)
+    try:
+        return _crossing(path)
+    except InputError as error:
+        unstable = np.sum(path.eigenvalues.real > 0, axis=1)
+        for i in np.flatnonzero(np.abs(np.diff(unstable)) >= 2) if finer else ():
+            ends = _between(float(values[i]), float(values[i + 1]), len(values))
+            try:
+                return _found(plant, parameter, ends, given, memory, finer - 1)
+            except InputError:
+                continue
+        raise error from None
 
 
 def _crossing(path: StabilityPath) -> Array:
@@ -306,6 +358,14 @@ def hopf_border(
 
     Raises InputError when no border is found for any value; single failures are NaN in ``border``,
     with the reason in ``reasons``.
+
+    Examples
+    --------
+    >>> rest = {"x": 0.04, "muscle.reference": 0.04}
+    >>> gain, lags = "muscle.gain", [0.1, 0.2]
+    >>> found = pam.vibration.hopf_border(regulated, gain, (1e5, 1e7), "muscle.lag", lags, rest)
+    >>> bool(np.isfinite(found.border).all())
+    True
     """
     given = {plant.variable(n).name: v for n, v in {**(conditions or {}), **more}.items()}
     second = plant.variable(over)
@@ -319,7 +379,7 @@ def hopf_border(
     last: HopfPoint | None = None
     for value in map(float, numbers):
         try:
-            last = _near(
+            last = near_hopf(
                 plant, parameter, {**given, second.name: value}, bracket, last, points, memory
             )
             points_found.append(last)
@@ -340,7 +400,7 @@ def hopf_border(
     )
 
 
-def _near(
+def near_hopf(
     plant: Plant,
     parameter: str,
     given: Values,

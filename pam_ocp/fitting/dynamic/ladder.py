@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import FitError, InputError, OutOfTime, require_count
+from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.feeds import Regulator
@@ -88,6 +89,20 @@ class Ladder:
     rungs : from the simplest up. parts : what was left out, each once. best : the rung of the least
     error; chosen : the simplest that is not significantly worse. unclimbed : names of rungs for
     which there was no time.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
+    >>> commanded = pam.Trajectory(
+    ...     record.t,
+    ...     {n: record[n] for n in ("muscle.command", "x")},
+    ...     [plant.variable(n) for n in ("muscle.command", "x")],
+    ...     "previous",
+    ... )
+    >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
+    >>> ladder.best.name
+    '+ lag'
     """
 
     rungs: tuple[RungFit, ...]
@@ -210,6 +225,20 @@ def fit_ladder(
     ------
     InputError, UnknownNameError : arguments that cannot be.
     FitError : no rung could be fitted.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
+    >>> commanded = pam.Trajectory(
+    ...     record.t,
+    ...     {n: record[n] for n in ("muscle.command", "x")},
+    ...     [plant.variable(n) for n in ("muscle.command", "x")],
+    ...     "previous",
+    ... )
+    >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
+    >>> [rung.name for rung in ladder.rungs]
+    ['static', '+ lag']
     """
     began = time.perf_counter()
     chosen = [records] if isinstance(records, Trajectory) else list(records)
@@ -250,7 +279,7 @@ def _climbed_all(
     values: dict[str, float] = {}
     rate = FIRST_RATE
     try:
-        for rung in ladder:
+        for rung in counted(ladder, "rungs"):
             check()
             fit, values, rate = _climbed(task, rung, values, rate, executor)
             found.append(fit)

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError, require_count
+from ...core.progress import counted
 from ...core.stop import TimeIsUp, deadline, verb
 from ..statistics import Array
 from .correlation import drawn_errors, scaled_errors, sequences
@@ -25,6 +26,12 @@ class Bootstrap:
     """Refitted coefficients: ``samples`` (n, k) of the free ones, in the order of ``names``.
 
     failed : resampled tables of which no fit was found; they are left out.
+
+    Examples
+    --------
+    >>> found = fit.bootstrap(20)
+    >>> found.samples.shape, found.failed
+    ((20, 6), 0)
     """
 
     names: tuple[str, ...]
@@ -74,7 +81,7 @@ def bootstrap(
     values = np.array([float(v) for v in fit.law.values.values()])
     start = values[None, list(problem.nonlinear)] if problem.nonlinear else None
     samples: list[Array] = []
-    for _ in range(n):
+    for _ in counted(range(n), "bootstrap"):
         try:
             found = minimise(
                 _resampled(fit, problem, random, method), start, near=True

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...core.errors import FitError, InputError
+from ...core.progress import counted
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array
@@ -74,6 +75,12 @@ def fit_campaign(
     Raises
     ------
     InputError : no table at all, or arguments that cannot be.
+
+    Examples
+    --------
+    >>> campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
+    >>> campaign.save("campaign").name
+    'campaign'
     """
     kind = law_class(law)
     options = {n: v for n, v in (("columns", columns), ("units", units)) if v is not None}
@@ -82,7 +89,7 @@ def fit_campaign(
     for one in measured:
         parts.setdefault(one.muscle, []).append(one)
     muscles: dict[str, MuscleStudy] = {}
-    for name, own in parts.items():
+    for name, own in counted(parts.items(), "muscles"):
         width = next((p.diameter for p in own if p.diameter), None)
         try:
             table = joined(own)

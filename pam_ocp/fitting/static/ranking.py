@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
@@ -32,6 +33,12 @@ class ComparedLaw:
 
     fit : None, with the reason in ``problem``, where there is none.
     left_out : contraction of each interior level -> RMSE [N] there of a fit without it.
+
+    Examples
+    --------
+    >>> best = pam.compare_laws(table, ["six-parameter", "five-parameter"]).laws[0]
+    >>> best.name, round(best.left_out_rmse, 1)
+    ('five-parameter', 16.4)
     """
 
     name: str
@@ -83,7 +90,14 @@ class ComparedLaw:
 @shown
 @dataclass(frozen=True, eq=False)
 class LawComparison:
-    """Laws on one table, the best at a level left out first; those without a fit last."""
+    """Laws on one table, the best at a level left out first; those without a fit last.
+
+    Examples
+    --------
+    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
+    >>> found.best.name
+    'five-parameter'
+    """
 
     laws: tuple[ComparedLaw, ...]
     source: str = ""
@@ -144,6 +158,12 @@ def compare_laws(
     Raises
     ------
     InputError : no law, or a name in ``fixed`` that no law knows.
+
+    Examples
+    --------
+    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
+    >>> [law.name for law in found.laws]
+    ['five-parameter', 'six-parameter']
     """
     require_table(table)
     chosen: list[str | type[ForceLaw]] = (
@@ -157,7 +177,7 @@ def compare_laws(
         if name not in constants:
             raise UnknownNameError("constant in fixed of any of these laws", name, constants)
     independent(errors)
-    found = [_compared(table, kind, fixed or {}, errors) for kind in kinds]
+    found = [_compared(table, kind, fixed or {}, errors) for kind in counted(kinds, "laws")]
 
     def rank(law: ComparedLaw) -> tuple[bool, float, float]:
         doubt = np.inf if np.isnan(law.left_out_rmse) else law.left_out_rmse

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,6 +33,8 @@ __all__ = [
     "law_class",
     "nonlinear_coefficients",
 ]
+
+LOG = logging.getLogger(__name__)
 
 
 @verb
@@ -85,6 +88,14 @@ def fit_force(
     ------
     InputError, UnknownNameError : arguments that cannot be; fewer taut cells than coefficients.
     FitError : the solver found no stationary point.
+
+    Examples
+    --------
+    >>> fit = pam.fit_force(table)
+    >>> fit
+    ForceFit(six-parameter: RMSE 6.196 N over 60 taut cells)
+    >>> print(f"{100 * fit.rmse / table.force.max():.1f} % of the largest force")
+    0.4 % of the largest force
     """
     began = time.perf_counter()
     require_table(table)
@@ -100,6 +111,7 @@ def fit_force(
     whole = LeastSquares.of(kind, table, held, cell_weights(weights, table), terms)
     problem, begin = _settled(whole, noise)
     optimum = minimise(problem, _start(problem, dict(start or {})), begin)
+    LOG.info("%s fitted to %d cells: %s", kind.name, len(table), optimum.solver.status)
     return ForceFit(
         law=kind(**dict(zip(problem.names, optimum.coefficients.tolist(), strict=True))),
         table=table,
@@ -253,6 +265,17 @@ def fit_branches(
     """A fit for each branch of a table; options as for :func:`fit_force`, without weights.
 
     Raises InputError for a table without branches.
+
+    Examples
+    --------
+    >>> both = pam.fitting.ForceTable(
+    ...     np.tile(table.pressure, 2),
+    ...     np.tile(table.contraction, 2),
+    ...     np.tile(table.force, 2),
+    ...     branch=("inflation",) * 126 + ("deflation",) * 126,
+    ... )
+    >>> sorted(pam.fit_branches(both))
+    ['deflation', 'inflation']
     """
     if not require_table(table).branches:
         raise InputError(

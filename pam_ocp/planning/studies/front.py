@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ... import courtesy
 from ...core.errors import InputError, PlanError, require_count, require_positive
+from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
@@ -48,6 +49,12 @@ POLISH = 1e-4
 class Pareto:
     """Plans along the front of two objectives,
     from the least of the first to that of the second.
+
+    Examples
+    --------
+    >>> front = pam.pareto(slide, [{"x": -0.01}, {"x": 0.01}], points=3)
+    >>> bool(np.all(np.diff(front.values[:, 1]) < 0))
+    True
     """
 
     first: Variable
@@ -133,6 +140,12 @@ def pareto(
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
     points between that are not found stand in ``failures``.
+
+    Examples
+    --------
+    >>> front = pam.pareto(slide, [{"x": -0.01}, {"x": 0.01}], points=3)
+    >>> front.values.shape, front.failures
+    ((3, 2), ())
     """
     require_plant(plant)
     require_count("points", points, 2)
@@ -151,7 +164,7 @@ def pareto(
         return sweep.result([(least, low)], [])
     spaced = np.geomspace if low > 0 else np.linspace
     found, failures, near = [(last, high)], [], last
-    for bound in spaced(low, high, points)[-2:0:-1]:
+    for bound in counted(spaced(low, high, points)[-2:0:-1].tolist(), "plans of the front"):
         try:
             near = sweep.second_under(float(bound), near)
         except TimeIsUp:

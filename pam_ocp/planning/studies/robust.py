@@ -20,6 +20,7 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.plausible import outside
+from ...core.progress import counted
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
@@ -116,6 +117,15 @@ def robust_plan(
     given, and the plan is the one with the largest share that was found. Raises InputError for what
     cannot be meant; PlanError where the spread cannot be kept for the first plants: the message
     names ``NAME.deviation<k>`` at its stop, and what the nominal plan's inputs would keep.
+
+    Examples
+    --------
+    >>> draws = [{"mass": 1.96}, {"mass": 2.04}]
+    >>> ways = {"share": None, "method": pam.Collocation(10, 3)}
+    >>> stops = [{"x": -0.01}, {"x": 0.01}]
+    >>> robust = pam.robust_plan(slide, stops, draws=draws, spread={"x": 1e-3}, **ways)
+    >>> robust.verified
+    True
     """
     require_plant(plant)
     _check_share(share, confidence)
@@ -227,7 +237,7 @@ def _searched(
     best: _Found | None = None
     last: _Found | None = None
     ended = f"{rounds} rounds were allowed"
-    for _ in range(rounds):
+    for _ in counted(range(rounds), "rounds"):
         try:
             found = task.planned(members, last)
             last = task.tried(found, members, samples(fresh), share, confidence, samples.last)

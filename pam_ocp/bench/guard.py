@@ -1,0 +1,327 @@
+"""Who may ask the page for anything: one wall in front of every request and every websocket.
+
+No framework is needed: an ASGI application around another. It refuses, in this order,
+
+1. a Host that this page does not have (a name that was made to lead here: DNS rebinding);
+2. an Origin that is not this page's own, a websocket or a change (POST, ...) without one, and what
+   a browser marks as asked for by another site (Sec-Fetch-Site);
+3. whoever lacks the cookie. It is given for the token in the address, which leaves the address bar
+   by a redirection, or for the password, which is asked for on every host but this machine's own;
+   some wrong passwords make everybody wait;
+4. a body longer than allowed, whatever its header says, while it arrives.
+
+and gives every answer the headers of :data:`HEADERS`. After OWASP's cheat sheets (cross-site
+request forgery, session management, HTTP headers, websockets). What the password and all else is
+carried by is plain HTTP: docs/bench.md says how to use it from afar.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import hmac
+import html
+import re
+import secrets
+import time
+from collections.abc import Awaitable, Callable, MutableMapping, Sequence
+from http.cookies import CookieError, SimpleCookie
+from typing import Any, TypeAlias
+from urllib.parse import parse_qs, quote, urlencode
+
+__all__ = ["HEADERS", "Guard", "allowed_hosts"]
+
+Scope: TypeAlias = MutableMapping[str, Any]
+Message: TypeAlias = MutableMapping[str, Any]
+Receive: TypeAlias = Callable[[], Awaitable[Message]]
+Send: TypeAlias = Callable[[Message], Awaitable[None]]
+App: TypeAlias = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+MOST_UPLOAD = 64 * 2**20
+"""Bytes of a request."""
+MOST_LOGIN = 4096
+"""Bytes of the form with the password."""
+TRIES = 5
+"""Wrong passwords before the next must wait, and so on."""
+WAIT = 30.0
+"""Seconds to wait then."""
+
+# Vue compiles templates in the browser, and the framework's page holds scripts of its own: both are
+# allowed, scripts from elsewhere are not.
+POLICY = (
+    "default-src 'none'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+    "connect-src 'self' {sockets}; worker-src 'self' blob:; manifest-src 'self'; "
+    "form-action 'self'; base-uri 'none'; frame-ancestors 'none'; object-src 'none'"
+)
+HEADERS = {
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), microphone=(), geolocation=(), payment=(), usb=()",
+    "x-robots-tag": "noindex",
+}
+"""Of every answer, besides the content security policy."""
+
+CLOSE = (b"connection", b"close")
+_LOCAL = ("127.0.0.1", "localhost")
+
+
+def allowed_hosts(host: str, port: int, names: Sequence[str] = ()) -> frozenset[str]:
+    """What a Host header may say: the address that the page is bound to, and further ``names``."""
+    hosts = [*_LOCAL, *names] if host in _LOCAL else [host, *names]
+    return frozenset(f"{name.lower()}:{port}" for name in hosts)
+
+
+class Guard:
+    """The wall around ``app``.
+
+    hosts : of :func:`allowed_hosts`. token : in the address, for who starts the page here; None
+    where a password is asked for. name : of the cookie (ports share cookies, so the port is in it).
+    """
+
+    def __init__(
+        self,
+        app: App,
+        *,
+        hosts: frozenset[str],
+        token: str | None = None,
+        password: str | None = None,
+        name: str = "pam_ocp_bench",
+        most: int = MOST_UPLOAD,
+    ) -> None:
+        if (token is None) == (password is None):
+            raise ValueError("give a token or a password")
+        self._app, self._hosts, self._name, self._most = app, hosts, name, most
+        self._token, self._password = token, password
+        self._keys = frozenset((secrets.token_urlsafe(32),))
+        self._origins = frozenset(f"http://{host}" for host in hosts)
+        self._wrong, self._open_at = 0, 0.0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers = _headers(scope)
+        refusal = self._refusal(scope, headers)
+        if scope["type"] == "websocket":
+            if refusal or not self._known(headers):
+                await receive()
+                await send({"type": "websocket.close", "code": 1008})
+                return
+            await self._app(scope, receive, send)
+            return
+        if refusal:
+            await self._say(send, 403, refusal)
+        elif not self._known(headers):
+            await self._admit(scope, receive, send)
+        else:
+            await self._pass(scope, headers, receive, send)
+
+    # ---- who asks ------------------------------------------------------------------------------
+    def _refusal(self, scope: Scope, headers: dict[str, list[str]]) -> str:
+        """Why not, by the headers alone; "" where nothing is wrong."""
+        hosts, origins = headers.get("host", []), headers.get("origin", [])
+        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
+            return "this page does not answer to that host"
+        if any(origin.lower() not in self._origins for origin in origins) or len(origins) > 1:
+            return "this page answers to itself only"
+        changing = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        if changing and not origins:
+            return "this asks for a change and does not say from where"
+        site = headers.get("sec-fetch-site", ["none"])[-1]
+        if site not in ("same-origin", "none") and (
+            changing or headers.get("sec-fetch-mode", [""])[-1] != "navigate"
+        ):
+            return "this page answers to itself only"
+        return ""
+
+    def _known(self, headers: dict[str, list[str]]) -> bool:
+        try:
+            cookies = SimpleCookie("; ".join(headers.get("cookie", [])))
+        except CookieError:
+            return False
+        there = cookies.get(self._name)
+        return there is not None and any(_same(there.value, key) for key in self._keys)
+
+    async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """The cookie for the token or the password; a refusal, or the form, for all else."""
+        asked = parse_qs(scope.get("query_string", b"").decode("latin-1"), max_num_fields=20)
+        if self._token is not None:
+            if scope["method"] == "GET" and _same(asked.get("token", [""])[0], self._token):
+                rest = {k: v for k, v in asked.items() if k != "token"}
+                path = "/" + quote(scope["path"].lstrip("/\\"))  # never another host
+                await self._enter(send, path + (f"?{urlencode(rest, True)}" if rest else ""))
+            else:
+                await self._say(
+                    send, 401, "open the address that pam-ocp bench printed when it was started"
+                )
+            return
+        if scope["method"] == "POST" and scope["path"] == "/login":
+            await self._log_in(receive, send)
+        elif scope["method"] == "GET" and scope["path"] in ("/", "/login"):
+            await self._form(send, 200, "")
+        else:
+            await self._say(send, 401, "give the password first")
+
+    async def _log_in(self, receive: Receive, send: Send) -> None:
+        assert self._password is not None
+        body = await _body(receive, MOST_LOGIN)
+        if time.monotonic() < self._open_at:
+            await self._form(send, 429, "too many wrong passwords; wait half a minute")
+            return
+        given = parse_qs((body or b"").decode("utf-8", "replace"), max_num_fields=5)
+        if _same(given.get("password", [""])[0], self._password):
+            self._wrong = 0
+            await self._enter(send, "/")
+            return
+        self._wrong += 1
+        if self._wrong % TRIES == 0:
+            self._open_at = time.monotonic() + WAIT
+        await asyncio.sleep(0.5)
+        await self._form(send, 401, "that is not the password")
+
+    async def _enter(self, send: Send, path: str) -> None:
+        key = next(iter(self._keys))
+        cookie = f"{self._name}={key}; Path=/; HttpOnly; SameSite=Strict"
+        extra = [(b"location", path.encode("latin-1", "replace")), (b"set-cookie", cookie.encode())]
+        await self._say(send, 303, "", extra)
+
+    # ---- what comes and goes -------------------------------------------------------------------
+    async def _pass(
+        self, scope: Scope, headers: dict[str, list[str]], receive: Receive, send: Send
+    ) -> None:
+        """The application's answer, with headers; its body stopped where it is too long."""
+        said = headers.get("content-length", ["0"])[-1]
+        if not said.isdigit() or int(said) > self._most:
+            await self._say(send, 413, self._too_long)
+            return
+        nonce, begun, count, over = secrets.token_urlsafe(16), False, 0, False
+
+        async def counted() -> Message:
+            nonlocal count, over
+            message = await receive()
+            count += len(message.get("body", b""))
+            if count > self._most:
+                over = True
+                raise _TooLong
+            return message
+
+        page: Message | None = None
+        parts: list[bytes] = []
+
+        async def dressed(message: Message) -> None:
+            nonlocal begun, page
+            if over and not begun:
+                return  # what the application makes of the broken body
+            if message["type"] == "http.response.start":
+                begun = True
+                message["headers"] = [*message.get("headers", ()), *self._headers(nonce)]
+                if scope["method"] not in ("GET", "HEAD"):
+                    message["headers"].append(CLOSE)  # what is still to come is not read
+                kinds = [v for k, v in message["headers"] if k.lower() == b"content-type"]
+                if kinds and kinds[0].startswith(b"text/html"):
+                    page = message
+                    return
+            if page is None:
+                await send(message)
+                return
+            parts.append(message.get("body", b""))
+            if not message.get("more_body"):
+                body = _with_nonce(b"".join(parts), nonce)
+                kept = [(k, v) for k, v in page["headers"] if k.lower() != b"content-length"]
+                page["headers"] = [*kept, (b"content-length", str(len(body)).encode())]
+                await send(page)
+                await send({"type": "http.response.body", "body": body})
+
+        # pages must come as they are, so that scripts in them get their nonce
+        scope["headers"] = [(k, v) for k, v in scope["headers"] if k.lower() != b"accept-encoding"]
+        try:
+            await self._app(scope, counted, dressed)
+        except Exception:
+            if not over:
+                raise
+        if over and not begun:
+            await self._say(send, 413, self._too_long)
+
+    @property
+    def _too_long(self) -> str:
+        return f"that is more than the {self._most / 2**20:g} MiB allowed at once"
+
+    def _headers(self, nonce: str) -> list[tuple[bytes, bytes]]:
+        sockets = " ".join(sorted(f"ws://{host}" for host in self._hosts))
+        policy = POLICY.format(nonce=nonce, sockets=sockets)
+        every = {**HEADERS, "content-security-policy": policy}
+        return [(k.encode(), v.encode()) for k, v in every.items()]
+
+    async def _form(self, send: Send, status: int, words: str) -> None:
+        text = (
+            "<!doctype html><html lang=en><title>pam_ocp bench</title><body style='font:15px "
+            "system-ui;max-width:26em;margin:12vh auto'><h1 style='font-size:1.2em'>pam_ocp bench"
+            f"</h1><p role=alert>{html.escape(words)}</p><form method=post action=/login>"
+            "<label>Password <input type=password name=password autofocus required "
+            "autocomplete=current-password></label> <button>Open</button></form>"
+        )
+        await self._say(send, status, text, kind=b"text/html; charset=utf-8")
+
+    async def _say(
+        self,
+        send: Send,
+        status: int,
+        text: str,
+        extra: Sequence[tuple[bytes, bytes]] = (),
+        kind: bytes = b"text/plain; charset=utf-8",
+    ) -> None:
+        body = text.encode()
+        headers = [
+            (b"content-type", kind),
+            (b"content-length", str(len(body)).encode()),
+            (b"cache-control", b"no-store"),
+            CLOSE,
+            *self._headers(secrets.token_urlsafe(16)),
+            *extra,
+        ]
+        await send({"type": "http.response.start", "status": status, "headers": headers})
+        await send({"type": "http.response.body", "body": body})
+
+
+class _TooLong(Exception):
+    """A body that is longer than allowed."""
+
+
+def _headers(scope: Scope) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for name, value in scope["headers"]:
+        found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    return found
+
+
+def _same(given: str, right: str) -> bool:
+    """Equal, in a time that does not tell how much of it."""
+    one, other = (
+        hashlib.sha256(text.encode("utf-8", "replace")).digest() for text in (given, right)
+    )
+    return hmac.compare_digest(one, other)
+
+
+_SCRIPT = re.compile(rb"<script(?=[\s>])")
+
+
+def _with_nonce(body: bytes, nonce: str) -> bytes:
+    """The page's own scripts, marked; its framework writes "<" of any content as an entity."""
+    return _SCRIPT.sub(b'<script nonce="' + nonce.encode() + b'"', body)
+
+
+async def _body(receive: Receive, most: int) -> bytes | None:
+    """A short body; None where it is longer."""
+    parts, size = [], 0
+    while True:
+        message = await receive()
+        parts.append(message.get("body", b""))
+        size += len(parts[-1])
+        if size > most:
+            return None
+        if not message.get("more_body"):
+            return b"".join(parts)

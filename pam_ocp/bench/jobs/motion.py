@@ -1,0 +1,384 @@
+"""Plans of motions, for the tab Motion: one in full, and one after the other while a hand drags.
+
+A motion is a member of the session's ``motions``::
+
+    {"id", "name", "variable": position that the stops name, "second": another variable, or None,
+     "stops": [{"at", "second": value or None, "dwell", "rest": bool}, ...],
+     "durations": [of each leg [s], or None: free], "cyclic": bool, "minimise": {term: weight},
+     "bounds": [{"name", "low", "high"}], "method": of METHODS}
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError, PlanError
+from ...core.trajectory import Trajectory
+from ...figures.plan import panels_of
+from ...figures.scene import scene_of
+from ...planning.active import limits_along
+from ...planning.planner import Planner, plan
+from ...planning.problem.costs import COSTS
+from ...planning.problem.wording import Stop
+from ...planning.result import Plan
+from ...planning.transcription.mesh import Collocation, Method, Shooting
+from ...plants.plant import Plant
+from ..look import numbers
+from ..made import plant_of, records_of
+from ..work import Say
+
+__all__ = [
+    "METHODS",
+    "arguments",
+    "dragged",
+    "film_of",
+    "first_motion",
+    "motion_figures",
+    "plan_of",
+    "planned",
+    "replayed",
+    "terms_of",
+]
+
+METHODS: dict[str, tuple[str, Method | None]] = {
+    "usual": ("50 intervals per leg", None),
+    "coarse": ("20 intervals per leg", Collocation(20, 3)),
+    "fine": ("100 intervals per leg", Collocation(100, 3)),
+    "shooting": ("multiple shooting", Shooting(50)),
+}
+DRAGGED = Collocation(20, 3)
+"""The mesh while a hand drags."""
+FRAMES = 80
+"""Of an animation."""
+SAMPLES = 240
+"""Of a curve that is drawn, about."""
+TIME_LIMIT = 120.0
+"""[s] of a plan."""
+
+
+# ---- what a motion says --------------------------------------------------------------------------
+def first_motion(plant: Plant, id: str, name: str) -> dict[str, Any]:
+    """A motion to begin with: over the middle of the stroke, and back to nothing."""
+    if not plant.positions:
+        raise InputError(f"{plant.name} has no position that moves; choose another arrangement")
+    variable = plant.variable(next(iter(plant.positions)))
+    low, high = stroke_of(plant, variable.name)
+    return {
+        "id": id,
+        "name": name,
+        "variable": variable.name,
+        "second": None,
+        "stops": [
+            {"at": low + part * (high - low), "second": None, "dwell": 0.0, "rest": True}
+            for part in (0.35, 0.65)
+        ],
+        "durations": [None],
+        "cyclic": False,
+        "minimise": {"time": 1.0},
+        "bounds": [],
+        "method": "usual",
+    }
+
+
+def stroke_of(plant: Plant, name: str) -> tuple[float, float]:
+    """The range of a variable; where it is open, one as wide as its nominal."""
+    v = plant.variable(name)
+    low = v.min if np.isfinite(v.min) else (v.start or 0.0) - v.nominal
+    high = v.max if np.isfinite(v.max) else (v.start or 0.0) + v.nominal
+    return float(low), float(high)
+
+
+def terms_of(plant: Plant) -> dict[str, str]:
+    """{term that a plan of this plant may minimise: what it is}."""
+    air = any(v.name.endswith(".supply_flow") for v in plant.outputs)
+    terms = {n: cost.title for n, cost in COSTS.items() if air or not cost.from_supply}
+    return {**terms, "rate": "Integral of the squared rates of the inputs"}
+
+
+def arguments(motion: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords of :func:`pam_ocp.plan` that a motion stands for; stops as plain mappings where
+    they say no more. Raises InputError where nothing is to be minimised.
+    """
+    minimise = {n: float(w) for n, w in motion["minimise"].items() if w}
+    if not minimise:
+        raise InputError("minimise: all weights are 0; give one of them a weight")
+    said: dict[str, Any] = {"stops": [_stop(motion, stop) for stop in motion["stops"]]}
+    legs = _legs(motion)
+    durations = [*motion["durations"], *[None] * legs][:legs]
+    if any(d is not None for d in durations):
+        said["duration"] = durations
+    if motion["cyclic"]:
+        said["cyclic"] = True
+    said["minimise"] = next(iter(minimise)) if list(minimise.values()) == [1.0] else minimise
+    bounds = {b["name"]: (b["low"], b["high"]) for b in motion["bounds"]}
+    if bounds:
+        said["bounds"] = bounds
+    return said
+
+
+def _legs(motion: Mapping[str, Any]) -> int:
+    return len(motion["stops"]) - (0 if motion["cyclic"] else 1)
+
+
+def _stop(motion: Mapping[str, Any], stop: Mapping[str, Any]) -> dict[str, float] | Stop:
+    values = {motion["variable"]: stop["at"]}
+    if motion["second"] and stop["second"] is not None:
+        values[motion["second"]] = stop["second"]
+    if stop["rest"] and not stop["dwell"]:
+        return values
+    return Stop(values, rest=None if stop["rest"] else False, dwell=stop["dwell"])
+
+
+# ---- plans ---------------------------------------------------------------------------------------
+def plan_of(
+    folder: Path, state: Mapping[str, Any], motion: Mapping[str, Any], allow_code: bool = False
+) -> Plan:
+    """The plan of a motion as a script makes it: from nothing, in full. The last few are kept."""
+    said = {k: motion[k] for k in motion if k not in ("id", "name")}
+    content = json.dumps([state["plant"], state["muscle"], said, allow_code], sort_keys=True)
+    found: Plan = _plan(str(folder), content)
+    return found
+
+
+@lru_cache(8)
+def _plan(folder: str, content: str) -> Plan:
+    plant_said, muscle, motion, allow_code = json.loads(content)
+    state = {"plant": plant_said, "muscle": muscle}
+    plant = plant_of(Path(folder), state, allow_code=allow_code)
+    said = arguments(motion)
+    method = METHODS[motion["method"]][1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the verdict stands on the page
+        return plan(plant, said.pop("stops"), method=method, time_limit=TIME_LIMIT, **said)
+
+
+def planned(
+    say: Say, folder: Path, state: Mapping[str, Any], motion: Mapping[str, Any], allow_code: bool
+) -> dict[str, Any]:
+    """The plan in full, with its animation, as plain values; of one that is not, why not."""
+    begin = time.process_time()
+    say(None, "planning")
+    try:
+        found = plan_of(folder, state, motion, allow_code)
+    except PlanError as error:
+        return _failed(error, motion)
+    _full[f"{folder} {motion['id']}"] = found
+    while len(_full) > MOST_KEPT:
+        del _full[next(iter(_full))]
+    said = _told(found, motion)
+    said["figures"] = motion_figures(found)
+    said["scene"] = _film(found)
+    said["processor_seconds"] = time.process_time() - begin
+    return said
+
+
+_kept: dict[str, tuple[Planner, Plan | None]] = {}
+_full: dict[str, Plan] = {}
+"""The last plan of a motion, from which a hand sets out."""
+MOST_KEPT = 4
+"""Planners, and such plans, that a process keeps."""
+
+
+def dragged(
+    say: Say, folder: Path, state: Mapping[str, Any], motion: Mapping[str, Any], allow_code: bool
+) -> dict[str, Any]:
+    """The plan on a coarse mesh, warm from the last one of the same form; see :func:`planned`."""
+    begin = time.perf_counter()
+    said = arguments(motion)
+    form = json.dumps([str(folder), state["plant"], state["muscle"], _form(motion)], sort_keys=True)
+    planner, last = _kept.pop(form, (None, None))
+    if planner is None:
+        plant = plant_of(folder, state, allow_code=allow_code)
+        stops = said["stops"]
+        others = {k: v for k, v in said.items() if k != "stops"}
+        planner = Planner(plant, stops, method=DRAGGED, **others)
+        last = _full.get(f"{folder} {motion['id']}")
+    changed = {k: said[k] for k in ("stops", "duration", "bounds") if k in said}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found = planner(guess=last, tolerance=None, starts=1, time_limit=20.0, **changed)
+        except PlanError as error:
+            _keep(form, planner, last)
+            return _failed(error, motion)
+    _keep(form, planner, found)
+    told = _told(found, motion)
+    told["verb_seconds"] = time.perf_counter() - begin
+    return told
+
+
+def _keep(form: str, planner: Planner, last: Plan | None) -> None:
+    _kept[form] = planner, last
+    while len(_kept) > MOST_KEPT:
+        del _kept[next(iter(_kept))]
+
+
+def _form(motion: Mapping[str, Any]) -> dict[str, Any]:
+    """All of a motion but the numbers that a built planner may change."""
+    form = copy.deepcopy({k: v for k, v in motion.items() if k not in ("id", "name", "method")})
+    for stop in form["stops"]:
+        stop["at"] = 0.0
+        stop["second"] = None if stop["second"] is None else 0.0
+    form["durations"] = [None if d is None else 0.0 for d in form["durations"]]
+    for bound in form["bounds"]:
+        bound.update({side: None if bound[side] is None else 0.0 for side in ("low", "high")})
+    return form
+
+
+# ---- plain values --------------------------------------------------------------------------------
+def motion_figures(found: Plan) -> dict[str, float]:
+    """What the exported script says of a plan, too (tabs/motion.py has its words)."""
+    figures = {
+        "duration": found.duration,
+        "objective": found.objective,
+        "replay_error": found.replay_error,
+    }
+    for v in (*found.plant.states, *found.plant.inputs):
+        figures[f"max({v.name})"] = float(found.trajectory[v.name].max())
+    return figures
+
+
+def _told(found: Plan, motion: Mapping[str, Any]) -> dict[str, Any]:
+    assert found.replay is not None  # of a plan that succeeded
+    drawn = found.replay.trajectory
+    every = max(1, len(drawn.t) // SAMPLES)
+    rows = np.unique([*range(0, len(drawn.t), every), len(drawn.t) - 1])
+    panels = [
+        {"unit": drawn.variable(names[0]).display_unit, "names": names}
+        for names in panels_of(found).values()
+    ]
+    names = [n for panel in panels for n in panel["names"]]
+    active = _active(found)
+    return {
+        "ok": True,
+        "t": numbers(drawn.t[rows]),
+        "columns": {n: numbers(drawn[n][rows] / drawn.variable(n).display_factor) for n in names},
+        "position": numbers(drawn[motion["variable"]][rows]),
+        "panels": panels,
+        "stop_times": _stop_times(found),
+        "duration": found.duration,
+        "objective": found.objective,
+        "verified": found.verified,
+        "verdict": str(found.verdict),
+        "active": active,
+        "seconds": float(found.statistics["seconds"]),
+        "iterations": int(found.statistics["iterations"]),
+    }
+
+
+def _stop_times(found: Plan) -> list[float]:
+    """When the motion arrives at each stop; at the end, back at the first one of a cycle."""
+    legs = found._problem.legs if found._problem else ()
+    times, now = [0.0], 0.0
+    for leg, duration in zip(legs, found.durations, strict=False):
+        now += duration
+        if not leg.dwell:
+            times.append(now)
+    return times
+
+
+def _active(found: Plan) -> list[dict[str, Any]]:
+    """Limits that the motion touches: label, and the spans of time."""
+    spans: dict[str, list[list[float]]] = {}
+    for limit in limits_along(found):
+        at = np.flatnonzero(limit.active)
+        if not at.size:
+            continue
+        for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+            spans.setdefault(limit.label, []).append(
+                [float(limit.t[run[0]]), float(limit.t[run[-1]])]
+            )
+    return [{"label": label, "spans": each} for label, each in spans.items()]
+
+
+def _failed(error: PlanError, motion: Mapping[str, Any]) -> dict[str, Any]:
+    """Why there is no plan, and what is in conflict where."""
+    conflicts = [
+        {"label": c.label, "where": c.where, "words": str(c), "stop": _place(str(c))}
+        for c in getattr(error.plan, "conflicts", ())
+    ]
+    return {"ok": False, "problem": str(error), "conflicts": conflicts, "of": motion["variable"]}
+
+
+def _place(words: str) -> int | None:
+    """The number (from 0) of the stop that these words name."""
+    found = re.search(r"\bstop (\d+)", words)
+    return int(found[1]) - 1 if found else None
+
+
+def _film(found: Plan) -> dict[str, Any] | None:
+    assert found.replay is not None
+    times = np.linspace(0.0, found.duration, FRAMES)
+    return film_of(found.plant, found.replay.trajectory.at(times))
+
+
+def film_of(plant: Plant, motion: Trajectory) -> dict[str, Any] | None:
+    """The plant at the moments of a motion, in ms."""
+    x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
+    return scene_of(plant, 1e3 * motion.t, x, u)
+
+
+# ---- records -------------------------------------------------------------------------------------
+def replayed(
+    say: Say,
+    folder: Path,
+    state: Mapping[str, Any],
+    motion: Mapping[str, Any],
+    item: Mapping[str, Any],
+    allow_code: bool,
+) -> dict[str, Any]:
+    """A plan beside a record of the same motion: how far the record is from it, by variable.
+
+    The record's first sample is the motion's beginning. Raises InputError where they share no
+    column, or overlap in less than two samples.
+    """
+    record = records_of(folder, item)[0]
+    found = plan_of(folder, state, motion, allow_code)
+    assert found.replay is not None
+    return _compared(found.replay.trajectory, record, str(item["name"]))
+
+
+def _compared(planned_motion: Trajectory, record: Trajectory, name: str) -> dict[str, Any]:
+    shared = [n for n in planned_motion.names if n in record]
+    if not shared:
+        raise InputError(
+            f"{name} has no column of this plan; its columns are {', '.join(record.names)}, the "
+            f"plan's {', '.join(planned_motion.names)}"
+        )
+    begun = record.t - record.t[0]
+    inside: Sequence[int] = np.flatnonzero(begun <= planned_motion.t[-1] * (1 + 1e-9)).tolist()
+    if len(inside) < 2:
+        raise InputError(f"{name} has fewer than two samples within the plan's duration")
+    at = np.minimum(begun[inside], planned_motion.t[-1])
+    wanted = planned_motion.at(at)
+    rows, curves = [], {}
+    for n in shared:
+        variable = planned_motion.variable(n)
+        difference = record[n][inside] - wanted[n]
+        worst = int(np.argmax(np.abs(difference)))
+        factor = variable.display_factor
+        rows.append(
+            {
+                "name": n,
+                "unit": variable.display_unit,
+                "largest": float(np.abs(difference[worst]) / factor),
+                "at": float(at[worst]),
+                "rms": float(np.sqrt(np.mean(difference**2)) / factor),
+            }
+        )
+        every = max(1, len(at) // 1000)
+        curves[n] = {
+            "t": numbers(at[::every]),
+            "y": numbers(record[n][inside][::every] / factor),
+        }
+    return {"name": name, "rows": rows, "curves": curves}

@@ -1,0 +1,193 @@
+"""Fits, rankings and designs for the tab Muscle; the last fits of a process are kept."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import warnings
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import PamError
+from ...fitting.experiments.cells import design_cells
+from ...fitting.static.force_fit import ForceFit
+from ...fitting.static.ranking import compare_laws
+from ...fitting.static.static import fit_force
+from ...muscles.muscle_file import load_muscle, save_muscle
+from ..made import muscle_of, table_of
+from ..work import Say
+
+__all__ = [
+    "CURVE",
+    "design",
+    "fit_law",
+    "fitted_kappa",
+    "levels_of",
+    "muscle_file",
+    "rank_laws",
+    "read_muscle",
+    "workbook",
+]
+
+CURVE = 61
+"""Points of a drawn curve."""
+MOST_LEVELS = 6
+"""Pressures at which curves are drawn: as many as there are colours."""
+LEVEL = 0.95
+"""Of intervals and bands."""
+
+
+def rank_laws(
+    say: Say, folder: Path, item: Mapping[str, Any], fixed: Mapping[str, float]
+) -> list[dict[str, Any]]:
+    """The laws on one table, the best at a level left out first."""
+    say(None, "each level left out in turn")
+    found = compare_laws(table_of(folder, item), fixed=dict(fixed))
+    return [
+        {
+            "name": law.name,
+            "title": type(law.fit.law).title if law.fit else "",
+            "parameters": law.parameters,
+            "rmse": law.rmse,
+            "aic": law.aic,
+            "bic": law.bic,
+            "left_out": law.left_out_rmse,
+            "problem": law.problem,
+            "fitted": law.fit is not None,
+        }
+        for law in found.laws
+    ]
+
+
+def fit_law(
+    say: Say, folder: Path, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
+) -> dict[str, Any]:
+    """A fit as plain values: coefficients with intervals, curves with bands, residuals, words."""
+    fit = _fit(folder, item, law, fixed)
+    table, cells = fit.table, fit.cells
+    say(0.5, "intervals")
+    try:
+        intervals = fit.intervals(LEVEL)
+    except PamError:
+        intervals = fit.intervals(LEVEL, linearised=True)
+    levels = levels_of(cells.pressure)
+    kappa = fitted_kappa(table.contraction)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        bands = [fit.predict(np.full_like(kappa, p), kappa, LEVEL) for p in levels]
+        report = fit.report()
+    return {
+        "law": law,
+        "title": type(fit.law).title,
+        "coefficients": [
+            {
+                "name": c.name,
+                "value": c.value,
+                "stderr": c.stderr,
+                "unit": c.unit,
+                "held": c.held,
+                "description": c.description,
+                "low": float(intervals.get(c.name, (c.value, c.value))[0]),
+                "high": float(intervals.get(c.name, (c.value, c.value))[1]),
+            }
+            for c in fit.coefficients.values()
+        ],
+        "rmse": fit.rmse,
+        "r2": fit.r2,
+        "n": fit.n,
+        "dof": fit.dof,
+        "warnings": list(fit.warnings),
+        "report": report,
+        "levels": levels,
+        "kappa": kappa,
+        "bands": [tuple(np.asarray(e, float) for e in b.confidence) for b in bands],
+        "cells": {
+            "pressure": table.pressure,
+            "contraction": table.contraction,
+            "force": table.force,
+            "branch": list(table.branch),
+        },
+        "rest_length": table.rest_length,
+        "pressure_range": [float(max(table.pressure.min(), 0.0)), float(table.pressure.max())],
+        "contraction_range": [float(table.contraction.min()), float(table.contraction.max())],
+        "source": f"{type(fit.law).title} fitted to {item['name']}",
+        "workbook": hasattr(fit, "to_excel"),
+    }
+
+
+def design(
+    say: Say,
+    folder: Path,
+    item: Mapping[str, Any],
+    law: str,
+    fixed: Mapping[str, float],
+    count: int,
+    criterion: str,
+) -> dict[str, Any]:
+    """Cells to measure next, and the standard errors that they promise."""
+    found = design_cells(_fit(folder, item, law, fixed), count, criterion=criterion)  # type: ignore[arg-type]
+    length = found.cells.rest_length
+    return {
+        "pressure": found.cells.pressure,
+        "contraction": found.cells.contraction,
+        "force": found.cells.force,
+        "length": None if length is None else length * (1 - found.cells.contraction),
+        "before": dict(found.stderr_before),
+        "after": dict(found.stderr_after),
+        "prediction": (found.prediction_before, found.prediction_after),
+        "efficiency": found.efficiency,
+    }
+
+
+def read_muscle(say: Say, folder: Path, file: str) -> str:
+    """The name of the muscle in a file; raises what reading it does."""
+    return load_muscle(folder / "files" / file).name
+
+
+def muscle_file(say: Say, folder: Path, state: Mapping[str, Any]) -> bytes:
+    """The session's muscle as a muscle file (TOML)."""
+    with tempfile.TemporaryDirectory() as temporary:
+        return save_muscle(muscle_of(folder, state), Path(temporary) / "muscle.toml").read_bytes()
+
+
+def workbook(
+    say: Say, folder: Path, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
+) -> bytes:
+    """The fit as a workbook (XLSX)."""
+    fit: Any = _fit(folder, item, law, fixed)
+    with tempfile.TemporaryDirectory() as temporary:
+        path = Path(temporary) / "fit.xlsx"
+        fit.to_excel(path)
+        return path.read_bytes()
+
+
+def levels_of(pressure: Any) -> list[float]:
+    """Pressures at which curves are drawn: measured ones, spread over the range."""
+    known = sorted({float(f"{p:.2g}") if p else 0.0 for p in np.asarray(pressure, float)})
+    if len(known) <= MOST_LEVELS:
+        return known
+    wanted = np.linspace(known[0], known[-1], MOST_LEVELS)
+    return sorted({min(known, key=lambda p: abs(p - w)) for w in wanted})
+
+
+def fitted_kappa(contraction: Any) -> Any:
+    """Contractions of a drawn curve: those of the table, and a little beyond."""
+    low, high = float(np.min(contraction)), float(np.max(contraction))
+    margin = 0.04 * max(high - low, 1e-3)
+    return np.linspace(min(low, 0.0), high + margin, CURVE)
+
+
+def _fit(folder: Path, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]) -> ForceFit:
+    kept = {k: item[k] for k in ("bundled", "file", "name", "said", "off") if k in item}
+    content = json.dumps([kept, law, dict(fixed)], sort_keys=True)
+    return _kept_fit(str(folder), content)
+
+
+@lru_cache(6)
+def _kept_fit(folder: str, content: str) -> ForceFit:
+    item, law, fixed = json.loads(content)
+    return fit_force(table_of(Path(folder), item), law, fixed=fixed)

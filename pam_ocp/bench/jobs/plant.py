@@ -1,0 +1,260 @@
+"""Rest, maps, vibration and loads for the tab Plant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.variables import Variable
+from ...figures.scene import scene_of
+from ...operating.linear import linearize, modes
+from ...operating.operating_point import OperatingPoint
+from ...operating.resting_point import EquilibriumError, equilibrium
+from ...plants.plant import Plant
+from ...plants.plant_file import component_of
+from ...plants.plant_file import plant_of as described
+from ...studies.loads import load_study
+from ...vibration.free import free_vibration
+from ..made import muscle_of, plant_of
+from ..work import Say
+
+__all__ = ["equilibrium_map", "loads", "outline_of", "pressures_of", "rest", "stroke", "vibration"]
+
+ALONG = 41
+"""Pressures of a map of a plant with one muscle."""
+ACROSS = 13
+"""Pressures of each muscle in a map of a plant with two."""
+FRAMES = 61
+"""Of a moving picture."""
+LEAST = 0.02
+"""A map begins at this part of the largest pressure."""
+
+
+def outline_of(say: Say, folder: Path, state: Mapping[str, Any], allow: bool) -> dict[str, Any]:
+    """What a plant consists of, and its picture along its stroke."""
+    plant = plant_of(folder, state, allow_code=allow)
+    return {
+        "name": plant.name,
+        "description": plant.description,
+        "variables": [
+            {
+                "name": v.name,
+                "causality": v.causality,
+                "unit": v.display_unit,
+                "start": None if v.start is None else float(v.start) / v.display_factor,
+                "description": v.description,
+            }
+            for v in plant.variables
+        ],
+        "pressures": pressures_of(plant),
+        "positions": list(plant.positions),
+        "scene": stroke(plant),
+    }
+
+
+def pressures_of(plant: Plant) -> list[str]:
+    """The pressures of its muscles, by name."""
+    known = {v.name for v in plant.variables}
+    names = [n.removesuffix(".rest_length") for n in known if n.endswith(".rest_length")]
+    return sorted(f"{n}.pressure" for n in names if f"{n}.pressure" in known)
+
+
+def stroke(plant: Plant) -> dict[str, Any] | None:
+    """The picture along the stroke of its first position, all else at its start."""
+    if not plant.positions:
+        return None
+    name = next(iter(plant.positions))
+    variable = plant.variable(name)
+    start = float(variable.start or 0.0)
+    low = variable.min if np.isfinite(variable.min) else start - 5 * variable.nominal
+    high = variable.max if np.isfinite(variable.max) else start + 5 * variable.nominal
+    values = np.linspace(low, high, FRAMES)
+    index = [v.name for v in plant.states].index(name)
+    x = np.tile(plant.vector("state")[:, None], (1, FRAMES))
+    x[index] = values
+    u = np.tile(plant.vector("input")[:, None], (1, FRAMES))
+    found = scene_of(plant, values / variable.display_factor, x, u)
+    if found is not None:
+        found |= {"along": name, "unit": variable.display_unit, "at": float(start)}
+    return found
+
+
+def rest(
+    say: Say, folder: Path, state: Mapping[str, Any], point: Mapping[str, float], allow: bool
+) -> dict[str, Any]:
+    """The point of rest under conditions: values with units, poles, vibration, picture."""
+    plant = plant_of(folder, state, allow_code=allow)
+    return _point(equilibrium(plant, dict(point)))
+
+
+def _point(point: OperatingPoint) -> dict[str, Any]:
+    plant = point.plant
+    swinging = modes(linearize(plant, point, stuck=True))
+    still = scene_of(plant, np.zeros(1), point.x[:, None], point.u[:, None])
+    return {
+        "values": {n: float(v) for n, v in point.values.items()},
+        "shown": [
+            (n, _clean(v, plant.variable(n)) / plant.variable(n).display_factor, unit)
+            for n, v in point.values.items()
+            for unit in [plant.variable(n).display_unit]
+        ],
+        "stability": point.stability,
+        "poles": [(float(s.real), float(s.imag)) for s in point.poles],
+        "modes": [(float(f), float(z)) for f, z, *_ in swinging],
+        "scene": still,
+    }
+
+
+def _clean(value: float, variable: Variable) -> float:
+    """Without rounding errors about zero."""
+    return 0.0 if abs(value) < 1e-9 * variable.nominal else value
+
+
+def equilibrium_map(
+    say: Say, folder: Path, state: Mapping[str, Any], allow: bool
+) -> dict[str, Any]:
+    """Position and stiffness at rest against the pressures of the muscles; NaN where there is none.
+
+    One muscle: arrays (n,); two: (n, n), the first pressure across.
+    """
+    plant = plant_of(folder, state, allow_code=allow)
+    names = pressures_of(plant)
+    if not 1 <= len(names) <= 2 or not plant.positions:
+        raise InputError(f"a map needs one or two muscles that move something, not {len(names)}")
+    position = next(iter(plant.positions))
+    stiffness = _stiffness(plant)
+    tops = [_top(plant, n) for n in names]
+    if len(names) == 1:
+        grid = np.linspace(LEAST * tops[0], tops[0], ALONG)
+        rows = _line(plant, [{names[0]: p} for p in grid], position, stiffness, None)
+        found = {"pressures": [grid], "position": rows[:, 0], "stiffness": rows[:, 1]}
+    else:
+        axes = [np.linspace(LEAST * top, top, ACROSS) for top in tops]
+        lines = []
+        for j, q in enumerate(axes[1]):
+            say(j / ACROSS, f"{j} of {ACROSS} rows")
+            conditions = [{names[0]: p, names[1]: q} for p in axes[0]]
+            lines.append(_line(plant, conditions, position, stiffness, None))
+        grid2 = np.array(lines)
+        found = {"pressures": axes, "position": grid2[..., 0], "stiffness": grid2[..., 1]}
+    shown, felt = plant.variable(position), plant.variable(stiffness)
+    return {
+        **found,
+        "names": names,
+        "position_name": position,
+        "position_unit": (shown.display_unit, shown.display_factor),
+        "stiffness_name": stiffness,
+        "stiffness_unit": (felt.display_unit, felt.display_factor),
+    }
+
+
+def _line(
+    plant: Plant,
+    conditions: Sequence[Mapping[str, float]],
+    position: str,
+    stiffness: str,
+    guess: OperatingPoint | None,
+) -> Any:
+    """(position, stiffness) of points of rest one after the other, each the next one's guess."""
+    rows = []
+    for one in conditions:
+        try:
+            guess = equilibrium(plant, dict(one), guess=guess)
+            rows.append((guess[position], guess[stiffness]))
+        except EquilibriumError:
+            rows.append((np.nan, np.nan))
+    return np.array(rows)
+
+
+def _stiffness(plant: Plant) -> str:
+    names = [v.name for v in plant.outputs]
+    for name in ("stiffness", *(n for n in names if n.endswith(".stiffness"))):
+        if name in names:
+            return name
+    raise InputError(f"{plant.name!r} has no output for its stiffness, so that there is no map")
+
+
+def _top(plant: Plant, pressure: str) -> float:
+    """The largest pressure that a muscle's feed gives."""
+    variable = plant.variable(pressure)
+    return float(variable.max) if np.isfinite(variable.max) else 6e5
+
+
+def vibration(
+    say: Say,
+    folder: Path,
+    state: Mapping[str, Any],
+    point: Mapping[str, float],
+    offset: float,
+    cycles: float,
+    allow: bool,
+) -> dict[str, Any]:
+    """The motion beside the point of rest, let go: with the pressures held."""
+    # constant pressure, as a free vibration wants it
+    table = {**state["plant"], "feed": {"kind": "IdealPressure"}}
+    arrangement = str(table["arrangement"])
+    if ":" in arrangement or arrangement == "RegulatedLoad":
+        plant = plant_of(folder, state, allow_code=allow)
+    else:
+        plant = described({**table, "muscle": muscle_of(folder, state)}, folder=folder / "files")
+    known = {v.name for v in plant.variables}
+    conditions = {_pressure(n, known): v for n, v in point.items()}
+    name = next(iter(plant.positions))
+    found = free_vibration(plant, conditions, offset, state=name, cycles=cycles)
+    motion = found.trajectory
+    shown = plant.variable(name)
+    chosen = np.unique(np.linspace(0, len(motion.t) - 1, 1500).round().astype(int))
+    frames = np.unique(np.linspace(0, len(motion.t) - 1, 4 * FRAMES).round().astype(int))
+    x, u = (motion.array([v.name for v in each]).T for each in (plant.states, plant.inputs))
+    return {
+        "words": str(found),
+        "name": name,
+        "unit": shown.display_unit,
+        "t": motion.t[chosen],
+        "values": motion[name][chosen] / shown.display_factor,
+        "rate": motion[plant.positions[name]][chosen] / shown.display_factor,
+        "frequency": found.frequency,
+        "damping": found.damping_ratio,
+        "cycles": found.frequencies,
+        "amplitudes": found.amplitudes / shown.display_factor,
+        "scene": scene_of(plant, motion.t[frames], x[:, frames], u[:, frames]),
+    }
+
+
+def _pressure(name: str, known: set[str]) -> str:
+    """With ideal pressure, a muscle's command is its pressure."""
+    held = name.replace(".command", ".pressure")
+    return held if name not in known and held in known else name
+
+
+def loads(
+    say: Say,
+    folder: Path,
+    state: Mapping[str, Any],
+    masses: Sequence[float],
+    pressures: Sequence[float],
+) -> dict[str, Any]:
+    """The load study of the session's muscle, with the plant's feed, losses and damping."""
+    table = {k: v for k, v in state["plant"].items() if k in ("feed", "losses", "damping")}
+    parts = _parts(table)
+    found = load_study(muscle_of(folder, state), list(masses), list(pressures), **parts)
+    columns = ("position", "stiffness", "frequency", "damping_ratio", "overshoot", "settling_time")
+    return {
+        "cases": [{k: float(v) for k, v in vars(case).items()} for case in found.cases],
+        "columns": columns,
+        "words": str(found),
+    }
+
+
+def _parts(table: Mapping[str, Any]) -> dict[str, Any]:
+    made: dict[str, Any] = {}
+    for name, content in table.items():
+        if isinstance(content, list):
+            made[name] = [component_of(name, one) for one in content]
+        else:
+            made[name] = component_of(name, content) if isinstance(content, Mapping) else content
+    return made

@@ -1,0 +1,173 @@
+"""One look for the page's pictures: figures of Plotly as plain mappings. No page is needed.
+
+Colours are those of printed figures (figures/canvas.py); text, grid and background follow the
+page's light and dark by bench.css.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..figures.canvas import COLOURS
+
+__all__ = [
+    "ABOVE",
+    "COLOURS",
+    "FAINT",
+    "SCALE",
+    "SYMBOLS",
+    "axis",
+    "band",
+    "figure",
+    "line",
+    "numbers",
+    "points",
+    "rgba",
+]
+
+SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross")
+"""Beside the colours, so that points are told apart by shape, too."""
+FAINT = "#8a949c"
+"""Of what is switched off, or a reference: seen on light and on dark."""
+SCALE = "Cividis"
+"""Of surfaces and maps: even in lightness, the same to all eyes."""
+GRID = "rgba(128,140,150,0.28)"
+_AXIS = {
+    "gridcolor": GRID,
+    "zerolinecolor": "rgba(128,140,150,0.55)",
+    "linecolor": "rgba(128,140,150,0.8)",
+    "showline": True,
+    "ticks": "outside",
+    "ticklen": 4,
+    "automargin": True,
+}
+
+
+def figure(
+    data: Sequence[Mapping[str, Any]],
+    x: str = "",
+    y: str = "",
+    *,
+    height: int = 340,
+    keep: str = "same",
+    **layout: Any,
+) -> dict[str, Any]:
+    """A figure with axes named x and y, which name their units: "pressure [bar]".
+
+    keep : while it stays the same, zoom and hidden curves do, too. layout : further, of Plotly's.
+    """
+    axes: dict[str, Any] = {
+        "xaxis": {**_AXIS, "title": {"text": x, "standoff": 6}, **layout.pop("xaxis", {})},
+        "yaxis": {**_AXIS, "title": {"text": y, "standoff": 6}, **layout.pop("yaxis", {})},
+    }
+    return {
+        "data": list(data),
+        "layout": {
+            "height": height,
+            "margin": {"l": 56, "r": 12, "t": 12, "b": 42},
+            "font": {"family": "system-ui, sans-serif", "size": 12, "color": "#6b7680"},
+            "paper_bgcolor": "rgba(0,0,0,0)",
+            "plot_bgcolor": "rgba(0,0,0,0)",
+            "colorway": list(COLOURS),
+            "hovermode": "closest",
+            "showlegend": True,
+            "legend": {
+                "font": {"size": 11},
+                "itemsizing": "constant",
+                "x": 0.995,
+                "y": 0.995,
+                "xanchor": "right",
+                "yanchor": "top",
+            },
+            "uirevision": keep,
+            **axes,
+            **layout,
+        },
+        "config": {
+            "displaylogo": False,
+            "responsive": True,
+            "scrollZoom": False,
+            "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
+        },
+    }
+
+
+ABOVE: dict[str, Any] = {
+    "legend": {"orientation": "h", "x": 0.0, "y": 1.0, "yanchor": "bottom", "font": {"size": 11}},
+    "margin": {"l": 56, "r": 12, "t": 48, "b": 42},
+}
+"""Layout of a figure whose many curves are named above it."""
+
+
+def axis(title: str = "", **more: Any) -> dict[str, Any]:
+    """A further axis of a figure, named with its unit."""
+    return {**_AXIS, "title": {"text": title, "standoff": 6}, **more}
+
+
+def line(x: Any, y: Any, name: str = "", colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:
+    """A curve."""
+    style = {"color": colour, "width": 1.8, **more.pop("line", {})}
+    shown = {"name": name, "showlegend": bool(name)}
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": numbers(x),
+        "y": numbers(y),
+        "line": style,
+        **shown,
+        **more,
+    }
+
+
+def points(x: Any, y: Any, name: str = "", colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:
+    """Markers."""
+    style = {"color": colour, "size": 7, **more.pop("marker", {})}
+    shown = {"name": name, "showlegend": bool(name)}
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "x": numbers(x),
+        "y": numbers(y),
+        "marker": style,
+        **shown,
+        **more,
+    }
+
+
+def band(x: Any, low: Any, high: Any, colour: str = COLOURS[0], **more: Any) -> dict[str, Any]:
+    """What lies between two curves, pale."""
+    one = np.asarray(x, float)
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "fill": "toself",
+        "hoverinfo": "skip",
+        "x": numbers(np.concatenate([one, one[::-1]])),
+        "y": numbers(np.concatenate([low, high[::-1]])),
+        "line": {"width": 0},
+        "fillcolor": rgba(colour, 0.16),
+        "showlegend": False,
+        **more,
+    }
+
+
+def rgba(colour: str, alpha: float) -> str:
+    """A colour "#rrggbb" that lets others through."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{alpha:g})"
+
+
+def numbers(values: Any) -> list[Any]:
+    """As JSON knows them: None for what is no finite number; nested as the array is."""
+    array = np.asarray(values, float)
+    found: list[Any] = array.tolist()
+    if np.isfinite(array).all():
+        return found
+    held = array.astype(object)
+    held[~np.isfinite(array)] = None
+    found = held.tolist()
+    return found

@@ -1,0 +1,331 @@
+"""What was done on the page as a Python script of public verbs: made of the state alone.
+
+Whoever runs it in the session's folder gets the figures of the page: numbers are written with all
+their digits. Each tab says its own lines (``Tab.lines``); those of data, muscle and plant are here,
+so that they can be tested without a page. No text of a user or a file stands in the script but as a
+quoted literal, or as a comment on one line.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from ..core.registry import Registry, registry_of
+from ..muscles.laws.user_defined import law_named
+from ..plants.kinds import PLANTS
+
+__all__ = [
+    "HEAD",
+    "PUSH",
+    "call",
+    "control_lines",
+    "data_lines",
+    "export_lines",
+    "figure_lines",
+    "figures_said",
+    "literal",
+    "muscle_lines",
+    "plant_code",
+    "plant_lines",
+    "script_of",
+    "wrapped",
+]
+
+HEAD = '''"""Repeats a session of pam-ocp bench; run it in the folder that holds "files"."""
+
+import dataclasses
+
+import numpy as np
+
+import pam_ocp as pam
+'''
+FIGURES = "figures: dict[str, float] = {}  # what the page shows, too"
+WIDTH = 96
+"""Characters of a line that are not too many."""
+SAID = "figure "
+TAIL = f'''for name, value in figures.items():
+    print(f"{SAID}{{name}} = {{float(value)!r}}")
+'''
+PUSH = "push"
+"""The input of the real side of a loop that pushes it."""
+ROOMS = ("feeds", "losses", "loads", "plants", "gas", "muscles")
+"""Where the script looks for components: pam.feeds.Regulator."""
+
+
+def script_of(parts: Iterable[Sequence[str]]) -> str:
+    """The script: what each tab has to say, in the order of the tabs."""
+    blocks = ["\n".join(map(wrapped, lines)) for lines in parts if lines]
+    text = "\n\n".join(blocks)
+    imports = {"dataclasses": "dataclasses.", "numpy as np": "np."}
+    head = HEAD
+    for name, used in imports.items():
+        if used not in text:
+            head = head.replace(f"import {name}\n\n", "")
+    if "figures" in text:
+        head, text = f"{head}\n{FIGURES}\n", f"{text}\n\n{TAIL.rstrip()}"
+    return f"{head}\n{text}\n"
+
+
+def figure_lines(owner: str, codes: Mapping[str, str]) -> list[str]:
+    """Lines that note figures: {what: code of its value}."""
+    inside = [f"    {f'{owner}.{name}'!r}: {code}," for name, code in codes.items()]
+    return ["figures |= {", *inside, "}"] if inside else []
+
+
+def figures_said(printed: str) -> dict[str, float]:
+    """The figures among what a script has printed."""
+    found = {}
+    for line in printed.splitlines():
+        name, equals, value = line.removeprefix(SAID).rpartition(" = ")
+        if line.startswith(SAID) and equals:
+            found[name] = float(value)
+    return found
+
+
+def literal(value: Any) -> str:
+    """A value as Python; lists of numbers as they are."""
+    return repr(value)
+
+
+def call(function: str, *args: str, **keywords: Any) -> str:
+    """``pam.verb(table, name=value)``; arguments are code, keywords values. None is left out."""
+    said = [*args, *(f"{k}={literal(v)}" for k, v in keywords.items() if v is not None)]
+    return f"{function}({', '.join(said)})"
+
+
+def wrapped(line: str) -> str:
+    """A call that is too long for a line, an argument on each."""
+    if len(line) <= WIDTH or line.count("\n"):
+        return line
+    try:
+        (statement,) = ast.parse(line).body
+    except (SyntaxError, ValueError):
+        return line
+    made = statement.value if isinstance(statement, ast.Assign | ast.Expr) else None
+    if not isinstance(made, ast.Call):
+        return line
+    parts = [*made.args, *(k.value for k in made.keywords)]
+    names = [*[None] * len(made.args), *(k.arg for k in made.keywords)]
+    codes = [ast.get_source_segment(line, part) for part in parts]
+    inside = [
+        f"    {c}," if n is None else f"    {n}={c}," for n, c in zip(names, codes, strict=True)
+    ]
+    head = line.encode()[: made.func.end_col_offset].decode()  # offsets count bytes
+    return "\n".join([f"{head}(", *inside, ")"])
+
+
+# ---- data ----------------------------------------------------------------------------------------
+def data_lines(state: Mapping[str, Any]) -> list[str]:
+    """The chosen table, without the cells that are switched off; records by their names."""
+    lines = []
+    fitted = state["muscle"] is not None and state["muscle"]["kind"] == "fit"
+    data = [d for d in state["data"] if d.get("is") == "record" or d["id"] == state["chosen"]]
+    if fitted:  # the table that was fitted, whatever has been chosen since
+        table = state["muscle"]["table"]
+        data = [d for d in data if d.get("is") == "record"] + [table]
+    for item in data:
+        source = item["bundled"] if "bundled" in item else f"files/{item['file']}"
+        said = {k: v for k, v in item["said"].items() if k != "kind"}
+        if item.get("is") == "record":
+            lines += [
+                f"# {_comment(item['name'])}",
+                f"{item['id']} = {call('pam.read_records', literal(source), **said)}",
+            ]
+        else:
+            lines += [f"# {_comment(item['name'])}"]
+            lines += [f"table = {call('pam.read_table', literal(source), **said)}"]
+            if item.get("off"):
+                lines += [
+                    f"off = {literal(sorted(item['off']))}  # cells that are switched off",
+                    "table = table.subset([i not in off for i in range(len(table))])",
+                ]
+    return lines
+
+
+def _comment(text: str) -> str:
+    """On one line."""
+    return "".join(c if c.isprintable() else " " for c in str(text))[:100]
+
+
+# ---- the muscle ----------------------------------------------------------------------------------
+def muscle_lines(state: Mapping[str, Any]) -> list[str]:
+    """The muscle: of the catalogue, a file, or the fit, with what sliders changed."""
+    said = state["muscle"]
+    if said is None:
+        return []
+    if said["kind"] == "catalogue":
+        made = call("pam.muscle", literal(said["name"]), rest_length=said.get("rest_length"))
+        return [f"muscle = {made}"]
+    if said["kind"] == "file":
+        return [f"muscle = pam.load_muscle({literal('files/' + said['file'])})"]
+    law, fixed = said["law"], said.get("fixed") or None
+    kept = {n: said[n] for n in ("rest_length", "diameter", "name", "source")}
+    lines = [
+        f"fit = {call('pam.fit_force', 'table', literal(law), fixed=fixed)}",
+        "print(fit.report())",
+        f"muscle = {call('fit.muscle', **kept)}",
+    ]
+    fitted = said.get("fitted", said["coefficients"])
+    lines += figure_lines("fit", {n: f"fit.coefficients[{n!r}].value" for n in fitted})
+    if said.get("moved"):
+        kind = law_named(law)
+        named = call("type(fit.law)", **said["coefficients"])
+        lines += [f"# coefficients of the {kind.title}, moved by hand"]
+        lines += [f"muscle = dataclasses.replace(muscle, law={named})"]
+    return lines
+
+
+# ---- the plant -----------------------------------------------------------------------------------
+def plant_lines(state: Mapping[str, Any]) -> list[str]:
+    """The plant, and its operating point."""
+    if state["muscle"] is None:
+        return []
+    if ":" in state["plant"]["arrangement"]:
+        name = _comment(state["plant"]["arrangement"])
+        return [f"# the plant {name} is code of your own: import it, and call it with muscle"]
+    lines = [f"plant = {plant_code(state['plant'])}"]
+    for sensed, sensor in state["plant"].get("sensors", {}).items():
+        lines += [f"plant.add_sensor({literal(sensed)}, {_component('sensors', sensor)})"]
+    if state["point"]:
+        lines += [f"point = pam.equilibrium(plant, {literal(state['point'])})", "print(point)"]
+        lines += [
+            "for v in (*plant.states, *plant.inputs):",
+            '    figures[f"point.{v.name}"] = point[v.name]',
+        ]
+    return lines
+
+
+def plant_code(said: Mapping[str, Any]) -> str:
+    """A [plant] table of the library as code, with the muscle named muscle; sensors left out."""
+    content = dict(said)
+    name = content.pop("arrangement")
+    values = content.pop("set", {})
+    content.pop("sensors", None)
+    arguments = {k: _argument(k, v, PLANTS, name) for k, v in content.items()}
+    made = _written(f"pam.{name}", ["muscle"], arguments)
+    return f"{made}.with_values({literal(values)})" if values else made
+
+
+def _written(function: str, first: Sequence[str], said: Mapping[str, str]) -> str:
+    return f"{function}({', '.join([*first, *(f'{k}={v}' for k, v in said.items())])})"
+
+
+def _argument(name: str, value: Any, registry: Registry[Any], owner: str) -> str:
+    """A value of a [plant] table as code."""
+    if isinstance(value, Mapping):
+        return _component(name, value)
+    if isinstance(value, list) and registry_of(name) is not None:
+        inside = ", ".join(_component(name, one) for one in value)
+        return f"({inside}{',' if len(value) == 1 else ''})"
+    return literal(tuple(value) if isinstance(value, list) else value)
+
+
+def _component(argument: str, content: Mapping[str, Any]) -> str:
+    import pam_ocp as pam
+
+    kinds = registry_of(argument)
+    assert kinds is not None
+    given = dict(content)
+    kind = kinds.name(argument, given.pop("kind", kinds.default or next(iter(kinds))))
+    room = next(r for r in ROOMS if hasattr(getattr(pam, r), kind))
+    said = {k: _argument(k, v, kinds, kind) for k, v in given.items()}
+    return _written(f"pam.{room}.{kind}", [], said)
+
+
+# ---- controllers ---------------------------------------------------------------------------------
+def control_lines(state: Mapping[str, Any]) -> list[str]:
+    """Each controller with its run against the plant, which can be pushed."""
+    if state["muscle"] is None or not state["point"] or not state["controllers"]:
+        return []
+    lines = []
+    name = state["plant"]["arrangement"]
+    loads = [*state["plant"].get("loads", ()), {"kind": "ExternalForce", "name": PUSH}]
+    pushed = {**state["plant"], "loads": loads}
+    if ":" not in name:
+        lines += [f"side = {plant_code(pushed)}"]
+    lines += ["position = next(iter(plant.positions))"]
+    lines += ["start = {v.name: point[v.name] for v in (*plant.states, *plant.inputs)}"]
+    for said in state["controllers"]:
+        lines += _run_lines(said)
+    return lines
+
+
+def _run_lines(said: Mapping[str, Any]) -> list[str]:
+    id, study, gains = said["id"], said["study"], said["gains"]
+    time = {"sample_time": said["sample_time"]}
+    followed = True
+    if said["kind"] == "pid":
+        lines = [f"{id} = {call('pam.control.PointPid', 'plant', 'point', **gains, **time)}"]
+    elif said["kind"] == "lqr":
+        weights = f"{{position: {gains['position']!r}, velocity: {gains['velocity']!r}}}"
+        followed = bool(gains["integral"])
+        integral = f"integral={{position: {gains['integral']!r}}}, " if followed else ""
+        lines = [
+            "velocity = plant.positions[position]",
+            f"{id} = pam.lqr(plant, point, weights={weights}, effort={gains['effort']!r}, "
+            f"{integral}sample_time={said['sample_time']!r})",
+        ]
+    else:
+        rate = f"{{v.name: {gains['rate']!r} for v in plant.inputs if not v.disturbance}}"
+        lines = [
+            f"{id} = pam.Mpc(plant, horizon={round(gains['horizon'])}, "
+            f"sample_time={said['sample_time']!r}, track={{position: {gains['position']!r}}}, "
+            f"rate={rate})",
+        ]
+    reference = f"{{position: point[position] + {study['step']!r}}}" if followed else "None"
+    more = f", disturbances={{{PUSH!r}: ({study['push']!r}, {study['push_from']!r})}}"
+    more = more if study["push"] else ""
+    if study["noise"]:
+        more += f", noise={{position: {study['noise']!r}}}"
+    lines += [
+        f"{id}_run = pam.closed_loop({id}, side, {reference}, duration={study['duration']!r}, "
+        f"start=start{more})",
+        f"print({id}_run)",
+        f'figures[f"{id}.final({{position}})"] = float({id}_run[position][-1])',
+        f'figures[f"{id}.max({{position}})"] = float({id}_run[position].max())',
+        f'figures[f"{id}.min({{position}})"] = float({id}_run[position].min())',
+    ]
+    return lines
+
+
+# ---- exports -------------------------------------------------------------------------------------
+def export_lines(state: Mapping[str, Any]) -> list[str]:
+    """Each FMU with its check, each SSP."""
+    lines: list[str] = []
+    if state["muscle"] is None:
+        return lines
+    for said in state["exports"]:
+        id, motion = said["id"], said["motion"]
+        if said["kind"] == "fmu":
+            made = call(
+                "pam.export_fmu",
+                "plant",
+                literal(f"{id}.fmu"),
+                fmi=said["fmi"],
+                platforms=["native"],
+                step_size=said["step_size"],
+            )
+            lines += [f"{id} = {made}"]
+            against = f"{motion}.trajectory" if motion else "None"
+            if not motion and state["point"]:
+                lines += [
+                    f"rest = pam.simulate(plant, start=point, duration=200 * {said['step_size']!r})"
+                ]
+                against = "rest"
+            lines += [f"{id}_check = pam.check_fmu({id}, against={against}, tolerance=1e-3)"]
+            lines += [f"print({id}_check)"]
+            lines += figure_lines(
+                id, {"ok": f"float({id}_check.ok)", "largest": f"{id}_check.largest"}
+            )
+        elif said["kind"] == "ssp" and motion:
+            lines += [
+                f'{id} = pam.export_ssp({{"plant": plant, "motion": {motion}.trajectory}}, '
+                f'{{f"plant.{{v.name}}": f"motion.{{v.name}}" for v in plant.inputs}}, '
+                f"{literal(f'{id}.ssp')}, step_size={said['step_size']!r}, "
+                f'stop_time={motion}.duration, platforms=["native"])'
+            ]
+        elif said["kind"] == "c" and said["controller"]:
+            lines += [f"pam.export.export_c({said['controller']}, {literal(f'{id}_c')})"]
+    return lines

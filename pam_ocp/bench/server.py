@@ -1,0 +1,135 @@
+"""``serve``: the page on this machine, until it is interrupted."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import secrets
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ..core.errors import InputError, require_count
+from ..core.files import make_folder
+from ..export.cache import home_folder
+from .guard import allowed_hosts
+
+__all__ = ["require_framework", "serve", "sessions_folder"]
+
+NEEDED = "nicegui"
+"""It brings Plotly's JavaScript; Python's package of that name is not needed."""
+LOCAL = "127.0.0.1"
+LEAST_PASSWORD = 10
+"""Characters."""
+
+
+def require_framework() -> None:
+    """Raises InputError where the extra is not installed."""
+    if importlib.util.find_spec(NEEDED) is None:
+        raise InputError(
+            f"the bench needs {NEEDED}, which is not installed: pip install 'pam_ocp[bench]'"
+        )
+
+
+def sessions_folder() -> Path:
+    """Where sessions are kept unless told: ``pam_ocp/bench`` in the user's state folder."""
+    local = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
+    base = Path(local or os.environ.get("XDG_STATE_HOME") or "")
+    if base.is_absolute():
+        return base / "pam_ocp" / "bench"
+    home = home_folder()
+    return (home / ".local" / "state" if home else Path.cwd()) / "pam_ocp" / "bench"
+
+
+def serve(
+    *,
+    host: str = LOCAL,
+    port: int = 0,
+    password: str | None = None,
+    names: Sequence[str] = (),
+    folder: str | os.PathLike[str] | None = None,
+    allow_code: bool = False,
+    browser: bool = False,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Open the page and serve it until Ctrl-C.
+
+    Parameters
+    ----------
+    host : address to listen at; another than this machine's own needs ``password``.
+    port : 0 for a free one.
+    password : asked for instead of a token in the address. At least 10 characters.
+    names : further host names by which the page may be asked for.
+    folder : of the sessions; by default :func:`sessions_folder`.
+    allow_code : plants named FILE.py:NAME may be run. browser : open one.
+    say : is told the address.
+
+    Raises
+    ------
+    InputError : the extra is not installed; no such address; a host without a password.
+    """
+    require_framework()
+    require_count("port", port, 0, 65535)
+    if host == "localhost":
+        host = LOCAL
+    if host != LOCAL and password is None:
+        raise InputError(
+            f"host = {host!r}: others on the network could reach the page; give a password "
+            "(PAM_OCP_BENCH_PASSWORD), or reach it by an SSH tunnel (docs/bench.md)"
+        )
+    if password is not None and len(password) < LEAST_PASSWORD:
+        raise InputError(f"the password has {len(password)} characters; give {LEAST_PASSWORD}")
+    root = make_folder(folder if folder is not None else sessions_folder())
+    if os.name == "posix" and folder is None:
+        os.chmod(root, 0o700)
+    # before the framework is loaded, which would keep files of its own in the working folder
+    os.environ.setdefault("NICEGUI_STORAGE_PATH", os.fspath(root / ".nicegui"))
+    import uvicorn
+
+    from .app import application
+
+    listening = _listen(host, port)
+    number = int(listening.getsockname()[1])
+    token = None if password is not None else secrets.token_urlsafe(32)
+    app = application(
+        root,
+        allow_code=allow_code,
+        hosts=allowed_hosts(host, number, names),
+        token=token,
+        password=password,
+        name=f"pam_ocp_bench_{number}",
+    )
+    address = f"http://{host}:{number}/" + (f"?token={token}" if token else "")
+    say(f"the bench is open: {address}\n(sessions in {root}; Ctrl-C ends it)")
+    if host != LOCAL:
+        say("what goes over the network is not encrypted; prefer an SSH tunnel (docs/bench.md)")
+    if browser:
+        threading.Timer(0.5, webbrowser.open, (address,)).start()
+    config = uvicorn.Config(
+        app,
+        log_level="warning",
+        server_header=False,
+        access_log=False,
+        ws_max_size=4 * 2**20,
+        timeout_graceful_shutdown=2,
+    )
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    if os.name == "posix":
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+        listening.listen(128)  # who opens the address at once waits, and is not refused
+    except OSError as error:
+        listening.close()
+        raise InputError(
+            f"host = {host!r}, port = {port}: cannot listen there ({error.strerror or error}); "
+            "give another port, or 0 for a free one"
+        ) from None
+    return listening

@@ -1,0 +1,473 @@
+"""The tab Data: files dropped, what is understood of them, units, cells switched off."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from nicegui import events, ui
+
+from ...core.errors import InputError
+from ...core.units import unit as unit_of
+from ...fitting.tables.labels import LABELS
+from ...fitting.tables.table_checks import QUANTITIES
+from .. import elements as el
+from .. import look
+from ..guard import MOST_UPLOAD
+from ..jobs.data import look_at
+from ..script import data_lines
+from ..tab import Tab
+
+__all__ = ["Data"]
+
+BUNDLED = {"DMSP-20-300_static.csv": 0.300, "DMSP-10-250_static.csv": 0.250}
+"""Tables at hand, and the rest length of each muscle [m]."""
+UNITS = {
+    "pressure": ("bar", "kPa", "MPa", "psi", "Pa", "bar abs", "kPa abs"),
+    "force": ("N", "kN", "lbf", "kgf"),
+    "length": ("mm", "cm", "m", "in"),
+    "contraction": ("%", "1"),
+    "time": ("s", "ms", "min"),
+}
+NONE = "-"
+UNNAMED = " (none named)"
+"""Behind the unit that a preview takes where the header names none."""
+LOOKING = 60.0
+"""Seconds that reading a file may take."""
+
+
+class Data(Tab):
+    title = "Data"
+    parts = ("data", "chosen")
+
+    def build(self) -> None:
+        self._seen: dict[str, Any] | None = None
+        self._seen_of: tuple[Any, ...] = ()
+        with el.split():
+            with el.side():
+                with el.section("Add data", "CSV, TXT, XLSX, NPZ, MAT, HDF5, JSON, Parquet"):
+                    self._uploads()
+                with el.section("Data of this session"):
+                    self._list = ui.element("div")
+                with el.section("How it is read"):
+                    self._reading = ui.element("div")
+            with el.plots():
+                with el.section("Preview", wide=True) as self._words:
+                    self._plot = el.Plot(look.figure([]), "Force over contraction", self._clicked)
+                with el.section("Columns", wide=True):
+                    self._columns = ui.element("div")
+                with el.section("What was understood", wide=True):
+                    self._said = ui.element("div")
+        self.update(frozenset(self.parts))
+
+    def update(self, changed: frozenset[str]) -> None:
+        self._show_list()
+        item = self._item
+        key = (item["id"], item.get("file"), item["said"]) if item else ()
+        if key != self._seen_of:
+            self._seen, self._seen_of = None, key
+            if item is not None:
+                self.bench.soon(self._look)
+        self._show()
+
+    @staticmethod
+    def lines(state: dict[str, Any]) -> Sequence[str]:
+        return data_lines(state)
+
+    @property
+    def _item(self) -> dict[str, Any] | None:
+        return self.bench.session.item("data", self.state["chosen"])
+
+    # ---- adding ---------------------------------------------------------------------------------
+    def _uploads(self) -> None:
+        ui.upload(
+            label="Drop files here, or choose them with +",
+            multiple=True,
+            auto_upload=True,
+            max_file_size=MOST_UPLOAD,
+            max_files=50,
+            on_upload=self._dropped,
+            on_rejected=lambda: self.bench.say(
+                f"a file was refused: at most {MOST_UPLOAD / 2**20:g} MiB each, 50 at once", "error"
+            ),
+        ).props("flat bordered hide-upload-btn")
+        with ui.element("div").classes("bench-row").style("margin-top: 6px"):
+            el.tag("span", "Bundled:", "bench-note")
+            for name, length in BUNDLED.items():
+                el.button(
+                    name.partition("_")[0],
+                    lambda name=name, length=length: self._add_bundled(name, length),
+                )
+
+    async def _dropped(self, event: events.UploadEventArguments) -> None:
+        with self.bench.shown_errors():
+            session = self.bench.session
+            name = _shown(event.file.name)
+            file = session.store(name, await event.file.read())
+            await self._add({"name": name, "file": file, "said": {}})
+
+    async def _add_bundled(self, name: str, length: float) -> None:
+        with self.bench.shown_errors():
+            await self._add({"name": name, "bundled": name, "said": {"rest_length": length}})
+
+    async def _add(self, item: dict[str, Any]) -> None:
+        """Take it in once it could be looked at; a damaged file is refused here."""
+        session = self.bench.session
+        seen = await self.bench.work(
+            f"Reading {item['name']}", look_at, self.bench.folder, item, time_limit=LOOKING
+        )
+        item = {**item, "id": session.fresh_id("data"), "off": [], "is": seen["kind"]}
+        session.put(f"add {item['name']}", "data", item, chosen=item["id"])
+
+    async def _look(self) -> None:
+        item = self._item
+        if item is None:
+            return
+        seen = await self.bench.work(
+            f"Reading {item['name']}",
+            look_at,
+            self.bench.folder,
+            item,
+            time_limit=LOOKING,
+            quiet=True,
+            latest="look",
+            warm="data",
+        )
+        now = self._item
+        if now is not None and (now["id"], now["said"]) == (item["id"], item["said"]):
+            self._seen = seen
+            self._show()
+
+    # ---- the list -------------------------------------------------------------------------------
+    def _show_list(self) -> None:
+        self._list.clear()
+        data = self.state["data"]
+        with self._list:
+            if not data:
+                el.note("Nothing yet: drop a file above, or take a bundled table.")
+                return
+            rows = [[d["name"], d.get("is", ""), _count(len(d.get("off", ())))] for d in data]
+            ids = [d["id"] for d in data]
+            chosen = ids.index(self.state["chosen"]) if self.state["chosen"] in ids else None
+            el.table(
+                ["name", "kind", "off"],
+                rows,
+                act=lambda i: self._choose(ids[i]),
+                chosen=chosen,
+                label="Data of this session",
+            )
+            if chosen is not None:
+                with ui.element("div").classes("bench-row").style("margin-top: 6px"):
+                    el.button("Remove", self._remove)
+
+    def _choose(self, id: str) -> None:
+        with self.bench.shown_errors():
+            item = self.bench.session.item("data", id)
+            self.bench.session.change(f"choose {item['name'] if item else id}", chosen=id)
+
+    def _remove(self) -> None:
+        with self.bench.shown_errors():
+            item = self._item
+            if item is not None:
+                rest = [d for d in self.state["data"] if d["id"] != item["id"]]
+                chosen = rest[-1]["id"] if rest else None
+                self.bench.session.change(f"remove {item['name']}", data=rest, chosen=chosen)
+
+    # ---- how it is read -------------------------------------------------------------------------
+    def _show(self) -> None:
+        item, seen = self._item, self._seen
+        for place in (self._reading, self._columns, self._said):
+            place.clear()
+        self._words.set_text("")
+        if item is None:
+            self._plot.draw(look.figure([], "contraction [%]", "force [N]"))
+            return
+        with self._reading:
+            self._options(item)
+        if seen is None:
+            self._words.set_text("reading ...")
+            return
+        with self._columns:
+            self._column_table(item, seen)
+        with self._said:
+            self._understood(seen)
+        self._words.set_text(seen.get("reads_as") or seen["problem"])
+        if "records" in seen:
+            self._plot.draw(_record_figure(seen))
+        else:
+            self._plot.draw(self._table_figure(item, seen.get("cells")))
+
+    def _options(self, item: Mapping[str, Any]) -> None:
+        said = item["said"]
+        kinds = {"": "as found", "table": "force table", "record": "record in time"}
+        el.choice("Kind", kinds, said.get("kind", ""), lambda v: self._say(kind=v or None))
+        if said.get("kind", item.get("is")) == "record":
+            clocks = {"": "mend its faults", "cut": "cut at gaps", "refuse": "refuse"}
+            el.choice("Clock", clocks, said.get("clock", ""), lambda v: self._say(clock=v or None))
+            return
+        el.Field(
+            "Rest length",
+            said.get("rest_length"),
+            "m",
+            lambda v: self._say(rest_length=v),
+            low=1e-3,
+            high=10.0,
+            optional=True,
+            hint="of the muscle at zero pressure and load; needed where the file holds lengths",
+        )
+        ramps = {"": "find out", "yes": "a slow ramp", "no": "single cells"}
+        now = {None: "", True: "yes", False: "no"}[said.get("ramp")]
+        el.choice(
+            "Rows are",
+            ramps,
+            now,
+            lambda v: self._say(ramp={"": None, "yes": True, "no": False}[v]),
+        )
+        el.text_field(
+            "Cells off",
+            _ranges(item.get("off", ())),
+            self._cells_said,
+            "numbers of cells that are switched off, as 3, 17-20; a click on a cell does the same",
+        )
+        coloured = {"pressure": "pressure", "branch": "branch", "run": "repeat", "file": "file"}
+        el.choice("Colour by", coloured, self._colour, self._coloured)
+
+    @property
+    def _colour(self) -> str:
+        cells = (self._seen or {}).get("cells") or {}
+        usual = next((k for k in ("branch", "run", "file") if cells.get(k)), "pressure")
+        return str(self.bench.session.view("Data", "colour") or usual)
+
+    def _coloured(self, by: str) -> None:
+        self.bench.session.remember("Data", colour=by)
+        self._show()
+
+    def _say(self, **said: Any) -> None:
+        """Change what a reader is told; None takes a word back."""
+        with self.bench.shown_errors():
+            item = self._item
+            if item is None:
+                return
+            words = {k: v for k, v in {**item["said"], **said}.items() if v not in (None, {})}
+            fresh = {**item, "said": words}
+            if "kind" in words:
+                fresh["is"] = words["kind"]
+            self.bench.session.put(f"how {item['name']} is read", "data", fresh)
+
+    def _column_table(self, item: Mapping[str, Any], seen: Mapping[str, Any]) -> None:
+        record = seen["kind"] == "record"
+        meanings = [NONE, *QUANTITIES, *LABELS]
+        heads = ("column", "is", "unit", "from", "to", "empty")
+        with el.tag("table", "", "bench-table", aria_label="Columns of the file"):
+            with el.tag("thead"), el.tag("tr"):
+                for head in heads:
+                    el.tag("th", head, "is-number" if head in heads[3:] else "", scope="col")
+            with el.tag("tbody"):
+                for column in seen["columns"]:
+                    with el.tag("tr"):
+                        el.tag("td", column["header"])
+                        with el.tag("td"):
+                            if record:
+                                el.tag("span", column["meaning"] or NONE)
+                            else:
+                                self._meaning_menu(item, column, meanings)
+                        with el.tag("td"):
+                            self._unit_menu(item, column)
+                        for end in ("low", "high"):
+                            value = column[end]
+                            el.tag("td", "" if value is None else f"{value:.5g}", "is-number")
+                        el.tag("td", str(column["empty"] or ""), "is-number")
+
+    def _meaning_menu(
+        self, item: Mapping[str, Any], column: Mapping[str, Any], meanings: Sequence[str]
+    ) -> None:
+        header, now = column["header"], column["meaning"] or NONE
+
+        def chosen(value: str) -> None:
+            columns = dict(item["said"].get("columns") or {})
+            columns = {k: v for k, v in columns.items() if v != header}
+            if value != NONE:
+                columns[value] = header
+            self._say(columns=columns)
+
+        _menu(f"meaning of {header}", meanings, now, chosen)
+
+    def _unit_menu(self, item: Mapping[str, Any], column: Mapping[str, Any]) -> None:
+        meaning, shown = column["meaning"], column["unit"]
+        shown, unnamed = shown.removesuffix(UNNAMED), shown.endswith(UNNAMED)
+        known = UNITS.get(meaning) or _like(shown)
+        if not unnamed and meaning not in (item["said"].get("units") or {}):
+            # the header names the unit, which a reader does not overrule
+            known = (shown, f"{shown} abs") if meaning == "pressure" else ()
+        if not meaning or meaning in LABELS or not known:
+            el.tag("span", shown)
+            return
+
+        def chosen(value: str) -> None:
+            units = {k: v for k, v in (item["said"].get("units") or {}).items() if k != meaning}
+            self._say(units={**units, meaning: value})
+
+        options = known if shown in known else (shown, *known)
+        _menu(f"unit of {column['header']}", options, shown, chosen)
+
+    @staticmethod
+    def _understood(seen: Mapping[str, Any]) -> None:
+        for title, words, kind in (
+            ("not read yet", [seen["problem"]] if seen["problem"] else [], "bench-bad"),
+            ("doubt", seen["doubts"], "bench-bad"),
+            ("said", seen["notes"], "bench-note"),
+            ("clock", [seen["clock"]] if seen["clock"] else [], "bench-note"),
+            ("text", [", ".join(seen["dialect"])] if seen["dialect"] else [], "bench-note"),
+        ):
+            for one in words:
+                el.note(f"{title}: {one}", kind)
+        el.tag("pre", seen["call"], "bench-pre")
+
+    # ---- cells ----------------------------------------------------------------------------------
+    def _table_figure(self, item: Mapping[str, Any], cells: Any) -> dict[str, Any]:
+        if cells is None:
+            return look.figure([], "contraction [%]", "force [N]")
+        data = _cells(cells, set(item.get("off", ())), self._colour)
+        return look.figure(data, "contraction [%]", "force [N]", height=400, keep=str(item["id"]))
+
+    def _clicked(self, point: Mapping[str, Any]) -> None:
+        """Switch a cell off or on again."""
+        with self.bench.shown_errors():
+            number = (point.get("data") or [None])[0]
+            if isinstance(number, int):
+                item = self._item
+                off = set(item.get("off", ()) if item else ()) ^ {number}
+                self._switch(off)
+
+    def _cells_said(self, text: str) -> None:
+        with self.bench.shown_errors():
+            self._switch(_numbers(text))
+
+    def _switch(self, off: set[int]) -> None:
+        item, cells = self._item, (self._seen or {}).get("cells")
+        if item is None or cells is None:
+            return
+        count = len(cells["force"])
+        wrong = next((i for i in off if not 0 <= i < count), None)
+        if wrong is not None:
+            raise InputError(f"cell {wrong}: the table has cells 0 .. {count - 1}")
+        label = f"{len(off)} cells of {item['name']} off"
+        self.bench.session.put(label, "data", {**item, "off": sorted(off)})
+
+
+def _menu(label: str, options: Sequence[str], now: str, act: Any) -> None:
+    with el.tag("select", "", "bench-input", aria_label=label) as made:
+        for one in options:
+            el.tag("option", one, value=one, selected=one == now)
+
+    def chosen(event: Any) -> None:
+        if event.args in options:
+            act(event.args)
+
+    made.on("change", chosen, js_handler="(e) => emit(e.target.value)")
+
+
+def _like(shown: str) -> Sequence[str]:
+    try:
+        unit_of(shown)
+    except InputError:
+        return ()
+    return el.units_like(shown)
+
+
+def _cells(cells: Mapping[str, Any], off: set[int], by: str) -> list[dict[str, Any]]:
+    """Markers: by pressure on one scale, else by label in colours and shapes; slack ones hollow."""
+    p, k, f = (np.asarray(cells[n], float) for n in ("pressure", "contraction", "force"))
+    index = np.arange(len(f))
+    on = np.array([i not in off for i in range(len(f))])
+    labels = np.array(cells.get(by) or [""] * len(f)) if by != "pressure" else None
+    hover = "%{y:.4g} N at %{x:.3g} %, %{customdata[1]:.3g} bar, cell %{customdata[0]}"
+
+    def marked(chosen: Any, name: str, **more: Any) -> dict[str, Any]:
+        data = [[int(i), float(p[i] / 1e5)] for i in index[chosen]]
+        return look.points(
+            100 * k[chosen], f[chosen], name, customdata=data, hovertemplate=hover, **more
+        )
+
+    data = []
+    taut = on & (f > 0)
+    if labels is None:
+        scale = {
+            "color": look.numbers(p[taut] / 1e5),
+            "colorscale": look.SCALE,
+            "colorbar": {"title": {"text": "p [bar]"}, "thickness": 12, "outlinewidth": 0},
+            "size": 8,
+        }
+        data.append(marked(taut, "taut", marker=scale))
+    else:
+        for i, label in enumerate(dict.fromkeys(labels)):
+            style = {"symbol": look.SYMBOLS[i % len(look.SYMBOLS)], "size": 8}
+            colour = look.COLOURS[i % len(look.COLOURS)]
+            data.append(
+                marked(taut & (labels == label), label or "(none)", colour=colour, marker=style)
+            )
+    hollow = {"symbol": "circle-open", "size": 6}
+    data.append(marked(on & (f <= 0), "slack (censored)", colour=look.FAINT, marker=hollow))
+    data.append(marked(~on, "off", colour=look.FAINT, marker={"symbol": "x-thin-open", "size": 9}))
+    if labels is None:
+        for one in data:
+            one["showlegend"] = one["name"] != "taut"
+    return data
+
+
+def _record_figure(seen: Mapping[str, Any]) -> dict[str, Any]:
+    """Panels below each other, one for each unit."""
+    units = list(dict.fromkeys(c["unit"] for c in seen["records"][0]["curves"]))[:5]
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {}
+    for row, unit in enumerate(units):
+        axis = "" if row == 0 else str(row + 1)
+        names = [c["name"] for c in seen["records"][0]["curves"] if c["unit"] == unit]
+        for r, record in enumerate(seen["records"]):
+            for curve in record["curves"]:
+                if curve["unit"] == unit:
+                    colour = look.COLOURS[names.index(curve["name"]) % len(look.COLOURS)]
+                    one = look.line(record["t"], curve["values"], curve["name"], colour)
+                    one |= {"yaxis": f"y{axis}", "showlegend": r == 0, "opacity": 1.0 - 0.2 * r}
+                    data.append(one)
+        low = 1 - (row + 1) / len(units)
+        layout[f"yaxis{axis}"] = {
+            "domain": [low + 0.03, low + 1 / len(units) - 0.01],
+            "title": {"text": f"[{unit}]" if unit != "1" else ""},
+            "gridcolor": look.GRID,
+        }
+    return look.figure(data, "time [s]", height=140 * max(2, len(units)), keep="record", **layout)
+
+
+def _shown(name: str) -> str:
+    """A file's name as a browser sent it: its last part, printable, not long."""
+    last = re.split(r"[/\\]", name)[-1]
+    return "".join(c if c.isprintable() else "_" for c in last)[-80:] or "file"
+
+
+def _count(number: int) -> str:
+    return str(number) if number else ""
+
+
+def _ranges(off: Sequence[int]) -> str:
+    """[3, 17, 18, 19] as "3, 17-19"."""
+    parts: list[list[int]] = []
+    for i in sorted(off):
+        if parts and i == parts[-1][1] + 1:
+            parts[-1][1] = i
+        else:
+            parts.append([i, i])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in parts)
+
+
+def _numbers(text: str) -> set[int]:
+    """The way back. Raises InputError."""
+    found: set[int] = set()
+    for part in filter(None, (p.strip() for p in text.split(","))):
+        match = re.fullmatch(r"(\d{1,6})(?:\s*-\s*(\d{1,6}))?", part)
+        if match is None:
+            raise InputError(f"cells off = {text[:60]!r}: give numbers and ranges, as 3, 17-20")
+        found |= set(range(int(match[1]), int(match[2] or match[1]) + 1))
+    return found

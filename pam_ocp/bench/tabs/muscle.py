@@ -1,0 +1,630 @@
+"""The tab Muscle: laws ranked, the fit with its band, coefficients on sliders, what to measure."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from nicegui import events, ui
+
+from ...core.errors import InputError
+from ...core.units import unit as unit_of
+from ...muscles.catalogue import muscle_names
+from ...muscles.catalogue import summary as catalogue_summary
+from ...muscles.law import LAWS, ForceLaw
+from ...muscles.laws.user_defined import law_named
+from ...muscles.pneumatic_muscle import Muscle
+from .. import elements as el
+from .. import look
+from ..jobs import muscle as jobs
+from ..made import chosen_item, muscle_of
+from ..script import muscle_lines
+from ..tab import Tab
+
+__all__ = ["MuscleTab"]
+
+MOST_FILE = 2**20
+"""Bytes of a muscle file."""
+SIZE = 36
+"""Points of the surface along each axis."""
+CONSTANTS = {
+    "radius": "m",
+    "rest_diameter": "m",
+    "max_contraction_ratio": "1",
+}
+"""Known constants that some laws ask for, and their units."""
+CRITERIA = {
+    "D": "joint confidence region",
+    "A": "relative variances",
+    "I": "predicted force",
+}
+
+
+class MuscleTab(Tab):
+    title = "Muscle"
+    parts = ("muscle", "data", "chosen")
+
+    def build(self) -> None:
+        self._fit: dict[str, Any] | None = None
+        self._fit_of: Any = None
+        self._ranked: list[dict[str, Any]] = []
+        self._next: dict[str, Any] | None = None
+        self._sliders: dict[str, el.Slider] = {}
+        with el.split():
+            with el.side():
+                with el.section("Law fitted to the chosen data") as self._data_name:
+                    self._laws = ui.element("div")
+                with el.section("Coefficients") as self._coefficient_words:
+                    self._coefficients = ui.element("div")
+                with el.section("Muscle") as self._muscle_words:
+                    self._muscle_box = ui.element("div")
+                with el.section("From the catalogue, or a file"):
+                    self._others()
+            with el.plots():
+                with el.section("Force", wide=True) as self._force_words:
+                    self._force = el.Plot(look.figure([]), "Force over contraction")
+                with el.section("Residuals"):
+                    self._rest = el.Plot(look.figure([], height=300), "Residuals of the fit")
+                with el.section("Force surface"):
+                    self._surface = el.Plot(look.figure([], height=300), "Force surface")
+                with el.section("Measure next"):
+                    self._next_box = ui.element("div")
+                with el.section("Intervals, 95 %"):
+                    self._intervals = ui.element("div")
+                with el.section("Report", wide=True):
+                    self._report = el.tag("pre", "", "bench-pre")
+        self.update(frozenset(self.parts))
+
+    def update(self, changed: frozenset[str]) -> None:
+        said = self._said
+        of = said and [said["table"], said["law"], said["fixed"]]
+        if of != self._fit_of:
+            self._fit, self._fit_of, self._next = None, of, None
+            if said:
+                self.bench.soon(self._refit)
+        self._show_laws()
+        self._show()
+
+    @staticmethod
+    def lines(state: dict[str, Any]) -> Sequence[str]:
+        return muscle_lines(state)
+
+    @property
+    def _said(self) -> dict[str, Any] | None:
+        """The muscle of the state where it is a fit."""
+        said = self.state["muscle"]
+        return said if said is not None and said["kind"] == "fit" else None
+
+    # ---- laws -----------------------------------------------------------------------------------
+    def _show_laws(self) -> None:
+        self._laws.clear()
+        item = self.bench.session.item("data", self.state["chosen"])
+        self._data_name.set_text(item["name"] if item else "")
+        with self._laws:
+            if item is None or item.get("is") != "table":
+                el.note("Choose a force table in the tab Data.")
+                return
+            said = self._said
+            now = said["law"] if said else None
+            if said and not _same(said["table"], item):
+                el.note("The data have changed since the fit.", "bench-bad")
+            law = now if now is not None and now in LAWS else "six-parameter"
+            titles = {name: LAWS[name].title for name in LAWS}
+            self._law = law
+            el.choice("Law", titles, law, lambda v: setattr(self, "_law", v))
+            with ui.element("div").classes("bench-row"):
+                el.button("Fit", lambda: self._fit_law(str(self._law)), main=True)
+                el.button("Rank all laws", self._rank)
+            with ui.expansion("Known constants").props("dense").classes("bench-note"):
+                for name, unit in CONSTANTS.items():
+                    value = self._constants.get(name)
+                    words = name.replace("_", " ")
+                    el.Field(
+                        words,
+                        value,
+                        unit,
+                        partial(self._constant, name),
+                        low=1e-4,
+                        high=1.0,
+                        optional=True,
+                    )
+            if self._ranked:
+                self._ranking(now)
+
+    def _ranking(self, now: str | None) -> None:
+        rows = [
+            (one["name"], one["parameters"], one["rmse"], one["left_out"])
+            for one in self._ranked
+            if one["fitted"]
+        ]
+        names = [row[0] for row in rows]
+        el.table(
+            ["law", "k", "RMSE [N]", "left out [N]"],
+            rows,
+            act=lambda i: self._fit_law(names[i]),
+            chosen=names.index(now) if now in names else None,
+            label="Laws ranked by their error at a contraction left out of the fit",
+        )
+        for one in self._ranked:
+            if not one["fitted"]:
+                el.note(f"{one['name']}: {one['problem']}")
+
+    @property
+    def _constants(self) -> dict[str, float]:
+        return dict(self.bench.session.view("Muscle", "constants", {}))
+
+    def _constant(self, name: str, value: float | None) -> None:
+        known = {**self._constants, name: value}
+        kept = {k: v for k, v in known.items() if v is not None}
+        self.bench.session.remember("Muscle", constants=kept)
+
+    async def _rank(self) -> None:
+        with self.bench.shown_errors():
+            item = chosen_item(self.state)
+            self._ranked = await self.bench.work(
+                "Ranking laws",
+                jobs.rank_laws,
+                self.bench.folder,
+                item,
+                self._constants,
+                warm="muscle",
+            )
+            self._show_laws()
+
+    async def _fit_law(self, name: str) -> None:
+        """Fit a law to the chosen data: one step of undo."""
+        with self.bench.shown_errors():
+            item = chosen_item(self.state)
+            kind = law_named(name)
+            fixed = {n: v for n, v in self._constants.items() if n in kind.fixed_coefficients()}
+            found = await self._fitted(item, name, fixed)
+            values = {c["name"]: c["value"] for c in found["coefficients"]}
+            before = self._said or {}
+            length = before.get("rest_length") or found["rest_length"]
+            if found["rest_length"] is not None:
+                length = found["rest_length"]
+            said = {
+                "kind": "fit",
+                "table": item,
+                "law": name,
+                "fixed": fixed,
+                "coefficients": values,
+                "fitted": values,
+                "moved": False,
+                "rest_length": length,
+                "diameter": before.get("diameter"),
+                "pressure_range": found["pressure_range"],
+                "contraction_range": found["contraction_range"],
+                "name": before.get("name", "fitted muscle"),
+                "source": found["source"],
+            }
+            if length is None:
+                raise InputError(
+                    "rest_length is missing: the table holds none; give it in the tab Data"
+                )
+            self._fit, self._fit_of, self._next = found, [item, name, fixed], None
+            self.bench.session.change(f"fit {name}", muscle=said)
+
+    async def _fitted(
+        self, item: Mapping[str, Any], law: str, fixed: Mapping[str, float]
+    ) -> dict[str, Any]:
+        found: dict[str, Any] = await self.bench.work(
+            f"Fitting {law}", jobs.fit_law, self.bench.folder, item, law, fixed, warm="muscle"
+        )
+        return found
+
+    async def _refit(self) -> None:
+        """The figures of a fit that the state tells of: after resuming, or undo."""
+        said = self._said
+        if said is not None:
+            found = await self._fitted(said["table"], said["law"], said["fixed"])
+            if self._fit_of == [said["table"], said["law"], said["fixed"]]:
+                self._fit = found
+                self._show()
+
+    # ---- what is shown --------------------------------------------------------------------------
+    def _show(self) -> None:
+        said = self._said
+        for box in (self._coefficients, self._muscle_box, self._next_box, self._intervals):
+            box.clear()
+        self._sliders.clear()
+        self._report.set_text("")
+        for words in (self._coefficient_words, self._force_words, self._muscle_words):
+            words.set_text("")
+        if self.state["muscle"] is None:
+            with self._coefficients:
+                el.note("No muscle yet: fit a law, or take one of the catalogue.")
+            for plot in (self._force, self._rest, self._surface):
+                plot.draw(look.figure([], height=300))
+            return
+        with self.bench.shown_errors(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            muscle = muscle_of(self.bench.folder, self.state)
+            with self._muscle_box:
+                self._muscle_fields(muscle, said)
+            if said is not None and self._fit is not None:
+                with self._coefficients:
+                    self._coefficient_sliders(said, self._fit)
+                with self._intervals:
+                    _interval_table(self._fit)
+                with self._next_box:
+                    self._design_box()
+                self._report.set_text(self._fit["report"])
+            self._draw(muscle)
+            self._draw_surface(muscle)
+
+    def _muscle_fields(self, muscle: Muscle, said: dict[str, Any] | None) -> None:
+        self._muscle_words.set_text(muscle.law.title)
+        if said is None:
+            el.note(f"{muscle.name}, rest length {1e3 * float(muscle.rest_length):g} mm")
+            el.note(f"Source: {muscle.source}")
+            if muscle.note:
+                el.note(muscle.note)
+        else:
+            el.text_field("Name", said["name"], lambda v: self._change("name", name=v[:80]))
+            el.Field(
+                "Inner diameter at rest",
+                said.get("diameter"),
+                "m",
+                lambda v: self._change("diameter", diameter=v),
+                low=1e-3,
+                high=0.5,
+                optional=True,
+                hint="needed by valves and by what counts air",
+            )
+        with ui.element("div").classes("bench-row"):
+            el.button("Save muscle file", self._save)
+            if said is not None and self._fit is not None and self._fit["workbook"]:
+                el.button("Save workbook", self._save_workbook)
+
+    def _change(self, label: str, **values: Any) -> None:
+        with self.bench.shown_errors():
+            said = self._said
+            if said is not None:
+                self.bench.session.change(label, muscle={**said, **values})
+
+    # ---- sliders --------------------------------------------------------------------------------
+    def _coefficient_sliders(self, said: dict[str, Any], fit: Mapping[str, Any]) -> None:
+        self._coefficient_words.set_text("moved by hand" if said["moved"] else "as fitted")
+        self._now = dict(said["coefficients"])
+        for c in fit["coefficients"]:
+            if c["held"]:
+                el.note(f"{c['name']} = {c['value']:.6g} {c['unit']}, held")
+                continue
+            shown, factor = _shown_unit(c["unit"])
+            fitted = said["fitted"][c["name"]]
+            reach = 6 * c["stderr"] if math.isfinite(c["stderr"]) else 0.0
+            reach = min(max(reach, 0.1 * abs(fitted)), 2 * abs(fitted)) or 1.0
+            value = said["coefficients"][c["name"]]
+            low, high = min(fitted - reach, value), max(fitted + reach, value)
+            name = c["name"]
+            self._sliders[name] = el.Slider(
+                name,
+                value / factor,
+                low / factor,
+                high / factor,
+                shown,
+                partial(self._slide, name, factor),
+                partial(self._settle, name, factor),
+            )
+        if said["moved"]:
+            with ui.element("div").classes("bench-row"):
+                el.button("Back to the fit", self._unmoved)
+
+    def _slide(self, name: str, factor: float, value: float) -> None:
+        """The curves follow; nothing is kept yet. factor : of the unit shown."""
+        self._now[name] = factor * value
+        said, fit = self._said, self._fit
+        if said is None or fit is None:
+            return
+        with self.bench.shown_errors(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            law = law_named(said["law"])(**self._now)
+            muscle = muscle_of(self.bench.folder, self.state)
+            moved = dataclasses.replace(muscle, law=law)
+            curves = [look.numbers(moved.force(p, fit["kappa"])) for p in fit["levels"]]
+            count = len(fit["levels"])
+            self._force.curves(range(count, 2 * count), y=curves)
+            residuals, rmse = _residuals(law, fit)
+            self._rest.curves([0], y=[look.numbers(residuals)])
+            self._force_words.set_text(f"RMSE {rmse:.4g} N (fitted {fit['rmse']:.4g} N)")
+
+    def _settle(self, name: str, factor: float, value: float) -> None:
+        self._now[name] = factor * value
+        self._change(f"{name} by hand", coefficients=dict(self._now), moved=True)
+
+    def _unmoved(self) -> None:
+        said = self._said
+        if said is not None:
+            self._change("back to the fit", coefficients=said["fitted"], moved=False)
+
+    # ---- pictures -------------------------------------------------------------------------------
+    def _draw(self, muscle: Muscle) -> None:
+        said, fit = self._said, self._fit
+        axes = ("contraction [%]", "force [N]")
+        if said is None or fit is None:
+            low, high = muscle.contraction_range
+            kappa = np.linspace(min(low, 0.0), high, jobs.CURVE)
+            top = muscle.pressure_range[1]
+            levels = [top * (i + 1) / jobs.MOST_LEVELS for i in range(jobs.MOST_LEVELS)]
+            data = _curves(muscle, levels, kappa)
+            self._force.draw(look.figure(data, *axes, height=380, keep=muscle.name))
+            self._rest.draw(look.figure([], "force [N]", "residual [N]", height=300))
+            return
+        levels, kappa = fit["levels"], fit["kappa"]
+        data = [
+            look.band(100 * kappa, low, high, look.COLOURS[i % len(look.COLOURS)])
+            for i, (low, high) in enumerate(fit["bands"])
+        ]
+        data += _curves(muscle, levels, kappa)
+        data += _measured(fit)
+        if self._next is not None:
+            more = {"symbol": "star", "size": 11, "line": {"width": 1, "color": "#333333"}}
+            data.append(
+                look.points(
+                    100 * self._next["contraction"],
+                    self._next["force"],
+                    "measure next",
+                    "#e69f00",
+                    marker=more,
+                )
+            )
+        top = max(
+            float(np.max(fit["cells"]["force"])), float(np.max(data[2 * len(levels) - 1]["y"]))
+        )
+        ends = {"range": [-0.04 * top, 1.12 * top]}  # a band may go to any height beyond the cells
+        picture = look.figure(data, *axes, height=420, keep=str(said["law"]), yaxis=ends)
+        self._force.draw(picture)
+        residuals, rmse = _residuals(muscle.law, fit)
+        taut = fit["cells"]["force"] > 0
+        markers = {"size": 6}
+        one = look.points(fit["cells"]["force"][taut], residuals, marker=markers)
+        self._rest.draw(look.figure([one], "measured force [N]", "residual [N]", height=300))
+        words = f"RMSE {rmse:.4g} N over {fit['n']} taut cells, R² {fit['r2']:.5f}"
+        if said["moved"]:
+            words = f"RMSE {rmse:.4g} N (fitted {fit['rmse']:.4g} N)"
+        self._force_words.set_text(words)
+
+    def _draw_surface(self, muscle: Muscle) -> None:
+        low, high = muscle.contraction_range
+        p = np.linspace(0.0, muscle.pressure_range[1], SIZE)
+        kappa = np.linspace(min(low, 0.0), high, SIZE)
+        force = np.asarray(muscle.force(p[:, None], kappa[None, :]), float)
+        data: list[dict[str, Any]] = [
+            {
+                "type": "surface",
+                "x": look.numbers(100 * kappa),
+                "y": look.numbers(p / 1e5),
+                "z": look.numbers(force),
+                "colorscale": look.SCALE,
+                "showscale": False,
+                "opacity": 0.92,
+                "hovertemplate": "%{z:.4g} N at %{x:.3g} %, %{y:.3g} bar<extra></extra>",
+            }
+        ]
+        if self._said is not None and self._fit is not None:
+            cells = self._fit["cells"]
+            data.append(
+                {
+                    "type": "scatter3d",
+                    "mode": "markers",
+                    "x": look.numbers(100 * cells["contraction"]),
+                    "y": look.numbers(cells["pressure"] / 1e5),
+                    "z": look.numbers(cells["force"]),
+                    "marker": {"size": 2.5, "color": look.COLOURS[1]},
+                    "showlegend": False,
+                }
+            )
+        axis = {"gridcolor": look.GRID, "color": look.FAINT, "backgroundcolor": "rgba(0,0,0,0)"}
+        scene = {
+            "xaxis": {**axis, "title": {"text": "contraction [%]"}},
+            "yaxis": {**axis, "title": {"text": "pressure [bar]"}},
+            "zaxis": {**axis, "title": {"text": "force [N]"}},
+            "camera": {"eye": {"x": 1.5, "y": 1.5, "z": 0.8}},
+        }
+        margin = {"l": 0, "r": 0, "t": 0, "b": 0}
+        self._surface.draw(look.figure(data, height=300, scene=scene, margin=margin))
+
+    # ---- what to measure next -------------------------------------------------------------------
+    def _design_box(self) -> None:
+        count = self.bench.session.view("Muscle", "count", 6)
+        criterion = self.bench.session.view("Muscle", "criterion", "D")
+        remember = self.bench.session.remember
+        el.Field(
+            "Further cells",
+            count,
+            "1",
+            lambda v: remember("Muscle", count=round(v)),
+            low=1,
+            high=50,
+            shown="1",
+        )
+        el.choice("Shrink", CRITERIA, criterion, lambda v: remember("Muscle", criterion=v))
+        with ui.element("div").classes("bench-row"):
+            el.button("Propose", self._design)
+        found = self._next
+        if found is None:
+            return
+        lengths = found["length"]
+        rows = [
+            (
+                float(p / 1e5),
+                float(100 * k),
+                *([float(1e3 * lengths[i])] if lengths is not None else []),
+                float(f),
+            )
+            for i, (p, k, f) in enumerate(
+                zip(found["pressure"], found["contraction"], found["force"], strict=True)
+            )
+        ]
+        heads = ["p [bar]", "κ [%]", *(["l [mm]"] if lengths is not None else []), "F expected [N]"]
+        el.table(heads, rows, label="Cells to measure next")
+        ratios = ", ".join(
+            f"{n} ×{found['after'][n] / found['before'][n]:.2f}" for n in found["after"]
+        )
+        el.note(f"Standard errors then: {ratios}")
+
+    async def _design(self) -> None:
+        with self.bench.shown_errors():
+            said = self._said
+            if said is None:
+                return
+            count = int(self.bench.session.view("Muscle", "count", 6))
+            criterion = self.bench.session.view("Muscle", "criterion", "D")
+            self._next = await self.bench.work(
+                "What to measure next",
+                jobs.design,
+                self.bench.folder,
+                said["table"],
+                said["law"],
+                said["fixed"],
+                count,
+                criterion,
+                warm="muscle",
+            )
+            self._show()
+
+    # ---- other muscles, and out of it -----------------------------------------------------------
+    def _others(self) -> None:
+        self._length: float | None = None
+        names = {"": "choose ..."} | {n: _short(catalogue_summary(n)) for n in muscle_names()}
+        el.choice("Catalogue", names, "", self._catalogued)
+        el.Field(
+            "Rest length",
+            None,
+            "m",
+            lambda v: setattr(self, "_length", v),
+            low=1e-3,
+            high=10.0,
+            optional=True,
+            hint="where the catalogue holds none, or of another one",
+        )
+        ui.upload(
+            label="Muscle file (.toml, .json)",
+            auto_upload=True,
+            max_file_size=MOST_FILE,
+            on_upload=self._dropped,
+        ).props("flat bordered accept='.toml,.json'")
+
+    def _catalogued(self, name: str) -> None:
+        with self.bench.shown_errors():
+            if name:
+                said = {"kind": "catalogue", "name": name, "rest_length": self._length}
+                muscle_of(self.bench.folder, {"muscle": said})
+                self.bench.session.change(f"muscle {name}", muscle=said)
+
+    async def _dropped(self, event: events.UploadEventArguments) -> None:
+        with self.bench.shown_errors():
+            file = self.bench.session.store(event.file.name, await event.file.read())
+            name = await self.bench.work(
+                "Reading the muscle file",
+                jobs.read_muscle,
+                self.bench.folder,
+                file,
+                time_limit=30.0,
+            )
+            said = {"kind": "file", "file": file, "name": name}
+            self.bench.session.change(f"muscle {name}", muscle=said)
+
+    async def _save(self) -> None:
+        with self.bench.shown_errors():
+            content = await self.bench.work(
+                "Saving", jobs.muscle_file, self.bench.folder, self.state, time_limit=30.0
+            )
+            el.download(content, "muscle.toml")
+
+    async def _save_workbook(self) -> None:
+        with self.bench.shown_errors():
+            said = self._said
+            if said is not None:
+                content = await self.bench.work(
+                    "Writing the workbook",
+                    jobs.workbook,
+                    self.bench.folder,
+                    said["table"],
+                    said["law"],
+                    said["fixed"],
+                    warm="muscle",
+                )
+                el.download(content, "fit.xlsx")
+
+
+def _same(table: Mapping[str, Any], item: Mapping[str, Any]) -> bool:
+    keys = ("bundled", "file", "said", "off")
+    return all(table.get(k) == item.get(k) for k in keys)
+
+
+def _shown_unit(unit: str) -> tuple[str, float]:
+    """The unit in which a coefficient is shown (bar for Pa), and its factor to SI."""
+    shown = unit.replace("Pa", "bar")
+    return ("" if shown == "1" else shown), unit_of(shown).factor
+
+
+def _short(words: str) -> str:
+    return " ".join(words.split())[:70]
+
+
+def _curves(muscle: Muscle, levels: Sequence[float], kappa: Any) -> list[dict[str, Any]]:
+    return [
+        look.line(
+            100 * kappa,
+            muscle.force(p, kappa),
+            f"{p / 1e5:.3g} bar",
+            look.COLOURS[i % len(look.COLOURS)],
+        )
+        for i, p in enumerate(levels)
+    ]
+
+
+def _measured(fit: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Measured cells in the colour of their pressure's curve; pale where none is drawn."""
+    cells, levels = fit["cells"], np.array(fit["levels"])
+    p = np.asarray(cells["pressure"], float)
+    nearest = np.argmin(np.abs(p[:, None] - levels[None, :]), axis=1)
+    near = np.abs(p - levels[nearest]) <= 0.03 * levels[nearest]
+    taut = np.asarray(cells["force"], float) > 0
+    made = []
+    groups = [(near & taut & (nearest == i), i) for i in range(len(levels))]
+    for chosen, i in [(~near & taut, -1), *groups]:
+        colour = look.FAINT if i < 0 else look.COLOURS[i % len(look.COLOURS)]
+        symbol = "circle-open" if i < 0 else look.SYMBOLS[i % len(look.SYMBOLS)]
+        made.append(
+            look.points(
+                100 * cells["contraction"][chosen],
+                cells["force"][chosen],
+                "",
+                colour,
+                marker={"symbol": symbol, "size": 5 if i < 0 else 7},
+                customdata=look.numbers(p[chosen] / 1e5),
+                hovertemplate="%{y:.4g} N at %{x:.3g} %, %{customdata:.3g} bar<extra></extra>",
+            )
+        )
+    return made
+
+
+def _residuals(law: ForceLaw, fit: Mapping[str, Any]) -> tuple[Any, float]:
+    """Measured minus tension of the taut cells [N], and their RMSE."""
+    cells = fit["cells"]
+    taut = cells["force"] > 0
+    tension = law.tension(cells["pressure"][taut], cells["contraction"][taut])
+    residuals = cells["force"][taut] - np.asarray(tension, float)
+    return residuals, float(np.sqrt(np.mean(residuals**2)))
+
+
+def _interval_table(fit: Mapping[str, Any]) -> None:
+    rows = []
+    for c in fit["coefficients"]:
+        shown, factor = _shown_unit(c["unit"])
+        ends = [f"{c[k] / factor:.5g}" if math.isfinite(c[k]) else "open" for k in ("low", "high")]
+        value, error = f"{c['value'] / factor:.6g}", f"{c['stderr'] / factor:.3g}"
+        if c["held"]:
+            ends, error = ["", ""], "held"
+        rows.append((c["name"], value, error, *ends, shown))
+    el.table(["", "value", "std. error", "from", "to", "unit"], rows, label="Intervals")
+    for words in fit["warnings"]:
+        el.note(words, "bench-bad")

@@ -1,0 +1,154 @@
+"""PID on a position about a point of rest: the plain loop that most rigs begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError, require_finite, require_positive
+from ..operating.linear import OperatingPoint, inside, linearize, no_influence
+from ..plants.plant import Plant, Values
+from .controller import Measured
+from .pid import PID
+from .references import Source
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["PointPid"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass
+class PointPid:
+    """u = u0 + weight (P e + I + D), e = wanted - position: a Controller for :func:`closed_loop`.
+
+    plant : the model. at : the point of rest (an OperatingPoint, or conditions of one), at whose
+        position the loop holds until it is told another (``reference`` of ``closed_loop``).
+    proportional, integral, derivative : gains [unit of the inputs per unit of position, per s,
+        times s]; of a plant fed by valves, whose openings are the inputs, per opening.
+    weights : {input: how it takes part}; by default 1 or -1 for each, as it moves the position.
+    filter_time : of the derivative [s]. sample_time : of the loop [s].
+
+    ``loop`` is python-control's L(s), broken at the error, ``poles`` are those of the closed loop
+    (continuous, linear). Raises InputError where no input moves the position.
+    """
+
+    plant: Plant
+    at: OperatingPoint | Values
+    proportional: float
+    integral: float = 0.0
+    derivative: float = 0.0
+    weights: Mapping[str, float] | None = None
+    filter_time: float = 5e-3
+    sample_time: float = 1e-3
+    goal: Source | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("proportional", "integral", "derivative"):
+            require_finite(f"PointPid.{name}", getattr(self, name))
+        require_positive("PointPid.filter_time", self.filter_time, "s")
+        require_positive("PointPid.sample_time", self.sample_time, "s")
+        if len(self.plant.positions) != 1:
+            raise InputError(
+                f"PointPid needs a plant with one position; {self.plant.name!r} has "
+                f"{', '.join(self.plant.positions) or 'none'}"
+            )
+        self.position = next(iter(self.plant.positions))
+        self._inversion, self.point = inside(self.plant, self.at)
+        inner = self.point.plant
+        inputs = [v.name for v in inner.inputs if not v.disturbance]
+        self.system = linearize(inner, self.point, inputs=inputs, outputs=[self.position])
+        no_influence("PointPid", inner, np.asarray(self.system.B), inputs)
+        self._weights = self._signs(inputs) if self.weights is None else dict(self.weights)
+        unknown = [n for n in self._weights if n not in inputs]
+        if unknown:
+            raise InputError(f"PointPid.weights: {unknown[0]} is none of {', '.join(inputs)}")
+        self._limits = {n: (inner.variable(n).min, inner.variable(n).max) for n in self._weights}
+        self._pid = PID(self.proportional, self.integral, self.derivative, self.filter_time)
+        self._saturated = False
+
+    def _signs(self, inputs: list[str]) -> dict[str, float]:
+        """Which way each input first moves the position: of the first Markov parameter there is."""
+        a, b, c = (np.asarray(getattr(self.system, n)) for n in ("A", "B", "C"))
+        size = np.abs(c @ b).max()
+        for _ in range(len(a)):
+            if size > 0:
+                break
+            b = a @ b
+            size = np.abs(c @ b).max()
+        moved = (c @ b).ravel()
+        return {n: float(np.sign(v)) for n, v in zip(inputs, moved, strict=True) if v}
+
+    # ---- the loop --------------------------------------------------------------------------------
+    @cached_property
+    def loop(self) -> control.StateSpace:
+        """L(s) from the error to the position, the derivative filtered."""
+        import control
+
+        column = np.zeros((self.system.ninputs, 1))
+        labels = list(self.system.input_labels)
+        for name, weight in self._weights.items():
+            column[labels.index(name.replace(".", "_"))] = weight
+        single = control.ss(
+            self.system.A, np.asarray(self.system.B) @ column, self.system.C, np.zeros((1, 1))
+        )
+        t, p, i, d = self.filter_time, self.proportional, self.integral, self.derivative
+        # P + I/s + D s/(t s + 1), the integral and the filtered error as states
+        made = control.ss(
+            np.array([[0.0, 0.0], [0.0, -1 / t]]),
+            np.array([[1.0], [1.0]]),
+            np.array([[i, -d / t**2]]),
+            np.array([[p + d / t]]),
+        )
+        if not i:
+            made = control.ss([[-1 / t]], [[1.0]], [[-d / t**2]], [[p + d / t]])
+        return control.series(made, single)
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Of the closed loop [1/s], sorted by falling real part."""
+        a, b, c = (np.asarray(getattr(self.loop, n)) for n in ("A", "B", "C"))
+        found = np.linalg.eigvals(a - b @ c)
+        return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
+
+    # ---- a Controller ----------------------------------------------------------------------------
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self._pid.reset()
+        self._saturated = False
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """The position to be reached at a time [s]."""
+        return {self.position: self.point[self.position] if self.goal is None else self.goal(t)}
+
+    def tracking(
+        self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
+    ) -> PointPid:
+        """The Controller that takes the position to ``reference``; see :class:`Tracking`."""
+        for name in reference:
+            if name != self.position:
+                raise InputError(f"reference: {name} is not followed, only {self.position}")
+        return replace(self, at=self.point, plant=self.plant, goal=reference.get(self.position))
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        error = self.wanted(t)[self.position] - measured[self.position]
+        output = self._pid(error, self.sample_time, self._saturated)
+        asked = {n: self.point[n] + w * output for n, w in self._weights.items()}
+        held = {n: float(np.clip(u, *self._limits[n])) for n, u in asked.items()}
+        self._saturated = all(held[n] != asked[n] for n in asked)
+        if not self._inversion:
+            return held
+        rest = {
+            v.name: self.point[v.name]
+            for v in self.point.plant.inputs
+            if not v.disturbance and v.name not in held
+        }
+        return self._inversion.commands({**rest, **held})

@@ -1,0 +1,91 @@
+"""The whole chain once in a real browser: from a dropped CSV to a checked FMU and a script that
+gives the same figures.
+"""
+
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from browser_tools import ROOT
+from test_page_motion import tab
+
+import pam_ocp as pam
+
+
+def rig_file(folder):
+    """A rig's table: kPa, mm and N, some noise."""
+    rng = np.random.default_rng()
+    law = pam.muscle("DMSP-20-300").law
+    rows = ["p [kPa],length [mm],force [N]"]
+    for p in range(0, 601, 100):
+        for length in (300, 292, 283, 272, 260, 246, 230):
+            tension = float(law.tension(1e3 * p, (300 - length) / 300)) + rng.normal(0, 2)
+            rows.append(f"{p},{length},{max(tension, 0.0):.3f}")
+    path = folder / "rig.csv"
+    path.write_text("\n".join(rows) + "\n", "utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_from_a_dropped_file_to_a_checked_fmu_and_a_script_with_the_same_figures(
+    hand, server, tmp_path
+):
+    hand.drop(rig_file(tmp_path))
+    hand.type("Rest length", "300")
+    hand.sees("ForceTable(49 cells")
+    tab(hand, "Muscle")
+    hand.press("Fit")
+    hand.sees("taut cells")
+    tab(hand, "Plant")
+    hand.choose("Arrangement", "AntagonisticSlide")
+    hand.sees("muscle2.rest_length")
+    hand.type("mass", "3 kg")
+    hand.until(lambda: server.state(hand.session)["plant"].get("mass") == 3.0)
+    tab(hand, "Motion")
+    hand.press("New motion")
+    hand.until(lambda: [e for e in hand.shown(".bench-verdict") if "verified" in e.text], "a plan")
+    tab(hand, "Control")
+    hand.press("Mid stroke")
+    hand.press("New LQR")
+    hand.sees("phase margin")
+    hand.sees("closed loop over 1 s")
+    tab(hand, "Export")
+    hand.press("Export FMU and check it")
+    hand.sees("checked: all well")
+    hand.press("Run it and compare")
+    hand.sees("The script gives all")
+    shown = {
+        r.text.split()[0]: float(r.text.split()[1])
+        for r in hand.shown('table[aria-label^="Figures, page"] tbody tr')
+    }
+    assert len(shown) > 20
+
+    # the script by itself, where nothing of the page is
+    script = hand.driver.execute_script(
+        "return document.querySelector('[aria-label=\"the script\"]').textContent"
+    )
+    alone = tmp_path / "alone"
+    (alone / "files").mkdir(parents=True)
+    for file in (server.folder / hand.session / "files").iterdir():
+        (alone / "files" / file.name).write_bytes(file.read_bytes())
+    (alone / "session.py").write_text(script, "utf-8")
+    ran = subprocess.run(
+        [sys.executable, "session.py"],
+        cwd=alone,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    said = {n: float(v) for n, v in re.findall(r"^figure (\S+) = (\S+)$", ran.stdout, re.MULTILINE)}
+    assert set(said) == set(shown)
+    for name, value in shown.items():  # twelve digits are shown
+        assert said[name] == pytest.approx(value, rel=1e-9, abs=1e-12), name
+    state = server.state(hand.session)
+    for name, value in state["muscle"]["coefficients"].items():
+        assert said[f"fit.{name}"] == pytest.approx(value, rel=1e-9)
+    kept = state["views"]["figures"]["motions1"]["values"]
+    assert said["motions1.duration"] == pytest.approx(kept["duration"], rel=1e-9)
+    assert (alone / "exports1.fmu").exists()
