@@ -309,6 +309,8 @@ class Planner:
         best = refinement.best.explained(tolerance or TOLERANCE)
         if any(first is each for each in climb.rungs[1:]):
             first, meshes = base, [base.program.mesh, *meshes]
+        if resolvable(program) and meshes[0] != program.mesh:  # kinks were approached on finer ones
+            meshes = [program.mesh, *meshes]
         result = assembled(best.found, figures, best, tuple(meshes), first, tolerance)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
