@@ -26,6 +26,7 @@ from .core.plausible import UnitWarning as UnitWarning
 from .core.trajectory import Comparison as Comparison
 from .core.trajectory import Trajectory as Trajectory
 from .core.variables import Variable as Variable
+from .export.c_code.package import export_c as export_c
 from .export.check import check_fmu as check_fmu
 from .export.motion import export_motion as export_motion
 from .export.package import export_fmu as export_fmu

@@ -17,13 +17,22 @@ from typing import TYPE_CHECKING
 from .core.lazy import lazily
 
 if TYPE_CHECKING:
+    from .control.blocks.making import block as block
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
+    from .export.ssv import save_ssv as save_ssv
+    from .export.ssv import write_muscle_ssv as write_muscle_ssv
     from .figures.html import html_of as html_of
     from .figures.loop import plot_closed_loop as plot_closed_loop
     from .figures.plan import plot_pareto as plot_pareto
     from .figures.plan import plot_plan as plot_plan
     from .figures.plan import plot_robust as plot_robust
+    from .figures.surface import plot_fit_surface as plot_fit_surface
+    from .figures.surface import plot_surface as plot_surface
+    from .figures.tables import frame_of as frame_of
+    from .figures.tables import plot_table as plot_table
+    from .figures.tables import report_of as report_of
+    from .figures.tables import save_result as save_result
     from .figures.trajectory import plot_fit as plot_fit
     from .figures.trajectory import plot_muscle as plot_muscle
     from .figures.trajectory import plot_record as plot_record
@@ -37,6 +46,12 @@ if TYPE_CHECKING:
     from .figures.vibration import plot_multipliers as plot_multipliers
     from .figures.vibration import plot_phase as plot_phase
     from .figures.vibration import plot_stability as plot_stability
+    from .figures.vibration_maps import plot_amplitude_map as plot_amplitude_map
+    from .figures.vibration_maps import plot_hopf_map as plot_hopf_map
+    from .figures.workbook.fit_book import write_fit_book as write_fit_book
+    from .figures.workbook.motion_book import write_motion_book as write_motion_book
+    from .figures.workbook.motion_book import write_plan_book as write_plan_book
+    from .figures.workbook.motion_book import write_plant_fit_book as write_plant_fit_book
     from .fitting.dynamic.coverage import coverage as coverage
     from .fitting.dynamic.outcome import validate as validate
     from .fitting.dynamic.plant_report import plant_report as plant_report
@@ -50,13 +65,21 @@ if TYPE_CHECKING:
     from .planning.saved_plan import save_plan as save_plan
 
 _HOMES: dict[str, str] = {
+    "block": "control.blocks.making",
     "closed_loop": "control.loop",
     "coverage": "fitting.dynamic.coverage",
     "equilibrium": "operating.resting_point",
     "force_report": "fitting.static.report",
+    "plot_fit_surface": "figures.surface",
+    "plot_surface": "figures.surface",
+    "frame_of": "figures.tables",
+    "plot_table": "figures.tables",
+    "report_of": "figures.tables",
+    "save_result": "figures.tables",
     "html_of": "figures.html",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",
+    "plot_amplitude_map": "figures.vibration_maps",
     "plot_backbone": "figures.vibration",
     "plot_border": "figures.vibration",
     "plot_branch": "figures.vibration",
@@ -64,6 +87,7 @@ _HOMES: dict[str, str] = {
     "plot_energy": "figures.vibration",
     "plot_envelope": "figures.vibration",
     "plot_fit": "figures.trajectory",
+    "plot_hopf_map": "figures.vibration_maps",
     "plot_multipliers": "figures.vibration",
     "plot_muscle": "figures.trajectory",
     "plot_pareto": "figures.plan",
@@ -76,7 +100,13 @@ _HOMES: dict[str, str] = {
     "plot_trajectory": "figures.trajectory",
     "read_fit": "fitting.static.saved_force",
     "save_plan": "planning.saved_plan",
+    "save_ssv": "export.ssv",
     "validate": "fitting.dynamic.outcome",
+    "write_fit_book": "figures.workbook.fit_book",
+    "write_motion_book": "figures.workbook.motion_book",
+    "write_plan_book": "figures.workbook.motion_book",
+    "write_plant_fit_book": "figures.workbook.motion_book",
+    "write_muscle_ssv": "export.ssv",
     "write_fit": "fitting.static.saved_force",
     "write_plant_fit": "fitting.dynamic.saved_plant",
 }

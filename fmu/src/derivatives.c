@@ -94,26 +94,7 @@ static Status adjoint_derivative(Instance *s, const char *function, const unsign
     return OK;
 }
 
-/* ---- derivatives with respect to time, Co-Simulation ---- */
-
-static Status set_input_slopes(Instance *s, const char *function, const unsigned *vr, size_t n,
-                               const int *order, const double *values) {
-    if (check_kind(s, function, CO_SIMULATION, INSTANTIATED | INITIALIZATION | STEP) != OK)
-        return ERROR;
-    if (n > 0 && (vr == NULL || order == NULL || values == NULL))
-        return report(s, ERROR, function, "an array is missing");
-    for (size_t i = 0; i < n; i++) {
-        if (vr[i] < VR_U || vr[i] >= VR_P)
-            return report(s, ERROR, function, "value reference %u is no input", vr[i]);
-        if (order[i] != 1)
-            return report(s, ERROR, function, "derivatives of order %d: only order 1 is used",
-                          order[i]);
-        if (!isfinite(values[i]))
-            return report(s, ERROR, function, "the derivative of %s is not finite", NAMES[vr[i]]);
-    }
-    for (size_t i = 0; i < n; i++) s->memory.slope[vr[i] - VR_U] = values[i];
-    return OK;
-}
+/* ---- derivatives of outputs with respect to time, Co-Simulation ---- */
 
 static Status get_output_slopes(Instance *s, const char *function, const unsigned *vr, size_t n,
                                 const int *order, double *values, size_t n_values) {

@@ -119,9 +119,11 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
 fmi2Status fmi2EnterEventMode(fmi2Component c) { return CALL0(enter_event_mode); }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *eventInfo) {
-    fmi2Status status = CALL0(update_discrete_states);
+    int changed;
+    fmi2Status status = CALL(update_discrete_states, &changed);
     if (status != fmi2OK || eventInfo == NULL) return status;
     *eventInfo = (fmi2EventInfo){0};
+    eventInfo->valuesOfContinuousStatesChanged = changed;
     double next = next_event(c);
     if (isfinite(next)) eventInfo->nextEventTimeDefined = fmi2True, eventInfo->nextEventTime = next;
     return status;

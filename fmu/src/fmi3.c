@@ -50,12 +50,12 @@ fmi3Instance fmi3InstantiateCoSimulation(
     size_t nRequiredIntermediateVariables, fmi3InstanceEnvironment instanceEnvironment,
     fmi3LogMessageCallback logMessage, fmi3IntermediateUpdateCallback intermediateUpdate) {
     (void)resourcePath, (void)visible, (void)loggingOn; /* see instance_new */
-    (void)eventModeUsed;                                /* without events no event mode */
     (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables; /* all can be read */
     Instance *s = instance_new(CO_SIMULATION, instanceName, instantiationToken, log_fmi3,
                                (void (*)(void))logMessage, instanceEnvironment);
     if (s == NULL) return NULL;
     s->early_return_allowed = earlyReturnAllowed;
+    s->event_mode_used = eventModeUsed;
     s->step_callback = (void (*)(void))intermediateUpdate;
     s->after_step = intermediateUpdate != NULL ? update_fmi3 : NULL;
     return s;
@@ -106,6 +106,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
 }
 
 #define NOTHING_OF(type) "this FMU has no variables of type " type
+#define CLOCK_AS_IT_IS "a clock of this FMU has a constant interval, given as a decimal number"
 
 #define NO_VARIABLES(Type)                                                                         \
     fmi3Status fmi3Get##Type(fmi3Instance instance, const fmi3ValueReference valueReferences[],    \
@@ -148,14 +149,12 @@ fmi3Status fmi3SetBinary(fmi3Instance instance, const fmi3ValueReference valueRe
 
 fmi3Status fmi3GetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                         size_t nValueReferences, fmi3Clock values[]) {
-    (void)valueReferences, (void)values;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(get_clock, valueReferences, nValueReferences, values);
 }
 
 fmi3Status fmi3SetClock(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                         size_t nValueReferences, const fmi3Clock values[]) {
-    (void)valueReferences, (void)values;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(set_clock, valueReferences, nValueReferences, values);
 }
 
 #define NO_DEPENDENCIES "dependencies of single elements are not offered; see ModelStructure"
@@ -221,7 +220,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte seriali
     return CALL(deserialize, serializedState, size, (SavedState **)FMUState);
 }
 
-/* ---- configuration and clocks: there are none ---- */
+/* ---- configuration: there is none; clocks: that of a sampled block, with a constant interval ---- */
 
 fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
     return CALL(refuse, 1, "this FMU has no structural parameters");
@@ -234,8 +233,10 @@ fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
 fmi3Status fmi3GetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                                   size_t nValueReferences, fmi3Float64 intervals[],
                                   fmi3IntervalQualifier qualifiers[]) {
-    (void)valueReferences, (void)intervals, (void)qualifiers;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    fmi3Status status = CALL(get_clock_times, valueReferences, nValueReferences, 0, intervals);
+    for (size_t i = 0; status == fmi3OK && qualifiers != NULL && i < nValueReferences; i++)
+        qualifiers[i] = fmi3IntervalUnchanged;
+    return status;
 }
 
 fmi3Status fmi3GetIntervalFraction(fmi3Instance instance,
@@ -243,26 +244,25 @@ fmi3Status fmi3GetIntervalFraction(fmi3Instance instance,
                                    size_t nValueReferences, fmi3UInt64 counters[],
                                    fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]) {
     (void)valueReferences, (void)counters, (void)resolutions, (void)qualifiers;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(refuse, nValueReferences, CLOCK_AS_IT_IS);
 }
 
 fmi3Status fmi3GetShiftDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                                size_t nValueReferences, fmi3Float64 shifts[]) {
-    (void)valueReferences, (void)shifts;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(get_clock_times, valueReferences, nValueReferences, 1, shifts);
 }
 
 fmi3Status fmi3GetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                                 size_t nValueReferences, fmi3UInt64 counters[],
                                 fmi3UInt64 resolutions[]) {
     (void)valueReferences, (void)counters, (void)resolutions;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(refuse, nValueReferences, CLOCK_AS_IT_IS);
 }
 
 fmi3Status fmi3SetIntervalDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                                   size_t nValueReferences, const fmi3Float64 intervals[]) {
     (void)valueReferences, (void)intervals;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(refuse, nValueReferences, CLOCK_AS_IT_IS);
 }
 
 fmi3Status fmi3SetIntervalFraction(fmi3Instance instance,
@@ -270,24 +270,25 @@ fmi3Status fmi3SetIntervalFraction(fmi3Instance instance,
                                    size_t nValueReferences, const fmi3UInt64 counters[],
                                    const fmi3UInt64 resolutions[]) {
     (void)valueReferences, (void)counters, (void)resolutions;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(refuse, nValueReferences, CLOCK_AS_IT_IS);
 }
 
 fmi3Status fmi3SetShiftDecimal(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                                size_t nValueReferences, const fmi3Float64 shifts[]) {
     (void)valueReferences, (void)shifts;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(refuse, nValueReferences, CLOCK_AS_IT_IS);
 }
 
 fmi3Status fmi3SetShiftFraction(fmi3Instance instance, const fmi3ValueReference valueReferences[],
                                 size_t nValueReferences, const fmi3UInt64 counters[],
                                 const fmi3UInt64 resolutions[]) {
     (void)valueReferences, (void)counters, (void)resolutions;
-    return CALL(refuse, nValueReferences, NOTHING_OF("Clock"));
+    return CALL(refuse, nValueReferences, CLOCK_AS_IT_IS);
 }
 
+/* Outputs are those of the present inputs anyhow. */
 fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
-    return CALL0(update_discrete_states);
+    return CALL(check_events, EVENT);
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
@@ -300,7 +301,9 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discrete
                               nextEventTimeDefined};
     for (size_t i = 0; i < sizeof answers / sizeof answers[0]; i++)
         if (answers[i] != NULL) *answers[i] = fmi3False;
-    fmi3Status status = CALL0(update_discrete_states);
+    int changed;
+    fmi3Status status = CALL(update_discrete_states, &changed);
+    if (valuesOfContinuousStatesChanged != NULL) *valuesOfContinuousStatesChanged = changed != 0;
     if (status != fmi3OK || nextEventTime == NULL) return status;
     double next = next_event(instance);
     if (nextEventTimeDefined != NULL) *nextEventTimeDefined = isfinite(next) != 0;
@@ -363,7 +366,7 @@ fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nConti
 /* ---- Co-Simulation ---- */
 
 fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
-    return CALL(refuse, 1, "this FMU has no event mode in Co-Simulation");
+    return CALL0(enter_step_mode);
 }
 
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance,

@@ -4,6 +4,7 @@
 #include "model.c"
 #include "instance.c"
 #include "values.c"
+#include "evaluate.c"
 #include "derivatives.c"
 #include "step.c"
 #include "state.c"

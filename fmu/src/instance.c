@@ -126,7 +126,12 @@ static void set_start_values(Instance *s) {
     for (int i = 0; i < NX; i++) m->x[i] = X_START[i];
     for (int i = 0; i < NU; i++) m->u[i] = U_START[i];
     for (int i = 0; i < NP; i++) m->p[i] = P_START[i];
+#ifdef MODEL_SAMPLED
+    for (int i = 0; i < NM; i++) m->samples.memory[i] = M_START[i];
+    for (int i = 0; i < NY; i++) m->samples.held[i] = Y_START[i];
+#endif
     memset(s->warned, 0, sizeof s->warned);
+    s->jumped = 0;
     invalidate(s);
 }
 
@@ -149,6 +154,13 @@ static Instance *instance_new(Kind kind, const char *name, const char *token, Lo
         free(s);
         return NULL;
     }
+#ifdef MODEL_SAMPLED
+    if (kind == MODEL_EXCHANGE) {
+        report(s, ERROR, "instantiate", "a sampled block runs in Co-Simulation only");
+        free(s);
+        return NULL;
+    }
+#endif
     return s;
 }
 
@@ -184,29 +196,40 @@ static Status enter_initialization(Instance *s, const char *function) {
 
 static Status exit_initialization(Instance *s, const char *function) {
     if (check_mode(s, function, INITIALIZATION) != OK) return ERROR;
-    s->memory.mode = s->memory.kind == CO_SIMULATION ? STEP : EVENT;
+    start_model(s);
+    s->memory.mode = s->memory.kind == CO_SIMULATION && !s->event_mode_used ? STEP : EVENT;
     return OK;
 }
 
+/* Events: of Model Exchange, and of Co-Simulation when the importer said so at instantiation. */
+static Status check_events(const Instance *s, const char *function, int modes) {
+    if (s == NULL) return ERROR;
+    if (s->memory.kind == CO_SIMULATION && !s->event_mode_used)
+        return report(s, ERROR, function, "not allowed in Co-Simulation without event mode");
+    return check_mode(s, function, modes);
+}
+
 static Status enter_event_mode(Instance *s, const char *function) {
-    if (check_kind(s, function, MODEL_EXCHANGE, EVENT | CONTINUOUS) != OK) return ERROR;
+    if (check_events(s, function, EVENT | CONTINUOUS | STEP) != OK) return ERROR;
     s->memory.mode = EVENT;
     return OK;
 }
 
-/* When the next event comes that is known beforehand; infinite when there is none. */
-static double next_event(const Instance *s) {
-#ifdef MODEL_JUMPS
-    return s->memory.time + model_time_to_jump(s->memory.x);
-#else
-    (void)s;
-    return INFINITY;
-#endif
+/* *changed: whether the importer's solver should start anew. No state jumps, but derivatives do where
+   an input does, and some solvers restart for nothing less. */
+static Status update_discrete_states(Instance *s, const char *function, int *changed) {
+    *changed = 0;
+    if (check_events(s, function, EVENT) != OK) return ERROR;
+    *changed = s->jumped && s->memory.kind == MODEL_EXCHANGE;
+    s->jumped = 0;
+    return update_model(s, function);
 }
 
-/* A smooth plant has no discrete states: nothing changes at an event but inputs and parameters. */
-static Status update_discrete_states(Instance *s, const char *function) {
-    return check_kind(s, function, MODEL_EXCHANGE, EVENT);
+static Status enter_step_mode(Instance *s, const char *function) {
+    if (check_kind(s, function, CO_SIMULATION, ANY_MODE) != OK) return ERROR;
+    if (check_events(s, function, EVENT) != OK) return ERROR;
+    s->memory.mode = STEP;
+    return OK;
 }
 
 static Status enter_continuous_time(Instance *s, const char *function) {
@@ -228,5 +251,26 @@ static Status terminate(Instance *s, const char *function) {
 static Status reset(Instance *s, const char *function) {
     if (check_mode(s, function, ANY_MODE) != OK) return ERROR;
     set_start_values(s);
+    return OK;
+}
+
+/* ---- communication points ---- */
+
+static Status check_step(const Instance *s, const char *function, double point, double size) {
+    const Memory *m = &s->memory;
+    if (!isfinite(point) || !isfinite(size) || !(size > 0.0))
+        return report(s, ERROR, function, "communication point %g, step %g: the step must be > 0",
+                      point, size);
+    if (!(point + size > point) || !isfinite(point + size))
+        return report(s, ERROR, function, "a step of %g is lost in rounding at time %.12g", size,
+                      point);
+    /* the importer's sum of steps drifts from ours; only a real gap is an error */
+    double slack = 1e-3 * size + 1e-9 * (1.0 + fabs(m->time));
+    if (fabs(point - m->time) > slack)
+        return report(s, ERROR, function, "communication point %.12g, but the instance stands at %.12g",
+                      point, m->time);
+    if (point + size > m->stop_time + slack)
+        return report(s, ERROR, function, "the step to %.12g passes the stop time %.12g",
+                      point + size, m->stop_time);
     return OK;
 }

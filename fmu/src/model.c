@@ -1,24 +1,7 @@
-/* Calls of the functions that CasADi generated; plant.c gives their definitions. Its exponentials
-   are not those of the C library, so that every platform gives the same bits. */
+/* Calls of the functions that CasADi generated for a plant. */
 #include "model.h"
 
-#define CASADI_SYMBOL_EXPORT static
-#if defined(__GNUC__)
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wunused-function"
-#pragma GCC diagnostic ignored "-Wunused-parameter"
-#endif
-#include "elementary.h"
-#define exp portable_exp
-#define expm1 portable_expm1
-#define tanh portable_tanh
-#include "plant.c"
-#undef exp
-#undef expm1
-#undef tanh
-#if defined(__GNUC__)
-#pragma GCC diagnostic pop
-#endif
+#include "generated.c"
 
 static void model_rhs(const double *x, const double *u, const double *p, double *xdot) {
     const double *arg[PLANT_ARG] = {x, u, p};

@@ -1,8 +1,10 @@
-/* The plant as C functions over the code that CasADi generated. Knows nothing of FMI.
+/* The plant, or the sampled block, as C functions over the code that CasADi generated. Knows nothing
+   of FMI.
 
    model_data.h, written at export, gives the sizes, names and values:
    NX, NU, NP, NY, MODEL_NAME, MODEL_TOKEN, MODEL_TOLERANCE, MODEL_FIXED_STEP, the work sizes of the
-   generated functions, and the tables declared there. */
+   generated functions, and the tables declared there. A block (MODEL_SAMPLED) has no states: NX is 0,
+   NM the size of its memory. */
 #ifndef MODEL_H
 #define MODEL_H
 
@@ -27,6 +29,29 @@ enum {
     VR_END = VR_Y + NY
 };
 
+#ifdef MODEL_SAMPLED
+
+/* Inputs that may be NaN: measurements that are missing. */
+#define MAY_BE_MISSING(i) U_MISSING[i]
+
+/* The clock of the samples in FMI 3 */
+enum { VR_CLOCK = VR_END };
+
+/* Scratch memory; holds nothing between two calls. */
+typedef struct {
+    double w[BLOCK_W];
+    int iw[BLOCK_IW];
+    double memory[LENGTH(NM)];
+} BlockWork;
+
+/* (next, y) = step(memory, u, p) */
+static void block_call(BlockWork *work, const double *memory, const double *u, const double *p,
+                       double *next, double *y);
+
+#else
+
+#define MAY_BE_MISSING(i) 0
+
 /* xdot = f(x, u, p) */
 static void model_rhs(const double *x, const double *u, const double *p, double *xdot);
 /* y = g(x, u, p) */
@@ -40,5 +65,7 @@ static void model_forward(const double *x, const double *u, const double *p, con
 /* (bx, bu, bp) = (bxdot, by) d(f, g)/d(x, u, p) */
 static void model_reverse(const double *x, const double *u, const double *p, const double *bxdot,
                           const double *by, double *bx, double *bu, double *bp);
+
+#endif
 
 #endif

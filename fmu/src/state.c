@@ -50,21 +50,26 @@ static Status check_state(const Instance *s, const char *function, const SavedSt
 /* What no instance of this FMU can have in its memory; NULL when all is as it may be. */
 static const char *impossible(const Memory *m) {
     const int simulated = m->kind == CO_SIMULATION;
-    const int modes = INSTANTIATED | INITIALIZATION | TERMINATED |
-                      (simulated ? STEP : EVENT | CONTINUOUS);
+    const int modes = INSTANTIATED | INITIALIZATION | TERMINATED | EVENT |
+                      (simulated ? STEP : CONTINUOUS);
     if (!simulated && m->kind != MODEL_EXCHANGE) return "its kind";
     if (m->mode <= 0 || (m->mode & (m->mode - 1)) != 0 || (m->mode & modes) == 0) return "its mode";
     if (!isfinite(m->time) || isnan(m->stop_time) || m->stop_time == -INFINITY) return "its time";
     if (!(m->tolerance > 0.0 && m->tolerance <= MODEL_TOLERANCE)) return "its tolerance";
     if (!(m->step >= 0.0 && isfinite(m->step))) return "its step length";
     if (!all_finite(m->x, NX)) return "a state";
-    if (!all_finite(m->u, NU)) return "an input";
+    for (int i = 0; i < NU; i++)
+        if (!isfinite(m->u[i]) && !(isnan(m->u[i]) && MAY_BE_MISSING(i))) return "an input";
     for (int i = 0; i < NP; i++)
         if (!isfinite(m->p[i]) || m->p[i] < P_MIN[i] || m->p[i] > P_MAX[i]) return "a parameter";
     if (!all_finite(m->slope, NU) || !all_finite(m->last_slope, NU)) return "a slope of an input";
     for (int i = 0; !simulated && i < NU; i++)
         if (m->slope[i] != 0.0 || m->last_slope[i] != 0.0) return "a slope of an input";
+#ifdef MODEL_SAMPLED
+    return impossible_samples(m);
+#else
     return NULL;
+#endif
 }
 
 static Status get_state(Instance *s, const char *function, SavedState **state) {
@@ -87,6 +92,7 @@ static Status set_state(Instance *s, const char *function, const SavedState *sta
     if (state->memory.kind != s->memory.kind)
         return report(s, ERROR, function, "the state is one of %s",
                       s->memory.kind == CO_SIMULATION ? "Model Exchange" : "Co-Simulation");
+    if (state->memory.mode == EVENT && check_events(s, function, ANY_MODE) != OK) return ERROR;
     memcpy(&s->memory, &state->memory, sizeof(Memory));
     invalidate(s);
     return OK;

@@ -72,25 +72,6 @@ static int watch(void *context, double s, const double *x) {
     return changed;
 }
 
-static Status check_step(const Instance *s, const char *function, double point, double size) {
-    const Memory *m = &s->memory;
-    if (!isfinite(point) || !isfinite(size) || !(size > 0.0))
-        return report(s, ERROR, function, "communication point %g, step %g: the step must be > 0",
-                      point, size);
-    if (!(point + size > point) || !isfinite(point + size))
-        return report(s, ERROR, function, "a step of %g is lost in rounding at time %.12g", size,
-                      point);
-    /* the importer's sum of steps drifts from ours; only a real gap is an error */
-    double slack = 1e-3 * size + 1e-9 * (1.0 + fabs(m->time));
-    if (fabs(point - m->time) > slack)
-        return report(s, ERROR, function, "communication point %.12g, but the instance stands at %.12g",
-                      point, m->time);
-    if (point + size > m->stop_time + slack)
-        return report(s, ERROR, function, "the step to %.12g passes the stop time %.12g",
-                      point + size, m->stop_time);
-    return OK;
-}
-
 static Status do_step(Instance *s, const char *function, double point, double size,
                       double *reached, int *early) {
     if (check_kind(s, function, CO_SIMULATION, STEP) != OK) return ERROR;

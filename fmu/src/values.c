@@ -1,34 +1,10 @@
 /* Reading and setting variables, states and time. */
 #include "instance.h"
 
-/* ---- evaluation when asked for ---- */
-
 static int all_finite(const double *values, size_t n) {
     for (size_t i = 0; i < n; i++)
         if (!isfinite(values[i])) return 0;
     return 1;
-}
-
-static Status evaluate_xdot(Instance *s, const char *function) {
-    const Memory *m = &s->memory;
-    if (s->xdot_valid) return OK;
-    model_rhs(m->x, m->u, m->p, s->xdot);
-    for (int i = 0; i < NX; i++)
-        if (!isfinite(s->xdot[i]))
-            return report(s, DISCARD, function, "%s is not finite here", NAMES[VR_XDOT + i]);
-    s->xdot_valid = 1;
-    return OK;
-}
-
-static Status evaluate_y(Instance *s, const char *function) {
-    const Memory *m = &s->memory;
-    if (s->y_valid) return OK;
-    model_outputs(m->x, m->u, m->p, s->y);
-    for (int i = 0; i < NY; i++)
-        if (!isfinite(s->y[i]))
-            return report(s, DISCARD, function, "%s is not finite here", NAMES[VR_Y + i]);
-    s->y_valid = 1;
-    return OK;
 }
 
 /* ---- variables ---- */
@@ -82,13 +58,16 @@ static Status check_parameter(const Instance *s, const char *function, unsigned 
 
 static Status check_settable(const Instance *s, const char *function, unsigned r, double value) {
     if (r >= VR_END) return report(s, ERROR, function, "value reference %u is not known", r);
-    if (!isfinite(value)) return report(s, ERROR, function, "%s = %g is not finite", NAMES[r], value);
+    const int missing = isnan(value) && r >= VR_U && r < VR_P && MAY_BE_MISSING(r - VR_U);
+    if (!isfinite(value) && !missing)
+        return report(s, ERROR, function, "%s = %g is not finite", NAMES[r], value);
     if (r >= VR_P && r < VR_Y) return check_parameter(s, function, r, value);
     if (r >= VR_U && r < VR_P) return OK;
     if (r < VR_X || r >= VR_XDOT)
         return report(s, ERROR, function, "%s is computed and cannot be set", NAMES[r]);
     /* in Model Exchange some importers set states this way instead of all at once */
-    if ((s->memory.mode & (INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS)) == 0)
+    const int exchanged = s->memory.kind == MODEL_EXCHANGE ? EVENT | CONTINUOUS : 0;
+    if ((s->memory.mode & (INSTANTIATED | INITIALIZATION | exchanged)) == 0)
         return report(s, ERROR, function, "the start value of %s can be set before the simulation only",
                       NAMES[r]);
     return OK;
@@ -107,6 +86,7 @@ static Status set_values(Instance *s, const char *function, const unsigned *vr, 
         unsigned r = vr[i];
         double *target = r >= VR_P ? m->p + (r - VR_P) : r >= VR_U ? m->u + (r - VR_U)
                                                                    : m->x + (r - VR_X);
+        s->jumped |= s->memory.mode == EVENT && *target != values[i];
         *target = values[i];
     }
     invalidate(s);
@@ -149,7 +129,7 @@ static Status set_states(Instance *s, const char *function, const double *x, siz
     for (int i = 0; i < NX; i++)
         if (!isfinite(x[i]))
             return report(s, DISCARD, function, "%s = %g is not finite", NAMES[VR_X + i], x[i]);
-    memcpy(s->memory.x, x, sizeof s->memory.x);
+    memcpy(s->memory.x, x, NX * sizeof *x);
     invalidate(s);
     return OK;
 }
@@ -159,7 +139,7 @@ static Status set_states(Instance *s, const char *function, const double *x, siz
 static Status get_states(Instance *s, const char *function, double *x, size_t n) {
     if (check_kind(s, function, MODEL_EXCHANGE, READABLE_ME) != OK) return ERROR;
     if (check_array(s, function, x, n, NX) != OK) return ERROR;
-    memcpy(x, s->memory.x, sizeof s->memory.x);
+    memcpy(x, s->memory.x, NX * sizeof *x);
     return OK;
 }
 
@@ -167,14 +147,14 @@ static Status get_state_derivatives(Instance *s, const char *function, double *x
     if (check_kind(s, function, MODEL_EXCHANGE, READABLE_ME) != OK) return ERROR;
     if (check_array(s, function, xdot, n, NX) != OK) return ERROR;
     Status status = evaluate_xdot(s, function);
-    if (status == OK) memcpy(xdot, s->xdot, sizeof s->xdot);
+    if (status == OK) memcpy(xdot, s->xdot, NX * sizeof *xdot);
     return status;
 }
 
 static Status get_nominals(Instance *s, const char *function, double *nominals, size_t n) {
     if (check_kind(s, function, MODEL_EXCHANGE, READABLE_ME) != OK) return ERROR;
     if (check_array(s, function, nominals, n, NX) != OK) return ERROR;
-    memcpy(nominals, X_NOMINAL, sizeof X_NOMINAL);
+    memcpy(nominals, X_NOMINAL, NX * sizeof *nominals);
     return OK;
 }
 
@@ -182,5 +162,26 @@ static Status get_count(Instance *s, const char *function, size_t value, size_t 
     if (s == NULL) return ERROR;
     if (count == NULL) return report(s, ERROR, function, "the place for the answer is missing");
     *count = value;
+    return OK;
+}
+
+/* ---- slopes of inputs, Co-Simulation ---- */
+
+static Status set_input_slopes(Instance *s, const char *function, const unsigned *vr, size_t n,
+                               const int *order, const double *values) {
+    if (check_kind(s, function, CO_SIMULATION, INSTANTIATED | INITIALIZATION | STEP) != OK)
+        return ERROR;
+    if (n > 0 && (vr == NULL || order == NULL || values == NULL))
+        return report(s, ERROR, function, "an array is missing");
+    for (size_t i = 0; i < n; i++) {
+        if (vr[i] < VR_U || vr[i] >= VR_P)
+            return report(s, ERROR, function, "value reference %u is no input", vr[i]);
+        if (order[i] != 1)
+            return report(s, ERROR, function, "derivatives of order %d: only order 1 is used",
+                          order[i]);
+        if (!isfinite(values[i]))
+            return report(s, ERROR, function, "the derivative of %s is not finite", NAMES[vr[i]]);
+    }
+    for (size_t i = 0; i < n; i++) s->memory.slope[vr[i] - VR_U] = values[i];
     return OK;
 }

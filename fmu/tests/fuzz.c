@@ -67,7 +67,7 @@ static void between(fmi3InstanceEnvironment e, double t, bool set_now, bool get_
 }
 static void *create_any(int kind, const char *token) {
     if (kind == 0) return create(0, token);
-    return fmi3InstantiateCoSimulation("fuzz", token, NULL, 0, 0, 0, choose(2), NULL, 0, NULL,
+    return fmi3InstantiateCoSimulation("fuzz", token, NULL, 0, 0, choose(2), choose(2), NULL, 0, NULL,
                                        listen, choose(2) ? between : NULL);
 }
 #endif
@@ -128,6 +128,17 @@ static Answer state_call(void *c, int k) {
 static Answer mode_call(void *c, int k) {
     bool flags[5];
     double next;
+#ifdef fmi3Functions_h
+    const unsigned clock = choose(20) ? VR_END : choose(VR_END);
+    const bool tick = choose(3) != 0;
+    switch (choose(18)) {
+    case 0: return fmi3EnterStepMode(c);
+    case 1: return fmi3SetClock(c, &clock, 1, choose(20) ? &tick : NULL);
+    case 2: return fmi3GetClock(c, &clock, choose(2), flags);
+    case 3: return fmi3GetIntervalDecimal(c, &clock, 1, &next, NULL);
+    default: break;
+    }
+#endif
     switch (choose(9)) {
 #ifdef fmi2Functions_h
     case 0: return fmi2SetupExperiment(c, choose(2), random_number(), 0.0, choose(2), 1e3);
@@ -151,7 +162,7 @@ static Answer value_call(void *c) {
     size_t n = some();
     const unsigned *r = choose(40) == 0 ? NULL : references;
     double *v = choose(40) == 0 ? NULL : values;
-    const size_t states = choose(10) == 0 ? choose(2 * NX) : NX;
+    const size_t states = choose(10) == 0 ? choose(2 * NX + 1) : NX;
     switch (choose(10)) {
 #ifdef fmi2Functions_h
     case 0: return fmi2GetReal(c, r, n, v);

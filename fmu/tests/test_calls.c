@@ -170,6 +170,45 @@ static void what_the_fmu_does_not_offer_is_refused(void) {
     FREE(c);
 }
 
+static void a_jump_of_an_input_asks_for_a_restart_once(void) {
+    void *c = started(0, SPRING_TOKEN, 0.0);
+    for (int again = 0; again < 2; again++) {
+        CHECK(put(c, FORCE, 5.0) == DONE); /* the second time nothing changes */
+        int changed;
+#ifdef fmi2Functions_h
+        fmi2EventInfo info;
+        CHECK(fmi2NewDiscreteStates(c, &info) == fmi2OK);
+        changed = info.valuesOfContinuousStatesChanged;
+#else
+        bool flags[5];
+        double next;
+        CHECK(fmi3UpdateDiscreteStates(c, flags, flags + 1, flags + 2, flags + 3, flags + 4, &next) ==
+              fmi3OK);
+        changed = flags[3];
+#endif
+        CHECK(changed == !again);
+    }
+    FREE(c);
+}
+
+#ifdef fmi3Functions_h
+
+static void in_event_mode_an_output_follows_an_input_at_once(void) {
+    void *c = fmi3InstantiateCoSimulation("test", SPRING_TOKEN, NULL, 0, 0, 1, 0, NULL, 0, NULL,
+                                          listen, NULL);
+    double next;
+    CHECK(enter(c, 0.0, 0.0, 0.0) == DONE && put(c, V, 2.0) == DONE && START(c) == 0);
+    REFUSES(step(c, 0.0, 0.1), REFUSED, "event mode"); /* which a simulation begins in */
+    REFUSES(put(c, X, 1.0), REFUSED, "before the simulation");
+    CHECK(put(c, FORCE, 3.0) == DONE);
+    NEAR(value(c, POWER), 6.0, 0.0);
+    CHECK(update(c, &next) == DONE && fmi3EnterStepMode(c) == fmi3OK);
+    CHECK(step(c, 0.0, 0.1) == DONE && EVENT_MODE(c) == 0 && fmi3EnterStepMode(c) == fmi3OK);
+    FREE(c);
+}
+
+#endif
+
 int main(void) {
     only_the_own_token_is_accepted();
     co_simulation_goes_through_its_modes();
@@ -180,5 +219,9 @@ int main(void) {
     a_step_that_fails_is_discarded_and_changes_nothing();
     the_log_can_be_switched();
     what_the_fmu_does_not_offer_is_refused();
+    a_jump_of_an_input_asks_for_a_restart_once();
+#ifdef fmi3Functions_h
+    in_event_mode_an_output_follows_an_input_at_once();
+#endif
     return verdict();
 }

@@ -27,7 +27,7 @@ import time
 from collections.abc import Awaitable, Callable, MutableMapping, Sequence
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, TypeAlias
-from urllib.parse import parse_qs, urlencode
+from urllib.parse import parse_qs, quote, urlencode
 
 __all__ = ["HEADERS", "Guard", "allowed_hosts"]
 
@@ -65,6 +65,7 @@ HEADERS = {
 }
 """Of every answer, besides the content security policy."""
 
+CLOSE = (b"connection", b"close")
 _LOCAL = ("127.0.0.1", "localhost")
 
 
@@ -151,7 +152,7 @@ class Guard:
         if self._token is not None:
             if scope["method"] == "GET" and _same(asked.get("token", [""])[0], self._token):
                 rest = {k: v for k, v in asked.items() if k != "token"}
-                path = "/" + scope["path"].lstrip("/\\")  # never another host
+                path = "/" + quote(scope["path"].lstrip("/\\"))  # never another host
                 await self._enter(send, path + (f"?{urlencode(rest, True)}" if rest else ""))
             else:
                 await self._say(
@@ -218,6 +219,8 @@ class Guard:
             if message["type"] == "http.response.start":
                 begun = True
                 message["headers"] = [*message.get("headers", ()), *self._headers(nonce)]
+                if scope["method"] not in ("GET", "HEAD"):
+                    message["headers"].append(CLOSE)  # what is still to come is not read
                 kinds = [v for k, v in message["headers"] if k.lower() == b"content-type"]
                 if kinds and kinds[0].startswith(b"text/html"):
                     page = message
@@ -276,6 +279,7 @@ class Guard:
             (b"content-type", kind),
             (b"content-length", str(len(body)).encode()),
             (b"cache-control", b"no-store"),
+            CLOSE,
             *self._headers(secrets.token_urlsafe(16)),
             *extra,
         ]

@@ -19,7 +19,8 @@ from .guard import allowed_hosts
 
 __all__ = ["require_framework", "serve", "sessions_folder"]
 
-NEEDED = ("nicegui", "plotly")
+NEEDED = "nicegui"
+"""It brings Plotly's JavaScript; Python's package of that name is not needed."""
 LOCAL = "127.0.0.1"
 LEAST_PASSWORD = 10
 """Characters."""
@@ -27,11 +28,9 @@ LEAST_PASSWORD = 10
 
 def require_framework() -> None:
     """Raises InputError where the extra is not installed."""
-    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
-    if missing:
+    if importlib.util.find_spec(NEEDED) is None:
         raise InputError(
-            f"the bench needs {' and '.join(missing)}: pip install 'pam_ocp[bench]' brings what is "
-            "missing"
+            f"the bench needs {NEEDED}, which is not installed: pip install 'pam_ocp[bench]'"
         )
 
 
@@ -126,6 +125,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
+        listening.listen(128)  # who opens the address at once waits, and is not refused
     except OSError as error:
         listening.close()
         raise InputError(

@@ -8,6 +8,7 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from ..core.registry import Argument, Registry
+from .output import add_json, tell
 
 __all__ = ["add_components", "page"]
 
@@ -24,6 +25,7 @@ def add_components(commands: Any) -> None:
     components.add_argument(
         "--markdown", action="store_true", help="as the page docs/components.md"
     )
+    add_json(components)
     components.set_defaults(run=_components)
 
 
@@ -31,18 +33,19 @@ def _components(options: argparse.Namespace) -> int:
     from ..core.errors import UnknownNameError
 
     if options.markdown:
-        print(page(), end="")
+        tell(options, page().rstrip("\n"))
         return 0
     nouns = [_plain(registry.noun) for registry, _ in groups()]
     if options.noun not in (None, *nouns):
         raise UnknownNameError("kind of component", options.noun, nouns)
     for registry, _ in groups():
         if options.noun in (None, _plain(registry.noun)):
-            print(f"{registry.noun}")
+            lines = [registry.noun]
             for name in registry:
-                print(f"  {name}: {registry.words(name)}")
-                for argument in _arguments(registry, name):
-                    print(f"    {argument}")
+                lines.append(f"  {name}: {registry.words(name)}")
+                lines += [f"    {argument}" for argument in _arguments(registry, name)]
+            known = {n: _arguments(registry, n) for n in registry}
+            tell(options, "\n".join(lines), {registry.noun: known})
     return 0
 
 

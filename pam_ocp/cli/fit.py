@@ -6,16 +6,19 @@ import argparse
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.files import read_toml, reading
-from ..core.quantities import known_keys, pair, quantity, table
+from ..core.progress import heard, working
+from ..core.quantities import known_keys, quantity, table
+from ..studies.plant_fit_problem import FITTING, READING, fit_arguments, listed, records_of
 from .options import add_allow_code, pairs, require_places
+from .output import add_json, coefficients, tell, wrote
 
 if TYPE_CHECKING:
-    from ..core.trajectory import Trajectory
     from ..fitting.dynamic.plant_fit import PlantFit
     from ..plants.plant import Plant
     from ..simulation.compare import RecordComparison
@@ -61,24 +64,6 @@ says comes first. Values are numbers in SI, or texts with a unit; plain keys com
 Exit code: 0, or 1 when the records do not allow the fit (the message says why), 2 for a file or an
 option that cannot be meant.
 """
-_READING = (
-    *("columns", "units", "time", "interpolation", "max_gap", "split", "clock", "sample_time"),
-    *("ambient_pressure", "sheet", "skip", "pick", "delimiter", "decimal", "empty"),
-)
-_FITTING = (
-    "outputs",
-    "delay",
-    "offsets",
-    "gains",
-    "noise",
-    "input_noise",
-    "process_noise",
-    "bounds",
-    "inputs",
-    "method",
-    "degree",
-    "step",
-)
 _OWN = ("plant", "muscle", "set", "records", "validate", "free")
 
 
@@ -140,19 +125,28 @@ def add_fit_plant(commands: Any) -> None:
         metavar="FILE.json",
         help="write the fit (pam_ocp.fitting.load_plant_fit reads it)",
     )
+    fit.add_argument(
+        "--ssv",
+        type=Path,
+        metavar="FILE.ssv",
+        help="write the fitted parameters for the plant's FMU, to be set there without Python",
+    )
     add_allow_code(fit)
+    add_json(fit)
     fit.set_defaults(run=_fit_plant)
 
 
 def _fit_plant(options: argparse.Namespace) -> int:
     from ..core.errors import FitError
 
-    require_places(options.out, options.plot)
+    require_places(options.out, options.plot, options.ssv)
     study, plant = _study(options)
     if options.variables:
-        print(_variables(plant))
+        tell(
+            options, _variables(plant), lambda: {"variables": [asdict(v) for v in plant.variables]}
+        )
         return 0
-    records, others = (_records(study, plant, name) for name in ("records", "validate"))
+    records, others = (records_of(study, plant, study[name]) for name in ("records", "validate"))
     if not records:
         raise InputError("no record: give files, or records = [...] in the study file")
     if "free" not in study:
@@ -162,19 +156,36 @@ def _fit_plant(options: argparse.Namespace) -> int:
     from ..fitting.dynamic.dynamic import fit_plant
 
     with reading(options.plant, "a study file", "see its keys"):
-        arguments = _arguments(study, plant)
+        arguments = fit_arguments(study, plant)
     try:
-        fit = fit_plant(plant, records, study["free"], **arguments)
+        if heard():
+            with working("fit") as bar:
+                arguments["progress"] = lambda stage, count, cost: bar.step(
+                    note=f"{stage}, cost {cost:.4g}"
+                )
+                fit = fit_plant(plant, records, study["free"], **arguments)
+        else:
+            fit = fit_plant(plant, records, study["free"], **arguments)
     except FitError as error:
         print(f"pam-ocp fit-plant: {error}", file=sys.stderr)
         return 1
-    print(fit.report())
     checked = fit.validate(others) if others else []
+    tell(
+        options,
+        fit.report(),
+        lambda: {
+            "parameters": coefficients(fit),
+            "rmse": fit.rmse,
+            "fit_percent": fit.fit_percent,
+            "warnings": fit.warnings,
+            "validation": [{a.name: a.fit_percent for a in c.agreements} for c in checked],
+        },
+    )
     for number, comparison in enumerate(checked, start=1):
-        print(f"[[Validation]] record {number}, only its initial state estimated")
-        print("\n".join(f"    {line}" for line in str(comparison).splitlines()[1:]))
+        tell(options, f"[[Validation]] record {number}, only its initial state estimated")
+        tell(options, "\n".join(f"    {line}" for line in str(comparison).splitlines()[1:]))
     for path in _written(fit, checked, options):
-        print(f"-> {path}")
+        wrote(options, path)
     return 0
 
 
@@ -192,14 +203,14 @@ def _told(options: argparse.Namespace) -> tuple[dict[str, Any], Plant]:
     folder = None
     if options.plant.endswith(".toml"):
         study, folder = read_toml(options.plant), Path(options.plant).parent
-        known_keys(options.plant, study, (*_OWN, *_READING, *_FITTING))
+        known_keys(options.plant, study, (*_OWN, *READING, *FITTING))
     study["folder"] = folder
     for name in ("free", "outputs", "interpolation", "delay"):
         if getattr(options, name) is not None:
             study[name] = getattr(options, name)
     for name in ("records", "validate"):
         given = getattr(options, name)
-        study[name] = given or [(folder or Path()) / n for n in _list(name, study.get(name, []))]
+        study[name] = given or [(folder or Path()) / n for n in listed(name, study.get(name, []))]
     if options.noise is not None:
         study["noise"] = pairs("--noise", options.noise)
     described = study.get("plant", options.plant)
@@ -232,63 +243,6 @@ def _from_here(muscle: str | None) -> str | None:
     return str(Path(muscle).absolute()) if muscle and muscle.endswith(ENDINGS) else muscle
 
 
-def _records(study: Mapping[str, Any], plant: Plant, name: str) -> list[Trajectory]:
-    from ..fitting.tables.records import read_records
-
-    reading = {n: study[n] for n in _READING if n in study and n != "split"}
-    found: list[Trajectory] = []
-    for path in study[name]:
-        found += read_records(path, plant, split=study.get("split"), **reading)
-    return found
-
-
-def _arguments(study: Mapping[str, Any], plant: Plant) -> dict[str, Any]:
-    """Arguments of fit_plant, in SI."""
-    found: dict[str, Any] = {n: study[n] for n in ("method", "degree") if n in study}
-    for name in ("outputs", "offsets", "gains"):
-        if name in study:
-            found[name] = _list(name, study[name])
-    for name, per in (
-        ("noise", ""),
-        ("inputs", ""),
-        ("input_noise", ""),
-        ("process_noise", "/sqrt(s)"),
-    ):
-        if name in study:
-            found[name] = {
-                n: quantity(f"{name}.{n}", v, *(() if per else (plant.variable(n).unit,)))
-                for n, v in table(name, study[name]).items()
-            }
-    if "bounds" in study:
-        found["bounds"] = _bounds(study, plant)
-    if "step" in study:
-        found["step"] = quantity("step", study["step"], "s")
-    if "delay" in study:
-        given = study["delay"] if isinstance(study["delay"], list) else [study["delay"]]
-        ends = [quantity("delay", v, "s") for v in given]
-        if len(ends) > 2:
-            raise InputError(f"delay: {len(ends)} values; give one, or two to find it between")
-        found["delay"] = ends[0] if len(ends) == 1 else (ends[0], ends[1])
-    return found
-
-
-def _bounds(study: Mapping[str, Any], plant: Plant) -> dict[str, tuple[float, float]]:
-    found = {}
-    for name, ends in table("bounds", study["bounds"]).items():
-        low, high = pair(f"bounds.{name}", ends, plant.variable(name.replace("*", "1")).unit)
-        found[name] = (
-            -float("inf") if low is None else low,
-            float("inf") if high is None else high,
-        )
-    return found
-
-
-def _list(where: str, value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise InputError(f"{where} = {value!r}: give a list, as [{value!r}]")
-    return value
-
-
 def _variables(plant: Plant) -> str:
     """What can be measured, what must be, and what can be freed."""
     lines = [f"{plant.name}: {plant.description}"]
@@ -311,6 +265,8 @@ def _written(
     done: list[Path] = []
     if options.out:
         done.append(fit.save(options.out))
+    if options.ssv:
+        done.append(fit.save_ssv(options.ssv))
     if options.plot:
         from ..figures.saved import save_figure
 

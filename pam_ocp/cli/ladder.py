@@ -14,8 +14,9 @@ from ..core.errors import FitError, InputError
 from ..core.files import read_toml
 from ..core.quantities import known_keys
 from ..plants.plant import Plant
-from .fit import _bounds, _list, _records
+from ..studies.plant_fit_problem import bounds_of, listed, records_of
 from .options import add_allow_code
+from .output import add_json, tell
 
 __all__ = ["add_ladder"]
 
@@ -80,7 +81,27 @@ def add_ladder(commands: Any) -> None:
     ladder.add_argument("--folds", type=int, metavar="N", help="of parts left out (default 5)")
     ladder.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
     add_allow_code(ladder)
+    add_json(ladder)
     ladder.set_defaults(run=_ladder)
+
+
+def _said(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _data(found: Any) -> dict[str, Any]:
+    return {
+        "chosen": found.chosen.name,
+        "rungs": {
+            r.name: {
+                "rmse": r.rmse,
+                "worse": r.worse,
+                "failure": r.failure,
+                "parameters": {n: c.value for n, c in r.coefficients.items()},
+            }
+            for r in found.rungs
+        },
+    }
 
 
 def _ladder(options: argparse.Namespace) -> int:
@@ -97,8 +118,7 @@ def _ladder(options: argparse.Namespace) -> int:
     for name in ("free", "dynamic", "rungs", "outputs", "folds"):
         if getattr(options, name) is not None:
             study[name] = getattr(options, name)
-    listed = [folder / n for n in _list("records", study.get("records", []))]
-    study["records"] = options.records or listed
+    beside = [folder / n for n in listed("records", study.get("records", []))]
     try:
         plant: Plant = build(feed=feed, losses=())
     except TypeError as error:
@@ -106,30 +126,30 @@ def _ladder(options: argparse.Namespace) -> int:
             f"{options.study}: the arrangement is called with muscle, feed= and losses= on every "
             f"rung; {error}"
         ) from error
-    records = _records(study, plant, "records")
+    records = records_of(study, plant, options.records or beside)
     if not records:
         raise InputError("no record: give files, or records = [...] in the study file")
     given: dict[str, Any] = {
-        n: _list(n, study[n]) for n in ("dynamic", "rungs", "outputs") if n in study
+        n: listed(n, study[n]) for n in ("dynamic", "rungs", "outputs") if n in study
     }
     if "bounds" in study:
-        given["bounds"] = _bounds(study, plant)
+        given["bounds"] = bounds_of(study, plant)
     pool = ProcessPoolExecutor(options.jobs) if options.jobs > 1 else None
     with pool or nullcontext():
         try:
             found = fit_ladder(
                 build,
                 records,
-                _list("free", study.get("free", [])),
+                listed("free", study.get("free", [])),
                 feed=feed,
                 folds=study.get("folds", 5),
                 executor=pool,
-                progress=lambda text: print(text, file=sys.stderr, flush=True),
+                progress=None if options.quiet else _said,
                 time_limit=options.time_limit,
                 **given,
             )
         except FitError as error:
             print(f"pam-ocp ladder: {error}", file=sys.stderr)
             return 1
-    print(found.report())
+    tell(options, found.report(), lambda: _data(found))
     return 0

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
-from .options import pairs, require_places
+from .options import add_plot, add_rest, pairs, require_places
+from .output import add_json, tell, wrote
 from .plants import add_plant, plant_said
 
 __all__ = ["add_linearize"]
@@ -23,14 +23,7 @@ def add_linearize(commands: Any) -> None:
         "and natural frequencies.",
     )
     add_plant(linearize)
-    linearize.add_argument(
-        "--rest",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="condition of rest, such as x='10 mm' or muscle.pressure='2 bar' (may be repeated; "
-        "default: the inputs' start values)",
-    )
+    add_rest(linearize, "condition of rest (default: the inputs' start values)")
     for kind in ("inputs", "outputs"):
         linearize.add_argument(
             f"--{kind}", nargs="+", metavar="NAME", help=f"{kind} to keep (default: all)"
@@ -44,10 +37,8 @@ def add_linearize(commands: Any) -> None:
     linearize.add_argument(
         "--si", action="store_true", help="matrices in SI instead of display units"
     )
-    linearize.add_argument(
-        "--plot", type=Path, metavar="FILE.png", help="Bode diagram from the first input kept"
-    )
-    linearize.add_argument("--json", action="store_true", help="print the same as JSON")
+    add_plot(linearize, "Bode diagram from the first input kept")
+    add_json(linearize)
     linearize.set_defaults(run=_linearize)
 
 
@@ -82,14 +73,14 @@ def _linearize(options: argparse.Namespace) -> int:
         "units": system.units,
         **{name: getattr(system, name).tolist() for name in "ABCD"},
     }
-    print(json.dumps(said) if options.json else _text(point, said))
+    tell(options, _text(point, said), said)
     if options.out:
-        print(f"-> {write_json(options.out, said)}")
+        wrote(options, write_json(options.out, said))
     if options.plot:
         output, source = system.output_labels[0], system.input_labels[0]
         units = system.units[output], system.units[source]
         figure = plot_bode({plant.name: system}, output, source, units=units)
-        print(f"-> {save_figure(figure, options.plot)}")
+        wrote(options, save_figure(figure, options.plot))
     return 0
 
 

@@ -5,12 +5,28 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
 from ..core.files import require_place
 from ..core.quantities import quantity
 
-__all__ = ["add_allow_code", "length_of", "pairs", "require_places"]
+if TYPE_CHECKING:
+    from ..core.trajectory import Trajectory
+
+__all__ = [
+    "MOTIONS",
+    "add_allow_code",
+    "add_diameter",
+    "add_out",
+    "add_plot",
+    "add_rest",
+    "add_rest_length",
+    "length_of",
+    "pairs",
+    "require_places",
+    "written",
+]
 
 
 def add_allow_code(command: argparse.ArgumentParser) -> None:
@@ -44,3 +60,50 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
 def length_of(option: str, text: str | None) -> float | None:
     """A length [m] of "300 mm" or "0.3"; None where nothing is said. Raises InputError."""
     return None if text is None else quantity(option, text, "m")
+
+
+MOTIONS = (".csv", ".npz", ".parquet", ".xlsx")
+"""What a motion is written as."""
+
+
+def written(motion: Trajectory, path: Path) -> Path:
+    """A motion in a file, as its name ends. Raises InputError."""
+    return motion.to_excel(path) if path.suffix.lower() == ".xlsx" else motion.save(path)
+
+
+# ---- the same option in several commands -------------------------------------------------------
+def add_rest_length(command: argparse.ArgumentParser, more: str = "") -> None:
+    """--rest-length"""
+    command.add_argument(
+        "--rest-length",
+        metavar="L",
+        help=f"of the muscle, such as '300 mm'; metres without a unit{more}",
+    )
+
+
+def add_diameter(command: argparse.ArgumentParser) -> None:
+    """--diameter"""
+    command.add_argument("--diameter", metavar="L", help="inner diameter at rest, such as '20 mm'")
+
+
+def add_plot(command: argparse.ArgumentParser, words: str) -> None:
+    """--plot"""
+    command.add_argument(
+        "--plot", type=Path, metavar="FILE.png", help=f"{words} (.png, .pdf, .svg)"
+    )
+
+
+def add_out(command: argparse.ArgumentParser, kind: str, words: str) -> None:
+    """--out"""
+    command.add_argument("--out", type=Path, metavar=kind, help=words)
+
+
+def add_rest(command: argparse.ArgumentParser, words: str) -> None:
+    """--rest"""
+    command.add_argument(
+        "--rest",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"{words}, such as x='10 mm' (may be repeated)",
+    )

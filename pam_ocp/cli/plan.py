@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError, PlanError, PlanWarning
+from ..core.progress import heard, working
 from .options import add_allow_code, require_places
+from .output import add_json, tell, wrote
 
 if TYPE_CHECKING:
     from ..planning.result import Plan
@@ -67,6 +69,7 @@ def add_plan(commands: Any) -> None:
     plan.add_argument("problem", type=Path, metavar="FILE.toml", help="the problem, see below")
     for option, ending, words in (
         ("--out", "npz", "write the plan itself (pam_ocp.load_plan reads it)"),
+        ("--excel", "xlsx", "write a workbook: verdict, motion, charts"),
         (
             "--csv",
             "csv",
@@ -80,6 +83,7 @@ def add_plan(commands: Any) -> None:
     add_allow_code(plan)
     plan.add_argument("--progress", action="store_true", help="show each iteration as it runs")
     plan.add_argument("--log", action="store_true", help="print the solver's iterations afterwards")
+    add_json(plan)
     plan.set_defaults(run=_plan)
 
 
@@ -92,24 +96,44 @@ def _plan(options: argparse.Namespace) -> int:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PlanWarning)  # said below
-            limit = options.time_limit
-            found = plan(plant, **arguments, progress=options.progress, time_limit=limit)
+            shown = heard() and not options.progress
+            with working("plan") as bar:
+
+                def told(number: int, objective: float, violation: float) -> None:
+                    bar.step(note=f"objective {objective:.4g}, violation {violation:.1e}")
+
+                arguments["progress"] = told if shown else options.progress
+                found = plan(plant, **arguments, time_limit=options.time_limit)
     except InputError as error:
         raise InputError(f"{options.problem}: {error}") from error
     except PlanError as error:
         if options.log and error.plan is not None:
-            print(_log(error.plan))
+            tell(options, _log(error.plan))
         print(f"pam-ocp plan: {options.problem}: {error}", file=sys.stderr)
         return 1
     if options.log:
-        print(_log(found))
-    print(found)
+        tell(options, _log(found))
+    tell(options, found, lambda: _data(found))
     for written in _written(found, options):
-        print(f"-> {written}")
+        wrote(options, written)
     if not found.verified:
         print(f"pam-ocp plan: {options.problem}: the plan is {found.verdict}", file=sys.stderr)
         return NOT_VERIFIED
     return 0
+
+
+def _data(plan: Plan) -> dict[str, Any]:
+    replay = plan.replay
+    return {
+        "verified": plan.verified,
+        "verdict": str(plan.verdict),
+        "duration": plan.duration,
+        "durations": plan.durations,
+        "objective": plan.objective,
+        "design": plan.design,
+        "replay_error": replay.error if replay else None,
+        "violation": replay.violation if replay else None,
+    }
 
 
 NOT_VERIFIED = 3
@@ -117,6 +141,7 @@ NOT_VERIFIED = 3
 
 ENDINGS = {
     "out": (".npz",),
+    "excel": (".xlsx",),
     "csv": (".csv",),
     "plot": (".png", ".pdf", ".svg"),
     "animate": (".gif",),
@@ -141,6 +166,8 @@ def _written(plan: Plan, options: argparse.Namespace) -> list[Path]:
     done: list[Path] = []
     if options.out:
         done.append(plan.save(options.out))
+    if options.excel:
+        done.append(plan.to_excel(options.excel))
     if options.csv:
         done.append(plan.trajectory.save(options.csv))
     if options.plot:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import ast
-import json
 from typing import Any
 
 from ..core.errors import InputError
-from .options import pairs
+from .options import add_rest_length, pairs
+from .output import add_json, tell
 
 __all__ = ["add_look", "add_reading", "reading_options"]
 
@@ -97,9 +97,7 @@ def add_look(commands: Any) -> None:
     )
     look.add_argument("files", nargs="+", metavar="FILE", help="files, folders or patterns")
     add_reading(look)
-    look.add_argument(
-        "--rest-length", metavar="L", help="of the muscle, in metres or with its unit"
-    )
+    add_rest_length(look)
     look.add_argument("--kind", choices=("table", "record"), help="where it is taken for the other")
     look.add_argument("--time", metavar="HEADER", help="column of the time of a record")
     look.add_argument(
@@ -107,7 +105,7 @@ def add_look(commands: Any) -> None:
     )
     look.add_argument("--max-gap", type=float, metavar="S", help="longest step that is no gap")
     look.add_argument("--sample-time", metavar="S", help="resample a record, or 'even'")
-    look.add_argument("--json", action="store_true", help="print it as JSON")
+    add_json(look)
     look.set_defaults(run=_look)
 
 
@@ -122,10 +120,7 @@ def _look(options: argparse.Namespace) -> int:
     source = options.files[0] if len(options.files) == 1 else options.files
     seen = look(source, **said)
     views = seen if isinstance(seen, Previews) else [seen]
-    if options.json:
-        print(json.dumps([view.to_dict() for view in views], indent=1, ensure_ascii=False))
-    else:
-        print(seen)
+    tell(options, seen, lambda: [view.to_dict() for view in views])
     return 0 if seen.ok else 1
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..core.errors import InputError
 from .options import require_places
+from .output import add_json, wrote
 
 __all__ = ["add_report"]
 
@@ -27,6 +28,7 @@ def add_report(commands: Any) -> None:
     )
     report.add_argument("--title", default="Report", metavar="TEXT")
     report.add_argument("--text", default="", metavar="TEXT", help="an introduction")
+    add_json(report)
     report.set_defaults(run=_report)
 
 
@@ -40,7 +42,7 @@ def _report(options: argparse.Namespace) -> int:
     ]
     things = {n: _shown(f) for n, f in zip(names, options.files, strict=True)}
     made = {"title": options.title, "text": options.text, "sources": options.files}
-    print(f"-> {write_report(options.out, things, **made)}")
+    wrote(options, write_report(options.out, things, **made))
     return 0
 
 

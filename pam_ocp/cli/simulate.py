@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.quantities import quantity
-from .options import pairs, require_places
+from .options import MOTIONS, add_plot, add_rest, pairs, require_places, written
+from .output import add_json, tell, wrote
 from .plants import add_plant, plant_said
 
 if TYPE_CHECKING:
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from ..plants.plant import Plant
 
 __all__ = ["add_compare", "add_simulate"]
-
-RECORD = (".csv", ".npz", ".parquet")
 
 
 def add_simulate(commands: Any) -> None:
@@ -44,13 +42,7 @@ def add_simulate(commands: Any) -> None:
         help="recorded inputs: a trajectory (.csv, .npz, .parquet), such as 'pam-ocp plan --csv' "
         "writes",
     )
-    simulate.add_argument(
-        "--rest",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="begin at rest under this condition, such as x='10 mm' (may be repeated)",
-    )
+    add_rest(simulate, "begin at rest under this condition")
     simulate.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
     simulate.add_argument(
         "--samples", type=int, default=201, metavar="N", help="rows of the result (default: 201)"
@@ -59,10 +51,10 @@ def add_simulate(commands: Any) -> None:
         "--rtol", type=float, default=1e-8, metavar="R", help="relative tolerance (default: 1e-8)"
     )
     simulate.add_argument(
-        "--out", type=Path, metavar="FILE", help="write the motion (.csv, .npz, .parquet)"
+        "--out", type=Path, metavar="FILE", help="write the motion (.csv, .npz, .parquet, .xlsx)"
     )
-    simulate.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the motion")
-    simulate.add_argument("--json", action="store_true", help="print the last values as JSON, SI")
+    add_plot(simulate, "draw the motion")
+    add_json(simulate)
     simulate.set_defaults(run=_simulate)
 
 
@@ -88,11 +80,11 @@ def _simulate(options: argparse.Namespace) -> int:
     else:
         times = None
     motion = simulate(plant, inputs, t=times, start=start, rtol=options.rtol)
-    print(_last(motion, options.json))
+    tell(options, _last(motion), lambda: {"time": float(motion.t[-1]), **motion.row(-1)})
     if options.out:
-        print(f"-> {motion.save(options.out)}")
+        wrote(options, written(motion, options.out))
     if options.plot:
-        print(f"-> {save_figure(motion.plot(), options.plot)}")
+        wrote(options, save_figure(motion.plot(), options.plot))
     return 0
 
 
@@ -110,18 +102,16 @@ def _inputs(plant: Plant, options: argparse.Namespace) -> Any:
     }
 
 
-def _last(motion: Trajectory, as_json: bool) -> str:
-    """The last row of a motion: in SI as JSON, or in display units."""
+def _last(motion: Trajectory) -> str:
+    """The last row of a motion in display units."""
     values = {v.name: float(motion[v.name][-1]) for v in motion.variables}
-    if as_json:
-        return json.dumps({"time": float(motion.t[-1]), **values})
     lines = [f"at the end, t = {motion.t[-1]:g} s:"]
     return "\n".join(lines + [f"{n:<28}{motion.variable(n).shown(v)}" for n, v in values.items()])
 
 
 def _require_endings(out: Path | None) -> None:
-    if out is not None and out.suffix.lower() not in RECORD:
-        raise InputError(f"--out {out}: a trajectory is written as one of {', '.join(RECORD)}")
+    if out is not None and out.suffix.lower() not in MOTIONS:
+        raise InputError(f"--out {out}: a trajectory is written as one of {', '.join(MOTIONS)}")
 
 
 def add_compare(commands: Any) -> None:
@@ -143,10 +133,8 @@ def add_compare(commands: Any) -> None:
         metavar="R",
         help="largest difference allowed, in units of nominal (default: any)",
     )
-    compare.add_argument(
-        "--plot", type=Path, metavar="FILE.png", help="draw both and the difference"
-    )
-    compare.add_argument("--json", action="store_true", help="print the differences as JSON, SI")
+    add_plot(compare, "draw both and the difference")
+    add_json(compare)
     compare.set_defaults(run=_compare)
 
 
@@ -158,19 +146,16 @@ def _compare(options: argparse.Namespace) -> int:
     require_places(options.plot)
     one, other = Trajectory.load(options.reference), Trajectory.load(options.other)
     found = one.compare(other, options.names)
-    if options.json:
-        rows = {
-            d.variable.name: {"largest": d.largest, "rms": d.rms, "time": d.time}
-            for d in found.deviations
-        }
-        print(json.dumps({"largest": found.largest, "variables": rows}))
-    else:
-        print(found)
+    rows = {
+        d.variable.name: {"largest": d.largest, "rms": d.rms, "time": d.time}
+        for d in found.deviations
+    }
+    tell(options, found, {"largest": found.largest, "variables": rows})
     if options.plot:
         names = [d.variable.name for d in found.deviations][:8]
         labels = options.reference.name, options.other.name
-        print(f"-> {save_figure(plot_comparison(one, other, names, labels), options.plot)}")
+        wrote(options, save_figure(plot_comparison(one, other, names, labels), options.plot))
     if options.tolerance is not None and not found.largest <= options.tolerance:
-        print(f"largest difference {found.largest:.3g} of nominal > {options.tolerance:g}")
+        tell(options, f"largest difference {found.largest:.3g} of nominal > {options.tolerance:g}")
         return 1
     return 0

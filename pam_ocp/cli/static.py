@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.quantities import quantity
-from .options import length_of, pairs, require_places
+from .options import (
+    add_diameter,
+    add_out,
+    add_plot,
+    add_rest_length,
+    length_of,
+    pairs,
+    require_places,
+)
+from .output import add_json, coefficients, tell, wrote
 from .plants import PLANT, add_plant_options, plant_said
 from .reading import add_reading, reading_options
 
@@ -18,7 +27,7 @@ if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
     from ..fitting.tables.force_table import ForceTable
 
-__all__ = ["add_campaign", "add_fit", "add_fit_holds"]
+__all__ = ["add_campaign", "add_fit", "add_fit_forces", "add_fit_holds"]
 
 LOSSES = "squares (default); bisquare, where some cells are measured wrong; huber; l1"
 
@@ -39,13 +48,8 @@ def add_fit(commands: Any) -> None:
         "length_m,pressure_Pa,force_N ('pam-ocp look' says what is understood); or a bundled "
         "table such as DMSP-20-300_static.csv",
     )
-    fit.add_argument(
-        "--rest-length",
-        metavar="M",
-        help="length at zero pressure and load, such as '300 mm'; metres without a unit (needed "
-        "unless the table holds contractions)",
-    )
-    fit.add_argument("--diameter", metavar="M", help="inner diameter at rest, such as '20 mm'")
+    add_rest_length(fit, " (needed unless the table holds contractions)")
+    add_diameter(fit)
     fit.add_argument(
         "--law",
         action="append",
@@ -68,8 +72,26 @@ def add_fit(commands: Any) -> None:
         help="write the muscle file (.toml, .json) that the other commands take",
     )
     fit.add_argument(
-        "--plot", type=Path, metavar="FILE.png", help="draw measurement, law and residuals"
+        "--ssv",
+        type=Path,
+        metavar="FILE.ssv",
+        help="write the parameters for a plant's FMU, to be set there without Python (SSP 1.0)",
     )
+    fit.add_argument(
+        "--muscles",
+        nargs="+",
+        default=["muscle"],
+        metavar="NAME",
+        help="names of the muscles in that FMU, such as muscle1 muscle2 (default: muscle)",
+    )
+    fit.add_argument(
+        "--excel",
+        type=Path,
+        metavar="FILE.xlsx",
+        help="write a workbook: data, coefficients, the law as live formulas, charts",
+    )
+    add_plot(fit, "draw measurement, law and residuals")
+    add_json(fit)
     fit.set_defaults(run=_fit)
 
 
@@ -111,7 +133,42 @@ def add_campaign(commands: Any) -> None:
     campaign.add_argument(
         "--plot", type=Path, metavar="DIR", help="draw each muscle into this folder"
     )
+    add_json(campaign)
     campaign.set_defaults(run=_campaign)
+
+
+def add_fit_forces(commands: Any) -> None:
+    """Add ``fit-forces`` to the parser's commands."""
+    forces = commands.add_parser(
+        "fit-forces",
+        help="fit one law to the tables of several muscles with shared coefficients",
+        description="Fit one force law to several muscles' tables at once, with coefficients that "
+        "they have in common; print all with intervals. A whole folder with branches and repeats: "
+        "'pam-ocp campaign'.",
+    )
+    forces.add_argument("tables", nargs="+", metavar="TABLE", help="a file for each muscle")
+    forces.add_argument("--law", default="six-parameter", metavar="LAW", help="force law")
+    forces.add_argument(
+        "--rest-length",
+        nargs="+",
+        metavar="[NAME=]L",
+        help="at zero pressure and load, of all muscles, or by the table's name: 0.3, 'A=300mm'",
+    )
+    forces.add_argument(
+        "--shared", nargs="+", metavar="NAME", help="common coefficients (default: all)"
+    )
+    forces.add_argument(
+        "--noise",
+        choices=("equal", "each"),
+        default="equal",
+        help="one standard deviation for all tables (default), or one for each",
+    )
+    add_reading(forces)
+    _add_fixed(forces)
+    add_out(forces, "DIR", "write a muscle file for each table into this folder")
+    forces.add_argument("--plot", type=Path, metavar="DIR", help="draw each muscle into it")
+    add_json(forces)
+    forces.set_defaults(run=_fit_forces)
 
 
 def add_fit_holds(commands: Any) -> None:
@@ -139,6 +196,7 @@ def add_fit_holds(commands: Any) -> None:
     add_reading(holds)
     holds.add_argument("--loss", default="squares", metavar="LOSS", help="squares, huber, bisquare")
     holds.add_argument("--out", type=Path, metavar="FILE.json", help="write the fit")
+    add_json(holds)
     holds.set_defaults(run=_fit_holds)
 
 
@@ -166,45 +224,61 @@ def _fit(options: argparse.Namespace) -> int:
     from ..fitting.tables.force_table import read_table
     from ..muscles.muscle_file import save_muscle
 
-    require_places(options.out, options.plot)
+    require_places(options.out, options.plot, options.ssv, options.excel)
     length = length_of("--rest-length", options.rest_length)
     diameter = length_of("--diameter", options.diameter)
     table = read_table(options.table, rest_length=length, **reading_options(options))
     laws = options.law or ["six-parameter"]
     if len(laws) > 1 or laws == ["all"]:
-        fitted = _ranked(table, laws, options.fixed, options.loss)
+        fitted = _ranked(options, table, laws)
     else:
         fixed = _fixed(options.fixed, laws)
         fitted = fit_force(table, laws[0], loss=options.loss, fixed=fixed)
-    print(fitted.report())
+    tell(options, fitted.report(), lambda: fit_data(fitted))
     if options.branches:
-        print("\n".join(_branch_lines(fitted)))
+        tell(options, "\n".join(_branch_lines(fitted)))
     if options.plot:
         from ..figures.saved import save_figure
         from ..figures.trajectory import plot_fit
 
-        print(f"-> {save_figure(plot_fit(fitted), options.plot)}")
+        wrote(options, save_figure(plot_fit(fitted), options.plot))
+    if options.excel:
+        wrote(options, fitted.to_excel(options.excel))
     if options.out:
         length = table.rest_length if length is None else length
         if length is None:
             raise InputError("--rest-length is needed to write a muscle file")
         name = options.name or Path(options.table).stem
         muscle = fitted.muscle(rest_length=length, diameter=diameter, name=name)
-        print(f"-> {save_muscle(muscle, options.out)}")
+        wrote(options, save_muscle(muscle, options.out))
+    if options.ssv:
+        wrote(options, fitted.save_ssv(options.ssv, options.muscles, rest_length=length))
     return 0
 
 
-def _ranked(table: ForceTable, laws: Sequence[str], fixed: Sequence[str], loss: str) -> ForceFit:
+def fit_data(fit: ForceFit) -> dict[str, Any]:
+    """A fit as plain data, for JSON."""
+    return {
+        "law": fit.law.name,
+        "cells": fit.n,
+        "rmse": fit.rmse,
+        "r2": fit.r2,
+        "coefficients": coefficients(fit),
+        "warnings": fit.warnings,
+    }
+
+
+def _ranked(options: argparse.Namespace, table: ForceTable, laws: Sequence[str]) -> ForceFit:
     """The best of several laws at lengths left out; the ranking is printed."""
     from ..core.errors import FitError
     from ..fitting.static.ranking import compare_laws
     from ..muscles.law import LAWS
 
-    if loss != "squares":
+    if options.loss != "squares":
         raise InputError("--loss: several laws are ranked by least squares; give one --law with it")
     chosen = [*LAWS, "polynomial-1-3"] if laws == ["all"] else laws
-    comparison = compare_laws(table, chosen, fixed=_fixed(fixed, chosen))
-    print(f"{comparison}\n")
+    comparison = compare_laws(table, chosen, fixed=_fixed(options.fixed, chosen))
+    tell(options, f"{comparison}\n")
     best = comparison.best.fit
     if best is None:
         raise FitError(f"none of the laws could be fitted: {comparison.best.problem}")
@@ -241,9 +315,9 @@ def _campaign(options: argparse.Namespace) -> int:
         loss=options.loss,
         **reading_options(options),
     )
-    print(result.report())
+    tell(options, result.report(), lambda: {"muscles": result.table()})
     if options.out:
-        print(f"-> {result.save(options.out)}")
+        wrote(options, result.save(options.out))
     if options.plot:
         from ..figures.saved import save_figure
         from ..figures.trajectory import plot_fit
@@ -251,8 +325,56 @@ def _campaign(options: argparse.Namespace) -> int:
         folder = make_folder(options.plot)
         for name, study in result.muscles.items():
             plain = "".join(c if c.isalnum() or c in "-+." else "_" for c in name)
-            print(f"-> {save_figure(plot_fit(study.fit), folder / f'{plain}.png')}")
+            wrote(options, save_figure(plot_fit(study.fit), folder / f"{plain}.png"))
     return 0
+
+
+def _fit_forces(options: argparse.Namespace) -> int:
+    from ..core.errors import FitError
+    from ..core.files import make_folder
+    from ..fitting.static.shared import fit_forces
+    from ..fitting.tables.force_table import read_table
+    from ..muscles.muscle_file import save_muscle
+
+    lengths = _lengths("--rest-length", options.rest_length)
+    tables = {}
+    for file in options.tables:
+        name = Path(file).stem
+        if name in tables:
+            raise InputError(f"{file}: a second table of the name {name}; give each its own")
+        length = _of(lengths, name) if isinstance(lengths, dict) else lengths
+        tables[name] = read_table(file, rest_length=length, **reading_options(options))
+    try:
+        joint = fit_forces(
+            tables,
+            options.law,
+            shared=options.shared or "all",
+            fixed=_fixed(options.fixed, [options.law]),
+            noise=options.noise,
+        )
+    except FitError as error:
+        print(f"pam-ocp fit-forces: {error}", file=sys.stderr)
+        return 1
+    tell(
+        options,
+        joint.report(),
+        lambda: {"coefficients": coefficients(joint), "rmse": joint.rmse, "tables": list(tables)},
+    )
+    for name in tables:
+        if options.out:
+            path = make_folder(options.out) / f"{name}.toml"
+            wrote(options, save_muscle(joint[name].muscle(name=name), path))
+        if options.plot:
+            from ..figures.saved import save_figure
+
+            drawn = joint[name].plot()
+            wrote(options, save_figure(drawn, make_folder(options.plot) / f"{name}.png"))
+    return 0
+
+
+def _of(lengths: dict[str, float], name: str) -> float | None:
+    """The length of the muscle whose name holds a key."""
+    return next((v for n, v in lengths.items() if n in name), None)
 
 
 def _lengths(option: str, texts: Sequence[str] | None) -> Any:
@@ -287,7 +409,8 @@ def _fit_holds(options: argparse.Namespace) -> int:
     except FitError as error:
         print(f"pam-ocp fit-holds: {error}", file=sys.stderr)
         return 1
-    print(fit.report())
+    said = {"parameters": coefficients(fit), "rmse": fit.rmse, "warnings": fit.warnings}
+    tell(options, fit.report(), said)
     if options.out:
-        print(f"-> {fit.save(options.out)}")
+        wrote(options, fit.save(options.out))
     return 0

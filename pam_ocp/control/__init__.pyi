@@ -6,6 +6,10 @@ from .analysis import bode_cloud as bode_cloud
 from .analysis import margins as margins
 from .analysis import margins_over as margins_over
 from .analysis import mode_map as mode_map
+from .blocks.chain import chain as chain
+from .blocks.guard import Guard as Guard
+from .blocks.making import BlockController as BlockController
+from .blocks.making import block as block
 from .compensation import HysteresisCompensation as HysteresisCompensation
 from .controller_plants import pid_controller as pid_controller
 from .controller_plants import state_feedback_controller as state_feedback_controller

@@ -28,7 +28,8 @@ class OpenLoop:
     """A Controller that plays the inputs of a motion, whatever happens (for comparison)."""
 
     def __init__(self, plant: Plant, motion: Trajectory, sample_time: float) -> None:
-        self.motion, self.sample_time = motion, require_positive("sample_time", sample_time, "s")
+        self.plant, self.motion = plant, motion
+        self.sample_time = require_positive("sample_time", sample_time, "s")
         self.inputs = [v.name for v in plant.inputs if not v.disturbance]
         self._all = list(motion.named("input"))
 

@@ -4,8 +4,7 @@ stiffness).
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TypeAlias
 
 import casadi as ca
@@ -14,17 +13,12 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.stop import locked
-from ..numerics.newton import iterate, least_squares
 from ..plants.plant import Plant, require_plant
+from .inverse_search import Search
 
 __all__ = ["InverseDynamics"]
 
 Array: TypeAlias = NDArray[np.float64]
-ITERATIONS = 30
-SETTLED = 1e-4
-"""Change of a pressure that no longer counts [Pa]."""
-MISS = 1e-6
-"""Relative miss of acceleration and stiffness that counts as met."""
 
 
 @locked
@@ -75,7 +69,8 @@ class InverseDynamics:
         self._where = where
         self._z = np.concatenate([plant.vector("state"), plant.vector("input")])
         self._p = plant.vector("parameter")
-        self._function = self._build(pressures)
+        self.search = Search(self._build(pressures), len(self._z), self._place, self.low, self.high)
+        self._pressures = self.search.function
 
     @staticmethod
     def _driven(plant: Plant) -> bool:
@@ -85,7 +80,7 @@ class InverseDynamics:
         return any(n.endswith(".pressure") for n in symbols)
 
     def _build(self, pressures: list[str]) -> ca.Function:
-        """(states and inputs, parameters) -> (acceleration[, stiffness]), slopes over pressures."""
+        """(states and inputs) -> (acceleration[, stiffness]), slopes over pressures."""
         plant = self.plant
         asked = [plant.expression(f"der({self.velocity})")]
         if len(pressures) == 2:
@@ -93,7 +88,10 @@ class InverseDynamics:
         column = ca.vertcat(*asked)
         slopes = ca.jacobian(column, ca.vertcat(*(plant.expression(n) for n in pressures)))
         z = ca.vertcat(plant.x, plant.u)
-        return ca.Function("inverse", [z, plant.p], [column, ca.densify(slopes)])
+        whole = ca.Function("inverse", [z, plant.p], [column, ca.densify(slopes)])
+        here = ca.SX.sym("z", z.numel())
+        found, steep = whole(here, ca.DM(self._p))
+        return ca.Function("inverse", [here], [found, steep], {"cse": True})
 
     def __call__(
         self,
@@ -116,45 +114,4 @@ class InverseDynamics:
         for name, value in (states or {}).items():
             self._z[self._where[name]] = value
         self._z[list(self._at)] = position, velocity
-        both = list(range(len(self.muscles)))
-        pressures, miss = self._solved((self.low + self.high) / 2, target, both, both)
-        if np.abs(miss).max() <= MISS or len(self.muscles) == 1:
-            return pressures
-        return self._at_a_limit(target)
-
-    def _solved(
-        self, pressures: Array, target: Array, equations: list[int], unknown: list[int]
-    ) -> tuple[Array, Array]:
-        """Newton within the range for some of the pressures, and what is missed (relative)."""
-        pressures, miss = pressures.copy(), np.zeros(len(target))
-
-        def missed(w: Array) -> tuple[Array, Callable[[Array], Array]]:
-            pressures[unknown] = w
-            self._z[self._place] = pressures
-            found, slopes = (np.asarray(m, dtype=float) for m in self._function(self._z, self._p))
-            miss[:] = found.ravel() - target
-            return miss[equations], least_squares(slopes[np.ix_(equations, unknown)])
-
-        iterate(
-            missed,
-            pressures[unknown],
-            settled=SETTLED,
-            steps=ITERATIONS,
-            halvings=0,
-            within=(self.low[unknown], self.high[unknown]),
-        )
-        return pressures, miss / np.maximum(np.abs(target), 1.0)
-
-    def _at_a_limit(self, target: Array) -> Array:
-        """One muscle at an end of its range, the other one giving the acceleration: the pair with
-        the nearest stiffness, or the nearest acceleration where none gives it."""
-        best, least = (self.low + self.high) / 2, (np.inf, np.inf)
-        for i, ends in itertools.product((0, 1), (self.low, self.high)):
-            start = (self.low + self.high) / 2
-            start[i] = ends[i]
-            pressures, miss = self._solved(start, target, [0], [1 - i])
-            missed = abs(float(miss[0])), abs(float(miss[1]))
-            rank = (0.0 if missed[0] <= MISS else missed[0], missed[1])
-            if rank < least:
-                best, least = pressures, rank
-        return np.asarray(best)
+        return np.asarray(self._pressures(self._z, target), dtype=float).ravel()

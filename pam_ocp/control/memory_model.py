@@ -42,7 +42,10 @@ class MemoryModel:
         self.reset()
 
     def _build(self, plant: Plant) -> ca.Function:
-        """(memories, all states and inputs of each part, durations, parameters) -> memories."""
+        """(memories, all states and inputs of each part, durations, parameters) -> memories.
+
+        ``part`` : the same for one part.
+        """
         z = ca.vertcat(plant.x, plant.u)
         rates = ca.vertcat(*(plant.expression(f"der({n})") for n in self.names))
         slope = ca.densify(ca.jacobian(rates, z)[:, self._memory])
@@ -58,7 +61,8 @@ class MemoryModel:
             return found[0], found[1]
 
         after = rodas3(slopes, memory, duration)
-        return ca.Function("memory", [memory, full, duration, plant.p], [after]).mapaccum(PARTS)
+        self.part = ca.Function("memory", [memory, full, duration, plant.p], [after])
+        return self.part.mapaccum(PARTS)
 
     def reset(self) -> None:
         """Begin at the plant's start values."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +20,8 @@ from .references import Reference
 __all__ = ["PID", "PositionController", "PressureLoop"]
 
 Array: TypeAlias = NDArray[np.float64]
+Values: TypeAlias = Mapping[str, Any]
+"""Numbers or symbols by name."""
 
 
 @dataclass
@@ -80,9 +83,11 @@ class PressureLoop:
         self.gain = require_positive("gain", gain, "1/Pa")
         self.inversion = Inversion(plant)
         names = {v.name: v for v in plant.variables}
-        self._rules: list[Callable[[Mapping[str, float], Measured], dict[str, float]]] = []
+        self._rules: list[Callable[[Values, Values], dict[str, Any]]] = []
+        self.muscles: list[str] = []
         muscles = [n.removesuffix(".pressure") for n in names if n.endswith(".pressure")]
         for m in muscles:
+            self.muscles.append(m)
             command = names.get(f"{m}.command")
             if names[f"{m}.pressure"].causality == "input":
                 self._rules.append(lambda p, y, m=m: {f"{m}.pressure": p[m]})  # type: ignore[misc]
@@ -100,37 +105,42 @@ class PressureLoop:
 
     def _regulator(
         self, plant: Plant, m: str, time_constant: float | None
-    ) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
+    ) -> Callable[[Values, Values], dict[str, Any]]:
         ratio = 0.0
         if time_constant is not None:
             lag = float(plant.variable(f"{m}.lag").start or 0.0)
             ratio = lag / require_positive("time_constant", time_constant, "s")
 
-        def rule(p: Mapping[str, float], y: Measured) -> dict[str, float]:
+        def rule(p: Values, y: Values) -> dict[str, Any]:
             now = y[f"{m}.pressure"]
             return {f"{m}.command": now + ratio * (p[m] - now) if ratio else p[m]}
 
         return rule
 
-    def _spool(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
+    def _spool(self, m: str) -> Callable[[Values, Values], dict[str, Any]]:
         name = self.inversion.name(f"{m}.command")  # the opening where the plant declares one
         return lambda p, y: {name: self._opening(p[m] - y[f"{m}.pressure"])}
 
-    def _on_off(self, m: str) -> Callable[[Mapping[str, float], Measured], dict[str, float]]:
-        def rule(p: Mapping[str, float], y: Measured) -> dict[str, float]:
+    def _on_off(self, m: str) -> Callable[[Values, Values], dict[str, Any]]:
+        def rule(p: Values, y: Values) -> dict[str, Any]:
             opening = self._opening(p[m] - y[f"{m}.pressure"])
-            return {f"{m}.fill": max(opening, 0.0), f"{m}.vent": max(-opening, 0.0)}
+            return {f"{m}.fill": ca.fmax(opening, 0.0), f"{m}.vent": ca.fmax(-opening, 0.0)}
 
         return rule
 
-    def _opening(self, error: float) -> float:
-        return float(np.clip(self.gain * error, -1.0, 1.0))
+    def _opening(self, error: Any) -> Any:
+        return ca.fmin(ca.fmax(self.gain * error, -1.0), 1.0)
+
+    def inputs(self, wanted: Values, measured: Values) -> dict[str, Any]:
+        """Inputs for wanted pressures {muscle: Pa}, openings as they are: numbers, or symbols."""
+        found: dict[str, Any] = {}
+        for rule in self._rules:
+            found.update(rule(wanted, measured))
+        return found
 
     def __call__(self, wanted: Mapping[str, float], measured: Measured) -> dict[str, float]:
         """Inputs by name for wanted pressures {muscle: Pa}."""
-        inputs: dict[str, float] = {}
-        for rule in self._rules:
-            inputs.update(rule(wanted, measured))
+        inputs = {n: float(u) for n, u in self.inputs(wanted, measured).items()}
         return self.inversion.commands(inputs)
 
 

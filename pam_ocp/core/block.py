@@ -6,14 +6,16 @@ its one ``step``. It knows nothing of muscles or of control.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, require_positive
+from .. import courtesy
+from .errors import InputError, UnknownNameError, require_positive
 from .variables import Causality, Variable
 
 __all__ = ["Block"]
@@ -37,6 +39,9 @@ class Block:
     step : Function (memory, inputs, parameters) -> (memory, outputs), dense columns in SI. Time is
         not among its arguments: a block that follows a clock counts its steps in its memory.
     description : one line for people.
+    commands : those of the outputs that drive a plant; the others are estimates and status.
+    missing : those of the inputs that may be NaN, where the step itself knows what to do then.
+    loops : {what is repeated within one step: how often at most}, as a target's worst case.
     """
 
     name: str
@@ -47,6 +52,9 @@ class Block:
     memory: tuple[Variable, ...]
     step: ca.Function = field(repr=False)
     description: str = ""
+    commands: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    loops: Mapping[str, int] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         Variable(self.name, "parameter")
@@ -68,6 +76,11 @@ class Block:
                 if variable.name in seen:
                     raise InputError(f"{argument}: {variable.name} is there twice; rename one")
                 seen.add(variable.name)
+        known = {"commands": self.outputs, "missing": self.inputs}
+        for argument, variables in known.items():
+            for name in getattr(self, argument):
+                if name not in {v.name for v in variables}:
+                    raise UnknownNameError(argument, name, [v.name for v in variables])
         wanted = [len(getattr(self, a)) for a in ("memory", "inputs", "parameters")]
         found = [self.step.size_in(i) for i in range(self.step.n_in())]
         if found != [(n, 1) for n in wanted]:
@@ -76,6 +89,11 @@ class Block:
         found = [self.step.size_out(i) for i in range(self.step.n_out())]
         if found != [(n, 1) for n in wanted]:
             raise InputError(f"step gives {found}; it must give columns of {wanted} entries")
+
+    @classmethod
+    def of(cls, controller: Any, **options: Any) -> Block:
+        """What ``pam_ocp.control.block`` makes of a controller, an estimator or a motion."""
+        return courtesy.block(controller, **options)
 
     def start(self, kind: str) -> Array:
         """Start values of "memory", "inputs" or "parameters", in order [SI]."""

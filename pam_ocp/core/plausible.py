@@ -17,7 +17,7 @@ import numpy as np
 
 from .units import unit as unit_of
 
-__all__ = ["UnitWarning", "Usual", "doubt", "meant", "meant_within", "outside"]
+__all__ = ["UnitWarning", "Usual", "doubt", "largest_usual", "meant", "meant_within", "outside"]
 
 FAR = 100.0
 """What a variable calls its nominal size says what is usual for it: only so many times more is
@@ -66,6 +66,12 @@ _USUAL: dict[str, Usual] = {
 }
 _TIME_CONSTANT = Usual(0.0, 5.0, ("ms",), 0.05)
 _BY_KIND = {unit_of(name).exponents: usual for name, usual in _USUAL.items()}
+
+
+def largest_usual(unit: str) -> float:
+    """The largest size that is usual for a quantity of this unit [SI]; 0 when none is known."""
+    usual = _BY_KIND.get(unit_of(unit).exponents)
+    return usual.most if usual else 0.0
 
 
 def _in_si(value: float, unit: str) -> float:

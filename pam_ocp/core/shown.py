@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .. import courtesy
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 __all__ = ["brief", "shown"]
 
@@ -17,13 +23,18 @@ def shown(cls: C) -> C:
     """Class decorator (above ``@dataclass``): a short repr, and a form for notebooks.
 
     The repr is what ``_brief()`` says, or else the first line of ``str``; the form in notebooks is
-    that of :mod:`pam_ocp.figures.sheets`.
+    that of :mod:`pam_ocp.figures.sheets`. What the class does not have of ``plot``, ``report``,
+    ``save``, ``to_excel`` and ``to_pandas`` it gets, by its table
+    (:mod:`pam_ocp.figures.tables`).
     """
     own = vars(cls).get("__repr__")
     if own is None or hasattr(own, "__wrapped__"):  # none, or the one that dataclass makes
         setattr(cls, "__repr__", brief)  # noqa: B010 - a type checker sees another method there
     if "_repr_html_" not in vars(cls):
         setattr(cls, "_repr_html_", _Shows._repr_html_)  # noqa: B010
+    for name in ("plot", "report", "save", "to_excel", "to_pandas"):
+        if not hasattr(cls, name):
+            setattr(cls, name, vars(_Shows)[name])
     return cls
 
 
@@ -39,3 +50,23 @@ def brief(self: Any) -> str:
 class _Shows:
     def _repr_html_(self) -> str:
         return courtesy.html_of(self)
+
+    def plot(self) -> Figure:
+        """The numbers of its table as bars. Returns the matplotlib Figure."""
+        return courtesy.plot_table(self)
+
+    def report(self) -> str:
+        """All of it as text."""
+        return courtesy.report_of(self)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a page (.html), its table (.csv, .json, .xlsx) or its text (.txt)."""
+        return courtesy.save_result(self, path)
+
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write its table as a workbook (.xlsx)."""
+        return courtesy.save_result(self, path)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Its table as a DataFrame: a row for each part, or for each number."""
+        return courtesy.frame_of(self)

@@ -37,6 +37,7 @@ from .variables import Causality, Variable, variable_of
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["HELD", "Comparison", "Event", "Trajectory", "interpolation_of"]
@@ -303,6 +304,13 @@ class Trajectory:
         table = np.column_stack(list(self._columns.values()))
         return frame(table, list(self._columns), self.t, "time")  # type: ignore[arg-type]
 
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write a workbook (.xlsx): all columns in display units, a chart per unit.
+
+        Raises InputError for more rows than a sheet has.
+        """
+        return courtesy.write_motion_book(self, path)
+
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
         """Read what :meth:`save` wrote. A CSV keeps names and units; its columns are outputs."""
@@ -374,9 +382,19 @@ class Trajectory:
         return cls(t, columns, variables, content["interpolation"], (), signals)
 
     # ---- looking ----------------------------------------------------------------------------
-    def plot(self, names: Sequence[str] | None = None) -> Figure:
-        """A figure with one panel per unit, over time. Returns the matplotlib Figure."""
-        return courtesy.plot_trajectory(self, names)
+    def plot(
+        self,
+        names: Sequence[str] | None = None,
+        *,
+        ax: Axes | None = None,
+        interactive: bool = False,
+    ) -> Figure:
+        """A figure with one panel per unit, over time. Returns the matplotlib Figure.
+
+        ax : draw into this panel instead; the names must be of one unit.
+        interactive : a plotly figure instead (needs the extra ``interactive``).
+        """
+        return courtesy.plot_trajectory(self, names, ax=ax, interactive=interactive)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import platform as host
 import shutil
@@ -30,6 +31,8 @@ __all__ = [
     "platforms_named",
     "universal",
 ]
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,7 @@ def compile_library(
     shown = command[len(compiler.command) :]
     stored = usable_folder("fmu") / f"{_key(sources, shown, compiler.version)}{platform.suffix}"
     library = kept(stored)
+    LOG.info("%s: %s", output, "compiling" if library is None else "from the cache")
     if library is None:
         library = _compile(sources, command + _headers(command), output, platform)
         keep(stored, library)

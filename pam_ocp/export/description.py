@@ -1,19 +1,21 @@
-"""modelDescription.xml and its neighbours, for FMI 2.0 and FMI 3.0."""
+"""modelDescription.xml, for FMI 2.0 and FMI 3.0."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from ..core import units
+from . import quantities
 from .layout import Dependency, Entry, Layout
 from .source import MAIN_SOURCE
 
-__all__ = ["GENERATED", "build_description", "model_description", "terminals", "to_text"]
+__all__ = ["GENERATED", "model_description", "to_text"]
 
 GENERATED = "2000-01-01T00:00:00Z"
-"""Every FMU carries this date, so that the same plant gives the same bytes."""
+"""The date of an FMU that is given none, so that the same plant gives the same bytes."""
+
+Types = Mapping[quantities.Type, str]
 
 _LOG_CATEGORIES = {
     "logStatusError": "refused calls",
@@ -41,27 +43,36 @@ def model_description(
     step_size: float,
     stop_time: float,
     fixed_step: float,
-    version: str,
+    tool: str,
+    about: Mapping[str, str],
 ) -> ET.Element:
-    """The root element of modelDescription.xml."""
-    plant = layout.plant
+    """The root element of modelDescription.xml.
+
+    about : author, version, copyright, license, date of the model; each may be missing.
+    """
+    said = {
+        name: about[name] for name in ("author", "version", "copyright", "license") if name in about
+    }
     root = ET.Element(
         "fmiModelDescription",
         {
             "fmiVersion": fmi,
-            "modelName": plant.name,
+            "modelName": layout.name,
             "guid" if fmi == "2.0" else "instantiationToken": token,
-            "description": plant.description,
-            "version": version,
-            "generationTool": f"pam_ocp {version}",
-            "generationDateAndTime": GENERATED,
+            "description": layout.description,
+            **said,
+            "generationTool": tool,
+            "generationDateAndTime": about.get("date", GENERATED),
             "variableNamingConvention": "structured",
         },
     )
     if fmi == "2.0":
         root.set("numberOfEventIndicators", "0")
-    _interfaces(root, fmi, identifier, fixed_step)
-    _units(root, layout)
+    _interfaces(root, fmi, identifier, fixed_step, layout.sample_time)
+    variables = [e.variable for e in layout.entries]
+    quantities.add_units(ET.SubElement(root, "UnitDefinitions"), variables)
+    types = quantities.type_names(variables[1:])
+    quantities.add_types(root, types, fmi)
     categories = ET.SubElement(root, "LogCategories")
     for name, description in _LOG_CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=description)
@@ -74,10 +85,10 @@ def model_description(
         stepSize=repr(step_size),
     )
     if fmi == "2.0":
-        _variables_2(root, layout)
+        _variables_2(root, layout, types)
         _structure_2(root, layout)
     else:
-        _variables_3(root, layout)
+        _variables_3(root, layout, types)
         _structure_3(root, layout)
     return root
 
@@ -85,71 +96,59 @@ def model_description(
 # ---- interfaces and units -----------------------------------------------------------------------
 
 
-def _interfaces(root: ET.Element, fmi: str, identifier: str, fixed_step: float) -> None:
+_STATE = {
+    "2.0": ("canGetAndSetFMUstate", "canSerializeFMUstate"),
+    "3.0": ("canGetAndSetFMUState", "canSerializeFMUState"),
+}
+_DERIVATIVES = {
+    "2.0": ("providesDirectionalDerivative",),
+    "3.0": ("providesDirectionalDerivatives", "providesAdjointDerivatives"),
+}
+
+
+def _interfaces(
+    root: ET.Element, fmi: str, identifier: str, fixed_step: float, sample_time: float | None
+) -> None:
+    common = dict.fromkeys(_STATE[fmi], "true")
+    if sample_time is None:
+        common |= dict.fromkeys(_DERIVATIVES[fmi], "true")
+        exchange = {"completedIntegratorStepNotNeeded": "true"} if fmi == "2.0" else {}
+        _interface(root, "ModelExchange", fmi, identifier, common | exchange)
+    simulation = _simulation(fmi, fixed_step, sample_time)
+    _interface(root, "CoSimulation", fmi, identifier, common | simulation)
+
+
+def _simulation(fmi: str, fixed_step: float, sample_time: float | None) -> dict[str, str]:
+    """What Co-Simulation can do beyond what Model Exchange can."""
+    found = {"canHandleVariableCommunicationStepSize": "true"}
     if fmi == "2.0":
-        common = dict.fromkeys(
-            ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative"),
-            "true",
-        )
-        exchange = {"completedIntegratorStepNotNeeded": "true"}
-        simulation = {
-            "canHandleVariableCommunicationStepSize": "true",
-            "canInterpolateInputs": "true",
-            "maxOutputDerivativeOrder": "1",
-        }
+        found["canInterpolateInputs"] = "true"
     else:
-        common = dict.fromkeys(
-            (
-                "canGetAndSetFMUState",
-                "canSerializeFMUState",
-                "providesDirectionalDerivatives",
-                "providesAdjointDerivatives",
-            ),
-            "true",
-        )
-        exchange = {}
-        simulation = {
-            "canHandleVariableCommunicationStepSize": "true",
-            "maxOutputDerivativeOrder": "1",
-            "providesIntermediateUpdate": "true",
-            "canReturnEarlyAfterIntermediateUpdate": "true",
-        }
-        if fixed_step > 0:
-            simulation = {
-                "canHandleVariableCommunicationStepSize": "true",
-                "fixedInternalStepSize": repr(fixed_step),
-                "maxOutputDerivativeOrder": "1",
-            }
-    for name, special in (("ModelExchange", exchange), ("CoSimulation", simulation)):
-        element = ET.SubElement(root, name, {"modelIdentifier": identifier, **common, **special})
-        if fmi == "2.0":
-            files = ET.SubElement(element, "SourceFiles")
-            ET.SubElement(files, "File", name=MAIN_SOURCE)
+        found["hasEventMode"] = "true"
+    if sample_time is None:
+        found["maxOutputDerivativeOrder"] = "1"
+    internal = sample_time if sample_time is not None else fixed_step
+    if fmi == "3.0" and internal > 0:
+        found["fixedInternalStepSize"] = repr(internal)
+    elif fmi == "3.0":
+        found["providesIntermediateUpdate"] = "true"
+        found["canReturnEarlyAfterIntermediateUpdate"] = "true"
+    return found
 
 
-def _units(root: ET.Element, layout: Layout) -> None:
-    shown: dict[str, set[str]] = {}
-    for entry in layout.entries:
-        displays = shown.setdefault(entry.variable.unit, set())
-        if entry.variable.display_unit != entry.variable.unit:
-            displays.add(entry.variable.display_unit)
-    parent = ET.SubElement(root, "UnitDefinitions")
-    for name in sorted(shown):
-        unit = units.unit(name)
-        element = ET.SubElement(parent, "Unit", name=name)
-        base = {base: str(exponent) for base, exponent in unit.base_exponents.items()}
-        if unit.factor != 1.0:
-            base["factor"] = repr(unit.factor)
-        ET.SubElement(element, "BaseUnit", base)
-        for display in sorted(shown[name]):
-            factor = unit.factor / units.unit(display).factor
-            ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
+def _interface(
+    root: ET.Element, name: str, fmi: str, identifier: str, attributes: Mapping[str, str]
+) -> None:
+    element = ET.SubElement(root, name, {"modelIdentifier": identifier, **attributes})
+    if fmi == "2.0":
+        files = ET.SubElement(element, "SourceFiles")
+        ET.SubElement(files, "File", name=MAIN_SOURCE)
 
 
 # ---- variables ----------------------------------------------------------------------------------
 
 
-def _causality(entry: Entry) -> dict[str, str]:
+def _causality(entry: Entry, sampled: bool) -> dict[str, str]:
     """Causality, variability and initial of a variable, the same in FMI 2 and 3."""
     if entry.role == "time":
         return {"causality": "independent", "variability": "continuous"}
@@ -158,17 +157,25 @@ def _causality(entry: Entry) -> dict[str, str]:
         return {"causality": "parameter", "variability": variability, "initial": "exact"}
     if entry.role == "input":
         return {"causality": "input", "variability": "continuous"}
+    if entry.is_calculated:
+        variability = "tunable" if entry.variable.tunable else "fixed"
+        causality = "calculatedParameter"
+        return {"causality": causality, "variability": variability, "initial": "calculated"}
     return {
         "causality": "output" if entry.is_output else "local",
-        "variability": "continuous",
+        "variability": "discrete" if sampled else "continuous",
         "initial": "exact" if entry.role == "state" else "calculated",
     }
 
 
-def _quantity(entry: Entry) -> dict[str, str]:
-    """Unit, range, nominal and start value of a variable."""
+def _quantity(entry: Entry, types: Types) -> dict[str, str]:
+    """Unit, range, nominal and start value of a variable. Unit and range are those of its type,
+    and repeated: not all importers look at types.
+    """
     variable = entry.variable
     attributes = {"unit": variable.unit}
+    if entry.role != "time":
+        attributes["declaredType"] = quantities.declared(variable, types)
     if variable.display_unit != variable.unit:
         attributes["displayUnit"] = variable.display_unit
     if entry.role == "time":
@@ -181,30 +188,52 @@ def _quantity(entry: Entry) -> dict[str, str]:
     return attributes
 
 
-def _head(entry: Entry) -> dict[str, str]:
+def _head(entry: Entry, sampled: bool) -> dict[str, str]:
     head = {"name": entry.name, "valueReference": str(entry.reference)}
     if entry.variable.description:
         head["description"] = entry.variable.description
-    return head | _causality(entry)
+    return head | _causality(entry, sampled)
 
 
-def _variables_2(root: ET.Element, layout: Layout) -> None:
+def _variables_2(root: ET.Element, layout: Layout, types: Types) -> None:
     """Without time, which FMI 2 does not ask for and FMI Library complains about."""
     parent = ET.SubElement(root, "ModelVariables")
     for entry in layout.entries[1:]:
-        real = _quantity(entry)
+        real = _quantity(entry, types)
         if entry.role == "derivative":
             real["derivative"] = str(entry.reference - len(layout.of("state")))
-        ET.SubElement(ET.SubElement(parent, "ScalarVariable", _head(entry)), "Real", real)
+        head = _head(entry, layout.sample_time is not None)
+        ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), "Real", real)
 
 
-def _variables_3(root: ET.Element, layout: Layout) -> None:
+def _variables_3(root: ET.Element, layout: Layout, types: Types) -> None:
     parent = ET.SubElement(root, "ModelVariables")
     for entry in layout.entries:
-        attributes = _head(entry) | _quantity(entry)
+        attributes = _head(entry, layout.sample_time is not None) | _quantity(entry, types)
         if entry.role == "derivative":
             attributes["derivative"] = str(entry.reference - len(layout.of("state")))
         ET.SubElement(parent, "Float64", attributes)
+    if layout.clock and layout.sample_time is not None:
+        _clock(parent, layout, layout.sample_time)
+
+
+def _clock(parent: ET.Element, layout: Layout, sample_time: float) -> None:
+    """The clock of the samples. Inputs and outputs do not belong to it, so that importers without
+    clocks may set and read them in each step.
+    """
+    name = "clock"
+    while name in {e.name for e in layout.entries}:
+        name += "_"
+    ET.SubElement(
+        parent,
+        "Clock",
+        name=name,
+        valueReference=str(len(layout.entries)),
+        description="ticks when a sample is due; without ticks samples are made in the steps",
+        causality="input",
+        intervalVariability="constant",
+        intervalDecimal=repr(sample_time),
+    )
 
 
 # ---- model structure ----------------------------------------------------------------------------
@@ -228,7 +257,7 @@ def _initial(layout: Layout) -> list[tuple[int, tuple[Dependency, ...]]]:
     return [
         (e.reference, layout.initial_dependencies[e.reference])
         for e in layout.entries
-        if e.role == "derivative" or (e.role == "output" and e.is_output)
+        if e.role == "derivative" or e.is_calculated or (e.role == "output" and e.is_output)
     ]
 
 
@@ -248,6 +277,8 @@ def _structure_2(root: ET.Element, layout: Layout) -> None:
         ("Derivatives", _derivatives(layout)),
         ("InitialUnknowns", _initial(layout)),
     ):
+        if not unknowns:  # FMI 2 allows no empty groups
+            continue
         group = ET.SubElement(parent, name)
         for reference, known in unknowns:
             attributes = {"index": str(reference)} | _dependency_attributes(known)
@@ -264,49 +295,3 @@ def _structure_3(root: ET.Element, layout: Layout) -> None:
         for reference, known in unknowns:
             attributes = {"valueReference": str(reference)} | _dependency_attributes(known)
             ET.SubElement(parent, name, attributes)
-
-
-# ---- neighbours ---------------------------------------------------------------------------------
-
-
-def build_description(identifier: str) -> ET.Element:
-    """FMI 3's sources/buildDescription.xml: how to compile the sources."""
-    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(
-        root,
-        "BuildConfiguration",
-        modelIdentifier=identifier,
-        description="one translation unit, C11, no library but the mathematical one",
-    )
-    files = ET.SubElement(configuration, "SourceFileSet", language="C11")
-    ET.SubElement(files, "SourceFile", name=MAIN_SOURCE)
-    return root
-
-
-def terminals(layout: Layout) -> ET.Element:
-    """terminalsAndIcons.xml: the icon, and one terminal for each part with inputs and outputs.
-
-    A terminal gathers the variables ``part.*`` (a muscle's command, force, ...), and one more all
-    inputs and outputs of the whole plant.
-    """
-    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    drawing = ET.SubElement(root, "GraphicalRepresentation")
-    square = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
-    ET.SubElement(drawing, "CoordinateSystem", {**square, "suggestedScalingFactorTo_mm": "0.1"})
-    ET.SubElement(drawing, "Icon", square)
-    groups: dict[str, list[Entry]] = {}
-    for entry in layout.entries:
-        if entry.is_output or entry.role == "input":
-            groups.setdefault(entry.name.rpartition(".")[0] or layout.plant.name, []).append(entry)
-    parent = ET.SubElement(root, "Terminals")
-    for name, members in groups.items():
-        terminal = ET.SubElement(parent, "Terminal", name=name, matchingRule="none")
-        for entry in members:
-            ET.SubElement(
-                terminal,
-                "TerminalMemberVariable",
-                variableName=entry.name,
-                memberName=entry.name.rpartition(".")[2],
-                variableKind="signal",
-            )
-    return root

@@ -15,7 +15,7 @@ from ..core.variables import Variable
 from ..plants.plant import Plant
 from .layout import Layout
 
-__all__ = ["equations", "icon_png", "icon_svg", "page", "picture", "reference_table"]
+__all__ = ["equations", "icon_png", "icon_svg", "page", "picture", "reference_table", "signal_png"]
 
 
 def equations(plant: Plant) -> list[tuple[str, str]]:
@@ -102,38 +102,35 @@ def _table(title: str, variables: Iterable[Variable]) -> str:
 def page(
     layout: Layout,
     notes: Sequence[str],
+    lines: Sequence[tuple[str, str]],
     with_reference: bool = False,
-    lines: Sequence[tuple[str, str]] | None = None,
 ) -> str:
-    """documentation/index.html: what the plant is, its variables, parameters and equations.
+    """documentation/index.html: what the model is, its variables, parameters and equations.
 
-    lines : the equations (left and right sides), where they are not those of the plant.
+    lines : the equations, left and right sides.
     """
     picture = (
         "<h2>Reference motion</h2>\n<p>Its numbers stand beside this page in two tables, inputs "
         '(..._in.csv) and results (..._ref.csv).</p>\n<img src="reference.png" alt="time series">\n'
     )
-    plant = layout.plant
-    outputs = {e.name for e in layout.outputs}
+    results = [*layout.of("state"), *layout.of("output")]
     shown, local = (
-        [v for v in (*plant.states, *plant.outputs) if (v.name in outputs) is wanted]
-        for wanted in (True, False)
+        [e.variable for e in results if e.is_output is wanted] for wanted in (True, False)
     )
-    sides = equations(plant) if lines is None else lines
-    text = "\n".join(f"{left} = {right}" for left, right in sides)
+    text = "\n".join(f"{left} = {right}" for left, right in lines)
     tables = "".join(
         _table(title, variables)
         for title, variables in (
-            ("Inputs", plant.inputs),
+            ("Inputs", layout.variables("input")),
             ("Outputs (those with a start value are states)", shown),
             ("Local variables", local),
-            ("Parameters", plant.parameters),
+            ("Parameters", layout.variables("parameter")),
         )
     )
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f"<title>{html.escape(plant.name)}</title><style>{_STYLE}</style></head><body>\n"
-        f"<h1>{html.escape(plant.name)}</h1>\n<p>{html.escape(plant.description)}</p>\n"
+        f"<title>{html.escape(layout.name)}</title><style>{_STYLE}</style></head><body>\n"
+        f"<h1>{html.escape(layout.name)}</h1>\n<p>{html.escape(layout.description)}</p>\n"
         + "".join(f"<p>{html.escape(note)}</p>\n" for note in notes)
         + tables
         + "<h2>Equations</h2>\n<p>SI units; w0, w1, ... are parts used more than once; "
@@ -206,6 +203,23 @@ def icon_png() -> bytes:
         axes.plot([x, x + 18], [38, 62], color=dark, lw=0.8)
     for x in (12, 80):
         axes.fill([x, x + 8, x + 8, x], [38, 38, 62, 62], fc=dark)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def signal_png() -> bytes:
+    """The picture of a terminal: a disc, 32 x 32 pixels."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    figure = Figure(figsize=(0.32, 0.32), dpi=100)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    axes.set_axis_off()
+    axes.add_patch(Circle((0.5, 0.5), 0.42, fc="#77aabb", ec="#334455"))
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from typing import Any
 
 import casadi as ca
@@ -15,7 +15,7 @@ from ..core.variables import Variable
 from ..operating.linear import chosen_signals
 from ..plants.plant import Plant
 
-__all__ = ["check_reference", "shown_outputs", "with_inputs"]
+__all__ = ["check_reference", "shown_outputs", "with_inputs", "with_shared"]
 
 
 def with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
@@ -41,6 +41,64 @@ def with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
             del about["disturbance"]
             value = about.pop("start")
             symbols[v.name] = other.parameter(v.name, value, **{**about, "tunable": tunable})
+    _define(other, plant, symbols)
+    return other
+
+
+def with_shared(plant: Plant) -> tuple[Plant, frozenset[str]]:
+    """The plant with one parameter (``muscle.a1``) where parts that are numbered (``muscle1.a1``,
+    ``muscle2.a1``) have equal ones; those become outputs. Returns the names of these, too.
+    """
+    groups: dict[str, list[Variable]] = {}
+    for v in plant.parameters:
+        part, _, constant = v.name.rpartition(".")
+        family = part.rstrip("0123456789")
+        if family and family != part:
+            groups.setdefault(f"{family}.{constant}", []).append(v)
+    taken = {v.name for v in plant.variables}
+    shared = {
+        name: members
+        for name, members in groups.items()
+        if len(members) > 1
+        and name not in taken
+        and all(_like(m) == _like(members[0]) for m in members)
+    }
+    one = {m.name: name for name, members in shared.items() for m in members}
+    if not one:
+        return plant, frozenset()
+    other = Plant(plant.name, plant.description)
+    symbols = {v.name: other.state(v.name, **_attributes(v)) for v in plant.states}
+    symbols |= {v.name: other.input(v.name, **_attributes(v)) for v in plant.inputs}
+    for v in plant.parameters:
+        name = one.get(v.name, v.name)
+        if name not in symbols:
+            symbols[name] = _parameter(other, v, name)
+        symbols[v.name] = symbols[name]
+    _define(other, plant, symbols)
+    for v in plant.parameters:
+        if v.name in one:
+            about = _attributes(v) | {"start": None}
+            other.output(v.name, symbols[v.name], **about)
+    return other, frozenset(one)
+
+
+def _like(variable: Variable) -> Variable:
+    """All but the name and what is said of it."""
+    return replace(variable, name="x", description="")
+
+
+def _parameter(plant: Plant, variable: Variable, name: str) -> ca.SX:
+    about = _attributes(variable)
+    del about["disturbance"]
+    words = about["description"]
+    if name != variable.name:
+        part, family = variable.name.rpartition(".")[0], name.rpartition(".")[0]
+        about["description"] = words.replace(part, f"each {family}")
+    return plant.parameter(name, about.pop("start"), **about)
+
+
+def _define(other: Plant, plant: Plant, symbols: Mapping[str, ca.SX]) -> None:
+    """The equations and outputs of ``plant`` in the symbols of another."""
     columns = [
         ca.vertcat(*(symbols[v.name] for v in group))
         for group in (plant.states, plant.inputs, plant.parameters)
@@ -50,7 +108,6 @@ def with_inputs(plant: Plant, inputs: Sequence[str] | None) -> Plant:
         other.der(symbols[v.name], xdot[i])
     for i, v in enumerate(plant.outputs):
         other.output(v.name, y[i], **{**_attributes(v), "start": None})
-    return other
 
 
 def _attributes(variable: Variable) -> dict[str, Any]:

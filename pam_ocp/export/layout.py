@@ -1,9 +1,10 @@
-"""Which variables an FMU has, in which order: one value reference for FMI 2,
-FMI 3 and the C code.
-"""
+"""Which variables an FMU has, in which order: one value reference for FMI and C."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -11,13 +12,14 @@ from typing import TYPE_CHECKING, Literal
 import casadi as ca
 
 from ..core.errors import ExportError
+from ..core.plausible import largest_usual
 from ..core.units import display_unit
 from ..core.variables import Variable
 
 if TYPE_CHECKING:
     from ..plants.plant import Plant
 
-__all__ = ["Dependency", "Entry", "Layout"]
+__all__ = ["Dependency", "Entry", "Layout", "PlantLayout", "Role"]
 
 Role = Literal["time", "state", "derivative", "input", "parameter", "output"]
 Dependency = tuple[int, str]
@@ -34,43 +36,55 @@ class Entry:
     variable: Variable
     is_output: bool = False
     """In the sense of FMI: a state or an output of the plant that is shown as one."""
+    is_calculated: bool = False
+    """In the sense of FMI: an output that is a parameter, given by others."""
 
 
 class Layout:
-    """The variables of a plant's FMU, numbered as in fmu/src/model.h, and what depends on what.
+    """The variables of an FMU, numbered as in fmu/src/model.h, and what depends on what.
 
+    groups : the variables by role, in the order of their references.
     shown : states and outputs to be outputs of the FMU, by default all; the others are local
-    variables, which can be read but are not offered for connections.
+        variables, which can be read but are not offered for connections.
+    calculated : outputs that are calculated parameters.
 
-    Raises ExportError when a name of the plant is one that FMI needs.
+    Raises ExportError when a name is one that FMI needs.
     """
 
-    def __init__(self, plant: Plant, shown: frozenset[str] | None = None) -> None:
-        self.plant = plant
+    sample_time: float | None = None
+    """Of a sampled block [s]; None for a plant."""
+    clock = False
+    """Whether FMI 3 shows the samples' clock."""
+
+    def __init__(
+        self,
+        name: str,
+        description: str,
+        groups: Sequence[tuple[Role, tuple[Variable, ...]]],
+        shown: frozenset[str] | None = None,
+        calculated: frozenset[str] = frozenset(),
+    ) -> None:
+        self.name, self.description = name, description
         time = Variable("time", "input", unit="s", description="independent variable")
-        groups: list[tuple[Role, tuple[Variable, ...]]] = [
-            ("time", (time,)),
-            ("state", plant.states),
-            ("derivative", tuple(_derivative(v) for v in plant.states)),
-            ("input", plant.inputs),
-            ("parameter", plant.parameters),
-            ("output", plant.outputs),
-        ]
-        numbered = [(role, v) for role, variables in groups for v in variables]
+        numbered: list[tuple[Role, Variable]] = [("time", time)]
+        numbered += [(role, v) for role, variables in groups for v in variables]
         self.entries = tuple(
             Entry(
                 i,
                 f"der({v.name})" if role == "derivative" else v.name,
                 role,
                 v,
-                role in ("state", "output") and (shown is None or v.name in shown),
+                role in ("state", "output")
+                and v.name not in calculated
+                and (shown is None or v.name in shown),
+                role == "output" and v.name in calculated,
             )
             for i, (role, v) in enumerate(numbered)
         )
         if sum(e.name == "time" for e in self.entries) > 1:
             raise ExportError(
-                f"plant {plant.name!r} has a variable named 'time'; FMI keeps this name for the "
-                "independent variable: rename it"
+                f"{name!r} has a variable named 'time'; FMI keeps this name for the independent "
+                "variable: rename it"
             )
 
     @property
@@ -81,6 +95,44 @@ class Layout:
     def of(self, role: Role) -> tuple[Entry, ...]:
         """All entries of a role, in order."""
         return tuple(e for e in self.entries if e.role == role)
+
+    def variables(self, role: Role) -> tuple[Variable, ...]:
+        """The variables of a role, in order."""
+        return tuple(e.variable for e in self.of(role))
+
+    def vector(self, role: Role, attribute: str) -> list[float]:
+        """One attribute of all variables of a role; 0 for a start that is not given."""
+        return [float(getattr(v, attribute) or 0.0) for v in self.variables(role)]
+
+    @cached_property
+    def dependencies(self) -> Mapping[int, tuple[Dependency, ...]]:
+        """For each derivative and output: the states and inputs it depends on, and how."""
+        raise NotImplementedError
+
+    @cached_property
+    def initial_dependencies(self) -> Mapping[int, tuple[Dependency, ...]]:
+        """For each derivative and output: states, inputs and parameters it starts from."""
+        raise NotImplementedError
+
+
+class PlantLayout(Layout):
+    """The variables of a plant's FMU."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        shown: frozenset[str] | None = None,
+        calculated: frozenset[str] = frozenset(),
+    ) -> None:
+        self.plant = plant
+        groups: list[tuple[Role, tuple[Variable, ...]]] = [
+            ("state", plant.states),
+            ("derivative", tuple(_derivative(v) for v in plant.states)),
+            ("input", plant.inputs),
+            ("parameter", tuple(map(_bounded, plant.parameters))),
+            ("output", plant.outputs),
+        ]
+        super().__init__(plant.name, plant.description, groups, shown, calculated)
 
     @cached_property
     def unknowns(self) -> ca.SX:
@@ -140,6 +192,22 @@ class Layout:
 def _columns(matrix: ca.SX, row: int) -> list[int]:
     """Columns of the structural non-zeros of a row, rising."""
     return sorted(int(c) for c in matrix[row, :].sparsity().get_col()) if matrix.numel() else []
+
+
+_FAR = 100.0
+
+
+def _bounded(parameter: Variable) -> Variable:
+    """The parameter with a largest value far beyond any usual one, where it has none: a pressure in
+    Pa typed as one in uPa is refused by the FMU, too.
+    """
+    if math.isfinite(parameter.max):
+        return parameter
+    usual = largest_usual(parameter.unit) or _FAR * _FAR * parameter.nominal
+    most = max(usual, _FAR * parameter.nominal, _FAR * abs(parameter.start or 0.0))
+    bounded = copy(parameter)  # made anew, it would doubt this bound as a value far from usual ones
+    object.__setattr__(bounded, "max", 10.0 ** math.ceil(math.log10(most) - 1e-9))
+    return bounded
 
 
 def _derivative(state: Variable) -> Variable:

@@ -17,9 +17,11 @@ from ..core.signals import PiecewisePolynomial
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from . import package, source
-from .package import FmiVersion
+from . import source
+from .assembly import Content, write_fmu
+from .layout import PlantLayout
 from .runtime import c_text
+from .settings import FmiVersion, checked
 
 __all__ = ["export_motion", "player", "save_input_table"]
 
@@ -65,11 +67,10 @@ def export_motion(
         raise InputError("the motion has one sample only; give at least two to play")
     played = _signals(motion, chosen)
     plant = player(name, motion, chosen)
-    settings = package.checked(plant, fmi, step_size, 1e-6, None, motion.duration)
+    settings = checked(fmi, step_size, 1e-6, None, motion.duration)
     equations = [("der(clock)", "1"), *((n, f"column {n} of the motion at clock") for n in chosen)]
-    return package.write_fmu(
-        plant, path, settings, platforms, lambda: _code(motion, chosen, played), None, equations
-    )
+    content = Content("fmu", lambda: _code(motion, chosen, played), lambda: equations)
+    return write_fmu(PlantLayout(plant), path, settings, platforms, content)
 
 
 def save_input_table(

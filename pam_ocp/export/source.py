@@ -12,9 +12,8 @@ from typing import Any
 
 import casadi as ca
 
-from ..core.variables import Causality
 from ..plants.plant import Plant
-from .layout import Layout
+from .layout import Layout, Role
 from .runtime import c_text
 
 __all__ = [
@@ -52,11 +51,14 @@ _HEADERS = {
 _OWN_HEADERS = ("solver.h", "model.h", "instance.h", "elementary.h")
 
 
-def hand_written(fmi: str) -> dict[str, str]:
-    """The C files that are the same for every plant, by name, with the file to compile."""
-    whole = c_text(f"fmu{fmi[0]}.c")
-    layers = re.findall(r'#include "(\w+\.c)"', whole)
-    files = {name: c_text(name) for name in (*_HEADERS[fmi], *_OWN_HEADERS, *layers)}
+def hand_written(fmi: str, kind: str = "fmu") -> dict[str, str]:
+    """The C files that are the same for every plant ("fmu") or every "block", by name, with the
+    file to compile.
+    """
+    whole = c_text(f"{kind}{fmi[0]}.c")
+    layers = [*re.findall(r'#include "(\w+\.c)"', whole), "generated.c"]
+    own = [h for h in _OWN_HEADERS if h != "solver.h" or kind == "fmu"]
+    files = {name: c_text(name) for name in (*_HEADERS[fmi], *own, *layers)}
     return {**files, MAIN_SOURCE: whole}
 
 
@@ -145,7 +147,7 @@ def table(type_: str, name: str, cells: Iterable[str], empty: str = "0.0") -> st
     return f"static const {type_} {name}[] = {{\n    {content}}};"
 
 
-_VECTORS: tuple[tuple[str, Causality, str], ...] = (
+_VECTORS: tuple[tuple[str, Role, str], ...] = (
     ("X_START", "state", "start"),
     ("X_NOMINAL", "state", "nominal"),
     ("U_START", "input", "start"),
@@ -170,14 +172,15 @@ def model_data(
     token: str,
     tolerance: float,
     fixed_step: float,
+    more: Mapping[str, str] | None = None,
+    tables: Iterable[str] = (),
 ) -> str:
-    """The text of model_data.h: sizes, names, start values, ranges."""
-    plant = layout.plant
+    """The text of model_data.h: sizes, names, start values, ranges; ``more`` defines and tables."""
     defines = {
-        "NX": len(plant.states),
-        "NU": len(plant.inputs),
-        "NP": len(plant.parameters),
-        "NY": len(plant.outputs),
+        "NX": len(layout.of("state")),
+        "NU": len(layout.of("input")),
+        "NP": len(layout.of("parameter")),
+        "NY": len(layout.of("output")),
         "MODEL_NAME": f'"{identifier}"',
         "MODEL_TOKEN": f'"{token}"',
         "MODEL_TOLERANCE": number(tolerance),
@@ -185,22 +188,26 @@ def model_data(
         "MODEL_STEP_FRACTION": number(STEP_FRACTION),
         "MODEL_FIXED_STEP": number(fixed_step),
         **work,
+        **(more or {}),
     }
-    tables = [
+    known = [
         table("char *const", "NAMES", (f'"{e.name}"' for e in layout.entries), '""'),
         *(
-            table("double", name, map(number, plant.vector(causality, None, attribute)), "0.0")
-            for name, causality, attribute in _VECTORS
+            table("double", name, map(number, layout.vector(role, attribute)))
+            for name, role, attribute in _VECTORS
         ),
-        table("int", "P_TUNABLE", (str(int(v.tunable)) for v in plant.parameters), "0"),
+        table(
+            "int", "P_TUNABLE", (str(int(v.tunable)) for v in layout.variables("parameter")), "0"
+        ),
     ]
     return "\n".join(
         [
-            "/* Sizes, names and values of the plant. */",
+            "/* Sizes, names and values of the model. */",
             "#ifndef MODEL_DATA_H",
             "#define MODEL_DATA_H",
             "#include <math.h>",
-            *(f"#define {name} {value}" for name, value in defines.items()),
+            *(f"#define {name} {value}".rstrip() for name, value in defines.items()),
+            *known,
             *tables,
             "#endif",
             "",

@@ -1,118 +1,200 @@
-"""A system of FMUs in one file (SSP 1.0): plant, controller, motion."""
+"""A system of FMUs in one file (SSP 1.0): plant, estimator, controller, motion."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeAlias
 
+from ..core.block import Block
 from ..core.errors import InputError, UnknownNameError, require_positive
 from ..core.files import atomic_path, require_ending
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
-from . import description, package
+from . import assembly, description
 from .motion import export_motion, player
 from .package import export_fmu
+from .sampled import as_block
+from .settings import FmiVersion
+from .structure import system_structure
 
-__all__ = ["export_ssp"]
+__all__ = ["Part", "Wire", "export_ssp"]
 
-_SPACE = "http://ssp-standard.org/SSP1/SystemStructure"
-_NAMESPACES = {
-    "ssd": f"{_SPACE}Description",
-    "ssc": f"{_SPACE}Common",
-    "ssv": f"{_SPACE}ParameterValues",
-}
-_PARAMETER_SET = "initialValues"
+Component: TypeAlias = Plant | Block | Trajectory | Any
+Wire: TypeAlias = tuple[str, str, str, str]
+"""Component and variable of the output, component and variable of the input."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component: its variables, and how its FMU is written to a path."""
+
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    settable: tuple[Variable, ...]
+    """States and parameters with their start values."""
+    write: Callable[[Path], Path]
+    sample_time: float | None = None
 
 
 @verb
 def export_ssp(
-    components: Mapping[str, Plant | Trajectory],
+    components: Mapping[str, Component] | Sequence[Component],
     connections: Mapping[str, str],
     path: str | os.PathLike[str],
     *,
     name: str = "system",
-    step_size: float = 1e-3,
+    fmi: FmiVersion = "2.0",
+    step_size: float | None = None,
     stop_time: float = 1.0,
+    tolerance: float = 1e-6,
     platforms: Iterable[str] | None = None,
 ) -> Path:
-    """Write FMUs (FMI 2.0, Co-Simulation) and their connections as an SSP 1.0; returns its path.
+    """Write FMUs (Co-Simulation) and their connections as an SSP 1.0; returns its path.
 
     Parameters
     ----------
-    components : by name, plants (also a controller: see :func:`pid_controller` and
-        :func:`state_feedback_controller`), and motions to be
-        played, with all their columns (see :func:`export_motion`).
+    components : by name, plants, sampled blocks (controllers, estimators), and motions to be
+        played, with all their columns (see :func:`export_motion`); or a list of them, which go by
+        their own names, a motion by "motion".
     connections : {input: output}, such as ``{"plant.muscle1.command": "pid.muscle1.command"}``: the
         component's name, a dot, the variable's name. States are outputs too. Every input of every
         component must have one, since some tools take 0 for an open one.
     path : the file to write. An existing file is replaced when all is done.
     name : of the system.
-    step_size, stop_time : proposed communication step and end [s].
+    fmi : of the units; not all tools for systems read 3.0. Blocks have no clock here, since no
+        such tool ticks one.
+    step_size : proposed communication step [s]; by default the blocks' sample time, else 1 ms.
+    stop_time : proposed end [s].
+    tolerance : of the plants, see :func:`export_fmu`.
     platforms : see :func:`export_fmu`.
 
     Start values and parameters stand in the FMUs and, to be changed there, in the SSP. Inputs are
     held over a communication step, so a loop through two components lags by one step.
 
-    Raises InputError (an open input, units that do not fit), UnknownNameError, ExportError.
+    Raises InputError (an open input, units that do not fit, sample times that differ, a step that
+    does not fit them), UnknownNameError, ExportError.
     """
     require_ending(path, ".ssp", "a system")
-    step_size = require_positive("step_size", step_size, "s")
     stop_time = require_positive("stop_time", stop_time, "s")
-    if not components:
-        raise InputError("components is empty: name at least one Plant or Trajectory")
-    plants = {Variable(n, "parameter").name: _variables(n, c) for n, c in components.items()}
-    wires = _wires(plants, connections)
+    found = _named(components)
+    size = _step_size(found, step_size)
+    parts = {n: _part(n, c, size, tolerance, fmi, platforms) for n, c in found.items()}
+    wires = _wires(parts, connections)
     with (
         atomic_path(path) as target,
         tempfile.TemporaryDirectory(prefix="pam_ocp_") as folder,
     ):
         content = {}
-        for key, component in components.items():
-            file = Path(folder) / f"{key}.fmu"
-            if isinstance(component, Trajectory):
-                export_motion(
-                    component,
-                    file,
-                    names=component.names,
-                    name=key,
-                    platforms=platforms,
-                    step_size=step_size,
-                )
-            else:
-                export_fmu(component, file, platforms=platforms, step_size=step_size)
+        for key, part in parts.items():
+            file = part.write(Path(folder) / f"{key}.fmu")
             content[f"resources/{key}.fmu"] = file.read_bytes()
-        text = description.to_text(_structure(name, plants, wires, stop_time))
-        content["SystemStructure.ssd"] = text.encode()
-        package.write_archive(target, content)
+        tree = system_structure(name, parts, wires, size, stop_time)
+        content["SystemStructure.ssd"] = description.to_text(tree).encode()
+        assembly.write_archive(target, content)
     return Path(path)
+
+
+# ---- components ---------------------------------------------------------------------------------
+
+
+def _named(components: Mapping[str, Component] | Sequence[Component]) -> dict[str, Component]:
+    """Components by name; controllers as blocks. Raises InputError."""
+    if isinstance(components, Mapping):
+        pairs = list(components.items())
+    elif isinstance(components, Sequence) and not isinstance(components, str):
+        pairs = [(_own_name(c), c) for c in components]
+    else:
+        raise InputError(f"components = {components!r}: give a list, or a dict by name")
+    if not pairs:
+        raise InputError("components is empty: name at least one Plant, Block or Trajectory")
+    found: dict[str, Component] = {}
+    for name, component in pairs:
+        if Variable(name, "parameter").name in found:
+            raise InputError(f"components: {name!r} is there twice; give a dict with other names")
+        block = as_block(component)
+        found[name] = component if block is None else block
+        if not isinstance(found[name], Plant | Block | Trajectory):
+            raise InputError(
+                f"component {name!r} = {component!r} must be a Plant, a Block or a Trajectory"
+            )
+    return found
+
+
+def _own_name(component: Component) -> str:
+    block = as_block(component)
+    if isinstance(component, Trajectory):
+        return "motion"
+    return str(getattr(component if block is None else block, "name", "component"))
+
+
+def _step_size(components: Mapping[str, Component], step_size: float | None) -> float:
+    """The communication step: the blocks' sample time, or a whole part of it. Raises InputError."""
+    times = {n: c.sample_time for n, c in components.items() if isinstance(c, Block)}
+    if step_size is None:
+        step_size = next(iter(times.values()), 1e-3)
+    step_size = require_positive("step_size", step_size, "s")
+    if len(set(times.values())) > 1:
+        said = ", ".join(f"{n} {t:g} s" for n, t in times.items())
+        raise InputError(f"sample times differ: {said}; make the blocks with one sample time")
+    for name, time in times.items():
+        if abs(time / step_size - round(time / step_size)) > 1e-9 or time < step_size * (1 - 1e-9):
+            raise InputError(
+                f"step_size = {step_size:g} s does not go into the sample time of {name}, "
+                f"{time:g} s, a whole number of times; give {time:g} or a whole part of it"
+            )
+    return step_size
+
+
+def _part(
+    name: str,
+    component: Plant | Block | Trajectory,
+    step_size: float,
+    tolerance: float,
+    fmi: FmiVersion,
+    platforms: Iterable[str] | None,
+) -> Part:
+    chosen = None if platforms is None else [platforms] if isinstance(platforms, str) else platforms
+    more: dict[str, Any] = {"fmi": fmi, "platforms": chosen, "step_size": step_size}
+    if isinstance(component, Block):
+        block = component
+        return Part(
+            block.inputs,
+            block.outputs,
+            block.parameters,
+            lambda path: export_fmu(block, path, clock=False, **more),
+            block.sample_time,
+        )
+    if isinstance(component, Trajectory):
+        motion = component
+        plant = player(name, motion, motion.names)
+        more |= {"names": motion.names, "name": name}
+        return Part(
+            plant.inputs,
+            plant.states + plant.outputs,
+            plant.states + plant.parameters,
+            lambda path: export_motion(motion, path, **more),
+        )
+    model = component
+    return Part(
+        model.inputs,
+        model.states + model.outputs,
+        model.states + model.parameters,
+        lambda path: export_fmu(model, path, tolerance=tolerance, **more),
+    )
 
 
 # ---- connections --------------------------------------------------------------------------------
 
 
-def _variables(name: str, component: Plant | Trajectory) -> Plant:
-    """A plant with the component's variables."""
-    if isinstance(component, Plant):
-        return component
-    if isinstance(component, Trajectory):
-        return player(name, component, component.names)
-    raise InputError(f"component {name!r} = {component!r} must be a Plant or a Trajectory")
-
-
-Wire = tuple[str, str, str, str]
-"""Component and variable of the output, component and variable of the input."""
-
-
-def _wires(plants: Mapping[str, Plant], connections: Mapping[str, str]) -> list[Wire]:
-    outputs = {
-        f"{n}.{v.name}": (n, v) for n, plant in plants.items() for v in plant.states + plant.outputs
-    }
-    inputs = {f"{n}.{v.name}": (n, v) for n, plant in plants.items() for v in plant.inputs}
+def _wires(parts: Mapping[str, Part], connections: Mapping[str, str]) -> list[Wire]:
+    outputs = {f"{n}.{v.name}": (n, v) for n, part in parts.items() for v in part.outputs}
+    inputs = {f"{n}.{v.name}": (n, v) for n, part in parts.items() for v in part.inputs}
     wires = []
     for target, start in connections.items():
         if target not in inputs:
@@ -129,50 +211,3 @@ def _wires(plants: Mapping[str, Plant], connections: Mapping[str, str]) -> list[
     if unconnected:
         raise InputError(f"connections: nothing leads to {', '.join(unconnected)}")
     return wires
-
-
-# ---- SystemStructure.ssd ------------------------------------------------------------------------
-
-
-def _structure(
-    name: str, plants: Mapping[str, Plant], wires: Iterable[Wire], stop_time: float
-) -> ET.Element:
-    spaces = {f"xmlns:{prefix}": uri for prefix, uri in _NAMESPACES.items()}
-    root = ET.Element("ssd:SystemStructureDescription", {**spaces, "version": "1.0", "name": name})
-    system = ET.SubElement(root, "ssd:System", name=name)
-    elements = ET.SubElement(system, "ssd:Elements")
-    for key, plant in plants.items():
-        _component(elements, key, plant)
-    group = ET.SubElement(system, "ssd:Connections")
-    for of, source, to, sink in wires:
-        ends = {
-            "startElement": of,
-            "startConnector": source,
-            "endElement": to,
-            "endConnector": sink,
-        }
-        ET.SubElement(group, "ssd:Connection", ends)
-    ET.SubElement(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(float(stop_time)))
-    return root
-
-
-def _component(parent: ET.Element, name: str, plant: Plant) -> None:
-    component = ET.SubElement(
-        parent,
-        "ssd:Component",
-        name=name,
-        type="application/x-fmu-sharedlibrary",
-        source=f"resources/{name}.fmu",
-    )
-    connectors = ET.SubElement(component, "ssd:Connectors")
-    for kind, variables in (("input", plant.inputs), ("output", plant.states + plant.outputs)):
-        for variable in variables:
-            connector = ET.SubElement(connectors, "ssd:Connector", name=variable.name, kind=kind)
-            ET.SubElement(connector, "ssc:Real")
-    bindings = ET.SubElement(component, "ssd:ParameterBindings")
-    values = ET.SubElement(ET.SubElement(bindings, "ssd:ParameterBinding"), "ssd:ParameterValues")
-    group = ET.SubElement(values, "ssv:ParameterSet", version="1.0", name=_PARAMETER_SET)
-    parameters = ET.SubElement(group, "ssv:Parameters")
-    for variable in plant.states + plant.parameters:
-        parameter = ET.SubElement(parameters, "ssv:Parameter", name=variable.name)
-        ET.SubElement(parameter, "ssv:Real", value=repr(float(variable.start or 0.0)))

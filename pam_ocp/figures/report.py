@@ -26,6 +26,9 @@ __all__ = ["write_report"]
 
 PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib")
 
+PRINTED = 110
+"""Of pictures that are also printed [dots per inch]."""
+
 STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; }
@@ -70,7 +73,9 @@ def write_report(
                 f"things[{heading!r}] is a {type(thing).__name__}, which shows nothing; give a "
                 "muscle, table, fit, plant, plan, trajectory or the like"
             )
-        parts.append(f'<section id="part{i}"><h2>{escape(heading)}</h2>{html_of(thing)}</section>')
+        parts.append(
+            f'<section id="part{i}"><h2>{escape(heading)}</h2>{html_of(thing, PRINTED)}</section>'
+        )
     links = "".join(
         f'<li><a href="#part{i}">{escape(heading)}</a></li>' for i, heading in enumerate(things)
     )

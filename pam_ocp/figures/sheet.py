@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Grid", "Sheet"]
+__all__ = ["DPI", "Grid", "Sheet"]
 
 DPI = 60
 """Of pictures, which are there for a glance: ``.plot()`` gives the whole one."""
@@ -54,7 +54,7 @@ class Sheet:
     text: str = ""
     picture: Callable[[], Figure] | None = None
 
-    def html(self) -> str:
+    def html(self, dpi: int = DPI) -> str:
         """As a block of HTML without scripts; readable in light and dark."""
         parts = [f"<b>{escape(self.heading)}</b>"]
         if self.verdict:
@@ -65,13 +65,13 @@ class Sheet:
         parts += [f"<div>⚠ {escape(note)}</div>" for note in self.notes]
         if self.text:
             parts.append(f'<pre style="line-height:1.25">{escape(self.text)}</pre>')
-        if self.picture is not None:
-            parts.append(_embedded(self.picture))
+        if self.picture is not None and dpi:
+            parts.append(_embedded(self.picture, dpi))
         return f'<div class="pam_ocp">{"".join(parts)}</div>'
 
 
-def _embedded(picture: Callable[[], Figure]) -> str:
+def _embedded(picture: Callable[[], Figure], dpi: int) -> str:
     drawn = io.BytesIO()
-    picture().savefig(drawn, format="png", dpi=DPI)
+    picture().savefig(drawn, format="png", dpi=dpi)
     data = base64.b64encode(drawn.getvalue()).decode("ascii")
     return f'<img alt="plot" style="max-width:100%" src="data:image/png;base64,{data}"/>'

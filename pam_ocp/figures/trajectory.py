@@ -13,6 +13,7 @@ from .canvas import COLOURS, MARKS, STROKES, axis_label, draw, layered, new_figu
 
 if TYPE_CHECKING:
     import control
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from ..fitting.static.static import ForceFit
@@ -31,31 +32,81 @@ __all__ = [
 ]
 
 
-def plot_trajectory(trajectory: Trajectory, names: Sequence[str] | None = None) -> Figure:
-    """One panel per display unit (and kind of quantity), over time."""
+def plot_trajectory(
+    trajectory: Trajectory,
+    names: Sequence[str] | None = None,
+    *,
+    ax: Axes | None = None,
+    interactive: bool = False,
+) -> Any:
+    """One panel per display unit (and kind of quantity), over time.
+
+    ax : draw into this panel of the user's; the names must then be of one unit.
+    interactive : a plotly figure instead.
+    """
     chosen = [trajectory.variable(n).name for n in (trajectory.names if names is None else names)]
     if not chosen:
         raise InputError("names is empty: nothing to draw")
     panels: dict[str, list[str]] = {}
     for name in chosen:
         panels.setdefault(trajectory.variable(name).display_unit, []).append(name)
+    if interactive:
+        from .interactive import trajectory_panels
+
+        return trajectory_panels(trajectory, list(panels.values()))
+    if ax is not None:
+        if len(panels) > 1:
+            raise InputError(
+                f"ax: one panel holds one unit, and these names have {', '.join(panels)}; give "
+                "names of one unit"
+            )
+        for name, style in zip(chosen, layered(len(chosen)), strict=True):
+            draw(ax, trajectory, name, **style)
+        ax.set_ylabel(axis_label(trajectory.variable(chosen[0])))
+        ax.set_xlabel("time [s]")
+        ax.legend(frameon=False, fontsize="small")
+        return ax.figure
     figure, axes = new_figure(len(panels), size=(8, 1.2 + 1.7 * len(panels)), sharex=True)
-    for ax, members in zip(axes[:, 0], panels.values(), strict=True):
+    for panel, members in zip(axes[:, 0], panels.values(), strict=True):
         for name, style in zip(members, layered(len(members)), strict=True):
             if trajectory.variable(name).causality == "input":
                 style["linestyle"] = "--"
-            draw(ax, trajectory, name, **style)
-        ax.set_ylabel(axis_label(trajectory.variable(members[0])))
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+            draw(panel, trajectory, name, **style)
+        panel.set_ylabel(axis_label(trajectory.variable(members[0])))
+        beside = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+        panel.legend(**beside, frameon=False, fontsize="small")
     axes[-1, 0].set_xlabel("time [s]")
     return figure
 
 
-def plot_fit(fit: ForceFit, title: str = "") -> Figure:
-    """Measured and fitted force over contraction, one line per pressure; residuals below."""
+def plot_fit(fit: ForceFit, title: str = "", *, ax: Axes | None = None) -> Any:
+    """Measured and fitted force over contraction, one line per pressure; residuals below.
+
+    ax : only the forces, into this panel of the user's.
+    """
+    if ax is not None:
+        _draw_forces(fit, ax, title)
+        ax.set_xlabel("contraction [%]")
+        return ax.figure
     table = fit.table
     figure, axes = new_figure(2, size=(8, 7), sharex=True)
     upper, lower = axes[:, 0]
+    _draw_forces(fit, upper, title)
+    pressures = np.unique(table.pressure)
+    for colour, p in zip(_colours(pressures), pressures, strict=True):
+        taut = (table.pressure == p) & ~table.slack
+        residual = table.force[taut] - np.asarray(fit.law.tension(p, table.contraction[taut]))
+        lower.plot(100 * table.contraction[taut], residual, "o", color=colour, ms=4)
+    _pressure_scale(figure, [upper, lower], pressures)
+    lower.axhline(0.0, color="#555555", lw=0.8)
+    lower.set_ylabel("measured - fitted [N]")
+    lower.set_xlabel("contraction [%]")
+    return figure
+
+
+def _draw_forces(fit: ForceFit, upper: Axes, title: str) -> None:
+    """Measured cells and the law."""
+    table = fit.table
     pressures = np.unique(table.pressure)
     shade = _colours(pressures)
     grid = np.linspace(0.0, float(table.contraction.max()) * 1.08, 200)
@@ -68,9 +119,6 @@ def plot_fit(fit: ForceFit, title: str = "") -> Figure:
         )
         model = np.maximum(np.asarray(fit.law.tension(p, grid)), 0.0)
         upper.plot(100 * grid, model, "-", color=colour, lw=1.0)
-        residual = table.force[taut] - np.asarray(fit.law.tension(p, table.contraction[taut]))
-        lower.plot(100 * table.contraction[taut], residual, "o", color=colour, ms=4)
-    _pressure_scale(figure, [upper, lower], pressures)
     upper.set_ylabel("pulling force [N]")
     upper.set_ylim(bottom=-0.03 * float(table.force.max()))
     heading = title or f"{fit.law.title}: RMSE {fit.rmse:.2f} N over {len(table.taut)} cells"
@@ -79,10 +127,6 @@ def plot_fit(fit: ForceFit, title: str = "") -> Figure:
     upper.plot([], [], "x", color="#555555", ms=3, label="slack (not fitted)")
     upper.plot([], [], "-", color="#555555", lw=1, label="fitted law")
     upper.legend(frameon=False, fontsize="small")
-    lower.axhline(0.0, color="#555555", lw=0.8)
-    lower.set_ylabel("measured - fitted [N]")
-    lower.set_xlabel("contraction [%]")
-    return figure
 
 
 def _colours(values: Any) -> Any:
@@ -235,29 +279,37 @@ def plot_load_study(title: str, lines: Mapping[str, Mapping[str, Sequence[float]
     return figure
 
 
-def plot_muscle(muscle: Muscle) -> Figure:
-    """Force and stiffness over contraction, one line per pressure, within the measured range."""
+def plot_muscle(muscle: Muscle, *, ax: Axes | None = None) -> Any:
+    """Force and stiffness over contraction, one line per pressure, within the measured range.
+
+    ax : only the force, into this panel of the user's.
+    """
     import warnings
 
     from ..muscles.validity import ValidityWarning
 
-    figure, axes = new_figure(1, 2, size=(11, 4.6))
+    figure: Any = None
+    panels: list[Any] = [ax]
+    if ax is None:
+        figure, axes = new_figure(1, 2, size=(11, 4.6))
+        panels = list(axes[0])
     low, high = muscle.contraction_range
     kappa = np.linspace(min(low, 0.0), high, 300)
     pressures = np.linspace(muscle.pressure_range[0], muscle.pressure_range[1], 7)[1:]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ValidityWarning)
         for colour, p in zip(_colours(pressures), pressures, strict=True):
-            for ax, values in (
-                (axes[0, 0], muscle.force(p, kappa)),
-                (axes[0, 1], muscle.stiffness(p, kappa) / 1e3),
-            ):
-                ax.plot(100 * kappa, values, color=colour, lw=1.6)
-    axes[0, 0].set_ylabel("pulling force [N]")
-    axes[0, 1].set_ylabel("stiffness at constant pressure [N/mm]")
-    axes[0, 0].set_title(f"{muscle.name}: {muscle.law.title}", loc="left", fontsize="medium")
-    for ax in axes[0]:
-        ax.set_xlabel("contraction [%]")
-        ax.set_ylim(bottom=0.0)
-    _pressure_scale(figure, list(axes[0]), pressures)
+            drawn = muscle.force(p, kappa), muscle.stiffness(p, kappa) / 1e3
+            for panel, values in zip(panels, drawn, strict=False):
+                panel.plot(100 * kappa, values, color=colour, lw=1.6, label=f"{p / 1e5:.2g} bar")
+    labels = "pulling force [N]", "stiffness at constant pressure [N/mm]"
+    for panel, label in zip(panels, labels, strict=False):
+        panel.set_ylabel(label)
+        panel.set_xlabel("contraction [%]")
+        panel.set_ylim(bottom=0.0)
+    panels[0].set_title(f"{muscle.name}: {muscle.law.title}", loc="left", fontsize="medium")
+    if ax is not None:
+        ax.legend(frameon=False, fontsize="small")
+        return ax.figure
+    _pressure_scale(figure, panels, pressures)
     return figure

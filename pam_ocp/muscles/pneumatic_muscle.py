@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import casadi as ca
 
@@ -20,6 +20,7 @@ from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
 from .validity import Validity, warn_beyond
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["Muscle"]
@@ -163,9 +164,21 @@ class Muscle:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
         return replace(self, law=law, rest_length=rest_length)
 
-    def plot(self) -> Figure:
-        """Force and stiffness over contraction, one line per pressure, where it was measured."""
-        return courtesy.plot_muscle(self)
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Force and stiffness over contraction, one line per pressure, where it was measured.
+
+        ax : draw the force into this panel instead.
+        """
+        return courtesy.plot_muscle(self, ax=ax)
+
+    def plot_surface(
+        self, quantity: Literal["force", "stiffness"] = "force", *, interactive: bool = False
+    ) -> Any:
+        """Force or stiffness over contraction and pressure, in 3D.
+
+        interactive : by plotly (needs the extra ``interactive``), instead of matplotlib.
+        """
+        return courtesy.plot_surface(self, quantity, interactive=interactive)
 
     def _brief(self) -> str:
         if isinstance(self.rest_length, ca.SX):

@@ -154,7 +154,9 @@ class Refinement:
             mesh = current.found.program.mesh
             following = None
             meshes = [*self._finer(current), halved(mesh)]
-            if i % EVERYWHERE == 0:
+            if mesh.form.control == "constant":
+                meshes.insert(-1, halved(mesh, joined=True))
+            elif i % EVERYWHERE == 0:
                 meshes = [meshes[-1], *meshes[:-1]]
             for finer in meshes:
                 if finer == mesh or len(finer.intervals) > len(mesh.intervals) + MORE_INTERVALS:

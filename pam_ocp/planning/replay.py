@@ -294,7 +294,9 @@ class _Check:
         h = np.diff(inputs.breaks)
         c = inputs.coefficients / u_nominal
         if self.mesh.form.control == "constant":
-            jumps = np.sum(np.diff(c[:, 0], axis=0) ** 2, axis=1)
+            first = self.mesh.held()
+            h = np.add.reduceat(h, first)
+            jumps = np.sum(np.diff(c[first, 0], axis=0) ** 2, axis=1)
             return float(np.sum(jumps / ((h[:-1] + h[1:]) / 2)))
         taus, weights = np.polynomial.legendre.leggauss(inputs.degree + 1)
         total, j = 0.0, np.arange(1, inputs.degree + 1)

@@ -214,6 +214,13 @@ class Plan:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
         return courtesy.save_plan(self, path)
 
+    def to_excel(self, path: str | Path) -> Path:
+        """Write a workbook (.xlsx): verdict and figures, the motion in display units, charts.
+
+        Raises PlanError when the plan failed.
+        """
+        return courtesy.write_plan_book(self, path)
+
     def to_pandas(self) -> pd.DataFrame:
         """The motion as a DataFrame, one column per variable, indexed by time [s]."""
         return self.trajectory.to_pandas()

@@ -66,7 +66,8 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
             {
                 "form": [m.form.scheme, m.form.control, m.form.guarded],
                 "intervals": [
-                    [i.leg, i.fraction, i.degree, i.raised, i.watched] for i in m.intervals
+                    [i.leg, i.fraction, i.degree, i.raised, i.watched, i.joined]
+                    for i in m.intervals
                 ],
             }
             for m in plan.meshes
@@ -168,8 +169,10 @@ def _require_same_names(path: str, meta: Mapping[str, Any], plant: Plant) -> Non
 
 def _mesh(said: Mapping[str, Any]) -> Mesh:
     intervals = (
-        Interval(leg, fraction, degree, raised, tuple((n, margin) for n, margin in watched))
-        for leg, fraction, degree, raised, watched in said["intervals"]
+        Interval(
+            leg, fraction, degree, raised, tuple((n, margin) for n, margin in watched), *joined
+        )
+        for leg, fraction, degree, raised, watched, *joined in said["intervals"]
     )
     return Mesh(tuple(intervals), Form(*said["form"]))
 

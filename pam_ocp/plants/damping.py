@@ -215,7 +215,8 @@ class CoulombFriction:
     """F = [Fc + (Fs - Fc) exp(-(v/vs)^2)] tanh(v/v0), Fc = constant + per_pressure p.
 
     Dry friction, rounded off below the speed v0, so a muscle at rest creeps instead of sticking.
-    With ``excess`` = (Fs - Fc)/Fc > 0 it falls with speed (Stribeck), which can sustain vibration.
+    With ``excess`` = (Fs - Fc)/Fc > 0 it falls with speed (Stribeck). It still only resists: it can
+    make a driven motion stick and slip, but sustains no vibration of its own.
 
     constant : [N]. per_pressure : [N/Pa]. excess : static over kinetic friction, less 1.
     speed : v0 [m/s]. stribeck_speed : vs [m/s], to be well above v0.

@@ -22,6 +22,7 @@ from .pair_regulator import PairRegulator
 from .quick_exhaust import QuickExhaust
 from .receiver import Receiver
 from .regulator import Regulator, in_si, pressure_attributes
+from .servo_valve import ServoValve
 from .sources import Compressor, PressureRegulator
 from .spools import FirstOrderSpool, SecondOrderSpool
 from .tubes import LumpedTube, Tube
@@ -43,6 +44,7 @@ __all__ = [
     "Receiver",
     "Regulator",
     "SecondOrderSpool",
+    "ServoValve",
     "SpoolValve",
     "Tube",
     "as_feed",

@@ -69,6 +69,18 @@ class Inversion:
 
         return self.plant.cached(("opening", opening.name, forward), build)  # type: ignore[no-any-return]
 
+    def forward(self, opening: str) -> ca.Function:
+        """(its commands, parameters of the plant) -> the opening that they give."""
+        return self._function(self._of[opening], True)
+
+    def inverse(self, opening: str) -> ca.Function:
+        """(opening, parameters of the plant) -> the commands that give it."""
+        return self._function(self._of[opening], False)
+
+    def commands_of(self, opening: str) -> tuple[str, ...]:
+        """The commands that an opening stands in for."""
+        return self._of[opening].commands
+
     def name(self, name: str) -> str:
         """What a variable of the plant is called inside: for a command the name of its opening."""
         opening = self.opening_of(name)

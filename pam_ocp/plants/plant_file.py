@@ -27,11 +27,11 @@ def muscle_of(value: Any, where: str = "muscle", folder: Path | None = None) -> 
     """A Muscle from a catalogue's name, a muscle file (.toml, .json), or a table.
 
     value : the name; the file, relative to ``folder``; or { name = ..., rest_length = ... } where
-        the catalogue holds no length. A Muscle is itself.
+        the catalogue holds no length. A Muscle is taken as it is.
     """
-    length = None
     if isinstance(value, Muscle):
         return value
+    length = None
     if isinstance(value, Mapping):
         known_keys(where, value, ("name", "rest_length"))
         if "rest_length" in value:

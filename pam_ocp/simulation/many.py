@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.errors import InputError, require_count
 from ..core.interrupts import interruptible
+from ..core.progress import Bar, working
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
@@ -155,8 +156,10 @@ def simulate_many(
         require_count("workers", workers)
         if executor is not None:
             raise InputError("give executor or workers, not both")
-    run = Run(plant, executor, workers, common, _counted(progress, cases))
-    with interruptible():  # no turns: threads of an executor want theirs
+    count = len(cases) if isinstance(cases, Sized) else None
+    # no turns: threads of an executor want theirs
+    with interruptible(), working("simulations", count) as bar:
+        run = Run(plant, executor, workers, common, _counted(progress, count, bar))
         if into is not None:
             return store(run, _checked(cases), Path(into), chunk)
         cases = tuple(_checked(cases))
@@ -169,13 +172,14 @@ def simulate_many(
 
 
 def _counted(
-    progress: Callable[[int, int | None], None] | None, cases: Iterable[Case]
+    progress: Callable[[int, int | None], None] | None, count: int | None, bar: Bar
 ) -> Callable[[int], None]:
-    count, done = len(cases) if isinstance(cases, Sized) else None, 0
+    done = 0
 
     def report(more: int) -> None:
         nonlocal done
         done += more
+        bar.step(more)
         if progress is not None:
             progress(done, count)
 

@@ -36,7 +36,7 @@ from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from .simulator import simulate
 
-__all__ = ["CASE_KEYS", "Case", "Result", "Run", "Task", "split"]
+__all__ = ["CASE_KEYS", "Case", "Result", "Run", "Task", "end_pool", "end_with_parent", "split"]
 
 Case: TypeAlias = Mapping[str, Any]
 Result: TypeAlias = "Trajectory | Exception"
@@ -142,7 +142,7 @@ def _on_executor(
     except BaseException:  # also when no more is asked for
         _GIVEN_UP.add(name)
         if ask() and isinstance(executor, ProcessPoolExecutor):
-            _end_pool(executor)
+            end_pool(executor)
         raise
     finally:
         for future in pending:
@@ -152,7 +152,7 @@ def _on_executor(
         yield from _in_workers(packed, _chained(broken, tasks), workers, common)
 
 
-def _end_pool(pool: ProcessPoolExecutor) -> None:
+def end_pool(pool: ProcessPoolExecutor) -> None:
     """What runs in it too; Python below 3.14 has no word for it."""
     processes: dict[int, Any] = dict(getattr(pool, "_processes", None) or {})
     pool.shutdown(wait=False, cancel_futures=True)
@@ -191,7 +191,7 @@ def _unpacked(packed: bytes) -> Plant:
 
 
 def _task(run: str, packed: bytes, cases: Sequence[Case], common: dict[str, Any]) -> list[Result]:
-    _end_with_parent()
+    end_with_parent()
     results: list[Result] = []
     with _CASADI:
         plant = _unpacked(packed)
@@ -203,7 +203,7 @@ def _task(run: str, packed: bytes, cases: Sequence[Case], common: dict[str, Any]
 
 
 @lru_cache(maxsize=1)
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Let this process end when the one that started it is gone, however that came about."""
     parent = multiprocessing.parent_process()
     if parent is None:
@@ -267,7 +267,7 @@ def _work(connection: Connection, other: Connection, packed: bytes, common: dict
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     other.close()
-    _end_with_parent()
+    end_with_parent()
     plant = _unpacked(packed)
     while True:
         try:

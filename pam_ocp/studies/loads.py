@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_positive
 from ..core.files import atomic_path
 from ..core.plausible import doubt
+from ..core.progress import counted
 from ..core.shown import shown
 from ..core.stop import verb
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
@@ -152,7 +153,8 @@ def load_study(
     (step,) = _several("step", step, "Pa")
     duration = require_positive("duration", duration, "s")
     plant = HangingLoad(muscle, damping=damping, feed=feed, losses=losses)
-    cases = [_case(plant, muscle, m, p, step, duration, memory) for m in weights for p in levels]
+    wanted = counted([(m, p) for m in weights for p in levels], "loads")
+    cases = [_case(plant, muscle, m, p, step, duration, memory) for m, p in wanted]
     return LoadStudy(muscle.name, step, tuple(cases))
 
 

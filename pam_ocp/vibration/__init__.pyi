@@ -16,3 +16,7 @@ from .hopf_bifurcation import HopfBorder as HopfBorder
 from .hopf_bifurcation import HopfPoint as HopfPoint
 from .hopf_bifurcation import hopf as hopf
 from .hopf_bifurcation import hopf_border as hopf_border
+from .maps import AmplitudeMap as AmplitudeMap
+from .maps import HopfMap as HopfMap
+from .maps import amplitude_map as amplitude_map
+from .maps import hopf_map as hopf_map

@@ -31,6 +31,12 @@ if TYPE_CHECKING:
 __all__ = ["HopfBorder", "HopfPoint", "hopf", "hopf_border"]
 
 
+WIDE = 30.0
+"""Ratio of a bracket's ends from which it is searched in equal ratios."""
+FINER = 2
+"""So often a step of the search is searched again, where eigenvalues change sides unseen."""
+
+
 @shown
 @dataclass(frozen=True)
 class HopfPoint:
@@ -137,9 +143,33 @@ def hopf(
     """
     given = {**(conditions or {}), **more}
     low, high = (plant.variable(parameter).check(b, "bracket") for b in bracket)
-    path = stability_path(plant, parameter, np.linspace(low, high, points), given, memory=memory)
+    start = _found(plant, parameter, _between(low, high, points), given, memory, FINER)
     rest = VariedRest(plant, parameter, given, memory)
-    return _solved(rest, _augmented(rest), _crossing(path))
+    return _solved(rest, _augmented(rest), start)
+
+
+def _between(low: float, high: float, points: int) -> Array:
+    """Values from low to high: equal ratios where they span decades."""
+    spread = np.geomspace if low * high > 0 and not 1 / WIDE < high / low < WIDE else np.linspace
+    return np.asarray(spread(low, high, points))
+
+
+def _found(
+    plant: Plant, parameter: str, values: Array, given: Values, memory: Memory, finer: int
+) -> Array:
+    """:func:`_crossing` on these values; between two of them where a pair is born and crosses."""
+    path = stability_path(plant, parameter, values, given, memory=memory)
+    try:
+        return _crossing(path)
+    except InputError as error:
+        unstable = np.sum(path.eigenvalues.real > 0, axis=1)
+        for i in np.flatnonzero(np.abs(np.diff(unstable)) >= 2) if finer else ():
+            ends = _between(float(values[i]), float(values[i + 1]), len(values))
+            try:
+                return _found(plant, parameter, ends, given, memory, finer - 1)
+            except InputError:
+                continue
+        raise error from None
 
 
 def _crossing(path: StabilityPath) -> Array:
@@ -319,7 +349,7 @@ def hopf_border(
     last: HopfPoint | None = None
     for value in map(float, numbers):
         try:
-            last = _near(
+            last = near_hopf(
                 plant, parameter, {**given, second.name: value}, bracket, last, points, memory
             )
             points_found.append(last)
@@ -340,7 +370,7 @@ def hopf_border(
     )
 
 
-def _near(
+def near_hopf(
     plant: Plant,
     parameter: str,
     given: Values,

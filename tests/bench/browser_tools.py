@@ -1,4 +1,4 @@
-"""The page in a real browser: the server, Debian's Chromium with its driver, and what a hand does."""
+"""The page in a real browser: its server, Debian's Chromium with its driver, and a hand."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PATIENCE = 60.0
+PATIENCE = 90.0
 """Seconds after which what is awaited does not come any more; machines of tests are busy."""
 
 
@@ -76,6 +76,9 @@ def chromium():
         "--window-size=1280,1400",
         "--enable-unsafe-swiftshader",  # 3D without a graphics card
         "--force-prefers-reduced-motion",
+        "--disable-background-timer-throttling",
+        "--disable-backgrounding-occluded-windows",
+        "--disable-renderer-backgrounding",
     ):
         options.add_argument(option)
     options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
@@ -91,6 +94,9 @@ class Hand:
     def open(self, address):
         self.driver.get(address)
         self.until(lambda: self.all("[role=tab]") or self.all("h1"))
+        self.until(
+            lambda: self.driver.execute_script("return window.did_handshake"), "a connection"
+        )
 
     @property
     def session(self):
@@ -106,7 +112,9 @@ class Hand:
             if found:
                 return found
             time.sleep(0.05)
-        raise AssertionError(f"waited in vain for {what or condition}; the page says:\n{self.text}")
+        raise AssertionError(
+            f"waited in vain for {what or condition}; the page says: {self.text[-3000:]}"
+        )
 
     def all(self, selector):
         return self.driver.find_elements("css selector", selector)
@@ -154,14 +162,21 @@ class Hand:
     def type(self, label, text):
         from selenium.webdriver.common.keys import Keys
 
-        field = self.field(label)
-        field.clear()
-        field.send_keys(text, Keys.TAB)
+        def typed():  # again where the page was drawn anew meanwhile
+            field = self.field(label)
+            field.send_keys(Keys.CONTROL + "a", Keys.NULL, text, Keys.TAB)
+            return True
+
+        self.until(typed, f"typing into {label!r}")
 
     def choose(self, label, value):
         from selenium.webdriver.support.ui import Select
 
-        Select(self.field(label)).select_by_value(value)
+        def chosen():
+            Select(self.field(label)).select_by_value(value)
+            return True
+
+        self.until(chosen, f"choosing {value!r} of {label!r}")
 
     def drop(self, path, which=0):
         """A file onto an upload (its hidden input)."""
@@ -170,9 +185,9 @@ class Hand:
 
     def plot(self, label):
         return self.until(
-            lambda: [
+            lambda: next(
                 p for p in self.shown(".js-plotly-plot") if p.get_attribute("aria-label") == label
-            ][0],
+            ),
             f"a picture {label!r}",
         )
 
@@ -183,8 +198,8 @@ class Hand:
         plot = self.plot(label)
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
         at = self.driver.execute_script(
-            "const l = arguments[0]._fullLayout; return [l.xaxis.d2p(arguments[1]) - l.xaxis._length"
-            " / 2, l.yaxis.d2p(arguments[2]) - l.yaxis._length / 2]",
+            "const {xaxis: a, yaxis: b} = arguments[0]._fullLayout; return ["
+            "a.d2p(arguments[1]) - a._length / 2, b.d2p(arguments[2]) - b._length / 2]",
             plot,
             x,
             y,

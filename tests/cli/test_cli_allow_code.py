@@ -12,6 +12,7 @@ def load(muscle, **parts):
     raise pam_ocp.InputError("here it ends")
 """
 TABLE = '[plant]\narrangement = "mine.py:load"\nmuscle = "DMSP-20-300"\n'
+STUDY = '[steps.a]\nkind = "plant"\narrangement = "mine.py:load"\nmuscle = "DMSP-20-300"\n'
 NAMED = 'plant = "mine.py:load"\n'
 STOPS = '[[stops]]\nx = "-10 mm"\n[[stops]]\nx = "10 mm"\n'
 COMMANDS = {
@@ -22,6 +23,7 @@ COMMANDS = {
     "fit-holds": [TABLE],
     "ladder": [TABLE],
     "mpc": [TABLE, NAMED],
+    "study": [STUDY],
     "fit-plant": ['free = ["mass"]\n' + TABLE, 'free = ["mass"]\n' + NAMED],
 }
 
@@ -44,6 +46,8 @@ def test_code_named_in_a_file_runs_with_consent_only(command, content, tmp_path,
         words = [command, "--plant", str(file)]
     if command == "fit-holds":
         words += ["holds.csv", "--estimate", "mass"]
+    if command == "study":
+        words += ["--out", str(tmp_path / "out"), "--cache", str(tmp_path / "cache")]
     assert main(words) == 2
     said = capsys.readouterr().err
     assert "would run the Python file" in said

@@ -15,7 +15,7 @@ from pam_ocp.control.mpc.mpc import Mpc
 from pam_ocp.control.mpc.stage_qp import StageQp
 from pam_ocp.core.errors import InputError, UnknownNameError
 
-SOLVERS = ("hpipm", "piqp", "ipopt")
+SOLVERS = ("hpipm", "piqp", "ipopt", "riccati")
 
 
 def double_integrator(limit: float = np.inf) -> pam.Plant:

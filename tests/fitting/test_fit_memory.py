@@ -50,3 +50,42 @@ def test_the_truth_lies_within_the_intervals(case):
         true = plant.variable(name).start
         assert low < true < high
         assert high - low < 0.05 * true
+
+
+# ---- memories whose kinks no polynomial follows -----------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("loss", "free"),
+    [
+        (pam.losses.MaxwellSlip((8.0, 12.0), (0.004, 0.02)), ["slip1_force", "slip2_force"]),
+        pytest.param(pam.losses.BoucWen(), ["hysteresis_force"], marks=pytest.mark.slow),
+        pytest.param(
+            pam.losses.PrandtlIshlinskii((10.0,), (6.0,), (0.01,)),
+            ["play1_contracting", "play1_relaxing"],
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(pam.losses.Preconditioning(), ["softening_stiffness"], marks=pytest.mark.slow),
+    ],
+)
+def test_memories_are_found_back_by_simulation(loss, free):
+    feed = pam.feeds.Regulator(0.03)
+    plant = pam.HangingLoad("DMSP-20-200N", 10.0, damping=60.0, feed=feed, losses=loss)
+    names = [f"muscle.{n}" for n in free]
+    draw = np.random.default_rng(20261122)
+    t = np.arange(0, 1.2, 0.01)
+    command = np.repeat(draw.uniform(1.2e5, 4.5e5, 12), 10)
+    start = {"x": 0.03, "muscle.pressure": 3e5}
+    run = pam.simulate(plant, {"muscle.command": (t, command)}, t=t, start=start, rtol=1e-11)
+    columns = {"muscle.command": command}
+    for name, size in {"x": 2e-5, "muscle.pressure": 500.0}.items():
+        columns[name] = run[name] + size * draw.standard_normal(t.size)
+    record = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    truth = {n: plant.variable(n).start for n in names}
+    beside = plant.with_values({n: 0.7 * v for n, v in truth.items()})
+    fit = pam.fit_plant(beside, record, names)
+    assert fit.method == "simulation"
+    for name, (low, high) in fit.intervals(level=0.999).items():
+        if name in truth:
+            assert low < truth[name] < high
+            assert high - low < 0.2 * truth[name]

@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 
 import pam_ocp as pam
+from pam_ocp.control import block
 from pam_ocp.control.controller_plants import pid_controller, state_feedback_controller
+from pam_ocp.core.block import Block
+from pam_ocp.core.variables import Variable
 from pam_ocp.export import export_fmu, export_ssp
 from pam_ocp.export.runner import Runner, UnpackedFmu
 
@@ -62,15 +65,27 @@ WIRES = {
 }
 
 
+FEEDBACK_STATES = ("x", "v", "muscle1.pressure", "muscle2.pressure")
 FEEDBACK_WIRES = {
     **{f"plant.{n}": f"feedback.{n}" for n in COMMANDS},
-    **{f"feedback.{n}": f"plant.{n}" for n in ("x", "v", "muscle1.pressure", "muscle2.pressure")},
+    **{f"feedback.{n}": f"plant.{n}" for n in FEEDBACK_STATES},
     "feedback.reference.x": "goal.x",
 }
 
 
+SAMPLED_WIRES = {
+    **{f"plant.{n}": f"state_feedback.{n}" for n in COMMANDS},
+    **{f"state_feedback.{n}": f"plant.{n}" for n in FEEDBACK_STATES},
+    "state_feedback.wanted.x": "goal.x",
+    "state_feedback.enable": "goal.on",
+}
+
+
 def write_systems(folder: Path, model: pam.Plant) -> None:
-    """A PID that follows a motion (system), and an LQI that goes to a goal (feedback)."""
+    """A PID that follows a motion (system), an LQI that goes to a goal (feedback), and the same
+    LQI as a sampled block (sampled).
+    """
+    write_system(folder / "sampled", model, SAMPLED_WIRES, sampled_parts(model))
     write_system(folder / "system", model, WIRES, pid_parts(model))
     write_system(folder / "feedback", model, FEEDBACK_WIRES, feedback_parts(model))
 
@@ -86,6 +101,23 @@ def feedback_parts(model: pam.Plant) -> dict[str, Any]:
         "goal": pam.Trajectory(t, {"x": goal}, [model.variable("x")]),
         "feedback": state_feedback_controller(law),
         "plant": model.with_values({**start, "mass": mass}),
+    }
+
+
+def feedback_law(model: pam.Plant) -> Any:
+    point = model.equilibrium(x=0.002, stiffness=2.2e4)
+    return pam.lqr(model, point, integral={"x": 100.0}, sample_time=STEP)
+
+
+def sampled_parts(model: pam.Plant) -> dict[str, Any]:
+    parts = feedback_parts(model)
+    goal = parts["goal"]
+    on = Variable("on", "output", description="the controller acts")
+    columns = {"x": goal["x"], "on": np.ones(len(goal))}
+    return {
+        "goal": pam.Trajectory(goal.t, columns, [model.variable("x"), on]),
+        "state_feedback": block(feedback_law(model), plant=model),
+        "plant": parts["plant"],
     }
 
 
@@ -115,30 +147,39 @@ def write_system(
 
 
 def _coupled(path: Path, wires: dict[str, str], parts: list[str], names: list[str]) -> Any:
-    """The plant's values at each time when all parts step, and then all hand over."""
+    """The plant's values at each time when all parts step, and then all hand over. Before, values
+    are handed over while all are initialized, until the last part knows them.
+    """
     with tempfile.TemporaryDirectory() as name:
-        folder, runners = Path(name), {}
+        folder = Path(name)
         with zipfile.ZipFile(path) as archive:
             archive.extractall(folder)
-        for key in parts:
-            fmu = UnpackedFmu(folder / "resources" / f"{key}.fmu", folder / key)
-            runners[key] = Runner(fmu, "CoSimulation")
-            runners[key].initialize({}, 0.0, None)
+        units = {
+            key: UnpackedFmu(folder / "resources" / f"{key}.fmu", folder / key) for key in parts
+        }
+        runners: dict[str, Runner] = {}
+        values: dict[str, float] = {}
 
         def hand_over() -> None:
-            values = {}
             for sink, source in wires.items():
                 key, _, variable = source.partition(".")
                 values[sink] = float(runners[key].get([variable])[0])
-            for sink, value in values.items():
-                key, _, variable = sink.partition(".")
-                runners[key].set({variable: value})
 
-        for _ in runners:  # the motion's first values reach the plant through the controller
+        def given(key: str) -> dict[str, float]:
+            own = f"{key}."
+            return {n.removeprefix(own): v for n, v in values.items() if n.startswith(own)}
+
+        for _ in parts:
+            for runner in runners.values():
+                runner.__exit__(None, None, None)
+            runners = {key: Runner(unit, "CoSimulation") for key, unit in units.items()}
+            for key, runner in runners.items():
+                runner.initialize(given(key), 0.0, None)
             hand_over()
         rows = [runners["plant"].get(names)]
         for k in range(STEPS):
-            for runner in runners.values():
+            for key, runner in runners.items():
+                runner.set(given(key))
                 runner.step(k * STEP, STEP)
             rows.append(runners["plant"].get(names))
             hand_over()
@@ -147,12 +188,44 @@ def _coupled(path: Path, wires: dict[str, str], parts: list[str], names: list[st
     return np.array(rows)
 
 
+PARAMETER = "fade_time"
+
+
+def write_controller(path: Path, controller: Block) -> dict[str, Any]:
+    """What a block's own step answers to measurements that jump every 7 steps; facts of it."""
+    rng = np.random.default_rng(5)
+    start, scale = controller.start("inputs"), [v.nominal for v in controller.inputs]
+    inputs = start + 0.05 * rng.standard_normal((STEPS + 1, len(start))) * scale
+    inputs = inputs[np.arange(STEPS + 1) // 7 * 7]
+    inputs[:, [v.name for v in controller.inputs].index("enable")] = 1.0
+    parameters = [0.02 if v.name == PARAMETER else v.start or 0.0 for v in controller.parameters]
+    memory, rows = controller.start("memory"), []
+    for row in inputs[:-1]:
+        memory, outputs = controller.step(memory, row, parameters)
+        rows.append(np.asarray(outputs).ravel())
+    table = np.column_stack([np.arange(STEPS + 1) * STEP, inputs, [rows[0], *rows]])
+    names = [v.name for v in (*controller.inputs, *controller.outputs)]
+    np.savetxt(
+        path, table, fmt="%.17g", delimiter=",", header=",".join(["time", *names]), comments=""
+    )
+    return {
+        "start": {PARAMETER: 0.02},
+        "inputs": [v.name for v in controller.inputs],
+        "states": [],
+        "nominals": {v.name: v.nominal for v in controller.outputs},
+    }
+
+
 def build(folder: Path) -> None:
     """Everything the tests of the importers read."""
     folder.mkdir(parents=True, exist_ok=True)
     model = plant()
+    unit = block(feedback_law(model), plant=model)
     for version in ("2.0", "3.0"):
+        target = folder / f"controller{version[0]}.fmu"
+        export_fmu(unit, target, fmi=version)  # type: ignore[arg-type]
         export_fmu(model, folder / f"slide{version[0]}.fmu", fmi=version)  # type: ignore[arg-type]
+    export_fmu(unit, folder / "unclocked3.fmu", fmi="3.0", clock=False)
     inputs = commands(np.arange(STEPS + 1) * STEP)
     write_motion(folder / "held.csv", model, inputs, START)
     write_motion(folder / "constant.csv", model, CONSTANT, START)
@@ -164,6 +237,7 @@ def build(folder: Path) -> None:
         "inputs": [v.name for v in model.inputs],
         "states": [v.name for v in model.states],
         "nominals": {v.name: v.nominal for v in results},
+        "controller": write_controller(folder / "controller.csv", unit),
     }
     (folder / "facts.json").write_text(json.dumps(facts, indent=1), encoding="utf-8")
 

@@ -40,7 +40,9 @@ def importer(module: str) -> ModuleType:
 
 
 class Motion:
-    """One reference motion: ``held``, ``constant``, ``system`` or ``feedback``."""
+    """One reference motion: ``held``, ``constant``, ``system``, ``feedback`` or ``sampled`` of the
+    slide, ``controller`` of the sampled block.
+    """
 
     def __init__(self, name: str) -> None:
         folder = Path(FOLDER)
@@ -52,10 +54,11 @@ class Motion:
         self.columns = dict(zip(header, table.T, strict=True))
         self.t = self.columns["time"]
         self.step: float = facts["step"]
-        self.start: dict[str, float] = facts["start"]
-        self.inputs: list[str] = facts["inputs"]
-        self.states: list[str] = facts["states"]
-        self.nominals: dict[str, float] = facts["nominals"]
+        about = facts.get(name, facts)
+        self.start: dict[str, float] = about["start"]
+        self.inputs: list[str] = about["inputs"]
+        self.states: list[str] = about["states"]
+        self.nominals: dict[str, float] = about["nominals"]
         self.results = list(self.nominals)
 
     def inputs_at(self, k: int) -> list[float]:
@@ -84,9 +87,9 @@ def note(tool: str, mode: str, deviation: float | str) -> None:
         file.write(json.dumps([tool, mode, deviation]) + "\n")
 
 
-def fmu(version: str) -> Path:
-    """The FMU of one version of FMI ("2" or "3")."""
-    return Path(FOLDER) / f"slide{version}.fmu"
+def fmu(version: str, unit: str = "slide") -> Path:
+    """The FMU of one version of FMI ("2" or "3"): of the slide or its "controller"."""
+    return Path(FOLDER) / f"{unit}{version}.fmu"
 
 
 class Description:

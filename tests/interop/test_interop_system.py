@@ -11,7 +11,8 @@ needs_run()
 
 NANO = 1e9
 SYSTEMS = pytest.mark.parametrize(
-    ("name", "mode"), [("system", "SSP, PID"), ("feedback", "SSP, LQI")]
+    ("name", "mode"),
+    [("system", "SSP, PID"), ("feedback", "SSP, LQI"), ("sampled", "SSP, sampled LQI")],
 )
 
 

@@ -32,6 +32,8 @@ UNITS = {
     "time": ("s", "ms", "min"),
 }
 NONE = "-"
+UNNAMED = " (none named)"
+"""Behind the unit that a preview takes where the header names none."""
 LOOKING = 60.0
 """Seconds that reading a file may take."""
 
@@ -294,16 +296,18 @@ class Data(Tab):
 
     def _unit_menu(self, item: Mapping[str, Any], column: Mapping[str, Any]) -> None:
         meaning, shown = column["meaning"], column["unit"]
+        shown, unnamed = shown.removesuffix(UNNAMED), shown.endswith(UNNAMED)
         known = UNITS.get(meaning) or _like(shown)
+        if not unnamed and meaning not in (item["said"].get("units") or {}):
+            # the header names the unit, which a reader does not overrule
+            known = (shown, f"{shown} abs") if meaning == "pressure" else ()
         if not meaning or meaning in LABELS or not known:
             el.tag("span", shown)
             return
 
         def chosen(value: str) -> None:
             units = {k: v for k, v in (item["said"].get("units") or {}).items() if k != meaning}
-            if value != shown:
-                units[meaning] = value
-            self._say(units=units)
+            self._say(units={**units, meaning: value})
 
         options = known if shown in known else (shown, *known)
         _menu(f"unit of {column['header']}", options, shown, chosen)

@@ -36,6 +36,7 @@ from ..kinds import CONTROLLERS
 from ..mpc_statistics import MpcStatistics, MpcStep
 from ..references import Source
 from ..step import Givens, Step, StepMethod
+from .real_time import PATIENCE, RealTimeCalls, RealTimeIteration
 from .shooting import NodeLimit, Penalty, TrackingProgram
 from .sqp import QpSolver, Sqp, SqpOutcome, TrackingIpopt
 
@@ -93,11 +94,14 @@ class Mpc:
         is then predicted to that time with the inputs applied meanwhile.
     method, substeps : of the integration from node to node, see Step ("rosenbrock" for stiff
         plants).
-    solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program.
+    solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program;
+        "riccati": each call is the one Function that runs as C code and FMU, too (see
+        ``pam.control.block``), to the last bit, slower in Python than HPIPM by ten times.
     tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
 
     Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
-    When the SQP fails, IPOPT is asked; :attr:`statistics` says how often, how often that failed
+    When the SQP fails, IPOPT is asked (with "riccati" the plan before is followed);
+    :attr:`statistics` says how often, how often that failed
     too, and how often the solution applied had not converged. No step is replayed:
     :meth:`prediction_error` does that of the last one.
 
@@ -123,7 +127,7 @@ class Mpc:
         delay: int = 0,
         method: StepMethod = "rk4",
         substeps: int = 2,
-        solver: QpSolver | Literal["ipopt"] = "hpipm",
+        solver: QpSolver | Literal["ipopt", "riccati"] = "hpipm",
         tolerance: float = 1e-3,
     ) -> None:
         counts = [("horizon", horizon, 1), ("iterations", iterations, 1)]
@@ -161,8 +165,10 @@ class Mpc:
             (penalty, penalty),
         )
         self._only_ipopt = solver == "ipopt"
-        self._sqp = Sqp(self.program, "hpipm" if solver == "ipopt" else solver, tolerance)
+        other = solver in ("ipopt", "riccati")
+        self._sqp = Sqp(self.program, "hpipm" if other else solver, tolerance)
         self._ipopt: TrackingIpopt | None = None
+        self._calls = RealTimeCalls(self.real_time()) if solver == "riccati" else None
         self._how, self._advance = how, self._predictor(how)
         self._fine: ca.Function | None = None
         self.reset()
@@ -178,6 +184,25 @@ class Mpc:
         self._applied: Array = values[chosen] / self.program.u_nominal
         self._warm = False
         self._steps: list[MpcStep] = []
+        if self._calls is not None:
+            rest = self.inversion.rows(self.plant.vector("input")[None, :])[0]
+            self._calls.reset(self.plant.vector("state"), rest[chosen])
+
+    def real_time(
+        self, iterations: int | None = None, patience: int = PATIENCE
+    ) -> RealTimeIteration:
+        """A call as one Function, see RealTimeIteration.
+
+        iterations : SQP steps (None: as this Mpc). patience : calls in a row that may fail.
+        """
+        return RealTimeIteration(
+            self.program,
+            iterations=self.iterations if iterations is None else iterations,
+            work=self.work,
+            tolerance=self._sqp.tolerance,
+            delay=self.delay,
+            patience=patience,
+        )
 
     @property
     def commands(self) -> tuple[str, ...]:
@@ -226,30 +251,18 @@ class Mpc:
             state's derivative: what an estimator found [SI].
         """
         begin = perf_counter()
-        x = self._state(state) / self.program.x_nominal
+        now = self._state(state)
         q = self.given.vector(values)
-        if self.delay:
-            x = np.asarray(self._advance(x, self._applied, q)).ravel()
         point = self._sqp.point
         self._references(reference or {})
         point.set_given(q)
-        self._guess(x)
-        if not self._steps:
-            self._warn_of_dead_inputs(x, q)
-        limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
-        kept = point.w.copy()
-        fallback = failed = False
-        if self._only_ipopt:
-            outcome = self._by_ipopt()
+        if self._calls is None:
+            outcome, fallback, failed = self._by_sqp(now / self.program.x_nominal, q)
         else:
-            outcome = self._sqp.solve(limit, self.work if self._warm else math.inf)
-            if not outcome.usable:
-                fallback = True
-                point.w[:] = kept
-                outcome = self._by_ipopt()
-        if not outcome.usable:
-            failed = True
-            point.w[:] = kept
+            if not self._steps:
+                self._warn_of_dead_inputs(now / self.program.x_nominal, q)
+            outcome = self._calls(point, now, self._applied * self.program.u_nominal)
+            fallback, failed = False, not outcome.usable
         self._warm = not failed
         self._applied = self._first_inputs()
         self._steps.append(
@@ -317,6 +330,30 @@ class Mpc:
         return worst if np.isfinite(worst) else math.inf
 
     # ---- inside ---------------------------------------------------------------------------------
+    def _by_sqp(self, x: Array, q: Array) -> tuple[SqpOutcome, bool, bool]:
+        """The program solved from a scaled state: (outcome, IPOPT was asked, it failed too)."""
+        if self.delay:
+            x = np.asarray(self._advance(x, self._applied, q)).ravel()
+        point = self._sqp.point
+        self._guess(x)
+        if not self._steps:
+            self._warn_of_dead_inputs(x, q)
+        limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
+        kept = point.w.copy()
+        fallback = failed = False
+        if self._only_ipopt:
+            outcome = self._by_ipopt()
+        else:
+            outcome = self._sqp.solve(limit, self.work if self._warm else math.inf)
+            if not outcome.usable:
+                fallback = True
+                point.w[:] = kept
+                outcome = self._by_ipopt()
+        if not outcome.usable:
+            failed = True
+            point.w[:] = kept
+        return outcome, fallback, failed
+
     def _predictor(self, how: Step) -> ca.Function:
         p = self.program
         return ca.Function("predict", [p.x, p.u, p.q], [how.expression(self.given, p.x, p.u, p.q)])

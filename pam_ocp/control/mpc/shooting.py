@@ -56,6 +56,7 @@ class _Node:
 
     The function gives one column; ``place[part]`` is the slice of a part in it. Derivatives are
     with respect to y; ``pattern[part]`` holds (rows, columns) of the stored entries of a matrix.
+    ``parts`` are the expressions themselves, matrices sparse.
     """
 
     function: ca.Function
@@ -63,6 +64,8 @@ class _Node:
     place: dict[str, slice]
     pattern: dict[str, tuple[Index, Index]]
     size: int
+    y: ca.SX
+    parts: dict[str, ca.SX]
 
 
 class TrackingProgram:
@@ -115,12 +118,12 @@ class TrackingProgram:
             return ca.substitute([item.expression], before, after)[0] / variable.nominal
 
         self._tracked = [scaled(penalty) for penalty in self.penalties]
-        self._limited = [scaled(limit) for limit in self.limits]
+        self.limited = [scaled(limit) for limit in self.limits]
 
     def _rows(self, of_inputs: bool) -> tuple[list[ca.SX], list[float], list[float]]:
         """Rows (expression, low, high) of the limits that do or do not depend on the inputs."""
         rows, low, high = [], [], []
-        for limit, value in zip(self.limits, self._limited, strict=True):
+        for limit, value in zip(self.limits, self.limited, strict=True):
             if bool(ca.depends_on(value, self.u)) != of_inputs:
                 continue
             bounds = (limit.low / limit.variable.nominal, limit.high / limit.variable.nominal)
@@ -146,7 +149,8 @@ class TrackingProgram:
         self.row_low, self.row_high = np.array(early[1] + late[1]), np.array(early[2] + late[2])
         y = ca.vertcat(self.x, self.v, self.u, self.s)
         following = ca.vertcat(self.step.expression(self.given, self.x, self.u, self.q))
-        following = ca.vertcat(following, self.u[self.rated])
+        if self.rated:  # u[[]] of a scalar u is not empty
+            following = ca.vertcat(following, self.u[self.rated])
         errors = [
             np.sqrt(e.weight) * (z - self.reference[i] / e.variable.nominal)
             for i, (e, z) in enumerate(zip(self.penalties, self._tracked, strict=True))
@@ -202,6 +206,8 @@ class TrackingProgram:
             place,
             pattern,
             begin,
+            y,
+            vectors | matrices,
         )
 
     # ---- where everything is ------------------------------------------------------------------

@@ -15,15 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import InputError, require_count, require_finite, require_positive
+from ...core.errors import (
+    FitError,
+    InputError,
+    require_count,
+    require_finite,
+    require_positive,
+)
 from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .between import decided, deviance
-from .estimation import ORDERS, FitTask, estimate, require_influence
+from .estimation import ORDERS, FitTask, PlantEstimate, estimate, require_influence
 from .experiment import groups, measured_names, prepare
-from .gauss_newton import GRACE
+from .gauss_newton import GRACE, TIMED
 from .outcome import outcome
 from .plant_fit import ACCURATE, PlantFit
 from .progress import Progress, reporter
@@ -31,6 +37,14 @@ from .transcribe import METHODS, FitMethod, Unknowns
 
 __all__ = ["PlantFit", "fit_plant"]
 
+RINGING = 3.0
+"""Angle [rad] by which an oscillation may turn between samples for polynomials to follow it."""
+ASTRAY = 0.5
+"""Error of the integration, in standard deviations of the noise, with which a fit is made anew."""
+SLOW = 0.5
+"""A higher degree that leaves more than this part of the error is not raised further."""
+CORRECTIONS = 8
+"""Of a fit by what its integration is off by, at most."""
 NARROWING = 40
 """Iterations with roundings that are not the plant's own."""
 
@@ -42,7 +56,7 @@ def fit_plant(
     free: Sequence[str | Sequence[str]],
     *,
     outputs: Sequence[str] | None = None,
-    method: FitMethod = "collocation",
+    method: FitMethod | None = None,
     degree: int | None = None,
     step: float | None = None,
     delay: float | tuple[float, float] = 0.0,
@@ -71,8 +85,12 @@ def fit_plant(
     free : names of the parameters to fit. A tuple of names, or a pattern such as ``"muscle*.a1"``,
         is one unknown: these parameters are to be equal.
     outputs : the measured states and outputs to compare; by default all that the records hold.
-    method : "collocation" (Radau points; for all plants), "multiple-shooting" or "single-shooting"
-        (RK4 between the samples; for plants that are not stiff).
+    method : "collocation" (Radau points), "multiple-shooting" or "single-shooting" (RK4 between the
+        samples; for plants that are not stiff), or "simulation" (runs of :func:`simulate`, slopes
+        by differences: for kinks and ringing that no polynomial follows between samples). By
+        default collocation; simulation for plants with held memories (hysteresis) or that ring
+        between the samples, and where collocation leads to nothing (neither with process nor with
+        input noise).
     degree : of the collocation (1 to 9), or steps of RK4 in each interval; by default raised until
         the integration is off by less than 2 % of the noise.
     step : longest interval [s]; by default from sample to sample.
@@ -113,13 +131,14 @@ def fit_plant(
     names = measured_names(plant, chosen, outputs)
     low, high = _delays(delay)
     noisy = _input_noise(plant, input_noise, noise)
+    ways = _ways(plant, chosen, method, bool(noisy or process_noise))
     unknowns = Unknowns(
         groups(plant, free, dict(bounds or {})),
         names,
         _places("offsets", offsets, plant, names),
         _places("gains", gains, plant, names),
         low,
-        process=_process(plant, process_noise, method, noise),
+        process=_process(plant, process_noise, ways[0], noise),
     )
     if not (unknowns.groups or unknowns.offsets or unknowns.gains or high > low):
         raise InputError("free is empty: name at least one parameter of the plant")
@@ -128,16 +147,41 @@ def fit_plant(
     if iterations is not None:
         require_count("iterations", iterations)
 
-    def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
-        task = _task(plant, ran, unknowns, method, degree, step, high, inputs, noisy)
+    def by(way: FitMethod, ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
+        task = _task(plant, ran, unknowns, way, degree, step, high, inputs, noisy)
         task = replace(task, iterations=iterations, report=reporter(progress))
         sigma = _noise(plant, task, noise)
-        task = _narrowed(task, sigma, (low, high), roundings)
+        if way != "simulation":  # which meets kinks as they are
+            task = _narrowed(task, sigma, (low, high), roundings)
         return _fitted(task, sigma, (low, high), noise is not None, degree)
+
+    def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
+        first, *rest = ways
+        try:
+            found = by(first, ran)
+            if not rest or found[0].status == TIMED or found[0].integration_error < ASTRAY:
+                return found
+        except FitError:
+            if not rest:
+                raise
+        return by(rest[0], ran)
 
     fit, between, words = decided(plant, chosen, fitted)
     seconds = time.perf_counter() - began
     return replace(fit, seconds=seconds, interpolation=between, inputs_ran=words)
+
+
+def _ways(plant: Plant, records: Sequence[Trajectory], method: Any, noisy: bool) -> list[FitMethod]:
+    """The methods to be tried: the one that is asked for, or what suits the plant."""
+    if method is not None or noisy:
+        return ["collocation" if method is None else method]
+    held = any(v.memory == "held" for v in plant.states)
+    jacobian = plant.jacobians(*(plant.vector(k) for k in ("state", "input", "parameter")))[0]
+    poles = np.linalg.eigvals(np.nan_to_num(np.asarray(jacobian)))
+    sampling = max(float(np.median(np.diff(r.t))) for r in records)
+    if held or np.abs(poles.imag).max(initial=0.0) * sampling > RINGING:
+        return ["simulation"]
+    return ["collocation", "simulation"]
 
 
 def _fitted(
@@ -153,15 +197,47 @@ def _fitted(
     for order in ORDERS[task.method][1:] if degree is None else ():
         if found.solution.timed or (fit.integration_error < ACCURATE and not process):
             break
-        before = found.solution.residuals
+        before, error = found.solution.residuals, fit.integration_error
         task = task.refined(found, order)
         found = estimate(task, found.sigma, delays, known, found.delay)
         with spared(GRACE if found.solution.timed else 0.0):
             fit = outcome(task, found, high > low)
         if process and np.max(np.abs(found.solution.residuals - before) / sigma) < ACCURATE:
             break
+        if not process and fit.integration_error > SLOW * error:
+            break  # kinks between the samples: no degree meets them
+    if not process:
+        found, fit = _deferred(task, found, fit, delays, known)
     jumps = float(np.sum(found.solution.jumps**2))
     return fit, deviance(found.solution.residuals, sigma if known else None) + jumps
+
+
+def _deferred(
+    task: FitTask, found: PlantEstimate, fit: PlantFit, delays: tuple[float, float], known: bool
+) -> tuple[PlantEstimate, PlantFit]:
+    """The estimate of the exact motion: what the integration is off by is added to the measured
+    values, and the fit made anew, until both agree (deferred correction).
+
+    At the fixed point the residuals are those of an accurate simulation, whatever the degree.
+    """
+    exact = [e.measured for e in task.experiments]
+    for _ in range(CORRECTIONS):
+        if found.solution.timed or fit.integration_error < ACCURATE:
+            break
+        experiments = []
+        for e, own, left, run in zip(
+            task.experiments, exact, fit.residuals, fit.simulated, strict=True
+        ):
+            simulated = run.array(list(fit.measured))[-len(left) :]
+            experiments.append(replace(e, measured=own + (e.measured - left) - simulated))
+        moved = replace(task, experiments=experiments).refined(found, task.degree)
+        again = estimate(moved, found.sigma, delays, known, found.delay)
+        with spared(GRACE if again.solution.timed else 0.0):
+            better = outcome(moved, again, delays[1] > delays[0])
+        if not better.integration_error < fit.integration_error:
+            break
+        task, found, fit = moved, again, better
+    return found, fit
 
 
 def _roundings(
@@ -240,9 +316,9 @@ def _process(
     """Positions of the disturbed states, and intensities."""
     if not given:
         return ()
-    if method == "single-shooting":
+    if method in ("single-shooting", "simulation"):
         raise InputError(
-            "process_noise: single shooting knows no jumps; take method='collocation' or "
+            f"process_noise: {method} knows no jumps; take method='collocation' or "
             "'multiple-shooting'"
         )
     if noise is None:

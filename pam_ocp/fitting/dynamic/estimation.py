@@ -15,6 +15,7 @@ from ..statistics import Array
 from .experiment import Experiment
 from .gauss_newton import GaussNewtonResult, reduced_jacobian, solve
 from .progress import Report
+from .simulated import SimulatedProgram
 from .transcribe import FitMethod, FitProgram, Unknowns, transcribe
 
 __all__ = ["ORDERS", "FitTask", "PlantEstimate", "estimate", "head_names", "require_influence"]
@@ -27,6 +28,7 @@ ORDERS = {
     "collocation": (3, 5, 7, 9),
     "multiple-shooting": (1, 2, 4, 8, 16),
     "single-shooting": (1, 2, 4, 8, 16),
+    "simulation": (1,),
 }
 """Degrees (or RK4 steps per interval), tried in turn until the integration is accurate enough."""
 SETTLED = 0.1
@@ -51,8 +53,13 @@ class FitTask:
     """Of the solver in each search, at most: the best until then counts."""
     report: Report | None = None
 
-    def program(self, delay: float, bounds: tuple[float, float] | None) -> FitProgram:
+    def program(
+        self, delay: float, bounds: tuple[float, float] | None
+    ) -> FitProgram | SimulatedProgram:
+        """The program at a delay, or with one that is free within bounds."""
         unknowns = replace(self.unknowns, delay=delay, delay_bounds=bounds)
+        if self.method == "simulation":
+            return SimulatedProgram(self.plant, self.experiments, unknowns)
         return transcribe(self.plant, self.experiments, unknowns, self.method, self.degree)
 
     def refined(self, estimate: PlantEstimate, order: int) -> FitTask:
@@ -88,7 +95,7 @@ class FitTask:
 
     def solved(
         self,
-        program: FitProgram,
+        program: FitProgram | SimulatedProgram,
         weights: Array,
         guess: Array,
         stage: str,
@@ -108,7 +115,7 @@ class PlantEstimate:
     """A solution with the program and the weights that it belongs to."""
 
     solution: GaussNewtonResult
-    program: FitProgram
+    program: FitProgram | SimulatedProgram
     sigma: Array
     delay: float
 
@@ -162,7 +169,7 @@ def head_names(task: FitTask, delay: bool) -> list[str]:
     return names
 
 
-def require_influence(task: FitTask, program: FitProgram, sigma: Array) -> None:
+def require_influence(task: FitTask, program: FitProgram | SimulatedProgram, sigma: Array) -> None:
     """Refuse parameters that nothing measured depends on, and inputs that do not move."""
     jacobian = reduced_jacobian(program, 1 / sigma, program.guess)
     names = head_names(task, False)[: len(task.unknowns.groups)]
@@ -205,7 +212,7 @@ def _around(task: FitTask, delay: float, limits: tuple[float, float]) -> tuple[f
 
 
 def _delay_of(
-    task: FitTask, program: FitProgram, solution: GaussNewtonResult, known: float
+    task: FitTask, program: FitProgram | SimulatedProgram, solution: GaussNewtonResult, known: float
 ) -> float:
     u = task.unknowns
     place = len(u.groups) + len(u.gains) + len(u.offsets)
@@ -215,7 +222,7 @@ def _delay_of(
 
 def _seek_delay(
     task: FitTask, sigma: Array, limits: tuple[float, float], start: float | None
-) -> tuple[GaussNewtonResult, FitProgram, float]:
+) -> tuple[GaussNewtonResult, FitProgram | SimulatedProgram, float]:
     """Solve at a few fixed delays, then let the best one move until it stays within an interval."""
     low, high = limits
     if low == high:

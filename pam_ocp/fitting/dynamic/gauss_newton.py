@@ -13,9 +13,10 @@ from ...core.stop import TimeIsUp, native, spared
 from ...numerics.solvers import nlpsol, quiet_ipopt
 from ..statistics import Array
 from .progress import Report
+from .simulated import SimulatedProgram
 from .transcribe import FitProgram
 
-__all__ = ["GRACE", "GaussNewtonResult", "reduced_jacobian", "solve"]
+__all__ = ["GRACE", "TIMED", "GaussNewtonResult", "reduced_jacobian", "solve"]
 
 LEVENBERG = 1e-6
 """Added to the diagonal of the Hessian: directions that no residual sees stay where they are.
@@ -55,7 +56,7 @@ class GaussNewtonResult:
 
 
 def solve(
-    program: FitProgram,
+    program: FitProgram | SimulatedProgram,
     weights: Array,
     guess: Array,
     iterations: int | None = None,
@@ -67,10 +68,12 @@ def solve(
     report : called with ``stage``, iterations and cost at each of them. A time limit ends the
     search with the best that was seen, where there is any.
 
-    Without states among the unknowns (single shooting) by SciPy's trust-region method, else by
-    IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do not need;
-    where that does not settle, with the exact Hessian.
+    Without states among the unknowns (single shooting, simulation) by SciPy's trust-region method,
+    else by IPOPT: first without the residuals' curvature (Gauss-Newton), which small residuals do
+    not need; where that does not settle, with the exact Hessian.
     """
+    if isinstance(program, SimulatedProgram):
+        return _simulated(program, weights, guess, iterations or 300, _Seen(report, stage))
     if not program.defects.numel():
         return _trust_region(program, weights, guess, iterations or 300, _Seen(report, stage))
     seen = _Seen(report, stage)
@@ -97,7 +100,7 @@ class _Seen:
         if self._report is not None:
             self._report(self._stage, self._count, value)
 
-    def kept(self, program: FitProgram, weights: Array) -> GaussNewtonResult:
+    def kept(self, program: FitProgram | SimulatedProgram, weights: Array) -> GaussNewtonResult:
         """The best until a time limit; TimeIsUp where there is none."""
         if not self.w.size:
             raise TimeIsUp
@@ -186,11 +189,28 @@ def _trust_region(
     return _solution(program, weights, answer.x, status, int(answer.nfev))
 
 
+def _simulated(
+    program: SimulatedProgram, weights: Array, guess: Array, evaluations: int, seen: _Seen
+) -> GaussNewtonResult:
+    try:
+        answer = program.solve(weights, guess, evaluations, seen)
+    except TimeIsUp:
+        return seen.kept(program, weights)
+    status = DONE[0] if answer.success else "Maximum_Iterations_Exceeded"
+    return _solution(program, weights, answer.x, status, int(answer.nfev))
+
+
 def _solution(
-    program: FitProgram, weights: Array, found: Array, status: str, iterations: int
+    program: FitProgram | SimulatedProgram,
+    weights: Array,
+    found: Array,
+    status: str,
+    iterations: int,
 ) -> GaussNewtonResult:
     if not np.all(np.isfinite(found)):
         raise FitError("the fit left all finite numbers; start nearer with plant.with_values(...)")
+    if isinstance(program, SimulatedProgram):
+        return GaussNewtonResult(found, program.residuals(found), status, iterations, np.empty(0))
     function = ca.Function("residuals", [program.w, program.weights], [program.residuals])
     value = np.asarray(function(found, weights)).ravel()
     measured = value[: value.size - program.jumps].reshape(-1, weights.size)
@@ -198,13 +218,15 @@ def _solution(
     return GaussNewtonResult(found, measured / weights, status, iterations, jumps)
 
 
-def reduced_jacobian(program: FitProgram, weights: Array, w: Array) -> Array:
+def reduced_jacobian(program: FitProgram | SimulatedProgram, weights: Array, w: Array) -> Array:
     """d(weighted residuals)/d(head), the states following from the plant's equations.
 
     Along solutions of defects(head, states) = 0: d(states) = -(d defects/d states)^-1 (d defects/
     d head) d(head). The rest of the covariance is that of least squares in the head alone. Jumps of
     disturbed states are unknown too: their columns are projected out of the head's.
     """
+    if isinstance(program, SimulatedProgram):
+        return program.jacobian(weights, w)
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import FitError, InputError, OutOfTime, require_count
+from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.feeds import Regulator
@@ -250,7 +251,7 @@ def _climbed_all(
     values: dict[str, float] = {}
     rate = FIRST_RATE
     try:
-        for rung in ladder:
+        for rung in counted(ladder, "rungs"):
             check()
             fit, values, rate = _climbed(task, rung, values, rate, executor)
             found.append(fit)

@@ -234,6 +234,10 @@ class PlantFit:
         """The parameters as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
         return coefficient_frame(self.coefficients, self.intervals())
 
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write a workbook (.xlsx): parameters with intervals; measured and simulated, charts."""
+        return courtesy.write_plant_fit_book(self, path)
+
     def coverage(self, other: Any, **options: Any) -> Coverage:
         """Where the records of this fit have been, against a record or a signal that is to be
         predicted: see :func:`pam_ocp.fitting.coverage`.
@@ -243,6 +247,14 @@ class PlantFit:
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write values, statistics and records as JSON; :func:`load_plant_fit` reads them back."""
         return courtesy.write_plant_fit(self, path)
+
+    def save_ssv(self, path: str | os.PathLike[str]) -> Path:
+        """Write the fitted parameters as SSV (SSP 1.0), which sets the plant's FMU without
+        Python.
+        """
+        known = {v.name for v in self.plant.parameters}
+        values = {n: v for n, v in self.values.items() if n in known}
+        return courtesy.save_ssv(self.plant, path, values)
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable
 from typing import Any, TypeAlias
@@ -9,6 +10,8 @@ from typing import Any, TypeAlias
 from ...core.errors import InputError
 
 __all__ = ["Progress", "Report", "reporter"]
+
+LOG = logging.getLogger(__name__)
 
 Report: TypeAlias = Callable[[str, int, float], Any]
 """Called with the stage, its iterations until now, and the cost."""
@@ -23,7 +26,11 @@ def reporter(progress: Progress) -> Report:
         raise InputError(
             f"progress = {progress!r}: give True to print, or a function (stage, iteration, cost)"
         )
-    return _printed if progress else lambda stage, count, cost: None
+    return _printed if progress else _logged
+
+
+def _logged(stage: str, count: int, cost: float) -> None:
+    LOG.debug("%s, iteration %d: cost %.6g", stage, count, cost)
 
 
 def _printed(stage: str, count: int, cost: float) -> None:

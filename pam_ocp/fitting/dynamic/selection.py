@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.errors import FitError, InputError, PamError, require_count, require_instance
+from ...core.progress import counted
 from ...core.stop import check, limited
 from ...core.trajectory import Trajectory
 from ..statistics import Array, student_t
@@ -350,7 +351,8 @@ def _fits(
         if executor is None
         else _elsewhere(executor, tasks, arguments)
     )
-    for done, ((name, out), fitted) in enumerate(work, start=1):
+    heard = counted(work, "fits", len(tasks))
+    for done, ((name, out), fitted) in enumerate(heard, start=1):
         found[name][out] = fitted
         if progress is not None:
             progress(done, len(tasks))

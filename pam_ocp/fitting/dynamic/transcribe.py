@@ -21,10 +21,10 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import Experiment, ParameterGroup
 
-__all__ = ["METHODS", "FitMethod", "FitProgram", "Unknowns", "transcribe"]
+__all__ = ["METHODS", "FitMethod", "FitProgram", "Unknowns", "head_of", "transcribe"]
 
-FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting"]
-METHODS = ("collocation", "multiple-shooting", "single-shooting")
+FitMethod: TypeAlias = Literal["collocation", "multiple-shooting", "single-shooting", "simulation"]
+METHODS = ("collocation", "multiple-shooting", "single-shooting", "simulation")
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def transcribe(
     gain = ca.MX.sym("gain", len(unknowns.gains))
     offset = ca.MX.sym("offset", len(unknowns.offsets))
     delay = ca.MX.sym("delay", 1 if unknowns.delay_bounds else 0)
-    scales, p = _parameters(plant, unknowns.groups, theta)
+    p = _parameters(plant, unknowns.groups, theta)
     lift = _jumps(mesh, records, unknowns.process, x_nominal)
     errors = _input_errors(experiments, mesh)
     jumps = ca.MX.sym("jumps", lift.shape[1] + errors.shape[1])
@@ -128,16 +128,8 @@ def transcribe(
     residuals = ca.vertcat(ca.vec(residuals * ca.repmat(weights, 1, len(rows))), jumps)
 
     head = ca.veccat(theta, gain, offset, delay, x0)
-    guess, low, high = _guess(plant, experiments, unknowns, method, degree, x_nominal, usual)
-    head_scale = np.concatenate(
-        [
-            scales,
-            np.ones(len(unknowns.gains)),
-            y_nominal[list(unknowns.offsets)],
-            np.full(delay.numel(), usual),
-            np.tile(x_nominal, records),
-        ]
-    )
+    guess, low, high = _guess(plant, experiments, unknowns, method, degree, x_nominal)
+    head_scale = head_of(plant, experiments, unknowns)[3]
     open_ = np.full(jumps.numel(), np.inf)
     return FitProgram(
         ca.veccat(head, way.points, jumps),
@@ -261,16 +253,14 @@ def _mesh(experiments: Sequence[Experiment], delay: float) -> _Mesh:
     )
 
 
-def _parameters(
-    plant: Plant, groups: Sequence[ParameterGroup], theta: ca.MX
-) -> tuple[Array, ca.MX]:
-    """Scales of the unknown parameters, and all parameters of the plant."""
+def _parameters(plant: Plant, groups: Sequence[ParameterGroup], theta: ca.MX) -> ca.MX:
+    """All parameters of the plant."""
     base = plant.vector("parameter")
     place = np.zeros((len(base), len(groups)))
     for j, group in enumerate(groups):
         place[list(group.members), j] = group.scale
         base[list(group.members)] = 0.0
-    return np.array([g.scale for g in groups]), ca.DM(base) + ca.sparsify(ca.DM(place)) @ theta
+    return ca.DM(base) + ca.sparsify(ca.DM(place)) @ theta
 
 
 def _sensor(unknowns: Unknowns, gain: ca.MX, offset: ca.MX, ny: int) -> tuple[ca.MX, ca.MX]:
@@ -379,24 +369,9 @@ def _guess(
     method: FitMethod,
     degree: int,
     x_nominal: Array,
-    usual: float,
 ) -> tuple[Array, Array, Array]:
     """Start, lower and upper bounds of w."""
-    g = unknowns.groups
-    bounds = unknowns.delay_bounds
-    x0 = np.concatenate([e.states[0] / x_nominal for e in experiments])
-    fixed = len(unknowns.gains) + len(unknowns.offsets)
-    lows = [np.array([v.low / v.scale for v in g]), np.full(fixed, -np.inf)]
-    highs = [np.array([v.high / v.scale for v in g]), np.full(fixed, np.inf)]
-    start = [np.array([v.value / v.scale for v in g]), np.zeros(fixed)]
-    if bounds is not None:
-        start.append(np.array([unknowns.delay / usual]))
-        lows.append(np.array([bounds[0] / usual]))
-        highs.append(np.array([bounds[1] / usual]))
-    x_low, x_high = (plant.vector("state", attribute=a) / x_nominal for a in ("min", "max"))
-    lows.append(np.tile(x_low, len(experiments)))
-    highs.append(np.tile(x_high, len(experiments)))
-    x0 = np.clip(x0, lows[-1], highs[-1])
+    head, low, high, _ = head_of(plant, experiments, unknowns)
     states = []
     if method != "single-shooting":
         tau = collocation_points("radau", degree) if method == "collocation" else np.ones(1)
@@ -407,7 +382,40 @@ def _guess(
     inner = np.concatenate(states) if states else np.empty(0)
     free = np.full(inner.size, np.inf)
     return (
-        np.concatenate([*start, x0, inner]),
-        np.concatenate([*lows, -free]),
-        np.concatenate([*highs, free]),
+        np.concatenate([head, inner]),
+        np.concatenate([low, -free]),
+        np.concatenate([high, free]),
     )
+
+
+def head_of(
+    plant: Plant, experiments: Sequence[Experiment], unknowns: Unknowns
+) -> tuple[Array, Array, Array, Array]:
+    """Start, bounds and sizes of parameters, gains, offsets, delay and initial states."""
+    g, bounds = unknowns.groups, unknowns.delay_bounds
+    x_nominal = plant.vector("state", attribute="nominal")
+    y_nominal = np.array([plant.variable(name).nominal for name in unknowns.names])
+    usual = float(np.median(_mesh(experiments, unknowns.delay).h))
+    records = len(experiments)
+    x0 = np.concatenate([e.states[0] / x_nominal for e in experiments])
+    fixed = len(unknowns.gains) + len(unknowns.offsets)
+    lows = [np.array([v.low / v.scale for v in g]), np.full(fixed, -np.inf)]
+    highs = [np.array([v.high / v.scale for v in g]), np.full(fixed, np.inf)]
+    start = [np.array([v.value / v.scale for v in g]), np.zeros(fixed)]
+    if bounds is not None:
+        start.append(np.array([unknowns.delay / usual]))
+        lows.append(np.array([bounds[0] / usual]))
+        highs.append(np.array([bounds[1] / usual]))
+    x_low, x_high = (plant.vector("state", attribute=a) / x_nominal for a in ("min", "max"))
+    lows.append(np.tile(x_low, records))
+    highs.append(np.tile(x_high, records))
+    sizes = [
+        np.array([v.scale for v in g]),
+        np.ones(len(unknowns.gains)),
+        y_nominal[list(unknowns.offsets)],
+        np.full(0 if bounds is None else 1, usual),
+        np.tile(x_nominal, records),
+    ]
+    low, high = np.concatenate(lows), np.concatenate(highs)
+    guess = np.concatenate([*start, np.clip(x0, lows[-1], highs[-1])])
+    return guess, low, high, np.concatenate(sizes)

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError, require_count
+from ...core.progress import counted
 from ...core.stop import TimeIsUp, deadline, verb
 from ..statistics import Array
 from .correlation import drawn_errors, scaled_errors, sequences
@@ -74,7 +75,7 @@ def bootstrap(
     values = np.array([float(v) for v in fit.law.values.values()])
     start = values[None, list(problem.nonlinear)] if problem.nonlinear else None
     samples: list[Array] = []
-    for _ in range(n):
+    for _ in counted(range(n), "bootstrap"):
         try:
             found = minimise(
                 _resampled(fit, problem, random, method), start, near=True

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...core.errors import FitError, InputError
+from ...core.progress import counted
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array
@@ -82,7 +83,7 @@ def fit_campaign(
     for one in measured:
         parts.setdefault(one.muscle, []).append(one)
     muscles: dict[str, MuscleStudy] = {}
-    for name, own in parts.items():
+    for name, own in counted(parts.items(), "muscles"):
         width = next((p.diameter for p in own if p.diameter), None)
         try:
             table = joined(own)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,7 @@ from .sweep import Sweep
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["ForceFit"]
@@ -263,19 +264,59 @@ class ForceFit(Optimum):
         """The fit as text: statistics, coefficients ± standard error, correlations, warnings."""
         return courtesy.force_report(self, level)
 
-    def plot(self) -> Figure:
-        """Measured and fitted force over contraction, one colour per pressure; residuals below."""
-        return courtesy.plot_fit(self)
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Measured and fitted force over contraction, one colour per pressure; residuals below.
+
+        ax : draw the forces into this panel instead.
+        """
+        return courtesy.plot_fit(self, ax=ax)
+
+    def plot_surface(self, *, interactive: bool = False) -> Any:
+        """The fitted force over contraction and pressure, measured cells on it, in 3D.
+
+        interactive : by plotly (needs the extra ``interactive``).
+        """
+        return courtesy.plot_fit_surface(self, interactive=interactive)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write all of it (.json, as :meth:`to_json`), or coefficients and text (.csv, .xlsx, .html,
+        .txt).
+        """
+        if Path(path).suffix.lower() == ".json":
+            return self.to_json(path)
+        if Path(path).suffix.lower() == ".xlsx":
+            return self.to_excel(path)
+        return courtesy.save_result(self, path)
 
     def to_pandas(self) -> pd.DataFrame:
         """The coefficients as a DataFrame: value, stderr, low, high (95 %), unit; SI."""
         return coefficient_frame(self.coefficients, self.intervals())
+
+    def to_excel(self, path: str | os.PathLike[str]) -> Path:
+        """Write a workbook (.xlsx): data, coefficients with intervals, the law as formulas that
+        follow when a coefficient is changed, charts.
+        """
+        return courtesy.write_fit_book(self, path)
 
     def to_json(self, path: str | os.PathLike[str]) -> Path:
         """Write law, coefficients, data and statistics;
         :meth:`from_json` reads them back exactly.
         """
         return courtesy.write_fit(self, path)
+
+    def save_ssv(
+        self,
+        path: str | os.PathLike[str],
+        muscles: str | Sequence[str] = "muscle",
+        *,
+        rest_length: float | None = None,
+    ) -> Path:
+        """Write the fitted muscle as SSV (SSP 1.0), with which a plant's FMU is set without Python.
+
+        muscles : names of the muscles in the FMU, such as ("muscle1", "muscle2").
+        rest_length : [m], where the table does not tell it.
+        """
+        return courtesy.write_muscle_ssv(self.muscle(rest_length=rest_length), path, muscles)
 
     @classmethod
     def from_json(cls, path: str | os.PathLike[str], law: type[ForceLaw] | None = None) -> ForceFit:

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
@@ -157,7 +158,7 @@ def compare_laws(
         if name not in constants:
             raise UnknownNameError("constant in fixed of any of these laws", name, constants)
     independent(errors)
-    found = [_compared(table, kind, fixed or {}, errors) for kind in kinds]
+    found = [_compared(table, kind, fixed or {}, errors) for kind in counted(kinds, "laws")]
 
     def rank(law: ComparedLaw) -> tuple[bool, float, float]:
         doubt = np.inf if np.isnan(law.left_out_rmse) else law.left_out_rmse

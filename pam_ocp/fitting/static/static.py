@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,6 +33,8 @@ __all__ = [
     "law_class",
     "nonlinear_coefficients",
 ]
+
+LOG = logging.getLogger(__name__)
 
 
 @verb
@@ -100,6 +103,7 @@ def fit_force(
     whole = LeastSquares.of(kind, table, held, cell_weights(weights, table), terms)
     problem, begin = _settled(whole, noise)
     optimum = minimise(problem, _start(problem, dict(start or {})), begin)
+    LOG.info("%s fitted to %d cells: %s", kind.name, len(table), optimum.solver.status)
     return ForceFit(
         law=kind(**dict(zip(problem.names, optimum.coefficients.tolist(), strict=True))),
         table=table,

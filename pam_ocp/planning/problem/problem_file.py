@@ -21,7 +21,7 @@ from .objective import budget
 from .profile import Profile
 from .wording import Avoid, Constraint, Phase, Stop, subject
 
-__all__ = ["load_problem"]
+__all__ = ["load_problem", "plan_arguments"]
 
 _METHODS = {kind.__name__: kind for kind in (Collocation, Shooting)}
 _STOP = ("rest", "dwell", "within")
@@ -48,8 +48,18 @@ def load_problem(path: str | Path, *, allow_code: bool = False) -> tuple[Plant, 
             if key not in content:
                 raise InputError(f"{key} is missing")
         plant = plant_of(content.pop("plant"), "plant", source.parent, allow_code=allow_code)
-        _require_harmless("options", content.get("options", {}), allow_code)
-        return plant, {k: _READERS[k](plant, k, v) for k, v in content.items()}
+        return plant, plan_arguments(plant, content, allow_code=allow_code)
+
+
+def plan_arguments(
+    plant: Plant, content: Mapping[str, Any], *, allow_code: bool = False
+) -> dict[str, Any]:
+    """Arguments of :func:`pam_ocp.plan` from the keys of a problem file, without its plant."""
+    known_keys("the problem", content, _READERS)
+    if "stops" not in content:
+        raise InputError("stops is missing")
+    _require_harmless("options", content.get("options", {}), allow_code)
+    return {k: _READERS[k](plant, k, v) for k, v in content.items()}
 
 
 # ---- values -------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ set of derivatives, log, live progress.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
 
 __all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start", "limit"]
+
+LOG = logging.getLogger(__name__)
 
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
@@ -278,7 +281,9 @@ class Ipopt:
         self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
         result = solver(**given)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
-        return Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
+        outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
+        LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
+        return outcome
 
     def arguments(self, program: Program, guess: Array) -> dict[str, Array]:
         """Of a solve without multipliers."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ... import courtesy
 from ...core.errors import InputError, PlanError, require_count, require_positive
+from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
@@ -151,7 +152,7 @@ def pareto(
         return sweep.result([(least, low)], [])
     spaced = np.geomspace if low > 0 else np.linspace
     found, failures, near = [(last, high)], [], last
-    for bound in spaced(low, high, points)[-2:0:-1]:
+    for bound in counted(spaced(low, high, points)[-2:0:-1].tolist(), "plans of the front"):
         try:
             near = sweep.second_under(float(bound), near)
         except TimeIsUp:

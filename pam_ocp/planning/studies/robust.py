@@ -20,6 +20,7 @@ from ...core.errors import (
     require_positive,
 )
 from ...core.plausible import outside
+from ...core.progress import counted
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
 from ...plants.ensemble import Ensemble
@@ -227,7 +228,7 @@ def _searched(
     best: _Found | None = None
     last: _Found | None = None
     ended = f"{rounds} rounds were allowed"
-    for _ in range(rounds):
+    for _ in counted(range(rounds), "rounds"):
         try:
             found = task.planned(members, last)
             last = task.tried(found, members, samples(fresh), share, confidence, samples.last)

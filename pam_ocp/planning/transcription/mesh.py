@@ -39,6 +39,10 @@ SPLIT_DEGREE = 5
 """Degree of the parts of an interval that was split."""
 HELD_SPLIT_DEGREE = 7
 """The same where inputs are constant or linear inside: states are smooth there."""
+UNRESOLVED = 0.03
+"""Error of an interval in units of nominal from which it does not resolve its motion: it is split
+at once.
+"""
 MOST_STEPS = 64
 """RK4 steps in an interval of multiple shooting, before it is split."""
 GUARDS = 3
@@ -142,7 +146,8 @@ class Interval:
 
     For shooting, ``degree`` is the number of RK4 steps. raised : whether refinement has tried a
     higher degree here already. watched : (bound or path condition, margin in nominals) of what was
-    seen beyond its limit between the points; see :meth:`Form.watch_taus`.
+    seen beyond its limit between the points; see :meth:`Form.watch_taus`. joined : whether held
+    inputs go on from the interval before with the same values: there it is finer for states only.
     """
 
     leg: int
@@ -150,11 +155,12 @@ class Interval:
     degree: int
     raised: bool = False
     watched: tuple[tuple[str, float], ...] = ()
+    joined: bool = False
 
-    def split(self, parts: int, degree: int) -> list[Interval]:
-        """Equal parts of this degree."""
+    def split(self, parts: int, degree: int, joined: bool = False) -> list[Interval]:
+        """Equal parts of this degree; ``joined``: with one value of held inputs for all."""
         part = replace(self, fraction=self.fraction / parts, degree=degree, raised=False)
-        return [part] * parts
+        return [part, *[replace(part, joined=joined)] * (parts - 1)]
 
 
 @dataclass(frozen=True)
@@ -167,6 +173,10 @@ class Mesh:
     def first(self, node: int) -> int:
         """The first interval behind a node; the number of intervals at the last one."""
         return sum(i.leg < node for i in self.intervals)
+
+    def held(self) -> list[int]:
+        """The first interval of each value that held inputs have."""
+        return [k for k, interval in enumerate(self.intervals) if not interval.joined]
 
     def clock(self, nominals: Array) -> tuple[Array, Array]:
         """Weights of the legs' durations in units of ``nominals`` [s]: in the length of each
@@ -289,15 +299,17 @@ def coarsened(mesh: Mesh) -> Mesh:
     return Mesh(tuple(found), mesh.form)
 
 
-def halved(mesh: Mesh) -> Mesh:
-    """The mesh with all intervals split, of a high degree where inputs are simple."""
+def halved(mesh: Mesh, joined: bool = False) -> Mesh:
+    """The mesh with all intervals split, of a high degree where inputs are simple; ``joined``: with
+    one value of held inputs for both parts.
+    """
     shooting, simple = mesh.form.scheme == "shooting", mesh.form.control != "polynomial"
     intervals: list[Interval] = []
     for interval in mesh.intervals:
         degree = interval.degree
         if simple and not shooting:
             degree = max(degree, HELD_SPLIT_DEGREE)
-        intervals += replace(interval, watched=()).split(2, degree)
+        intervals += replace(interval, watched=()).split(2, degree, joined)
     return Mesh(tuple(intervals), mesh.form)
 
 
@@ -334,7 +346,7 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool =
     4). A polynomial input that switches inside an interval, or a kink of the plant, is not helped
     by degrees: where one rise was not enough, such an interval is split.
     """
-    shooting = mesh.form.scheme == "shooting"
+    shooting, joined = mesh.form.scheme == "shooting", mesh.form.control == "constant"
     intervals: list[Interval] = []
     for interval, error in zip(mesh.intervals, errors, strict=True):
         if not error > tolerance:
@@ -346,11 +358,12 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool =
         else:
             degree = interval.degree + max(1, int(np.ceil(decades / 2)))
         rough = interval.raised and (kinks or mesh.form.control == "polynomial")
+        rough = rough or (joined and not shooting and error > UNRESOLVED)
         if degree <= (MOST_STEPS if shooting else HIGHEST_DEGREE) and not rough:
             intervals.append(replace(interval, degree=degree, raised=True))
         else:
             parts = min(max(2, int(np.ceil(decades))), 4)
             low = SPLIT_DEGREE if mesh.form.control == "polynomial" else HELD_SPLIT_DEGREE
-            parted = interval.split(parts, interval.degree if shooting else low)
+            parted = interval.split(parts, interval.degree if shooting else low, joined)
             intervals += [replace(part, raised=interval.raised) for part in parted]
     return Mesh(tuple(intervals), mesh.form)

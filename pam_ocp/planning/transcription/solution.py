@@ -55,7 +55,8 @@ def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
         t += list(begin + h * taus)
         states += list(points)
         powers = mesh.form.input_powers(interval.degree)
-        pieces.append(powers @ values / h ** np.arange(columns)[:, None])
+        piece = powers @ values / h ** np.arange(columns)[:, None]
+        pieces.append(pieces[-1] if interval.joined else piece)
         begin += h
         breaks.append(begin)
     coefficients = np.zeros((len(pieces), max(len(p) for p in pieces), nu))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, TypeAlias, TypeVar
 
 import casadi as ca
@@ -363,18 +364,15 @@ def _point(
 
 
 def _continuity(problem: Problem, mesh: Mesh, z: _Unknowns) -> list[tuple[ca.MX, Row]]:
-    """Linear inputs do not jump; nor do polynomial ones whose rate is penalised."""
+    """Linear inputs do not jump; nor do polynomial ones whose rate is penalised, nor held ones
+    inside what was one interval.
+    """
     control = mesh.form.control
-    if not (control == "linear" or (control == "polynomial" and problem.objective.rate)):
+    smooth = control == "linear" or (control == "polynomial" and bool(problem.objective.rate))
+    at = [k for k, each in enumerate(mesh.intervals) if k and (smooth or each.joined)]
+    if not at or not problem.plant.inputs:
         return []
-    if len(mesh.intervals) < 2 or not problem.plant.inputs:
-        return []
-    jumps = ca.veccat(
-        *(
-            _input(mesh, z, k - 1, 1.0) - _input(mesh, z, k, 0.0)
-            for k in range(1, len(mesh.intervals))
-        )
-    )
+    jumps = ca.veccat(*(_input(mesh, z, k - 1, 1.0) - _input(mesh, z, k, 0.0) for k in at))
     return [(jumps, Row("continuity of the inputs", "defect", jumps.numel()))]
 
 
@@ -406,11 +404,13 @@ def _other_costs(
 
 
 def _jumps(mesh: Mesh, z: _Unknowns, clock: _Clock) -> ca.MX:
-    """Squared jumps over the mean length of the intervals beside: the rate of a joined signal."""
-    total = ca.MX(0)
-    for k in range(1, len(mesh.intervals)):
-        h = (clock.lengths[k - 1] + clock.lengths[k]) / 2
-        total += ca.sumsqr(_input(mesh, z, k, 0.0) - _input(mesh, z, k - 1, 0.0)) / h
+    """Squared jumps over the mean length of what is held beside: the rate of a joined signal."""
+    total, firsts = ca.MX(0), mesh.held()
+    ends = pairwise([*firsts, len(mesh.intervals)])
+    lengths = [sum(clock.lengths[a:b], ca.MX(0)) for a, b in ends]
+    for k, before, after in zip(firsts[1:], lengths[:-1], lengths[1:], strict=True):
+        jump = _input(mesh, z, k, 0.0) - _input(mesh, z, k - 1, 0.0)
+        total += ca.sumsqr(jump) / ((before + after) / 2)
     return total
 
 
@@ -435,7 +435,9 @@ def _bounds(problem: Problem, mesh: Mesh) -> tuple[Array, Array]:
         leg = interval.leg
         end = x[leg] if after is None or after.leg == leg else both(x[leg], x[after.leg])
         parts += [x[leg]] * (len(mesh.form.state_taus(interval.degree)) - 1) + [end]
-        parts += [u[leg]] * len(mesh.form.input_taus(interval.degree))
+        # a joined input is another's: bounds and multipliers once
+        own = np.tile([-np.inf, np.inf], (len(u[leg]), 1)) if interval.joined else u[leg]
+        parts += [own] * len(mesh.form.input_taus(interval.degree))
         parts += [auxiliary] * mesh.form.cost_points(interval.degree)
     durations = np.array([leg.duration for leg in problem.legs])
     parts.append(durations / problem.time_nominals[:, None])

@@ -1,0 +1,202 @@
+"""Every component of the physics through the same verbs: FMU, plan, fit; a line for each.
+
+    python benchmarks/physics_study.py [--seed N] [--only NAME ...] [--verbs fmu plan fit]
+
+Each component sits in a plant that lets it matter and is driven by commands drawn from the seed.
+`fmu`: largest deviation of the FMU (FMI 2 and 3, Co-Simulation and Model Exchange) from a
+simulation at 1e-11, in units of nominal. `plan`: the verdict of a motion. `fit`: the component's
+own parameters from a noisy record, begun 20 to 40 % beside the truth: distance of the estimate
+from the truth in standard deviations (2 is the end of the 95 % interval).
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pam_ocp as pam
+from pam_ocp.muscles.gas import Gas
+from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
+from pam_ocp.plants.feeds import (
+    Compressor,
+    FirstOrderSpool,
+    LumpedTube,
+    QuickExhaust,
+    Receiver,
+    Regulator,
+    SecondOrderSpool,
+    ServoValve,
+    SpoolValve,
+    Tube,
+)
+
+MUSCLE = "DMSP-20-200N"
+SMALL = Receiver(1e-3, source=Compressor(2e-4, pressure=7e5))
+WARM = Gas(heat=ConstantHeatTransfer(40.0))
+L = pam.losses
+LOSSES: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "Coulomb friction": (
+        L.CoulombFriction(30.0, excess=0.3, speed=5e-3),
+        ("friction_constant",),
+    ),
+    "Bouc-Wen": (L.BoucWen(), ("hysteresis_force", "hysteresis_yield")),
+    "Maxwell-slip": (L.MaxwellSlip((8.0, 12.0), (0.004, 0.02)), ("slip1_force", "slip2_force")),
+    "Prandtl-Ishlinskii": (
+        L.PrandtlIshlinskii((10.0,), (6.0,), (0.01,)),
+        ("play1_contracting", "play1_relaxing"),
+    ),
+    "creep": (L.Creep((500.0,), (0.5,)), ("creep1_stiffness", "creep1_time")),
+    "creep under load": (
+        L.LoadCreep((500.0,), (0.8,)),
+        ("load_creep1_stiffness", "load_creep1_time"),
+    ),
+    "strand friction": (L.StrandFriction(speed=5e-3), ("strand_coefficient",)),
+    "force-velocity": (L.ForceVelocity(), ("velocity_contracting",)),
+    "preconditioning": (L.Preconditioning(), ("softening_stiffness",)),
+}
+FEEDS: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "regulator": (
+        Regulator(0.05, venting_lag=0.08, slew=6e6, dead_time=0.01),
+        ("muscle.lag", "muscle.venting_lag"),
+    ),
+    "valve": (SpoolValve(leak=4e-10), ("muscle.gas.conductance", "muscle.gas.leak")),
+    "heat": (SpoolValve(gas=WARM), ("muscle.gas.heat_transfer", "muscle.gas.conductance")),
+    "heat by pressure, rubber": (
+        SpoolValve(gas=Gas(heat=PressureHeatTransfer(), rubber=Rubber(20.0, stiffening=2e-3))),
+        ("muscle.gas.conductance",),
+    ),
+    "receiver": (SpoolValve(supply=SMALL), ("receiver.volume",)),
+    "warm receiver": (
+        SpoolValve(
+            supply=Receiver(1e-3, source=Compressor(pressure=6e5), wall_conductance=1.0), gas=WARM
+        ),
+        ("muscle.gas.conductance",),
+    ),
+    "tube": (SpoolValve(tube=Tube(2e-5, 0.01)), ("muscle.gas.tube_lag",)),
+    "lumped tube": (SpoolValve(tube=LumpedTube(1.0, 4e-3, 2)), ("muscle.gas.tube_length",)),
+    "first-order spool": (
+        SpoolValve(spool=FirstOrderSpool(8e-3), offset=0.01),
+        ("muscle.valve.time", "muscle.valve.offset"),
+    ),
+    "spool with play": (
+        SpoolValve(spool=FirstOrderSpool(8e-3, hysteresis=0.02)),
+        ("muscle.valve.time",),
+    ),
+    "second-order spool": (
+        SpoolValve(spool=SecondOrderSpool(40.0), exhaust_overlap=0.05),
+        ("muscle.valve.frequency",),
+    ),
+    "quick exhaust": (
+        SpoolValve(tube=Tube(1e-5, 0.02), quick_exhaust=QuickExhaust()),
+        ("muscle.gas.conductance",),
+    ),
+    "servo valve": (
+        ServoValve(command_lag=5e-3, leak=4e-10),
+        ("muscle.pressure_gain", "muscle.command_lag"),
+    ),
+}
+LIMIT = 90.0
+"""Of a fit [s]."""
+NOISE = {"x": 2e-5, "muscle.pressure": 500.0}
+
+
+def built(name: str) -> tuple[pam.Plant, list[str]]:
+    """The plant with the component, and the parameters that a fit frees."""
+    if name in FEEDS:
+        feed, free = FEEDS[name]
+        return pam.HangingLoad(MUSCLE, 10.0, damping=100.0, feed=feed), list(free)
+    loss, free = LOSSES[name]
+    plant = pam.HangingLoad(MUSCLE, 10.0, damping=60.0, feed=Regulator(0.03), losses=loss)
+    return plant, [f"muscle.{n}" for n in free]
+
+
+def driven(plant: pam.Plant, draw: np.random.Generator, t: np.ndarray, hold: float) -> Any:
+    """A simulation under held random commands."""
+    each = round(hold / (t[1] - t[0]))
+    count = -(-len(t) // each)
+    name = plant.inputs[0].name
+    valve = plant.variable(name).unit == "1"
+    levels = draw.uniform(-0.25, 0.25, count) if valve else draw.uniform(1.2e5, 4.5e5, count)
+    start = {"x": 0.03}
+    for v in plant.states:
+        if v.name.startswith("muscle.") and "pressure" in v.name:
+            start[v.name] = 3e5
+    column = np.repeat(levels, each)[: len(t)]
+    return pam.simulate(plant, {name: (t, column)}, t=t, start=start, rtol=1e-11), name, column
+
+
+def fmu(plant: pam.Plant, free: list[str], draw: np.random.Generator) -> str:
+    motion, _, _ = driven(plant, draw, np.linspace(0, 0.6, 61), 0.06)
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for version in ("2.0", "3.0"):
+            path = Path(folder) / f"unit{version[0]}.fmu"
+            unit = pam.export_fmu(plant, path, platforms="native", fmi=version)  # type: ignore[arg-type]
+            check = pam.check_fmu(unit, against=motion)
+            found.append(f"{check.largest:.1e}" + (f" {check.findings}" if check.findings else ""))
+    return " ".join(found)
+
+
+def plan(plant: pam.Plant, free: list[str], draw: np.random.Generator) -> str:
+    end = float(draw.uniform(0.028, 0.036))
+    found = pam.plan(
+        plant, stops=[{"x": 0.025}, {"x": end}], minimise="effort", duration=0.4, starts=1
+    )
+    return str(found.verdict).splitlines()[0]
+
+
+def fit(plant: pam.Plant, free: list[str], draw: np.random.Generator) -> str:
+    t = np.arange(0, 2.0, 0.01)
+    run, command, column = driven(plant, draw, t, 0.1)
+    columns = {command: column}
+    for name, size in NOISE.items():
+        columns[name] = run[name] + size * draw.standard_normal(t.size)
+    record = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    truth = {n: float(plant.variable(n).start or 0.0) for n in free}
+    beside = {
+        n: v * float(draw.choice([0.65, 1.35])) if v else 0.1 * plant.variable(n).nominal
+        for n, v in truth.items()
+    }
+    found = pam.fit_plant(plant.with_values(beside), record, free, time_limit=LIMIT)
+    words = []
+    for name, (low, high) in found.intervals().items():
+        if name not in truth:
+            continue
+        middle, half = (low + high) / 2, (high - low) / 2
+        off = (truth[name] - middle) / half * 1.96 if half else np.nan
+        words.append(f"{name.partition('.')[2]} {off:+.1f}s (+-{half / abs(middle):.1%})")
+    spent = "" if found.status == "solved" else f" [{found.status}]"
+    return ", ".join(words) + spent
+
+
+VERBS = {"fmu": fmu, "plan": plan, "fit": fit}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--only", nargs="*", default=[*LOSSES, *FEEDS])
+    parser.add_argument("--verbs", nargs="*", default=list(VERBS))
+    chosen = parser.parse_args()
+    print(f"seed {chosen.seed}")
+    warnings.simplefilter("ignore")
+    for name in chosen.only:
+        plant, free = built(name)
+        for verb in chosen.verbs:
+            draw = np.random.default_rng([chosen.seed, sum(map(ord, name))])
+            before = time.process_time()
+            try:
+                said = VERBS[verb](plant, free, draw)
+            except pam.PamError as error:
+                said = f"FAILED: {error}"
+            print(f"{name:26} {verb:4} {time.process_time() - before:6.1f} s  {said}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

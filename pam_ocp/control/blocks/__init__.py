@@ -1,0 +1,1 @@
+"""Controllers, estimators and motions as blocks: the one form in which they run elsewhere."""

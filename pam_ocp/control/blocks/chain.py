@@ -1,0 +1,214 @@
+"""Chains: blocks that feed each other become one block with one step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ...core.block import Block
+from ...core.errors import InputError, UnknownNameError
+from ...core.units import unit
+from ...core.variables import Variable
+from .kinds import law_of
+
+__all__ = ["chain"]
+
+
+def chain(
+    parts: Sequence[Any],
+    connections: Mapping[str, str] | None = None,
+    *,
+    name: str = "chain",
+    description: str = "",
+) -> Block:
+    """Several blocks as one: in each step they are called in their order.
+
+    parts : Blocks, or controllers, whose laws alone are taken; each has a name of its own.
+    connections : {"PART.INPUT": "PART.OUTPUT"}. An output of the same or of a later part counts
+        with its value of the step before. Without a connection an input takes the output of its own
+        name, or ``estimate.NAME``, of the nearest part before it; where there is none it is an
+        input of the chain, shared by all parts that have it.
+
+    Parameters and memory get the part's name in front, outputs only where two have one name. What
+    another part takes drives no plant any more: it is no command of the chain. The chain has no
+    guard yet: ``pam_ocp.control.block(chain)`` puts one around it.
+
+    Raises InputError for sample times or units that differ, UnknownNameError for names.
+    """
+    blocks = [law_of(part) for part in parts]
+    if not blocks:
+        raise InputError("chain: parts is empty; give at least one block")
+    return _Chain(blocks, dict(connections or {}), name, description).block()
+
+
+class _Chain:
+    def __init__(
+        self, blocks: list[Block], connections: dict[str, str], name: str, description: str
+    ) -> None:
+        self.blocks, self.name = blocks, name
+        self.description = description or ", then ".join(b.description or b.name for b in blocks)
+        names = [b.name for b in blocks]
+        twice = next((n for n in names if names.count(n) > 1), None)
+        if twice is not None:
+            raise InputError(f"chain: two parts are named {twice!r}; name them apart")
+        for b in blocks[1:]:
+            if not np.isclose(b.sample_time, blocks[0].sample_time, rtol=1e-9, atol=0.0):
+                raise InputError(
+                    f"chain: sample_time = {b.sample_time:g} s of {b.name}, "
+                    f"{blocks[0].sample_time:g} s of {blocks[0].name}; make all equal"
+                )
+        self.given = {
+            self._end(to, "inputs"): self._end(of, "outputs") for to, of in connections.items()
+        }
+        self.sources = {
+            (i, k): self._source(i, k) for i, b in enumerate(blocks) for k in range(len(b.inputs))
+        }
+
+    # ---- who feeds whom -------------------------------------------------------------------------
+    def _end(self, text: str, kind: str) -> tuple[int, int]:
+        """(part, place) of "PART.NAME"."""
+        names = [b.name for b in self.blocks]
+        for i, name in enumerate(names):
+            if text.startswith(f"{name}."):
+                rest = text[len(name) + 1 :]
+                known = [v.name for v in getattr(self.blocks[i], kind)]
+                if rest not in known:
+                    raise UnknownNameError(f"{kind[:-1]} of {name}", rest, known)
+                return i, known.index(rest)
+        raise UnknownNameError("part of the chain", text.partition(".")[0], names)
+
+    def _source(self, i: int, k: int) -> tuple[int, int] | None:
+        """The output that feeds an input; None for an input of the chain."""
+        wanted = self.blocks[i].inputs[k]
+        found = self.given.get((i, k))
+        if found is None:
+            for j in reversed(range(i)):
+                outputs = [v.name for v in self.blocks[j].outputs]
+                for name in (wanted.name, f"estimate.{wanted.name}"):
+                    if name in outputs and found is None:
+                        found = j, outputs.index(name)
+        if found is not None:
+            output = self.blocks[found[0]].outputs[found[1]]
+            self._same_unit(wanted, output, f"{self.blocks[found[0]].name}.{output.name}", i)
+        return found
+
+    def _same_unit(self, wanted: Variable, other: Variable, who: str, i: int) -> None:
+        if unit(wanted.unit) != unit(other.unit):
+            raise InputError(
+                f"chain: {self.blocks[i].name}.{wanted.name} counts in {wanted.unit!r}, {who} in "
+                f"{other.unit!r}; connect what counts in the same unit"
+            )
+
+    def _inputs(self) -> dict[str, Variable]:
+        """Inputs of the chain by name."""
+        found: dict[str, Variable] = {}
+        for (i, k), source in self.sources.items():
+            if source is None:
+                v = self.blocks[i].inputs[k]
+                self._same_unit(v, found.setdefault(v.name, v), "another part", i)
+        return found
+
+    def _missing(self, inputs: Mapping[str, Variable]) -> tuple[str, ...]:
+        """Inputs that may be NaN for every part that takes them."""
+        takers: dict[str, list[bool]] = {n: [] for n in inputs}
+        for (i, k), source in self.sources.items():
+            if source is None:
+                b = self.blocks[i]
+                takers[b.inputs[k].name].append(b.inputs[k].name in b.missing)
+        return tuple(n for n, known in takers.items() if all(known))
+
+    # ---- the block ------------------------------------------------------------------------------
+    def block(self) -> Block:
+        inputs = self._inputs()
+        outputs, commands = self._outputs()
+        late = sorted({s for (i, _), s in self.sources.items() if s is not None and s[0] >= i})
+        memory = [replace(v, name=f"{b.name}.{v.name}") for b in self.blocks for v in b.memory] + [
+            self._late(*s) for s in late
+        ]
+        parameters = [
+            replace(v, name=f"{b.name}.{v.name}") for b in self.blocks for v in b.parameters
+        ]
+        return Block(
+            name=self.name,
+            sample_time=self.blocks[0].sample_time,
+            inputs=tuple(inputs.values()),
+            outputs=tuple(outputs),
+            parameters=tuple(parameters),
+            memory=tuple(memory),
+            step=self._step(list(inputs), late),
+            description=self.description,
+            commands=tuple(commands),
+            missing=self._missing(inputs),
+            loops={f"{b.name}: {k}": n for b in self.blocks for k, n in b.loops.items()},
+        )
+
+    def _late(self, i: int, k: int) -> Variable:
+        b = self.blocks[i]
+        v = b.outputs[k]
+        return Variable(
+            f"{b.name}.last.{v.name}",
+            "state",
+            unit=v.unit,
+            start=v.start or 0.0,
+            nominal=v.nominal,
+            description=f"{v.name} of the last step",
+        )
+
+    def _outputs(self) -> tuple[list[Variable], list[str]]:
+        names = [v.name for b in self.blocks for v in b.outputs]
+        names += [v.name for v in self._inputs().values()]
+        taken = {s for s in self.sources.values() if s is not None}
+        found, commands = [], []
+        for i, b in enumerate(self.blocks):
+            for k, v in enumerate(b.outputs):
+                name = f"{b.name}.{v.name}" if names.count(v.name) > 1 else v.name
+                found.append(replace(v, name=name))
+                if v.name in b.commands and (i, k) not in taken:
+                    commands.append(name)
+        return found, commands
+
+    def _step(self, inputs: list[str], late: list[tuple[int, int]]) -> ca.Function:
+        plain = all(b.step.is_a("SXFunction") for b in self.blocks)
+        kind: Any = ca.SX if plain else ca.MX
+        sizes = [
+            sum(len(b.memory) for b in self.blocks) + len(late),
+            len(inputs),
+            sum(len(b.parameters) for b in self.blocks),
+        ]
+        names = ["memory", "inputs", "parameters"]
+        columns = [kind.sym(n, size) for n, size in zip(names, sizes, strict=True)]
+        memory = _parted(columns[0], [*(len(b.memory) for b in self.blocks), len(late)])
+        gains = _parted(columns[2], [len(b.parameters) for b in self.blocks])
+        outside = dict(zip(inputs, _entries(columns[1]), strict=True))
+        before = dict(zip(late, _entries(memory[-1]), strict=True))
+        after: list[Any] = []
+        given: list[Any] = []
+        for i, b in enumerate(self.blocks):
+            seen = []
+            for k, v in enumerate(b.inputs):
+                source = self.sources[i, k]
+                if source is None:
+                    seen.append(outside[v.name])
+                elif source[0] < i:
+                    seen.append(given[source[0]][source[1]])
+                else:
+                    seen.append(before[source])
+            column = ca.vertcat(*seen) if seen else kind.zeros(0, 1)
+            moved, answer = b.step.call([memory[i], column, gains[i]])
+            after.append(moved)
+            given.append(answer)
+        after += [given[i][k] for i, k in late]
+        results = [ca.densify(ca.vertcat(*after)), ca.densify(ca.vertcat(*given))]
+        return ca.Function("step", columns, results, names, ["memory_next", "outputs"])
+
+
+def _parted(column: Any, sizes: Sequence[int]) -> list[Any]:
+    return list(ca.vertsplit(column, np.cumsum([0, *sizes]).tolist()))
+
+
+def _entries(column: Any) -> list[Any]:
+    return list(ca.vertsplit(column)) if column.numel() else []

@@ -1,0 +1,265 @@
+"""A block under way: variables are entered one by one and come back as symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.block import Block
+from ...core.errors import InputError
+from ...core.variables import Variable
+from ...plants.inversion import Inversion
+from ...plants.plant import Plant
+from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
+
+__all__ = ["Draft", "compensated", "least_norm"]
+
+Array: TypeAlias = NDArray[np.float64]
+Symbol: TypeAlias = Any
+"""SX or MX."""
+
+
+class Draft:
+    """Collects the variables of a block, and what becomes of its memory.
+
+    kind : ca.SX, or ca.MX for laws that call functions with loops or look tables up.
+    """
+
+    def __init__(self, name: str, sample_time: float, description: str, kind: Any = ca.SX) -> None:
+        self.name, self.sample_time, self.description = name, sample_time, description
+        self.kind = kind
+        self._kept: dict[str, dict[str, tuple[Variable, Symbol]]] = {
+            "input": {},
+            "parameter": {},
+            "state": {},
+        }
+        self._next: dict[str, Symbol] = {}
+        self._outputs: list[tuple[Variable, Symbol]] = []
+        self._commands: list[str] = []
+        self._missing: list[str] = []
+        self.loops: dict[str, int] = {}
+
+    def _enter(self, variable: Variable) -> Symbol:
+        kept = self._kept[variable.causality]
+        if variable.name not in kept:
+            kept[variable.name] = variable, self.kind.sym(variable.name)
+        return kept[variable.name][1]
+
+    # ---- variables ----------------------------------------------------------------------------
+    def input(self, name: str, start: float = 0.0, missing: bool = False, **about: Any) -> Symbol:
+        """A measurement or a reference. missing : NaN is understood by the law itself."""
+        if missing:
+            self._missing.append(name)
+        return self._enter(Variable(name, "input", start=start, **about))
+
+    def like(self, variable: Variable, prefix: str = "", **more: Any) -> Symbol:
+        """The input that measures (or prescribes) a variable of a plant: no range, it may err."""
+        return self.input(
+            prefix + variable.name,
+            variable.start or 0.0,
+            unit=variable.unit,
+            nominal=variable.nominal,
+            description=variable.description,
+            **more,
+        )
+
+    def column(self, variables: Iterable[Variable], prefix: str = "", **more: Any) -> Symbol:
+        """Inputs that measure these, as a column."""
+        return _column(self.kind, [self.like(v, prefix, **more) for v in variables])
+
+    def parameter(self, name: str, value: float, **about: Any) -> Symbol:
+        """A number that may be tuned."""
+        if not np.isfinite(value):
+            raise InputError(f"{self.name}: parameter {name} = {value} must be finite")
+        return self._enter(Variable(name, "parameter", start=float(value), tunable=True, **about))
+
+    def matrix(
+        self, name: str, values: Array, rows: Iterable[Variable], columns: Iterable[Variable]
+    ) -> Symbol:
+        """A matrix of gains, each a parameter ``name.row.column``."""
+        right = list(columns)
+        entries = [
+            [
+                self.parameter(f"{name}.{r.name}.{c.name}", float(v))
+                for c, v in zip(right, line, strict=True)
+            ]
+            for r, line in zip(rows, np.atleast_2d(values), strict=True)
+        ]
+        if not right or not entries:
+            return self.kind.zeros(len(entries), len(right))
+        return ca.vertcat(*(ca.horzcat(*line) for line in entries))
+
+    def memory(self, name: str, start: float = 0.0, **about: Any) -> Symbol:
+        """A number that is carried to the next step; it stays as it is unless ``next`` is told."""
+        return self._enter(Variable(name, "state", start=float(start), **about))
+
+    def next(self, name: str, value: Symbol) -> None:
+        """What the memory ``name`` is in the next step."""
+        self._next[name] = value
+
+    def output(self, variable: Variable, value: Symbol, command: bool = False) -> None:
+        """An output. command : it drives a plant."""
+        self._outputs.append((variable, value))
+        if command:
+            self._commands.append(variable.name)
+
+    def estimate(self, variable: Variable, value: Symbol) -> None:
+        """The output ``estimate.NAME`` of a variable of a plant."""
+        self._outputs.append(
+            (
+                Variable(
+                    f"estimate.{variable.name}",
+                    "output",
+                    unit=variable.unit,
+                    nominal=variable.nominal,
+                    description=f"estimated: {variable.description}",
+                ),
+                value,
+            )
+        )
+
+    def repeats(self, what: str, count: int) -> None:
+        """What is done ``count`` times in a step, besides what was told before."""
+        self.loops[what] = self.loops.get(what, 0) + count
+
+    # ---- what the guard tells -------------------------------------------------------------------
+    @property
+    def active(self) -> Symbol:
+        """1 while the law's own commands acted."""
+        return self.input(ACTIVE, 1.0, description="1 while the law's own commands acted")
+
+    @property
+    def limited(self) -> Symbol:
+        """1 where the last command was not what was asked for."""
+        return self.input(LIMITED, 0.0, description="1 where a limit acted on the last command")
+
+    @property
+    def held_back(self) -> Symbol:
+        """1 where a limit that the law cannot know acted on the last command."""
+        words = "1 where a rate or a narrower range acted on the last command"
+        return self.input(HELD_BACK, 0.0, description=words)
+
+    def sent(self, variables: Iterable[Variable]) -> Symbol:
+        """The commands that acted since the last step, as a column."""
+        return self.column(variables, SENT)
+
+    # ---- of plants with valves ---------------------------------------------------------------
+    def send(self, inversion: Inversion | None, inner: list[Variable], u: Symbol) -> None:
+        """The commands of chosen inputs: for openings those that give them."""
+        if not inversion:
+            for i, variable in enumerate(inner):
+                self.output(as_output(variable), u[i], command=True)
+            return
+        chosen = {v.name: u[i] for i, v in enumerate(inner)}
+        for variable, value in sent_by(inversion, chosen):
+            self.output(as_output(variable), value, command=True)
+
+    def block(self) -> Block:
+        """The block, once all is entered."""
+        inputs, parameters, memory = (
+            list(self._kept[c].values()) for c in ("input", "parameter", "state")
+        )
+        after = [self._next.get(v.name, s) for v, s in memory]
+        results = [
+            _column(self.kind, found) for found in (after, [value for _, value in self._outputs])
+        ]
+        groups = [[s for _, s in part] for part in (memory, inputs, parameters)]
+        return Block(
+            name=self.name,
+            sample_time=self.sample_time,
+            inputs=tuple(v for v, _ in inputs),
+            outputs=tuple(v for v, _ in self._outputs),
+            parameters=tuple(v for v, _ in parameters),
+            memory=tuple(v for v, _ in memory),
+            step=self._step(groups, results),
+            description=self.description,
+            commands=tuple(self._commands),
+            missing=tuple(self._missing),
+            loops=self.loops,
+        )
+
+    def _step(self, groups: list[list[Symbol]], results: list[Symbol]) -> ca.Function:
+        names = ["memory", "inputs", "parameters"], ["memory_next", "outputs"]
+        if self.kind is ca.SX:
+            columns = [_column(ca.SX, group) for group in groups]
+            return ca.Function("step", columns, results, *names, {"cse": True})
+        scalars = [s for group in groups for s in group]
+        law = ca.Function("law", scalars, results)
+        columns = [ca.MX.sym(n, len(g)) for n, g in zip(names[0], groups, strict=True)]
+        entries = [e for c in columns if c.numel() for e in ca.vertsplit(c)]
+        return ca.Function("step", columns, law.call(entries, True, False), *names)
+
+
+def _column(kind: Any, entries: list[Symbol]) -> Symbol:
+    return ca.densify(ca.vertcat(*entries)) if entries else kind.zeros(0, 1)
+
+
+def as_output(variable: Variable) -> Variable:
+    """An input of a plant as the command that a block gives."""
+    return Variable(
+        variable.name,
+        "output",
+        unit=variable.unit,
+        start=variable.start,
+        min=variable.min,
+        max=variable.max,
+        nominal=variable.nominal,
+        description=variable.description,
+    )
+
+
+def sent_by(inversion: Inversion, chosen: Mapping[str, Symbol]) -> list[tuple[Variable, Symbol]]:
+    """(input of the plant, value) of inputs by inner name, openings through their inverse."""
+    plant = inversion.plant
+    found: list[tuple[Variable, Symbol]] = []
+    for name, value in chosen.items():
+        opening = inversion.opening_of(name)
+        if opening is None:
+            found.append((plant.variable(name), value))
+            continue
+        sent = inversion.inverse(opening)(value, plant.vector("parameter"))
+        commands = inversion.commands_of(opening)
+        found += [(plant.variable(c), sent[i]) for i, c in enumerate(commands)]
+    return found
+
+
+def opened_by(inversion: Inversion | None, plant: Plant, draft: Draft) -> dict[str, Symbol]:
+    """{inner input: value} that the commands sent since the last step gave."""
+    controls = [v for v in plant.inputs if not v.disturbance]
+    sent = draft.sent(controls)
+    named = {v.name: sent[i] for i, v in enumerate(controls)}
+    if not inversion:
+        return named
+    found: dict[str, Symbol] = {}
+    for variable in inversion.inner.inputs:
+        opening = inversion.opening_of(variable.name)
+        if opening is None:
+            if variable.name in named:
+                found[variable.name] = named[variable.name]
+            continue
+        commands = ca.vertcat(*(named[c] for c in inversion.commands_of(opening)))
+        found[variable.name] = inversion.forward(opening)(commands, plant.vector("parameter"))
+    return found
+
+
+def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Symbol]:
+    """(total, carry) of a sum that goes on for days, without the rounding of each addition.
+
+    The value is total + carry. W. Kahan, Communications of the ACM 8 (1965) 40.
+    """
+    wanted = more + carry
+    after = ca.fmin(total + wanted, LARGEST)  # without it CasADi takes (a + b) - a for b
+    return after, wanted - (after - total)
+
+
+def least_norm(matrix: Symbol, right: Symbol) -> Symbol:
+    """The z nearest to matrix z = right; 0 where the matrix is zero."""
+    square = ca.mtimes(matrix.T, matrix)
+    size = ca.trace(square)
+    n = square.shape[0]
+    shifted = square + ca.if_else(size > 0, 1e-14 * size, 1.0) * type(square).eye(n)
+    return ca.solve(shifted, ca.mtimes(matrix.T, right)) if n else right[:0]

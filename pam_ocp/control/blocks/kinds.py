@@ -1,0 +1,47 @@
+"""How a controller becomes a block, by its type.
+
+The file that defines a block's equations enters them here under the name of the class::
+
+    @BLOCKS.register("StateFeedback")
+    def state_feedback(controller: StateFeedback) -> Block: ...
+
+The function gives the law alone. What all have in common (missing measurements, limits, switching
+on and off) is put around it by :func:`guarded`. A law may take these inputs, which the guard knows:
+
+``sent.NAME``  the command NAME that acted since the last sample
+``active``     1 while the law's own commands acted, 0 while something else was sent
+``limited``    1 where a limit of the guard kept the last command from being what was asked for
+``held_back``  the same, of limits that the law cannot know: rates, and ranges narrower than the
+               command's own
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ...core.block import Block
+from ...core.errors import InputError
+from ...core.registry import Registry
+
+__all__ = ["ACTIVE", "BLOCKS", "HELD_BACK", "LARGEST", "LIMITED", "SENT", "TOLD", "law_of"]
+
+BLOCKS: Registry[Callable[..., Block]] = Registry("block", "pam_ocp.control")
+
+ACTIVE, LIMITED, HELD_BACK, SENT = "active", "limited", "held_back", "sent."
+TOLD = (ACTIVE, LIMITED, HELD_BACK, "sent", "enable", "wanted", "ahead", "place")
+"""First parts of names of inputs that are no measurements: references, and what the guard tells."""
+LARGEST = 1e30
+"""A number beyond is none [SI]; single precision holds it."""
+
+
+def law_of(controller: Any, **options: Any) -> Block:
+    """The block of a controller's law alone. Raises InputError for what has none."""
+    if isinstance(controller, Block):
+        return controller
+    for kind in type(controller).__mro__:
+        if kind.__name__ in BLOCKS:
+            return BLOCKS[kind.__name__](controller, **options)
+    raise InputError(
+        f"a {type(controller).__name__} is not known as a block; there are {', '.join(BLOCKS)}"
+    )

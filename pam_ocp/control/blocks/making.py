@@ -1,0 +1,117 @@
+"""The verb ``block``, and a block as a controller of the closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.block import Block
+from ...core.errors import InputError, UnknownNameError
+from ...core.stop import locked, verb
+from ...core.units import unit
+from ...plants.plant import Plant
+from ..controller import Measured
+from .guard import Guard, guarded
+from .kinds import TOLD, law_of
+
+__all__ = ["BlockController", "block"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@verb
+def block(
+    controller: Any,
+    *,
+    plant: Plant | None = None,
+    name: str | None = None,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+    rates: Mapping[str, float] | None = None,
+    safe: Mapping[str, float] | None = None,
+    hold: int = 10,
+    fade_time: float = 0.05,
+    guard: bool = True,
+    **options: Any,
+) -> Block:
+    """A controller, an estimator or a planned motion as a Block, the form in which it is exported.
+
+    controller : any that ``pam_ocp.control`` has, or a Block (a chain of them, say).
+    plant : what it is to drive: InputError where its commands or measurements are not among that
+        plant's variables, or count in other units.
+    name : of the block. limits, rates, safe, hold, fade_time : see :class:`Guard`, which stands
+        around the law; ``guard`` False leaves it out (for parts of a chain).
+    options : of this kind of controller.
+    """
+    if name is not None:
+        options["name"] = name
+    law = law_of(controller, **options)
+    if plant is not None:
+        _require_plant_of(law, plant)
+    if not guard:
+        return law
+    return guarded(law, Guard(limits or {}, rates or {}, safe or {}, hold, fade_time))
+
+
+def _require_plant_of(law: Block, plant: Plant) -> None:
+    known = {v.name: v for v in plant.variables}
+    measures = {v.name: v for v in law.inputs if v.name.partition(".")[0] not in TOLD}
+    drives = {v.name: v for v in law.outputs if v.name in law.commands}
+    for name, variable in {**measures, **drives}.items():
+        if name not in known:
+            raise InputError(
+                f"{law.name} is a controller for another plant: {plant.name!r} has no variable "
+                f"{name}"
+            )
+        if unit(variable.unit) != unit(known[name].unit):
+            raise InputError(
+                f"{law.name}: {name} counts in {variable.unit!r}, that of {plant.name!r} in "
+                f"{known[name].unit!r}"
+            )
+        if name in drives and known[name].causality != "input":
+            raise InputError(f"{law.name}: {name} is no input of {plant.name!r}")
+
+
+@locked
+class BlockController:
+    """A Block in the closed loop: a Controller that calls its step once per sample.
+
+    block : with commands among its outputs. inputs : t [s] -> {input: value} for what is not
+    measured: references, ``enable``. Inputs that are neither stay at their start values.
+    outputs : those of the last sample by name; memory : as it stands now.
+    """
+
+    def __init__(
+        self, block: Block, inputs: Callable[[float], Mapping[str, float]] | None = None
+    ) -> None:
+        if not block.commands:
+            raise InputError(f"{block.name} gives no commands, so it cannot close a loop")
+        self.block, self._told = block, inputs
+        self.sample_time = block.sample_time
+        self._place = {v.name: i for i, v in enumerate(block.inputs)}
+        self._start = block.start("inputs")
+        self.parameters = block.start("parameters")
+        self.reset()
+
+    def reset(self) -> None:
+        """See :class:`Controller`."""
+        self.memory: Array = self.block.start("memory")
+        self.outputs: dict[str, float] = {}
+
+    def __call__(self, t: float, measured: Measured) -> dict[str, float]:
+        """See :class:`Controller`."""
+        values = self._start.copy()
+        for name, place in self._place.items():
+            if name in measured:
+                values[place] = measured[name]
+        for name, value in (self._told(t) if self._told else {}).items():
+            if name not in self._place:
+                raise UnknownNameError(f"input of {self.block.name}", name, self._place)
+            values[self._place[name]] = value
+        memory, outputs = self.block.step(self.memory, values, self.parameters)
+        self.memory = np.asarray(memory).ravel()
+        numbers = np.asarray(outputs).ravel().tolist()
+        self.outputs = dict(zip((v.name for v in self.block.outputs), numbers, strict=True))
+        return {n: self.outputs[n] for n in self.block.commands}

@@ -1,0 +1,244 @@
+"""The files of an FMU, put together and written: the same for plants, blocks and motions."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import uuid
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..core.files import atomic_path, require_ending
+from ..core.trajectory import Trajectory
+from . import compile as compiler
+from . import description, documentation, source, terminals
+from .layout import Layout
+from .runtime import c_text
+from .settings import Settings
+
+__all__ = ["Content", "model_identifier", "write_archive", "write_fmu"]
+
+_DATE = (2000, 1, 1, 0, 0, 0)
+_PLACEHOLDER = "{00000000-0000-0000-0000-000000000000}"
+
+
+@dataclass(frozen=True)
+class Content:
+    """What goes into an FMU beside its variables."""
+
+    kind: str
+    """Of the C runtime: "fmu" for a plant, "block"."""
+    code: Callable[[], source.ModelCode]
+    equations: Callable[[], Sequence[tuple[str, str]]]
+    """For the documentation."""
+    notes: Sequence[str] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
+    """More for model_data.h."""
+    reference: Trajectory | None = None
+
+
+def write_fmu(
+    layout: Layout,
+    path: str | os.PathLike[str],
+    settings: Settings,
+    platforms: Iterable[str] | None,
+    content: Content,
+) -> Path:
+    """Write an FMU of these variables and this content."""
+    require_ending(path, ".fmu", "an FMU")
+    chosen = compiler.platforms_named(platforms)
+    identifier = model_identifier(layout.name)
+    with atomic_path(path) as temporary:  # first of all: is there a place to write to?
+        texts = _contents(layout, settings, identifier, content)
+        files = {name: text.encode() for name, text in texts.items()}
+        libraries = compiler.compile_all(_c_files(texts), source.MAIN_SOURCE, chosen, identifier)
+        files |= _binaries(libraries, identifier, settings.fmi)
+        files |= _icons(settings.fmi)
+        if content.reference is not None:
+            files["documentation/reference.png"] = documentation.picture(content.reference)
+        write_archive(temporary, files)
+    return Path(path)
+
+
+def model_identifier(name: str) -> str:
+    """A C identifier of a plant's name."""
+    identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"{identifier}_" if identifier in _C_KEYWORDS else identifier
+
+
+_C_KEYWORDS = frozenset(
+    {
+        "auto",
+        "break",
+        "case",
+        "char",
+        "const",
+        "continue",
+        "default",
+        "do",
+        "double",
+        "else",
+        "enum",
+        "extern",
+        "float",
+        "for",
+        "goto",
+        "if",
+        "inline",
+        "int",
+        "long",
+        "register",
+        "restrict",
+        "return",
+        "short",
+        "signed",
+        "sizeof",
+        "static",
+        "struct",
+        "switch",
+        "typedef",
+        "union",
+        "unsigned",
+        "void",
+        "volatile",
+        "while",
+    }
+)
+
+
+def _contents(
+    layout: Layout, settings: Settings, identifier: str, content: Content
+) -> dict[str, str]:
+    """Every text file of the FMU by its path in the archive, with the token filled in."""
+    code = content.code()
+    texts = source.hand_written(settings.fmi, content.kind)
+    files = {f"sources/{name}": text for name, text in texts.items()}
+    files |= {f"sources/{name}": text for name, text in code.files.items()}
+    files["sources/model_data.h"] = source.model_data(
+        layout,
+        code.work,
+        identifier=identifier,
+        token=_PLACEHOLDER,
+        tolerance=settings.tolerance,
+        fixed_step=settings.fixed_step,
+        **content.data,
+    )
+    files["modelDescription.xml"] = description.to_text(
+        description.model_description(
+            layout,
+            settings.fmi,
+            identifier=identifier,
+            token=_PLACEHOLDER,
+            tolerance=source.proposed_tolerance(settings.tolerance),
+            step_size=settings.step_size,
+            stop_time=settings.stop_time,
+            fixed_step=settings.fixed_step,
+            tool=f"pam_ocp {_version()}",
+            about=settings.about,
+        )
+    )
+    token = _token(files)
+    files |= _pages(layout, settings, identifier, content)
+    return {name: text.replace(_PLACEHOLDER, token) for name, text in files.items()}
+
+
+def _version() -> str:
+    from .. import __version__
+
+    return str(__version__)
+
+
+def _token(files: Mapping[str, str]) -> str:
+    """GUID or instantiation token: a fingerprint of everything the binary comes from."""
+    digest = hashlib.sha256()
+    for name, text in sorted(files.items()):
+        digest.update(f"{name}\0{len(text)}\0{text}".encode())
+    return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
+
+
+def _pages(layout: Layout, settings: Settings, identifier: str, content: Content) -> dict[str, str]:
+    folder = "documentation/licenses"
+    icons, extra = "terminalsAndIcons", "extra/org.fmi-standard.fmi-ls-ref"
+    reference = content.reference
+    trees = {
+        "sources/buildDescription.xml": terminals.build_description(identifier),
+        f"{icons}/terminalsAndIcons.xml": terminals.terminals(layout),
+    }
+    pages = {
+        "documentation/index.html": documentation.page(
+            layout, _notes(settings, content), content.equations(), reference is not None
+        ),
+        f"{folder}/license.txt": c_text("LICENSE.sources"),
+        f"{folder}/fmi-headers.txt": c_text("LICENSE.fmi-headers"),
+        f"{icons}/icon.svg": documentation.icon_svg(),
+    }
+    if reference is not None:
+        for suffix, entries in (("in", layout.of("input")), ("ref", layout.outputs)):
+            table = documentation.reference_table(reference, {e.name for e in entries})
+            pages[f"documentation/{identifier}_{suffix}.csv"] = table
+        span = float(reference.t[0]), float(reference.t[-1])
+        trees[f"{extra}/fmi-ls-manifest.xml"] = terminals.references(identifier)
+        trees[f"{extra}/experiments.xml"] = terminals.experiments(
+            identifier, *span, settings.step_size, source.proposed_tolerance(settings.tolerance)
+        )
+    return pages | {name: description.to_text(tree) for name, tree in trees.items()}
+
+
+def _notes(settings: Settings, content: Content) -> list[str]:
+    """Paragraphs of the documentation."""
+    solver = (
+        f"fixed steps of {settings.fixed_step:g} s"
+        if settings.fixed_step
+        else f"a tolerance of {settings.tolerance:g} in units of nominal"
+    )
+    first = content.notes or [
+        f"FMI {settings.fmi}, Model Exchange and Co-Simulation. Co-Simulation integrates with "
+        f"Rodas4 (Rosenbrock method of order 4, L-stable) at {solver}; inputs are held over a "
+        "communication step, or run linearly when the importer gives their derivatives.",
+    ]
+    return [
+        *first,
+        "Fixed parameters can be set until the end of initialization, tunable ones at any "
+        "communication point or event. The sources folder holds everything to compile the FMU.",
+    ]
+
+
+def _c_files(files: Mapping[str, str]) -> dict[str, str]:
+    return {
+        name.removeprefix("sources/"): text
+        for name, text in files.items()
+        if name.startswith("sources/") and name.endswith((".c", ".h"))
+    }
+
+
+def _binaries(libraries: Mapping[str, bytes], identifier: str, fmi: str) -> dict[str, bytes]:
+    folders: dict[str, dict[str, bytes]] = {}
+    for name, library in libraries.items():
+        platform = compiler.PLATFORMS[name]
+        folder = platform.folder2 if fmi == "2.0" else name
+        folders.setdefault(f"binaries/{folder}/{identifier}{platform.suffix}", {})[name] = library
+    return {path: compiler.universal(parts) for path, parts in folders.items()}
+
+
+def _icons(fmi: str) -> dict[str, bytes]:
+    png, folder = documentation.icon_png(), "terminalsAndIcons"
+    icons = {
+        f"{folder}/icon.png": png,
+        f"{folder}/{terminals.SIGNAL_ICON}.png": documentation.signal_png(),
+    }
+    return icons | ({"model.png": png} if fmi == "2.0" else {})
+
+
+def write_archive(path: Path, content: Mapping[str, bytes]) -> None:
+    """Write a zip archive, sorted, with one fixed date: the same content gives the same bytes."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        for name in sorted(content, key=lambda n: (n != "modelDescription.xml", n)):
+            info = zipfile.ZipInfo(name, _DATE)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.create_system = 3
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(info, content[name])

@@ -1,0 +1,1 @@
+"""C code of a block, for a target: export_c."""

@@ -1,0 +1,203 @@
+"""The C function of a block's step: of what CasADi generates only what a target has a use for.
+
+CasADi's file brings an interface for loading it as a library (counts of references, names,
+sparsities). Here only the functions that compute remain, all of them static.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from ...core.block import Block
+from ...core.errors import ExportError
+from ..runtime import c_text
+
+__all__ = [
+    "PRECISIONS",
+    "Precision",
+    "StepCode",
+    "inexact",
+    "library_functions",
+    "portable_functions",
+    "step_code",
+]
+
+STEP = "block_step"
+
+
+@dataclass(frozen=True)
+class Precision:
+    """double or single: the type in C, and how its functions and constants are spelt."""
+
+    name: str
+    ctype: str
+    suffix: str
+    digits: float
+    """Spacing of numbers at 1."""
+
+    def literal(self, value: float) -> str:
+        """A number as C reads it to the last bit."""
+        if value != value:
+            return f"(({self.ctype})NAN)"
+        if abs(value) == float("inf"):
+            return f"(({self.ctype}){'-' if value < 0 else ''}INFINITY)"
+        return float(value).hex() + self.suffix
+
+
+PRECISIONS = {
+    "double": Precision("double", "double", "", 2.0**-52),
+    "single": Precision("single", "float", "f", 2.0**-23),
+}
+
+
+@dataclass(frozen=True)
+class StepCode:
+    """The functions in C, and the work memory that one call takes."""
+
+    text: str
+    arguments: int
+    results: int
+    integers: int
+    reals: int
+    functions: tuple[str, ...]
+    """Of the C library that are called."""
+
+
+_LIBRARY = re.findall(
+    r"\w+",
+    "acos acosh asin asinh atan atan2 atanh ceil copysign cos cosh erf exp expm1 floor fmod hypot "
+    "log log1p pow remainder sin sinh sqrt tan tanh",
+)
+_PORTABLE = ("exp", "expm1", "tanh")
+"""Those of fmu/src/elementary.h, the same to the last bit on every platform."""
+_EXACT = {"ceil", "copysign", "floor", "fmod", "remainder", "sqrt"}
+"""Those that every C library rounds correctly."""
+_REFUSED = ("casadi_malloc", "malloc(", "calloc(", "fprintf", "PRINTF", "static casadi_real *")
+
+
+def step_code(block: Block, precision: Precision) -> StepCode:
+    """The step of a block in C. Raises ExportError where it calls what a target does not have."""
+    kept: Any = block.step
+    arguments = kept.sx_in() if kept.is_a("SXFunction") else kept.mx_in()
+    step = ca.Function(STEP, arguments, kept.call(arguments))
+    options: dict[str, Any] = {
+        "casadi_int": "int",
+        "casadi_real": precision.ctype,
+        "with_header": False,
+        "mex": False,
+        "main": False,
+        "verbose": False,
+    }
+    generator = ca.CodeGenerator(f"{STEP}.c", options)
+    generator.add(step)
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(f"{folder}/")
+        raw = (Path(folder) / f"{STEP}.c").read_text(encoding="utf-8")
+    text = _computing(raw)
+    for word in _REFUSED:
+        if word in text:
+            raise ExportError(
+                f"{block.name}: its step calls what a target does not have ({word.strip('( ')}); "
+                "build it of functions that CasADi writes as plain C"
+            )
+    used = tuple(n for n in _LIBRARY if re.search(rf"(?<![\w.]){n}\(", text))
+    sizes = step.sz_arg(), step.sz_res(), step.sz_iw(), step.sz_w()
+    return StepCode(_spelt(text, precision, used), *sizes, used)
+
+
+def _computing(raw: str) -> str:
+    """Of CasADi's file the functions that compute, static, without what is unused."""
+    raw = re.sub(r"(?ms)^#if __STDC_VERSION__ < 199901L\n.*?^#else\n(.*?)^#endif\n", r"\1", raw)
+    raw = re.sub(r'(?m)^(extern "C" \{|\} /\* extern "C" \*/)\n', "", raw)
+    raw = raw.replace("casadi_to_int(", "(casadi_int)(")  # macros of CasADi's, written out
+    raw = re.sub(r"CASADI_CAST\((\w+), *([^()]+)\)", r"((\1)(\2))", raw)
+    raw = re.sub(r"(?m)^ *#.*(?:\\\n.*)*\n", "", raw)
+    for name, sign in (("fmin", "<"), ("fmax", ">")):  # of -0 and 0 C libraries take either
+        raw = raw.replace(f"return {name}(x, y);", f"return (x {sign} y || y != y) ? x : y;")
+    raw = raw.replace("return fabs(x);", "return x > 0 ? x : 0 - x;")
+    raw = re.sub(r"(?ms)^CASADI_SYMBOL_EXPORT [^\n{]*\{[^\n]*\}\n", "", raw)  # of one line
+    raw = re.sub(r"(?ms)^CASADI_SYMBOL_EXPORT .*?^\}\n", "", raw)
+    raw = re.sub(r"/\*.*?\*/", "", raw, flags=re.S)
+    raw = re.sub(r"(?m)^(casadi_(?:real|int) |void )(casadi_\w+\()", r"static \1\2", raw)
+    raw = re.sub(
+        r"(?m)^(static int casadi_f\d+\(.*\)) \{$",
+        r"\1 {\n  (void)arg; (void)res; (void)iw; (void)w; (void)mem;",
+        raw,
+    )
+    return _used(re.sub(r"\n\s*\n+", "\n", raw).strip() + "\n")
+
+
+def _used(text: str) -> str:
+    """The text without constants and functions that nothing calls."""
+    while True:
+        pieces = re.split(r"(?m)^(?=static )", text)
+        roots = [p for p in pieces if not p.startswith("static ")]
+        defined = [p for p in pieces if p.startswith("static ")]
+        last = defined[-1] if defined else ""
+        names = {p: _defined(p) for p in defined}
+        kept = [
+            p
+            for p in defined
+            if p is last or any(_mentions(q, names[p]) for q in defined if q is not p)
+        ]
+        if len(kept) == len(defined):
+            return text
+        text = "".join([*roots, *kept])
+
+
+def _defined(piece: str) -> str:
+    found = re.match(r"static (?:const )?\w+ \*?(\w+)", piece)
+    return found.group(1) if found else ""
+
+
+def _mentions(piece: str, name: str) -> bool:
+    return bool(name) and re.search(rf"\b{name}\b", piece) is not None
+
+
+def _spelt(text: str, precision: Precision, used: tuple[str, ...]) -> str:
+    """With the type, the constants and the functions of a precision."""
+    text = re.sub(r"\bcasadi_real\b", "real", text)
+    text = re.sub(r"\bcasadi_int\b", "int", text)
+    text = re.sub(r"\bcasadi_inf\b", "((real)INFINITY)", text)
+    text = re.sub(r"\bcasadi_nan\b", "((real)NAN)", text)
+    atom = r"(\w+|\(?\*\w+(?:\+\+)?\)?)"
+    text = re.sub(rf"\({atom}\?{atom}:0\)", r"(\1!=0?\2:0)", text)  # a number is no condition
+    text = re.sub(rf"\(! *{atom} *\)", r"(\1==0)", text)
+    text = re.sub(rf"\({atom}(&&|\|\|){atom}\)", r"(\1!=0\2\3!=0)", text)
+    text = text.replace("*(ng-1)/dg", "*(real)(ng-1)/dg")
+    for name in used:
+        spelt = name + precision.suffix
+        if precision.name == "double" and name in _PORTABLE:
+            spelt = f"portable_{name}"
+        text = re.sub(rf"(?<![\w.]){name}\(", f"{spelt}(", text)
+    if precision.suffix:
+        text = re.sub(
+            r"(?<![\w.])(\d+\.\d*(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)(?![\w.])", r"\1f", text
+        )
+    return text
+
+
+def portable_functions(code: StepCode, precision: Precision) -> str:
+    """fmu/src/elementary.h where its functions are called; "" elsewhere."""
+    if precision.name != "double" or not set(code.functions) & set(_PORTABLE):
+        return ""
+    text = re.sub(r"\bINFINITY\b", "(double)INFINITY", c_text("elementary.h"))
+    return re.sub(r"(?m)^static double (?=\w+\()", "static inline double ", text)
+
+
+def library_functions(code: StepCode, precision: Precision) -> tuple[str, ...]:
+    """The functions of the C library that are called."""
+    own = _PORTABLE if precision.name == "double" else ()
+    return tuple(f"{n}{precision.suffix}" for n in code.functions if n not in own)
+
+
+def inexact(code: StepCode, precision: Precision) -> tuple[str, ...]:
+    """The functions called whose last bit differs from one C library to the next."""
+    safe = _EXACT | (set(_PORTABLE) if precision.name == "double" else set())
+    return tuple(n for n in code.functions if n not in safe)

@@ -1,0 +1,174 @@
+"""export_c: a block as C source for a target."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.atomic import make_folder
+from ...core.block import Block
+from ...core.errors import ExportError, InputError, require_count, require_positive
+from ...core.exceptions import WriteError
+from ...core.stop import verb
+from .counts import counted
+from .files import CExport, Vectors
+from .generated import PRECISIONS, Precision, step_code
+from .vectors import inputs_of, outputs_of, sensitivity
+
+__all__ = ["export_c"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+MARK = "pam_ocp_export.json"
+"""Tells a folder that export_c wrote."""
+TOLERANCE = {"double": 1e-12, "single": 1e-4}
+"""Least tolerance of a self-test."""
+MARGIN = 10.0
+"""How much more than the effect of rounding a self-test allows."""
+USELESS = 0.5
+"""Effect of rounding, relative, beyond which a block is of no use in a precision."""
+LARGEST_SINGLE = 3e38
+
+
+@verb
+def export_c(
+    controller: Block | Any,
+    folder: str | os.PathLike[str],
+    *,
+    precision: Literal["double", "single"] = "double",
+    name: str | None = None,
+    steps: int = 200,
+    inputs: ArrayLike | None = None,
+    tolerance: float | None = None,
+    seed: int = 0,
+    **options: Any,
+) -> Path:
+    """Write a controller as C99 source without heap, global state or calls of a system.
+
+    The folder holds ``NAME.h`` (structs of inputs, parameters, outputs and state; init and step),
+    ``NAME.c``, ``NAME_selftest.c`` with test vectors, CMakeLists.txt, and README.md with memory,
+    counts of operations and the worst case of every loop. It is written whole or not at all; an
+    export that stands there is replaced.
+
+    Parameters
+    ----------
+    controller : a Block, or what ``pam_ocp.control.block`` makes one of, with its ``options``.
+    precision : of all numbers. The self-test compares with Python's double in either.
+    name : prefix of all names in C; by default the block's.
+    steps, seed : of the test vectors; or inputs (n, inputs) [SI] in the block's order.
+    tolerance : of the self-test, relative; by default 1e-12 (double) or 1e-4 (single), or ten times
+        what rounding makes of the outputs, where that is more.
+
+    Returns the folder. Raises InputError for what cannot be meant, ExportError for a block that
+    cannot be C, WriteError for a folder that is there and is no such export.
+    """
+    if precision not in PRECISIONS:
+        raise InputError(f"precision = {precision!r}: choose 'double' or 'single'")
+    kind = PRECISIONS[precision]
+    block = controller if isinstance(controller, Block) else Block.of(controller, **options)
+    prefix = _prefix(name or block.name)
+    _require_finite(block, kind)
+    place = _place(folder)
+    given = _inputs(block, steps, inputs, seed)
+    single = precision == "single"
+    expected = outputs_of(block, given, single=single)
+    if tolerance is None:
+        error = sensitivity(block, given, expected, kind.digits, single)
+        if not error <= USELESS:
+            raise ExportError(
+                f"{block.name}: rounding in {precision} precision changes its outputs by "
+                f"{error:.1g} of their size; take precision='double', or give inputs=... of its "
+                "normal use"
+            )
+        tolerance = max(TOLERANCE[precision], MARGIN * error)
+    limit = require_positive("tolerance", tolerance)
+    export = CExport(
+        block,
+        step_code(block, kind),
+        kind,
+        counted(block.step),
+        Vectors(given, expected, limit),
+        prefix,
+    )
+    about = {"kind": "C source of a block", "name": prefix, "precision": precision}
+    _write(place, {**export.files(), MARK: json.dumps(about, indent=2) + "\n"})
+    return place
+
+
+def _prefix(name: str) -> str:
+    prefix = name.replace(".", "_")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
+        raise InputError(
+            f"name = {name!r}: it begins all names in C; use letters, digits and underscores, a "
+            "letter first"
+        )
+    return prefix
+
+
+def _require_finite(block: Block, precision: Precision) -> None:
+    largest = LARGEST_SINGLE if precision.name == "single" else np.finfo(float).max
+    for kind in ("parameters", "memory", "inputs"):
+        for variable, value in zip(getattr(block, kind), block.start(kind), strict=True):
+            if not abs(value) <= largest:
+                raise InputError(
+                    f"{variable.name} = {value:g} of {block.name} is no number that "
+                    f"{precision.name} precision holds; give a finite one"
+                )
+
+
+def _inputs(block: Block, steps: int, inputs: ArrayLike | None, seed: int) -> Array:
+    if inputs is None:
+        return inputs_of(block, require_count("steps", steps), seed)
+    given = np.asarray(inputs, dtype=float)
+    if given.ndim != 2 or given.shape[1] != len(block.inputs) or not len(given):
+        raise InputError(
+            f"inputs has the shape {given.shape}; give (steps, {len(block.inputs)}): "
+            f"{', '.join(v.name for v in block.inputs)}"
+        )
+    return given
+
+
+# ---- the folder ---------------------------------------------------------------------------------
+def _place(folder: str | os.PathLike[str]) -> Path:
+    """The folder to write. Raises WriteError where something else stands there."""
+    place = Path(os.path.abspath(folder))
+    if place.is_dir():
+        if any(place.iterdir()) and not (place / MARK).is_file():
+            raise WriteError(
+                f"{os.fspath(folder)} is there and is no export of C code; give a new folder"
+            )
+    elif place.exists() or place.is_symlink():
+        raise WriteError(f"{os.fspath(folder)} is a file; give the name of a folder")
+    return place
+
+
+def _write(place: Path, files: dict[str, str]) -> None:
+    """All files, in a folder beside the place that then takes it."""
+    make_folder(place.parent)
+    try:
+        fresh = Path(tempfile.mkdtemp(prefix=f".{place.name}-", dir=place.parent))
+    except OSError as error:
+        raise WriteError(f"{place} was not written ({error.strerror})", error.errno) from None
+    try:
+        for name, text in files.items():
+            (fresh / name).write_text(text, encoding="utf-8", newline="\n")
+        fresh.chmod(0o755)
+        if place.is_dir():
+            old = Path(tempfile.mkdtemp(prefix=f".{place.name}-", dir=place.parent))
+            place.rename(old / "old")
+            fresh.rename(place)
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            fresh.rename(place)
+    except OSError as error:
+        raise WriteError(f"{place} was not written ({error.strerror})", error.errno) from None
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)

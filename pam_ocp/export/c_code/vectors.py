@@ -1,0 +1,90 @@
+"""Test vectors of a block: inputs that exercise it, and the outputs that Python gives for them."""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.block import Block
+from ...core.errors import ExportError
+from .single import single_outputs
+
+__all__ = ["inputs_of", "outputs_of", "sensitivity"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+REACH = 0.3
+"""How far the inputs go about their start values, in units of nominal."""
+
+
+def inputs_of(block: Block, steps: int, seed: int) -> Array:
+    """Smooth inputs (steps, inputs) about their start values, with gaps in what may be missing."""
+    random = np.random.default_rng(seed)
+    k = np.arange(steps)
+    columns = []
+    for v in block.inputs:
+        start = v.start or 0.0
+        column = np.full(steps, start)
+        if v.name == "enable":
+            column[steps // 2 : steps // 2 + steps // 10] = 0.0
+        else:
+            for waves in (1, 3, 7):
+                size = REACH * v.nominal / waves * random.standard_normal()
+                column += size * np.sin(2 * math.pi * (waves * k / steps + random.random()))
+            column = np.clip(column, v.min, v.max)
+            if v.name in block.missing:
+                column[random.random(steps) < 0.03] = np.nan
+        columns.append(column)
+    if block.missing and steps >= 40:  # and once for longer than anything holds
+        names = [v.name for v in block.inputs]
+        columns[names.index(block.missing[0])][-steps // 5 : -steps // 10] = np.nan
+    found: Array = np.array(columns).T.reshape(steps, len(block.inputs))
+    return found
+
+
+def outputs_of(
+    block: Block, inputs: Array, rounding: float = 0.0, single: bool = False, seed: int = 0
+) -> Array:
+    """Outputs (steps, outputs) of the block in Python.
+
+    single : inputs and parameters are rounded, as in C. rounding : relative error that the memory
+    suffers in each step.
+    """
+    random = np.random.default_rng(seed)
+    memory, parameters = block.start("memory"), block.start("parameters")
+    if single:
+        inputs, parameters = (a.astype(np.float32).astype(float) for a in (inputs, parameters))
+    rows = []
+    for row in inputs:
+        memory, outputs = (np.asarray(m).ravel() for m in block.step(memory, row, parameters))
+        rows.append(outputs)
+        if rounding:
+            moved = memory * (1 + rounding * random.uniform(-1, 1, len(memory)))
+            memory = np.where(memory == np.round(memory), memory, moved)  # counts are exact
+    found = np.array(rows).reshape(len(inputs), len(block.outputs))
+    if not np.all(np.isfinite(found)):
+        raise ExportError(
+            f"{block.name}: its outputs are not finite under the test vectors; guard it "
+            "(pam_ocp.control.block(...)), or give inputs=... of its normal use"
+        )
+    return found
+
+
+def sensitivity(block: Block, inputs: Array, expected: Array, digits: float, single: bool) -> float:
+    """The largest change of an output, relative to itself and its nominal, that rounding makes.
+
+    digits : spacing of numbers at 1. Each value of the memory errs by some of it in each step; in
+    single precision every operation is carried out so, too, where the step allows it.
+    """
+    nominal = np.array([v.nominal for v in block.outputs])
+    runs = [outputs_of(block, inputs, 4 * digits, single)]
+    if single and (found := single_outputs(block, inputs)) is not None:
+        runs.append(found)
+    errors = [
+        np.max(np.abs(r - expected[: len(r)]) / (nominal + np.abs(expected[: len(r)])), initial=0.0)
+        for r in runs
+    ]
+    return float(np.max(errors))

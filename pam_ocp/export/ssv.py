@@ -1,0 +1,85 @@
+"""Parameter values in a small file (SSV of SSP 1.0), which sets an FMU without Python."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import InputError
+from ..core.files import atomic_path, require_ending
+from ..core.variables import Variable
+from ..muscles.pneumatic_muscle import Muscle
+from ..plants.hanging import HangingLoad
+from ..plants.plant import Plant, by_name
+from .description import to_text
+from .structure import parameter_set
+
+__all__ = ["save_ssv", "write_muscle_ssv", "write_ssv"]
+
+
+def save_ssv(
+    plant: Plant,
+    path: str | os.PathLike[str],
+    values: Mapping[str, Any] | None = None,
+    *,
+    name: str = "parameters",
+) -> Path:
+    """Write parameter values of a plant as SSV, to be applied to its FMU; returns the path.
+
+    values : {parameter or state: value} [SI, or a text with a unit]; by default all parameters with
+        the plant's values. Raises InputError, UnknownNameError.
+    """
+    given = by_name("values", values)
+    if values is None:
+        pairs = [(v, v.start or 0.0) for v in plant.parameters]
+    else:
+        chosen = [(plant.variable(n), v) for n, v in given.items()]
+        wrong = [v.name for v, _ in chosen if v.causality not in ("parameter", "state")]
+        if wrong:
+            raise InputError(f"values: {wrong[0]} is neither a parameter nor a state")
+        pairs = [(v, v.check(value)) for v, value in chosen]
+    return write_ssv(pairs, path, name)
+
+
+def write_ssv(
+    values: Sequence[tuple[Variable, float]],
+    path: str | os.PathLike[str],
+    name: str = "parameters",
+) -> Path:
+    """Write variables with their values [SI] as SSV; returns the path."""
+    require_ending(path, ".ssv", "a set of parameters")
+    if not values:
+        raise InputError("there is no value to write")
+    text = to_text(parameter_set(values, name))
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+def write_muscle_ssv(
+    muscle: Muscle, path: str | os.PathLike[str], names: str | Sequence[str] = "muscle"
+) -> Path:
+    """Write what a muscle brings into a plant (rest length, coefficients of its force law) as SSV,
+    for the muscles of these names in an FMU; returns the path.
+
+    Raises InputError for names that cannot be meant.
+    """
+    chosen = [names] if isinstance(names, str) else list(names)
+    if not chosen:
+        raise InputError("muscles is empty; name those of the plant, such as 'muscle1'")
+    constants: list[str] = []
+
+    def noted(constant: str, value: Any) -> Any:
+        constants.append(f"muscle.{constant}")
+        return value
+
+    muscle.substituted(noted)
+    declared = [v for v in HangingLoad(muscle).parameters if v.name in constants]
+    pairs = [
+        (Variable(f"{name}.{v.name.partition('.')[2]}", "parameter", unit=v.unit), v.start or 0.0)
+        for name in chosen
+        for v in declared
+    ]
+    return write_ssv(pairs, path, muscle.name or "muscle")

@@ -1,0 +1,90 @@
+"""The force of a muscle as a surface over contraction and pressure; measured cells on it."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+from ..core.interrupts import interruptible
+from ..muscles.validity import ValidityWarning
+
+if TYPE_CHECKING:
+    from ..fitting.static.force_fit import ForceFit
+    from ..muscles.pneumatic_muscle import Muscle
+
+__all__ = ["plot_fit_surface", "plot_surface"]
+
+Array: TypeAlias = NDArray[np.float64]
+Quantity: TypeAlias = Literal["force", "stiffness"]
+
+POINTS = 60
+_LABELS = {"force": "pulling force [N]", "stiffness": "stiffness [N/mm]"}
+
+
+def plot_surface(muscle: Muscle, quantity: Quantity = "force", *, interactive: bool = False) -> Any:
+    """Force or stiffness (at constant pressure) over contraction [%] and pressure [bar gauge],
+    within the measured range.
+
+    interactive : a plotly figure, to be turned in a browser or a notebook (needs the extra
+        ``interactive``), instead of matplotlib's. Raises InputError.
+    """
+    if quantity not in _LABELS:
+        raise InputError(f"quantity = {quantity!r}: choose 'force' or 'stiffness'")
+    low, high = muscle.contraction_range
+    kappa, p = np.meshgrid(
+        np.linspace(min(low, 0.0), high, POINTS), np.linspace(*muscle.pressure_range, POINTS)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ValidityWarning)
+        z = muscle.force(p, kappa) if quantity == "force" else muscle.stiffness(p, kappa) / 1e3
+    title = f"{muscle.name}: {muscle.law.title}"
+    return _drawn(kappa, p, np.asarray(z), _LABELS[quantity], title, None, interactive)
+
+
+def plot_fit_surface(fit: ForceFit, *, interactive: bool = False) -> Any:
+    """The fitted force as a surface, the measured cells as points; see :func:`plot_surface`."""
+    table = fit.table
+    kappa, p = np.meshgrid(
+        np.linspace(min(0.0, table.contraction.min()), table.contraction.max(), POINTS),
+        np.linspace(table.pressure.min(), table.pressure.max(), POINTS),
+    )
+    z = np.maximum(np.asarray(fit.law.tension(p.ravel(), kappa.ravel())), 0.0).reshape(p.shape)
+    title = f"{fit.law.title}: RMSE {fit.rmse:.2f} N"
+    cells = table.contraction, table.pressure, np.maximum(table.force, 0.0)
+    return _drawn(kappa, p, z, _LABELS["force"], title, cells, interactive)
+
+
+@interruptible()  # matplotlib and plotly are loaded in here
+def _drawn(
+    kappa: Array,
+    p: Array,
+    z: Array,
+    label: str,
+    title: str,
+    cells: tuple[Array, Array, Array] | None,
+    interactive: bool,
+) -> Any:
+    if interactive:
+        from .interactive import surface
+
+        return surface(100 * kappa, p / 1e5, z, label, title, cells)
+    from .picture import Picture
+
+    figure = Picture(figsize=(8, 6.4), layout="constrained")
+    ax: Any = figure.add_subplot(projection="3d")
+    ax.plot_surface(100 * kappa, p / 1e5, z, cmap="viridis", alpha=0.85, linewidth=0)
+    if cells is not None:
+        ax.scatter(
+            100 * cells[0], cells[1] / 1e5, cells[2], color="#d55e00", s=12, depthshade=False
+        )
+    ax.set_xlabel("contraction [%]")
+    ax.set_ylabel("pressure [bar gauge]")
+    ax.set_zlabel(label)
+    ax.set_title(title, loc="left", fontsize="medium")
+    ax.view_init(elev=24, azim=-52)
+    ax.set_box_aspect(None, zoom=0.88)
+    return figure

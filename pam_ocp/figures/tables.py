@@ -1,0 +1,235 @@
+"""Any result as a table: rows of names, numbers and texts; for pandas, files and a picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.errors import InputError, require_instance
+from ..core.files import atomic_path, write_json
+from .canvas import COLOURS, new_figure
+from .html import sheet_of
+from .sheets import SHEETS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["Table", "frame_of", "plot_table", "report_of", "save_result", "table_of"]
+
+ENDINGS = (".csv", ".html", ".json", ".txt", ".xlsx")
+MOST_PANELS, MOST_ROWS = 6, 40
+_BY_COLUMN = {"ForceTable"}
+"""Of these the notebook shows a summary only."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Heads, and rows of numbers and texts."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+
+def table_of(thing: Any) -> Table:
+    """The table of a result: the largest that it shows in a notebook; else its parts, if it is made
+    of several; else its own numbers.
+
+    Values are as the object has them: SI, but for what stands in units in the notebook's table.
+    """
+    known = {cls.__name__ for cls in type(thing).__mro__} & set(SHEETS)
+    if known - _BY_COLUMN:
+        grid = max(sheet_of(thing).grids, key=lambda g: len(g.rows), default=None)
+        if grid is not None:
+            return Table(grid.head, tuple(tuple(map(_number, row)) for row in grid.rows))
+    rows = _cases(thing) or [_flat(p) for p in _parts(thing)]
+    if rows:
+        heads = tuple(dict.fromkeys(n for row in rows for n in row))
+        if heads:
+            return Table(heads, tuple(tuple(row.get(n, "") for n in heads) for row in rows))
+    columns = _columns(thing)
+    if columns:
+        arrays = zip(*columns.values(), strict=True)
+        return Table(tuple(columns), tuple(tuple(map(float, row)) for row in arrays))
+    flat = _flat(thing)
+    return Table(("name", "value"), tuple(flat.items()))
+
+
+def _cases(thing: Any) -> list[dict[str, Any]]:
+    """Of many simulations: what each case sets, and where it ended."""
+    if not (hasattr(thing, "cases") and hasattr(thing, "results")):
+        return []
+    rows = []
+    for case, result in zip(thing.cases, thing.results, strict=True):
+        row = {n: v for key in case for n, v in _flat(case[key]).items()}
+        failed = isinstance(result, Exception)
+        last = {"failure": str(result)} if failed else result.row(-1)
+        rows.append(row | {n if failed else f"{n}.last": v for n, v in last.items()})
+    return rows
+
+
+def _parts(thing: Any) -> Sequence[Any]:
+    """What it consists of, where that is several of a kind."""
+    if isinstance(thing, Sequence) and not isinstance(thing, str):
+        return [p for p in thing if is_dataclass(p)]
+    for f in fields(thing) if is_dataclass(thing) else ():
+        value = getattr(thing, f.name)
+        many = isinstance(value, tuple | list) and len(value) > 0
+        if many and all(is_dataclass(p) and not _is_heavy(p) for p in value):
+            return list(value)
+    return ()
+
+
+def _is_heavy(part: Any) -> bool:
+    """No row of a table: a motion, a plan, a plant."""
+    return any(hasattr(part, n) for n in ("trajectory", "variables", "states", "signals"))
+
+
+def _columns(thing: Any) -> dict[str, Any]:
+    """Its arrays of one length."""
+    found = {}
+    for f in fields(thing) if is_dataclass(thing) else ():
+        value = getattr(thing, f.name)
+        if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "fi":
+            found[f.name] = value
+    size = max((len(v) for v in found.values()), default=0)
+    return {n: v for n, v in found.items() if len(v) == size} if size > 1 else {}
+
+
+def _flat(thing: Any, prefix: str = "") -> dict[str, Any]:
+    """Numbers and texts of an object, those of its parts behind a dot."""
+    found: dict[str, Any] = {}
+    pairs: Iterator[tuple[str, Any]] = (
+        ((f.name, getattr(thing, f.name)) for f in fields(thing) if not f.name.startswith("_"))
+        if is_dataclass(thing)
+        else iter(thing.items() if isinstance(thing, Mapping) else ())
+    )
+    for name, value in pairs:
+        if isinstance(value, bool | int | float | str):
+            found[f"{prefix}{name}"] = value
+        elif isinstance(value, np.number | np.bool_):
+            found[f"{prefix}{name}"] = value.item()
+        elif hasattr(value, "causality") and hasattr(value, "name"):  # a variable: by its name
+            found[f"{prefix}{name}"] = value.name
+        elif isinstance(value, Mapping) and not prefix:
+            found |= _flat(value, f"{name}.")
+    return found
+
+
+def _number(cell: str) -> Any:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+# ---- out of it -----------------------------------------------------------------------------------
+def frame_of(thing: Any) -> pd.DataFrame:
+    """The table as a DataFrame. Raises InputError without pandas."""
+    try:
+        import pandas as pd
+    except ImportError:
+        raise InputError("to_pandas needs pandas: pip install 'pam_ocp[studies]'") from None
+    table = table_of(thing)
+    return pd.DataFrame(list(table.rows), columns=list(table.head))
+
+
+def report_of(thing: Any) -> str:
+    """The result as text."""
+    return str(thing)
+
+
+def save_result(thing: Any, path: str | os.PathLike[str]) -> Path:
+    """Write a result as its name ends: a page (.html), its table (.csv, .json, .xlsx), its text.
+
+    Raises InputError for another ending, WriteError where nothing can be written.
+    """
+    from .report import write_report
+
+    require_instance("path", path, (str, os.PathLike), "give the name of a file")
+    target = Path(path)
+    ending = target.suffix.lower()
+    if ending not in ENDINGS:
+        raise InputError(f"{target}: end the name in one of {', '.join(ENDINGS)}")
+    if ending == ".html":
+        return write_report(target, {type(thing).__name__: thing}, title=type(thing).__name__)
+    if ending == ".txt":
+        text = f"{thing}\n"
+    else:
+        table = table_of(thing)
+        if ending == ".xlsx":
+            return _book(type(thing).__name__, table, target)
+        if ending == ".json":
+            rows = [dict(zip(table.head, row, strict=True)) for row in table.rows]
+            plain = [{n: _finite_or_none(c) for n, c in row.items()} for row in rows]
+            return write_json(target, {"kind": type(thing).__name__, "rows": plain})
+        text = _csv(table)
+    with atomic_path(target) as temporary:
+        temporary.write_text(text, "utf-8")
+    return target
+
+
+def _csv(table: Table) -> str:
+    import csv
+    import io
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.head)
+    writer.writerows([[repr(c) if isinstance(c, float) else c for c in row] for row in table.rows])
+    return text.getvalue()
+
+
+def _book(name: str, table: Table, path: Path) -> Path:
+    from .workbook.book import Book
+
+    with Book.writing(path, name) as book:
+        page = book.sheet(name)
+        book.table(page, 0, table.head, table.rows)
+        page.freeze_panes(1, 1)
+        page.set_column(0, len(table.head), 16)
+    return path
+
+
+def plot_table(thing: Any) -> Figure:
+    """The columns of numbers of a result's table as bars, a panel each.
+
+    Raises InputError where there is no column of numbers.
+    """
+    if hasattr(thing, "causality") or hasattr(thing, "parameters"):
+        raise InputError(
+            f"a {type(thing).__name__} holds no motion to draw; simulate or plan one, and draw that"
+        )
+    table = table_of(thing)
+    rows = table.rows[:MOST_ROWS]
+    named = [j for j in range(len(table.head)) if any(isinstance(r[j], str) for r in rows)]
+    labels = [str(r[named[0]]) if named else str(i + 1) for i, r in enumerate(rows)]
+    numbers = [
+        j
+        for j in range(len(table.head))
+        if j not in named and any(_finite(r[j]) for r in rows) and len(rows) > 0
+    ][:MOST_PANELS]
+    if not numbers:
+        raise InputError(f"{type(thing).__name__} holds no column of numbers to draw; print it")
+    size = (3.0 + 2.2 * len(numbers), 1.4 + 0.28 * len(rows))
+    figure, axes = new_figure(1, len(numbers), size=size)
+    for ax, j in zip(axes[0], numbers, strict=True):
+        values = [float(r[j]) if _finite(r[j]) else 0.0 for r in rows]
+        ax.barh(range(len(rows)), values, color=COLOURS[0], height=0.6)
+        ax.set_xlabel(table.head[j])
+        ax.set_yticks(range(len(rows)), labels if ax is axes[0, 0] else [""] * len(rows))
+        ax.invert_yaxis()
+    return figure
+
+
+def _finite_or_none(cell: Any) -> Any:
+    return None if isinstance(cell, float) and not np.isfinite(cell) else cell
+
+
+def _finite(cell: Any) -> bool:
+    return isinstance(cell, int | float) and not isinstance(cell, bool) and bool(np.isfinite(cell))

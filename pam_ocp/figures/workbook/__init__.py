@@ -1,0 +1,1 @@
+"""Spreadsheets: results as workbooks, a fitted law as live formulas."""

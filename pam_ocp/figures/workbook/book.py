@@ -1,0 +1,161 @@
+"""A workbook: sheets with heads, columns of numbers, formulas and charts, by XlsxWriter.
+
+The same content gives the same bytes: no date stands in it.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ... import __version__
+from ...core.atomic import atomic_path
+from ...core.errors import InputError
+from ...core.files import require_ending
+from ..canvas import COLOURS
+
+__all__ = ["MOST_ROWS", "Book", "address", "column_name"]
+
+MOST_ROWS = 1_048_000
+"""Of a sheet (Excel: 1 048 576)."""
+_EPOCH = datetime(2000, 1, 1)
+
+
+def column_name(index: int) -> str:
+    """A, B, ..., Z, AA, ... of the column with this number from 0."""
+    name = ""
+    index += 1
+    while index:
+        index, rest = divmod(index - 1, 26)
+        name = chr(65 + rest) + name
+    return name
+
+
+def address(row: int, column: int, *, sheet: str = "", fixed: bool = False) -> str:
+    """Of a cell, rows and columns from 0: "B3", "Data!$B$3"."""
+    mark = "$" if fixed else ""
+    place = f"{mark}{column_name(column)}{mark}{row + 1}"
+    return f"{sheet}!{place}" if sheet else place
+
+
+class Book:
+    """A workbook that is being written. ``sheet`` begins a page; columns and charts go onto it."""
+
+    def __init__(self, workbook: Any) -> None:
+        self.workbook = workbook
+        plain = {"font_name": "Calibri", "font_size": 11}
+        self.bold = workbook.add_format({**plain, "bold": True})
+        self.title = workbook.add_format({**plain, "bold": True, "font_size": 14})
+        self.head = workbook.add_format(
+            {**plain, "bold": True, "bottom": 1, "bg_color": "#e8eef4", "text_wrap": True}
+        )
+        self.number = workbook.add_format({**plain, "num_format": "0.######"})
+        self.digits = workbook.add_format({**plain, "num_format": "0.00000E+00"})
+        self.input = workbook.add_format(
+            {**plain, "num_format": "General", "bg_color": "#fff2cc", "border": 1}
+        )
+        self.grey = workbook.add_format({**plain, "font_color": "#808080"})
+
+    @classmethod
+    @contextmanager
+    def writing(cls, path: str | os.PathLike[str], title: str) -> Iterator[Book]:
+        """A workbook that is in its place when the block ends, all of it or nothing.
+
+        Raises InputError for another ending than .xlsx, WriteError where nothing can be written.
+        """
+        import xlsxwriter
+
+        require_ending(path, ".xlsx", "a workbook")
+        content = io.BytesIO()
+        options = {"in_memory": True, "nan_inf_to_errors": True, "strings_to_formulas": False}
+        workbook = xlsxwriter.Workbook(content, {**options, "strings_to_urls": False})
+        said = {"title": title, "comments": f"pam_ocp {__version__}", "created": _EPOCH}
+        workbook.set_properties(said)
+        yield cls(workbook)
+        workbook.close()
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(content.getvalue())
+
+    def sheet(self, name: str) -> Any:
+        """A new page."""
+        page = self.workbook.add_worksheet(name[:31])
+        page.hide_gridlines(2)
+        return page
+
+    def text(self, page: Any, row: int, lines: Sequence[str], column: int = 0) -> int:
+        """Lines, the first as a title; returns the next row."""
+        for i, line in enumerate(lines):
+            page.write_string(row + i, column, line, self.title if i == 0 and row == 0 else None)
+        return row + len(lines)
+
+    def table(self, page: Any, row: int, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> int:
+        """A head and rows of texts and numbers; returns the row behind."""
+        for j, text in enumerate(head):
+            page.write_string(row, j, text, self.head)
+        for i, cells in enumerate(rows, start=row + 1):
+            for j, cell in enumerate(cells):
+                self.cell(page, i, j, cell)
+        return row + 1 + len(rows)
+
+    def cell(self, page: Any, row: int, column: int, value: Any, form: Any = None) -> None:
+        """A text, a number, or nothing."""
+        if value is None or value == "":
+            return
+        if isinstance(value, str):
+            page.write_string(row, column, value, form)
+        elif math.isfinite(value):
+            page.write_number(row, column, value, form)
+        else:
+            page.write_string(row, column, {math.inf: "∞", -math.inf: "-∞"}.get(value, ""), form)
+
+    def columns(
+        self, page: Any, row: int, heads: Sequence[str], columns: Sequence[ArrayLike]
+    ) -> None:
+        """Numbers below heads. Raises InputError for more rows than a sheet has."""
+        for j, (head, column) in enumerate(zip(heads, columns, strict=True)):
+            page.write_string(row, j, head, self.head)
+            values = np.asarray(column, float)
+            if row + 1 + values.size > MOST_ROWS:
+                raise InputError(
+                    f"{values.size} rows are more than a sheet has ({MOST_ROWS}); thin them out "
+                    "by trajectory.at(times), or save as .csv or .parquet"
+                )
+            for i, value in enumerate(values.tolist(), start=row + 1):
+                self.cell(page, i, j, value)
+
+    def chart(
+        self,
+        page: Any,
+        place: str,
+        series: Sequence[dict[str, Any]],
+        labels: tuple[str, str],
+        title: str = "",
+        size: tuple[int, int] = (760, 380),
+    ) -> None:
+        """A scatter chart. series : name, x, y (ranges), marks (instead of a line), colour."""
+        chart = self.workbook.add_chart({"type": "scatter", "subtype": "straight"})
+        for i, one in enumerate(series):
+            colour = one.get("colour", COLOURS[i % len(COLOURS)])
+            marks = one.get("marks", False)
+            kind = "circle" if marks else "none"
+            mark = {"type": kind, "size": 4, "fill": {"color": colour}, "border": {"color": colour}}
+            line = {"none": True} if marks else {"color": colour, "width": 1.5}
+            said = {"categories": f"={one['x']}", "values": f"={one['y']}", "name": one["name"]}
+            chart.add_series({**said, "marker": mark, "line": line})
+        for axis, label in zip((chart.set_x_axis, chart.set_y_axis), labels, strict=True):
+            light = {"visible": True, "line": {"color": "#dddddd"}}
+            axis({"name": label, "major_gridlines": light, "label_position": "low"})
+        if title:
+            chart.set_title({"name": title, "name_font": {"size": 12}})
+        else:
+            chart.set_title({"none": True})
+        chart.set_size({"width": size[0], "height": size[1]})
+        page.insert_chart(place, chart)

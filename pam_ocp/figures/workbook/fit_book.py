@@ -1,0 +1,222 @@
+"""A fitted force law as a workbook: parameters, data, the law as live formulas, charts."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from ...core.errors import InputError
+from ..canvas import COLOURS
+from .book import Book, address, column_name
+from .formula import Formula, formula_of
+
+if TYPE_CHECKING:
+    from ...fitting.static.force_fit import ForceFit
+
+__all__ = ["write_fit_book"]
+
+BAR, PERCENT = 1e5, 1e-2
+FIRST = 6
+"""Row of the first coefficient."""
+CURVE = 41
+"""Points of a curve."""
+MOST_CURVES = 8
+NAMED = "law_"
+"""In front of a coefficient's name: a1 alone would be the address of a cell."""
+
+
+def write_fit_book(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
+    """Write the workbook; returns its path.
+
+    Sheets: Parameters (change one, and all else follows), Data (measured, law, residual), Curves
+    (the law over contraction at pressures that can be changed).
+    """
+    with Book.writing(path, f"{fit.law.title}, fitted") as book:
+        _FitBook(book, fit).write()
+    return Path(path)
+
+
+class _FitBook:
+    """The sheets of one fit."""
+
+    def __init__(self, book: Book, fit: ForceFit) -> None:
+        self.book, self.fit = book, fit
+        self.names = list(fit.coefficients)
+        self.formula = self._formula()
+
+    def _formula(self) -> Formula | None:
+        """The law's; None where spreadsheets have none."""
+        symbols = {n: ca.SX.sym(n) for n in ("p", "kappa", *self.names)}
+        law = type(self.fit.law)(**{n: symbols[n] for n in self.names})
+        expression = law.formula(symbols["p"], symbols["kappa"])
+        try:
+            found = formula_of(ca.SX(expression), symbols)
+            found.written(lambda name: f"{NAMED}{name}")
+        except InputError:
+            return None
+        return found
+
+    def write(self) -> None:
+        """All sheets."""
+        page = self.book.sheet("Parameters")
+        last = self._data()
+        self._parameters(page, last)
+        self._curves()
+
+    # ---- parameters ---------------------------------------------------------------------------
+    def _parameters(self, page: Any, last: int) -> None:
+        book, fit = self.book, self.fit
+        said = [
+            f"{fit.law.title}, fitted to {fit.table.source or 'a table'}",
+            fit.law.reference,
+            "Change a yellow cell: law, residuals, RMSE and curves follow."
+            if self.formula
+            else "This law has no formula that spreadsheets take: forces are numbers here.",
+        ]
+        book.text(page, 0, said)
+        intervals = fit.intervals()
+        heads = ("coefficient", "value (SI)", "standard error", "from (95 %)", "to (95 %)")
+        book.table(page, FIRST - 1, (*heads, "unit", "description"), [])
+        for i, c in enumerate(fit.coefficients.values()):
+            row = FIRST + i
+            page.write_string(row, 0, c.name, book.bold)
+            page.write_number(row, 1, c.value, book.input)
+            low, high = intervals.get(c.name, (c.value, c.value))
+            error: tuple[Any, ...] = ("held", "", "") if c.held else (c.stderr, low, high)
+            for j, value in enumerate((*error, "" if c.unit == "1" else c.unit, c.description), 2):
+                book.cell(page, row, j, value)
+            place = address(row, 1, sheet="Parameters", fixed=True)
+            book.workbook.define_name(f"{NAMED}{c.name}", f"={place}")
+        row = FIRST + len(self.names) + 1
+        taut, residual, measured = (f"Data!{c}5:{c}{last}" for c in "FEC")
+        mean = f"SUMPRODUCT({taut},{measured})/SUM({taut})"
+        squares = f"SUMPRODUCT({taut},{residual},{residual})"
+        spread = f"SUMPRODUCT({taut},({measured}-{mean})^2)"
+        for name, formula, value, unit in (
+            ("RMSE", f"=SQRT({squares}/SUM({taut}))", fit.rmse, "N"),
+            ("R²", f"=1-{squares}/{spread}", fit.r2, ""),
+            ("taut cells", f"=SUM({taut})", float(fit.n), ""),
+        ):
+            page.write_string(row, 0, name, book.bold)
+            page.write_formula(row, 1, formula, None, value)
+            page.write_string(row, 5, unit)
+            row += 1
+        book.text(page, row + 1, fit.warnings)
+        page.set_column(0, 0, 14)
+        page.set_column(1, 4, 15)
+        page.set_column(6, 6, 40)
+
+    # ---- cells with the law -------------------------------------------------------------------
+    def _law(self, page: Any, row: int, column: int, helpers: int, value: float) -> None:
+        """The law in a cell, of the pressure and contraction in the first two of its row."""
+        if self.formula is None:
+            page.write_number(row, column, value)
+            return
+        cells = {n: address(row, helpers + i) for i, n in enumerate(self.formula.cells)}
+
+        def place(name: str) -> str:
+            if name == "p":
+                return f"({address(row, 0)}*{BAR:.0f})"
+            if name == "kappa":
+                return f"({address(row, 1)}/100)"
+            return cells.get(name) or f"{NAMED}{name}"
+
+        for name, text in self.formula.written(place).items():
+            if name:
+                at = helpers + self.formula.cells.index(name)
+                page.write_formula(row, at, text, self.book.grey)
+            else:
+                page.write_formula(row, column, text, None, value)
+
+    def _helpers(self, page: Any, row: int, column: int) -> None:
+        for i, name in enumerate(self.formula.cells if self.formula else ()):
+            page.write_string(row, column + i, f"{name} of the formula", self.book.grey)
+
+    def _data(self) -> int:
+        """Measured cells in the order of pressure and contraction; returns the last row."""
+        book, table = self.book, self.fit.table
+        page = book.sheet("Data")
+        book.text(page, 0, ["Measured cells, and the law there"])
+        heads = ["pressure [bar]", "contraction [%]", "measured force [N]", "law [N]"]
+        heads += ["measured - law [N]", "taut (fitted)"]
+        labels = [n for n in ("branch", "run", "file") if getattr(table, n)]
+        book.table(page, 3, [*heads, *labels], [])
+        helpers = len(heads) + len(labels) + 1
+        self._helpers(page, 3, helpers)
+        order = np.lexsort((table.contraction, table.pressure))
+        law = np.asarray(self.fit.law.tension(table.pressure, table.contraction))
+        for row, i in enumerate(order.tolist(), start=4):
+            page.write_number(row, 0, table.pressure[i] / BAR)
+            page.write_number(row, 1, table.contraction[i] / PERCENT)
+            page.write_number(row, 2, table.force[i])
+            self._law(page, row, 3, helpers, float(law[i]))
+            difference = float(table.force[i] - law[i])
+            page.write_formula(row, 4, f"=C{row + 1}-D{row + 1}", None, difference)
+            page.write_number(row, 5, float(not table.slack[i]))
+            for j, name in enumerate(labels):
+                page.write_string(row, 6 + j, getattr(table, name)[i])
+        last = 4 + len(order)
+        self._data_charts(page, table.pressure[order], last)
+        page.set_column(0, helpers - 2, 13)
+        page.freeze_panes(4, 0)
+        return last
+
+    def _data_charts(self, page: Any, pressure: Any, last: int) -> None:
+        levels = np.unique(pressure)
+        series: list[dict[str, Any]] = []
+        for i, level in enumerate(levels[:: max(1, len(levels) // MOST_CURVES)]):
+            rows = np.flatnonzero(pressure == level)
+            x, measured, law = (f"Data!${c}${rows[0] + 5}:${c}${rows[-1] + 5}" for c in "BCD")
+            said = {"x": x, "colour": COLOURS[i % len(COLOURS)]}
+            name = f"{level / BAR:.3g} bar"
+            series += [{**said, "y": measured, "name": f"{name}, measured", "marks": True}]
+            series += [{**said, "y": law, "name": f"{name}, law"}]
+        place = self._chart_place()
+        axis = "contraction [%]"
+        self.book.chart(page, f"{place}2", series, (axis, "pulling force [N]"), "Measured and law")
+        rest = {"x": f"Data!$B$5:$B${last}", "y": f"Data!$E$5:$E${last}", "marks": True}
+        label = "measured - law [N]"
+        self.book.chart(page, f"{place}23", [{**rest, "name": label}], (axis, label), "Residuals")
+
+    def _chart_place(self) -> str:
+        labels = sum(bool(getattr(self.fit.table, n)) for n in ("branch", "run", "file"))
+        cells = len(self.formula.cells) if self.formula else 0
+        return column_name(6 + labels + 1 + cells + (1 if cells else 0))
+
+    # ---- curves -------------------------------------------------------------------------------
+    def _curves(self) -> None:
+        """The law over contraction, at a few pressures that can be changed."""
+        book, table, law = self.book, self.fit.table, self.fit.law
+        page = book.sheet("Curves")
+        book.text(page, 0, ["The law over contraction; change a yellow pressure"])
+        heads = ("pressure [bar]", "contraction [%]", "law [N]", "pulling force [N]")
+        book.table(page, 3, heads, [])
+        self._helpers(page, 3, 5)
+        low, high = float(table.pressure.min()), float(table.pressure.max())
+        grid = np.linspace(min(0.0, table.contraction.min()), table.contraction.max(), CURVE)
+        series, row = [], 4
+        for i, p in enumerate(np.linspace(low, high, 6)):
+            begin = row
+            for kappa in grid.tolist():
+                if row == begin:
+                    page.write_number(row, 0, round(float(p) / BAR, 3), book.input)
+                else:
+                    page.write_formula(row, 0, f"=A{begin + 1}", None, round(float(p) / BAR, 3))
+                page.write_number(row, 1, 100 * kappa)
+                value = float(law.tension(round(float(p) / BAR, 3) * BAR, kappa))
+                self._law(page, row, 2, 5, value)
+                page.write_formula(row, 3, f"=MAX(0,C{row + 1})", None, max(0.0, value))
+                row += 1
+            x, y = (f"Curves!${c}${begin + 1}:${c}${row}" for c in "BD")
+            name = f"=Curves!$A${begin + 1}"
+            series.append({"x": x, "y": y, "name": name, "colour": COLOURS[i % len(COLOURS)]})
+        cells = len(self.formula.cells) if self.formula else 0
+        labels = ("contraction [%]", "pulling force [N]")
+        place = f"{column_name(5 + cells + (1 if cells else 0))}2"
+        book.chart(page, place, series, labels, "Pulling force, pressures in bar")
+        page.set_column(0, 4 + cells, 13)
+        page.freeze_panes(4, 0)

@@ -1,0 +1,119 @@
+"""Results of steps that are kept: by the digest of all that went into them.
+
+joblib's Memory keeps them, in the user's own folder (whoever could write there could have his code
+run: results are pickled). An entry is written beside its place and renamed, so that a process that
+is killed leaves all of it or nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..core.atomic import make_folder
+from ..export.cache import usable_folder
+
+__all__ = ["PACKAGES", "Kept", "digest_of", "file_digest", "own_digest", "versions"]
+
+PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib")
+"""Whose versions go into every digest, and stand in the report."""
+MOST_KEPT = 2 * 2**30
+"""Bytes; what was not used for longest goes first."""
+
+
+class Kept:
+    """Where results are kept. folder : None for the user's cache."""
+
+    def __init__(self, folder: str | os.PathLike[str] | None = None) -> None:
+        from joblib import Memory
+
+        place = make_folder(folder) if folder is not None else usable_folder("studies")
+        self._memory = Memory(place, verbose=0)
+        self._results = self._memory.cache(_result, ignore=["made"])
+
+    def __contains__(self, key: str) -> bool:
+        return bool(self._results.check_call_in_cache(key, None))
+
+    def get(self, key: str) -> dict[str, Any] | None:
+        """What was kept; None where there is nothing, or nothing that can be read."""
+        if key not in self:
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is damaged is made anew
+            try:
+                found: dict[str, Any] = self._results(key, _nothing)
+            except _NothingKept:
+                return None
+        return found
+
+    def put(self, key: str, result: dict[str, Any]) -> None:
+        """Keep a result."""
+        self._results(key, lambda: result)
+
+    def trim(self) -> None:
+        """Let go of what exceeds ``MOST_KEPT``."""
+        self._memory.reduce_size(bytes_limit=MOST_KEPT)
+
+
+class _NothingKept(Exception):
+    pass
+
+
+def _nothing() -> dict[str, Any]:
+    raise _NothingKept
+
+
+def _result(key: str, made: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What joblib keeps by its key alone."""
+    return made()
+
+
+# ---- digests -------------------------------------------------------------------------------------
+def digest_of(content: Any) -> str:
+    """Of plain data, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    found = hashlib.sha256()
+    with path.open("rb") as file:
+        for block in iter(lambda: file.read(2**20), b""):
+            found.update(block)
+    return found.hexdigest()
+
+
+@cache
+def versions() -> Mapping[str, str]:
+    """Of pam_ocp, and of the packages that its results come from."""
+    return {"pam_ocp": __version__, **{name: _version(name) for name in PACKAGES}}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@cache
+def own_digest() -> str:
+    """Of this package's files: what was computed by other code is computed anew."""
+    package = Path(__file__).parents[1]
+    found = hashlib.sha256()
+    for path in _sources((package, package.parent / "fmu")):
+        found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def _sources(folders: Iterable[Path]) -> list[Path]:
+    endings = (".py", ".toml", ".csv", ".c", ".h", ".html")
+    return sorted(p for f in folders for p in f.rglob("*") if p.suffix in endings)

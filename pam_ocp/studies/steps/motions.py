@@ -1,0 +1,235 @@
+"""Steps that move a plant: planned, simulated, controlled; and the comparison of two motions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ...core.errors import InputError, PlanError, PlanWarning, UnknownNameError, require_count
+from ...core.quantities import known_keys, quantity, table
+from ..loop_problem import DEFAULTS, loop_settings, loop_text, require_spans, run_loop
+from .step import STEPS, Job, Made, Step, csv_text, ends, seconds, values
+
+if TYPE_CHECKING:
+    from ...core.trajectory import Trajectory
+
+__all__ = ["CompareStep", "LoopStep", "PlanStep", "SimulateStep"]
+
+_PLANNING = (
+    *("stops", "cyclic", "duration", "minimise", "bounds", "rest", "memory", "phases"),
+    *("constraints", "track", "budgets", "design", "integrand", "final", "method", "tolerance"),
+    *("starts", "solver", "compiled", "options"),
+)
+MOTION = "motion.npz"
+
+
+class _Moves(Step):
+    """What offers a motion."""
+
+    offers: ClassVar[Mapping[str, str]] = {"motion": MOTION}
+    parts: ClassVar[Mapping[str, str]] = {"plant": "plant"}
+
+    @classmethod
+    def read(cls, noun: str, job: Job) -> Trajectory:
+        from ...core.trajectory import Trajectory
+
+        return Trajectory.load(job.out / MOTION)
+
+
+def _write(motion: Trajectory, job: Job) -> None:
+    motion.save(job.out / MOTION)
+    motion.save(job.out / "motion.csv")
+
+
+@STEPS.register("plan")
+class PlanStep(_Moves):
+    """An optimal motion of a plant, checked by an independent integration."""
+
+    needs = ("plant", "stops")
+    keys = _PLANNING
+
+    @classmethod
+    def _arguments(cls, job: Job) -> dict[str, Any]:
+        from ...planning.problem.problem_file import plan_arguments
+
+        said = {n: v for n, v in job.said.items() if n != "plant"}
+        return plan_arguments(job.parts["plant"], said, allow_code=job.allow_code)
+
+    @classmethod
+    def check(cls, job: Job) -> dict[str, Any]:
+        cls._arguments(job)
+        return {}
+
+    @classmethod
+    def work(cls, job: Job) -> Made:
+        import warnings
+
+        from ...planning.planner import plan
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PlanWarning)  # the verdict says it
+            found = plan(job.parts["plant"], **cls._arguments(job))
+        if not found.solved:
+            raise PlanError(f"no plan was found: {found.status}", found)
+        found.save(job.out / "plan.npz")
+        found.to_excel(job.out / "plan.xlsx")
+        _write(found.trajectory, job)
+        job.save(found.plot())
+        numbers = {"duration": (found.duration, "s"), "objective": (found.objective, "1")}
+        numbers |= {n: (v, found.plant.variable(n).unit) for n, v in found.design.items()}
+        sure = []
+        if found.replay is not None:
+            numbers |= {"replay_error": (found.replay.error, "1")}
+            numbers |= {"violation": (found.replay.violation, "1")}
+            sure = [
+                f"an independent integration deviates by {found.replay.error:.2e} of nominal",
+                f"limits are exceeded by at most {found.replay.violation:.2e} of nominal",
+            ]
+        return Made(found, str(found.verdict), found.verified, numbers, sure, str(found))
+
+
+@STEPS.register("simulate")
+class SimulateStep(_Moves):
+    """The motion of a plant under inputs: constant, or those of another motion."""
+
+    parts: ClassVar[Mapping[str, str]] = {"plant": "plant", "inputs": "motion"}
+    loose = ("inputs",)
+    needs = ("plant",)
+    keys = ("inputs", "rest", "start", "duration", "samples", "rtol", "set")
+
+    @classmethod
+    def _arguments(cls, job: Job) -> dict[str, Any]:
+        plant = job.parts["plant"]
+        found: dict[str, Any] = {"rtol": quantity("rtol", job.get("rtol", 1e-8))}
+        if "inputs" not in job.parts:
+            found["inputs"] = values("inputs", plant, job.get("inputs", {}))
+            if "duration" not in job.said:
+                raise InputError("duration is missing: give it, or inputs = the name of a motion")
+        if "duration" in job.said:
+            count = require_count("samples", job.get("samples", 201), 2)
+            found["t"] = [seconds(job, "duration") * i / (count - 1) for i in range(count)]
+        if "rest" in job.said and "start" in job.said:
+            raise InputError("rest and start are both given; give one")
+        if "start" in job.said:
+            found["start"] = values("start", plant, job.said["start"])
+        found["parameters"] = values("set", plant, job.get("set", {}))
+        return found
+
+    @classmethod
+    def check(cls, job: Job) -> dict[str, Any]:
+        cls._arguments(job)
+        values("rest", job.parts["plant"], job.get("rest", {}))
+        return {}
+
+    @classmethod
+    def work(cls, job: Job) -> Made:
+        from ...simulation.simulator import simulate
+
+        plant, arguments = job.parts["plant"], cls._arguments(job)
+        if "inputs" in job.parts:
+            arguments["inputs"] = job.parts["inputs"]
+        if "rest" in job.said:
+            plant = plant.with_values(arguments.pop("parameters"))
+            arguments["start"] = plant.equilibrium(values("rest", plant, job.said["rest"]))
+        motion = simulate(plant, **arguments)
+        _write(motion, job)
+        motion.to_excel(job.out / "motion.xlsx")
+        job.save(motion.plot())
+        return Made(motion, f"{motion.duration:g} s simulated", numbers=ends(motion))
+
+
+@STEPS.register("loop")
+class LoopStep(_Moves):
+    """A controller in closed loop, with an estimator if there is one, against the plant."""
+
+    stage = "verified"
+    needs = ("plant",)
+    keys = tuple(n for n in DEFAULTS if n not in ("plant", "muscle", "set"))
+
+    @classmethod
+    def _settings(cls, job: Job) -> dict[str, Any]:
+        said = {n: v for n, v in job.said.items() if n != "plant"}
+        settings = loop_settings("the loop", said)
+        settings["plant"] = job.parts["plant"]
+        against = settings["against"]
+        if against not in ("plant", "fmu"):
+            raise InputError(f"against = {against!r}: give 'plant' or 'fmu'")
+        require_spans(settings)
+        return settings
+
+    @classmethod
+    def check(cls, job: Job) -> dict[str, Any]:
+        from ...control.kinds import CONTROLLERS, ESTIMATORS
+
+        settings, plant = cls._settings(job), job.parts["plant"]
+        for name, kinds in (("controller", CONTROLLERS), ("estimator", ESTIMATORS)):
+            said = dict(table(name, settings[name]))
+            kind = said.pop("kind", {"controller": "mpc", "estimator": "kalman"}[name])
+            if kind != "none":
+                known = kinds.name(f"{name}.kind", kind, *(["none"] * (name == "estimator")))
+                known_keys(f"{name} ({known})", said, [*kinds.arguments(known), "kind"])
+        for name in ("start", "real", "noise"):
+            values(name, plant, settings[name])
+        for name in ("reference", "disturbances", "sensors"):
+            for variable in table(name, settings[name]):
+                plant.variable(variable)
+        return {}
+
+    @classmethod
+    def work(cls, job: Job) -> Made:
+        settings = cls._settings(job)
+        loop = run_loop(settings)
+        _write(loop.trajectory, job)
+        loop.save(job.out / "loop.npz")
+        job.save(loop.plot())
+        failures = loop.statistics.failures if loop.statistics else 0
+        window = min(float(settings["window"]), float(settings["duration"]))
+        numbers = ends(loop.trajectory)
+        for name in loop.reference.names if loop.reference else ():
+            error = loop.steady_error(name, window)
+            numbers[f"steady_error.{name}"] = error, loop.trajectory.variable(name).unit
+        text = loop_text({**settings, "plant": job.said["plant"]}, loop)
+        verdict = f"{failures} steps without a solution" if failures else "every step was solved"
+        sure = [line for line in text.splitlines()[1:] if not line.startswith("controller")]
+        return Made(loop, verdict, not failures, numbers, sure, text)
+
+
+@STEPS.register("compare")
+class CompareStep(Step):
+    """How far one motion is from another, variable by variable."""
+
+    stage = "verified"
+    parts: ClassVar[Mapping[str, str]] = {"reference": "motion", "other": "motion"}
+    needs = ("reference", "other")
+    keys = ("names", "tolerance")
+
+    @classmethod
+    def check(cls, job: Job) -> dict[str, Any]:
+        quantity("tolerance", job.get("tolerance", 1.0))
+        job.listed("names")
+        return {}
+
+    @classmethod
+    def work(cls, job: Job) -> Made:
+        from ...figures.trajectory import plot_comparison
+
+        one, other = job.parts["reference"], job.parts["other"]
+        for name in job.listed("names"):
+            if name not in one.names or name not in other.names:
+                raise UnknownNameError("names", name, [n for n in one.names if n in other])
+        found = one.compare(other, job.listed("names") or None)
+        rows = [
+            (d.variable.name, d.largest, d.rms, d.time, d.variable.unit) for d in found.deviations
+        ]
+        head = ("variable", "largest", "rms", "at t [s]", "unit")
+        (job.out / "differences.csv").write_text(csv_text(head, rows), "utf-8")
+        names = [d.variable.name for d in found.deviations][:8]
+        labels = str(job.said["reference"]), str(job.said["other"])
+        job.save(plot_comparison(one, other, names, labels))
+        numbers = {"largest": (found.largest, "1")}
+        numbers |= {n: (largest, unit) for n, largest, _, _, unit in rows}
+        said = f"largest difference {found.largest:.3g} of nominal"
+        good = "tolerance" not in job.said or found.largest <= quantity(
+            "tolerance", job.said["tolerance"]
+        )
+        return Made(found, said, good, numbers, (said,), str(found))

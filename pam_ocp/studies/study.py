@@ -1,0 +1,386 @@
+"""A whole study out of one file: only what changed is run, into one folder with one report."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from graphlib import TopologicalSorter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import InputError, PamError, UnknownNameError, require_count
+from ..core.files import atomic_path, make_folder, read_json, reading, write_json
+from ..core.interrupts import interruptible
+from ..core.progress import Bar, working
+from ..core.shown import shown
+from ..core.stop import check, limited
+from .kept_results import Kept, digest_of, file_digest, own_digest, versions
+from .study_file import Entry, Study, read_study
+from .working import digest_of_files, rehearse, work
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["StudyResult", "StudyStep", "run_study"]
+
+LOG = logging.getLogger(__name__)
+MANIFEST = "study.json"
+FORMAT = "pam_ocp study 1"
+REPORT = "report.html"
+SUMMARY = "summary.csv"
+
+
+@dataclass(frozen=True)
+class StudyStep:
+    """What became of a step."""
+
+    name: str
+    kind: str
+    state: str
+    """"done" (now), "kept" (from an earlier run), "failed", or "left out" (stands on one that
+    failed).
+    """
+    verdict: str = ""
+    good: bool = True
+    numbers: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    """{name: (value in SI, unit)}"""
+    seconds: float = 0.0
+    """That it took when it was done."""
+    folder: Path = Path()
+    made: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+
+@shown
+@dataclass(frozen=True)
+class StudyResult:
+    """A study that was run: its steps by name, its folder, its report."""
+
+    title: str
+    folder: Path
+    steps: Mapping[str, StudyStep]
+    report: Path
+
+    @property
+    def ok(self) -> bool:
+        """Whether every step was done, and every verdict is good."""
+        return all(s.good for s in self.steps.values())
+
+    def __getitem__(self, name: str) -> StudyStep:
+        if name not in self.steps:
+            raise UnknownNameError("step of the study", name, self.steps)
+        return self.steps[name]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row for each step: kind, state, verdict, good, seconds."""
+        import pandas as pd
+
+        names = ("kind", "state", "verdict", "good", "seconds")
+        rows = [[getattr(s, n) for n in names] for s in self.steps.values()]
+        return pd.DataFrame(rows, index=list(self.steps), columns=list(names))
+
+    def __str__(self) -> str:
+        own = {n: s for n, s in self.steps.items() if "[" not in n}
+        width = max(len(n) for n in own) + 2
+        lines = [f"{self.title}: {'all well' if self.ok else 'NOT all well'}"]
+        lines += [
+            f"{'✓' if s.good else '✗'} {n:<{width}}{s.kind:<11}{s.state:<9} {s.verdict}"
+            for n, s in own.items()
+        ]
+        return "\n".join(lines)
+
+
+def run_study(
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    workers: int = 1,
+    executor: Executor | None = None,
+    allow_code: bool = False,
+    fresh: bool = False,
+    cache: str | os.PathLike[str] | None = None,
+    progress: Callable[[StudyStep, int, int], None] | None = None,
+    time_limit: float | None = None,
+) -> StudyResult:
+    """Run a study file: what changed since the last run, and what stands on it.
+
+    Parameters
+    ----------
+    path : of the file (TOML); docs/studies.md has its keys.
+    out : folder for figures, tables, parameter files, FMUs and the report; by default named as the
+        file, in the working folder. A file of an earlier run that no step writes any more is
+        removed, unless it was changed.
+    workers : processes for steps that do not stand on each other; 1 runs all in this one.
+    executor : any ``concurrent.futures.Executor`` instead, such as Dask's
+        ``client.get_executor()``; its workers see the study's folder under the same name.
+    allow_code : the study may run code: a plant named FILE.py:NAME, an FMU that it names.
+    fresh : do all of it anew. cache : folder for kept results (by default the user's own). They are
+        Python's pickles: name none that others can write to.
+    progress : called with each step that ended, how many did, and how many there are.
+    time_limit : [s]; OutOfTime when it is over. What was done until then is kept.
+
+    Results are kept by the digest of what goes into a step: its keys, the contents of the files
+    that it names, the results that it stands on, this package and those below it. A run that ends
+    early, even by kill -9, is gone on with by the next one.
+
+    Raises InputError, before anything runs, for a file that cannot be meant. A step that fails ends
+    what stands on it; the others go on, and the report tells.
+    """
+    require_count("workers", workers, 1)
+    if executor is not None and workers != 1:
+        raise InputError("give executor or workers, not both")
+    study = read_study(Path(path))
+    target = make_folder(Path(study.path.stem) if out is None else out)
+    with (
+        interruptible(),
+        limited(time_limit),
+        _pool(executor, workers) as pool,
+        working("study", len(study.entries)) as bar,
+    ):
+        run = _Run(study, target, Kept(cache), allow_code, fresh, progress, bar)
+        run.prepare()
+        run.go(pool)
+        return run.finish()
+
+
+@contextmanager
+def _pool(executor: Executor | None, workers: int) -> Iterator[Executor | None]:
+    """The executor, or one of our own whose processes end with this one."""
+    if executor is not None or workers == 1:
+        yield executor
+        return
+    from ..simulation.running import end_pool, end_with_parent
+
+    pool = ProcessPoolExecutor(workers, initializer=end_with_parent)
+    try:
+        yield pool
+    except BaseException:
+        end_pool(pool)
+        raise
+    pool.shutdown()
+
+
+class _Run:
+    """A study on its way: which steps ended, with what."""
+
+    def __init__(
+        self,
+        study: Study,
+        out: Path,
+        kept: Kept,
+        allow_code: bool,
+        fresh: bool,
+        progress: Callable[[StudyStep, int, int], None] | None,
+        bar: Bar,
+    ) -> None:
+        self.bar = bar
+        self.study, self.out, self.kept, self.fresh = study, out, kept, fresh
+        self.allow_code, self.progress = allow_code, progress
+        self.steps: dict[str, StudyStep] = {}
+        self.keys: dict[str, str] = {}
+        self.found: dict[str, dict[str, Any]] = {}
+        """Of the steps that were kept: their results."""
+        self.inputs = {p: file_digest(p) for e in study.entries.values() for p in study.files(e)}
+
+    # ---- before anything runs -----------------------------------------------------------------
+    def prepare(self) -> None:
+        """Find what is kept; where something must run, look at all of the file first."""
+        for name, entry in self.study.entries.items():
+            if all(n in self.found for n in entry.above):
+                self.keys[name] = self._key(entry)
+                found = None if self.fresh else self.kept.get(self.keys[name])
+                if found is not None:
+                    self.found[name] = found
+        if len(self.found) < len(self.study.entries):
+            with reading(self.study.path, "a study", "docs/studies.md tells every key"):
+                rehearse(self.study, self.allow_code)
+
+    def _key(self, entry: Entry) -> str:
+        """The digest of all that goes into a step whose parts are there."""
+        parts = {key: self._identity(n) for key, n in entry.parts.items()}
+        cases = [digest_of(self._result(n)["numbers"]) for n in entry.cases]
+        said = {n: v for n, v in entry.said.items() if n not in entry.parts}
+        files = [(p.name, self.inputs[p]) for p in self.study.files(entry)]
+        made_by = [versions(), own_digest()]
+        return digest_of([entry.kind, said, parts, cases, files, made_by, self.allow_code])
+
+    def _identity(self, name: str) -> str:
+        """Of a step that another stands on: of its files, or of all that went into it."""
+        entry = self.study.entries[name]
+        if entry.step.whole:
+            return self.keys[name]
+        return digest_of_files(self._result(name)["files"], entry.step.offers)
+
+    def _result(self, name: str) -> dict[str, Any]:
+        return self.found[name]
+
+    # ---- running ------------------------------------------------------------------------------
+    def go(self, pool: Executor | None) -> None:
+        """All steps, each when what it stands on has ended."""
+        graph = TopologicalSorter({n: e.above for n, e in self.study.entries.items()})
+        graph.prepare()
+        pending: dict[Any, str] = {}
+        try:
+            while graph.is_active():
+                for name in graph.get_ready():
+                    check()
+                    job = self._begun(name)
+                    if job is None:
+                        graph.done(name)
+                    elif pool is None:
+                        self._ended(name, partial(work, *job))
+                        graph.done(name)
+                    else:
+                        pending[pool.submit(work, *job)] = name
+                for future in _first(pending):
+                    name = pending.pop(future)
+                    self._ended(name, future.result)
+                    graph.done(name)
+        finally:
+            for future in pending:
+                future.cancel()
+
+    def _begun(self, name: str) -> tuple[Any, ...] | None:
+        """What ``work`` takes; None where there is nothing to do."""
+        entry = self.study.entries[name]
+        broken = [n for n in entry.parts.values() if self.steps[n].state in ("failed", "left out")]
+        if broken:
+            said = f"stands on {broken[0]}, which is {self.steps[broken[0]].state}"
+            self._tell(StudyStep(name, entry.kind, "left out", said, False))
+            return None
+        for case in entry.cases:  # a sweep tells of those that failed
+            self.found.setdefault(case, {"numbers": {}, "files": {}})
+        self.keys[name] = self._key(entry)
+        found = self.found.get(name) or (None if self.fresh else self.kept.get(self.keys[name]))
+        if found is not None:
+            self._done(entry, "kept", found)
+            return None
+        parts = {k: self._part(n) for k, n in entry.parts.items()}
+        cases = [self.found[n]["numbers"] for n in entry.cases]
+        return entry, parts, cases, self.study.path.parent.absolute(), self.allow_code
+
+    def _part(self, name: str) -> tuple[Entry, Mapping[str, bytes]]:
+        """A step that another stands on, and the files that it is read from."""
+        entry = self.study.entries[name]
+        kinds = (".toml", ".py", ".npz", ".json", ".fmu")
+        files = self._result(name)["files"]
+        return entry, {n: c for n, c in files.items() if Path(n).suffix in kinds}
+
+    def _ended(self, name: str, result: Callable[[], dict[str, Any]]) -> None:
+        entry = self.study.entries[name]
+        try:
+            found = result()
+        except PamError as error:
+            self._tell(StudyStep(name, entry.kind, "failed", str(error), False))
+            return
+        except BrokenExecutor:
+            said = "its process was ended from outside (too little memory?); run the study again"
+            self._tell(StudyStep(name, entry.kind, "failed", said, False))
+            return
+        self.kept.put(self.keys[name], found)
+        self._done(entry, "done", found)
+
+    def _done(self, entry: Entry, state: str, found: dict[str, Any]) -> None:
+        self.found[entry.name] = found
+        folder = self.out / entry.place
+        for name, content in found["files"].items():
+            _write(folder / name, content)
+        numbers = {n: (float(v), u) for n, (v, u) in found["numbers"].items()}
+        said = found["verdict"], found["good"], numbers, found["seconds"], folder, found
+        self._tell(StudyStep(entry.name, entry.kind, state, *said))
+
+    def _tell(self, step: StudyStep) -> None:
+        self.steps[step.name] = step
+        LOG.info("%s: %s; %s", step.name, step.state, step.verdict)
+        self.bar.step(note=step.name)
+        if self.progress is not None:
+            self.progress(step, len(self.steps), len(self.study.entries))
+
+    # ---- behind the last ----------------------------------------------------------------------
+    def finish(self) -> StudyResult:
+        """Summary, report, and the list of all that was written."""
+        from .study_report import study_report, summary
+
+        steps = {n: self.steps[n] for n in self.study.entries}
+        digests = {"study": file_digest(self.study.path)}
+        digests |= {os.path.relpath(p, self.study.path.parent): d for p, d in self.inputs.items()}
+        _write(self.out / SUMMARY, summary(steps).encode())
+        page = study_report(self.study, steps, digests)
+        _write(self.out / REPORT, page.encode())
+        self._tidy(steps, digests)
+        self.kept.trim()
+        return StudyResult(self.study.title, self.out, steps, self.out / REPORT)
+
+    def _tidy(self, steps: Mapping[str, StudyStep], digests: Mapping[str, str]) -> None:
+        """The list of files; those that an earlier run wrote and nobody changed go."""
+        written = {
+            f"{self.study.entries[n].place}/{file}": _sha(content)
+            for n, s in steps.items()
+            for file, content in s.made.get("files", {}).items()
+        }
+        place = self.out / MANIFEST
+        before: dict[str, Any] = {}
+        if place.is_file():
+            try:
+                before = read_json(place, "a study's list", FORMAT, "").get("files", {})
+            except InputError:
+                before = {}
+        for name, digest in before.items():
+            path = self.out / name
+            if name in written or not isinstance(digest, str) or not path.is_file():
+                continue
+            inside = path.resolve().is_relative_to(self.out.resolve())
+            if inside and _sha(path.read_bytes()) == digest:
+                path.unlink()
+                _remove_empty(path.parent, self.out)
+        content = {"format": FORMAT, "title": self.study.title, "digests": dict(digests)}
+        content |= {"versions": dict(versions()), "files": written}
+        content["steps"] = {
+            n: {"kind": s.kind, "verdict": s.verdict, "good": s.good, "key": self.keys.get(n, "")}
+            for n, s in steps.items()
+        }
+        write_json(place, content)
+
+
+def _first(pending: Mapping[Any, str]) -> list[Any]:
+    """Those of the futures that have ended, waiting for one."""
+    if not pending:
+        return []
+    if all(isinstance(f, Future) for f in pending):
+        while True:
+            done = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED).done
+            if done:
+                return list(done)
+            check()
+    return [next(iter(pending))]  # futures of a class of their own are asked in order
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Where the file does not hold that already."""
+    if path.is_file() and path.read_bytes() == content:
+        return
+    make_folder(path.parent)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def _sha(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _remove_empty(folder: Path, top: Path) -> None:
+    while folder != top and not any(folder.iterdir()):
+        folder.rmdir()
+        folder = folder.parent

@@ -1,0 +1,350 @@
+"""Controllers as blocks: the same commands as the controllers, and what their guard does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.control import (
+    PID,
+    BlockController,
+    HysteresisCompensation,
+    InverseDynamics,
+    KalmanFilter,
+    OffsetFree,
+    OpenLoop,
+    PositionController,
+    PressureLoop,
+    block,
+    chain,
+    kalman,
+    lqr,
+    scheduled_lqr,
+    tvlqr,
+)
+from pam_ocp.control.blocks.kinds import BLOCKS
+from pam_ocp.control.estimators.stationary import WithEstimate
+from pam_ocp.control.references import sine
+from pam_ocp.core.errors import InputError, UnknownNameError
+
+MUSCLE = pam.muscle("DMSP-20-300")
+REST = {"x": 0.002, "stiffness": 2.2e4}
+STEP = 2e-3
+
+
+@pytest.fixture(scope="module")
+def slide():
+    return pam.AntagonisticSlide(MUSCLE, mass=2.0)
+
+
+@pytest.fixture(scope="module")
+def valved():
+    return pam.AntagonisticSlide(MUSCLE, mass=2.0, feed=pam.feeds.SpoolValve())
+
+
+def same_commands(controller, plant, told=None, made=None, duration=0.15, least=0.02, **loop):
+    """The closed loops with the controller and with its block have the same inputs, which move."""
+    made = made or block(controller, plant=plant)
+    loop = {"sample_time": made.sample_time, "noise": {}, **loop}
+    plain = pam.closed_loop(controller, plant, duration=duration, **loop)
+    loop = {k: v for k, v in loop.items() if k not in ("reference", "estimator")}
+    found = pam.closed_loop(BlockController(made, told), plant, duration=duration, **loop)
+    for v in plant.inputs:
+        assert np.ptp(plain[v.name]) > least * v.nominal
+        assert np.abs(plain[v.name] - found[v.name]).max() < 1e-10 * v.nominal
+
+
+def step_of(t):
+    return 0.002 + 0.005 * (t > 0.05)
+
+
+@pytest.mark.parametrize("kind", ["slide", "valved"])
+def test_lqi_as_a_block_gives_the_same_commands(kind, request):
+    plant = request.getfixturevalue(kind)
+    feedback = lqr(plant, REST, integral={"x": 80.0, "stiffness": 5.0}, sample_time=STEP)
+    same_commands(feedback, plant, lambda t: {"wanted.x": step_of(t)}, reference={"x": step_of})
+
+
+def test_offset_free_feedback_as_a_block_gives_the_same_commands(valved):
+    commands = {v.name: 0.1 for v in valved.inputs}
+    measured = {"x": 1e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
+    estimator = kalman(valved, REST, measured=measured, disturbances=commands, sample_time=STEP)
+    feedback = lqr(valved, REST, sample_time=STEP)
+    same_commands(OffsetFree(feedback, estimator, ["x"], {"x": 0.004}), valved, noise={"x": 1e-5})
+
+
+def test_lqg_as_a_block_gives_the_same_commands(slide):
+    estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=STEP)
+    same_commands(WithEstimate(lqr(slide, REST, sample_time=STEP), estimator), slide)
+
+
+def test_scheduled_feedback_as_a_block_gives_the_same_commands(slide):
+    def place(t):
+        return {"x": 0.004 * np.sin(10 * t), "stiffness": 2.2e4}
+
+    axes = {"x": [-0.01, 0.0, 0.01], "stiffness": [2e4, 2.3e4]}
+    feedback = scheduled_lqr(slide, axes, place, integral={"x": 80.0}, sample_time=STEP)
+    same_commands(feedback, slide, lambda t: {f"place.{n}": v for n, v in place(t).items()})
+
+
+def test_feedback_along_a_motion_and_the_motion_alone_give_the_same_commands(valved):
+    feedback = lqr(valved, REST, integral={"x": 80.0}, sample_time=STEP)
+    run = pam.closed_loop(feedback, valved, {"x": step_of}, duration=0.1)
+    along = tvlqr(valved, run.trajectory, integral={"x": 50.0}, sample_time=STEP)
+    same_commands(along, valved)
+    same_commands(OpenLoop(valved, run.trajectory, STEP), valved)
+
+
+@pytest.mark.parametrize("inner", [None, 0.02])
+def test_position_control_as_a_block_gives_the_same_commands(valved, slide, inner):
+    plant = slide if inner else valved
+    path = sine(0.0, 0.012, 3.0)
+    controller = PositionController(
+        plant,
+        path,
+        PID.placed(3.0),
+        sample_time=STEP,
+        stiffness=2.2e4,
+        inner=PressureLoop(plant, time_constant=inner),
+    )
+
+    def told(t):
+        names = ("wanted.x", "wanted.v", "wanted.acceleration")
+        return dict(zip(names, path(t), strict=True))
+
+    same_commands(controller, plant, told)
+
+
+def test_compensation_of_hysteresis_as_a_block_gives_the_same_commands():
+    plant = pam.HangingLoad(MUSCLE, 15.0, losses=pam.losses.PrandtlIshlinskii())
+    start = plant.equilibrium(x=0.03)
+    controller = HysteresisCompensation(plant.with_values(start), sample_time=STEP, frequency=2.0)
+    wanted = {"x": lambda t: 0.03 + 0.008 * np.sin(8 * t)}
+    path = controller.tracking({n: w for n, w in wanted.items()}, {}, True)._path
+
+    def told(t):
+        pairs = {"wanted": path(t), "ahead": path(t + STEP)}
+        return {
+            f"{first}.{n}": value
+            for first, found in pairs.items()
+            for n, value in zip(("x", "v", "acceleration"), found, strict=True)
+        }
+
+    same_commands(controller, plant, told, reference=wanted, start=start)
+
+
+def test_an_extended_filter_and_a_feedback_in_a_chain_give_the_same_commands(slide):
+    feedback = lqr(slide, REST, sample_time=STEP)
+    estimator = KalmanFilter(
+        slide,
+        sample_time=STEP,
+        measured={"x": 1e-5, "muscle1.pressure": 500.0},
+        unknown={"mass": (0.2, 0.01)},
+    )
+    made = block(chain([estimator, feedback]), plant=slide)
+    same_commands(feedback, slide, made=made, estimator=estimator, noise={"x": 1e-5})
+
+
+def test_a_motion_inverse_dynamics_and_pressure_loops_in_a_chain_feed_forward(valved):
+    """The commands that the controllers give for the motion, sample by sample."""
+    t = STEP * np.arange(60)
+    x, v, a = (np.array(n) for n in zip(*map(sine(0.0, 0.006, 2.0), t), strict=True))
+    motion = pam.Trajectory(
+        t,
+        {"x": x, "v": v, "acceleration": a, "stiffness": np.full(60, 2.2e4)},
+        [
+            valved.variable("x"),
+            valved.variable("v"),
+            pam.Variable("acceleration", "output", unit="m/s2"),
+            valved.variable("stiffness"),
+        ],
+    )
+    inverse, loop = InverseDynamics(valved), PressureLoop(valved)
+    parts = [
+        block(motion, sample_time=STEP, guard=False),
+        block(inverse, sample_time=STEP, guard=False),
+        block(loop, sample_time=STEP, guard=False),
+    ]
+    controller = BlockController(block(chain(parts), plant=valved))
+    rng = np.random.default_rng(3)
+    for k in range(60):
+        seen = {
+            f"muscle{i}.pressure": p for i, p in zip((1, 2), rng.uniform(1e5, 6e5, 2), strict=True)
+        }
+        p = inverse(x[k], v[k], a[k], 2.2e4)
+        expected = loop({"muscle1": p[0], "muscle2": p[1]}, seen)
+        ends = valved.variable("muscle1.command")
+        expected = {n: min(max(u, ends.min), ends.max) for n, u in expected.items()}
+        assert controller(0.0, seen) == pytest.approx(expected, abs=1e-10)
+
+
+def test_there_is_a_block_of_every_kind_of_controller():
+    kinds = {"StateFeedback", "OffsetFree", "WithEstimate", "StationaryFilter", "KalmanFilter"}
+    kinds |= {"ScheduledFeedback", "TrajectoryFeedback", "OpenLoop", "PositionController"}
+    kinds |= {"PressureLoop", "InverseDynamics", "HysteresisCompensation", "PID", "Trajectory"}
+    assert kinds <= set(BLOCKS)
+
+
+# ---- the guard ---------------------------------------------------------------------------------
+def pid_block(**guard):
+    """kp = 2, ki = 10, at 10 ms; the commands may be -1 .. 1."""
+    guard = {"limits": {"command": (-1.0, 1.0)}, **guard}
+    return block(PID(2.0, 10.0), sample_time=0.01, **guard)
+
+
+def commands_of(made, rows):
+    """Outputs of steps with these inputs; inputs not named are 0, ``enable`` is 1."""
+    controller, found = BlockController(made), []
+    for row in rows:
+        controller(0.0, {"wanted.measured": 0.0, "measured": 0.0, "enable": 1.0, **row})
+        found.append(controller.outputs)
+    return found
+
+
+def test_a_pid_block_is_the_sum_that_its_formula_says():
+    rng = np.random.default_rng(5)
+    errors = 0.02 * rng.standard_normal(50)
+    found = commands_of(pid_block(), [{"wanted.measured": e} for e in errors])
+    expected = 2.0 * errors + 10.0 * 0.01 * np.cumsum(errors)
+    assert np.allclose([f["command"] for f in found], expected, rtol=0, atol=1e-14)
+
+
+def test_an_integral_does_not_wind_up_at_a_limit():
+    away = [{"wanted.measured": 1.0}] * 100
+    found = commands_of(pid_block(), [*away, {"wanted.measured": -0.01}])
+    assert found[50]["command"] == 1.0
+    assert found[50]["status"] == 8
+    assert found[-1]["command"] < 0.3  # with 1 s of wind-up it would stay at 1
+
+
+def test_a_missing_measurement_is_held_and_then_the_command_is_the_safe_one():
+    made = pid_block(hold=3, safe={"command": -0.5})
+    seen = [{"measured": -0.1}] * 5 + [{"measured": np.nan}] * 6 + [{"measured": -0.1}] * 2
+    found = commands_of(made, seen)
+    status = [f["status"] for f in found]
+    assert status == [0] * 5 + [2] * 3 + [6] * 3 + [0] * 2
+    assert found[5]["command"] == pytest.approx(2 * 0.1 + 10 * 0.01 * 0.6)
+    assert [f["command"] for f in found[8:11]] == [-0.5] * 3
+
+
+def test_before_the_first_measurement_the_command_is_the_safe_one():
+    made = pid_block(safe={"command": 0.25})
+    found = commands_of(made, [{"measured": np.inf}] * 2 + [{"measured": 0.0}])
+    assert [f["command"] for f in found[:2]] == [0.25, 0.25]
+    assert found[0]["status"] == 6
+
+
+@pytest.mark.parametrize("ki", [10.0, 0.0])
+def test_switching_on_begins_at_the_command_that_stands(ki):
+    """By the integral where there is one; else the difference fades with its time constant."""
+    made = block(
+        PID(2.0, ki),
+        sample_time=0.01,
+        limits={"command": (-1.0, 1.0)},
+        safe={"command": 0.6},
+        fade_time=0.05,
+    )
+    off, on = [{"enable": 0.0, "measured": -0.1}] * 20, [{"measured": -0.1}] * 30
+    found = [f["command"] for f in commands_of(made, [*off, *on])]
+    assert found[19] == 0.6
+    assert found[20] == pytest.approx(0.6, abs=1e-12)
+    if ki:
+        assert found[21] == pytest.approx(0.6 + 10 * 0.01 * 0.1)
+    else:
+        left = (0.05 / 0.06) ** np.arange(30)
+        assert found[20:] == pytest.approx(0.2 + 0.4 * left)
+
+
+def test_lqi_goes_on_from_the_commands_that_acted_while_it_was_off(slide):
+    feedback = lqr(slide, REST, integral={"x": 80.0, "stiffness": 5.0}, sample_time=STEP)
+    safe = {"muscle1.command": 3.1e5, "muscle2.command": 2.4e5}
+    controller = BlockController(block(feedback, safe=safe))
+    at = dict(zip((v.name for v in slide.states), feedback.point.x, strict=True))
+    at |= {"stiffness": 2.2e4, "x": 0.0021}
+    for _ in range(5):
+        assert controller(0.0, {**at, "enable": 0.0}) == safe
+    assert controller(0.0, {**at, "enable": 1.0}) == pytest.approx(safe, rel=1e-9)
+
+
+def test_rates_are_kept_and_told():
+    made = pid_block(rates={"command": 2.0})
+    found = commands_of(made, [{"wanted.measured": 0.4}] * 5)
+    assert np.allclose(np.diff([0.0, *(f["command"] for f in found)]), 0.02)
+    assert all(f["status"] == 16 for f in found)
+
+
+def test_what_is_no_number_is_never_sent(slide):
+    """Whatever comes in, for thousands of random steps."""
+    feedback = lqr(slide, REST, integral={"x": 80.0}, sample_time=STEP)
+    made = block(feedback)
+    rng = np.random.default_rng(8)
+    memory, p = made.start("memory"), made.start("parameters")
+    absurd = np.array([np.nan, np.inf, -np.inf, 1e29, -1e29, 0.0])
+    low, high = (np.array([getattr(v, a) for v in made.outputs]) for a in ("min", "max"))
+    for _ in range(3000):
+        values = np.where(
+            rng.random(len(made.inputs)) < 0.2,
+            rng.choice(absurd, len(made.inputs)),
+            rng.standard_normal(len(made.inputs)),
+        )
+        memory, outputs = (np.asarray(m).ravel() for m in made.step(memory, values, p))
+        assert np.all(np.isfinite(memory))
+        assert np.all((outputs >= low) & (outputs <= high))
+
+
+def test_a_filter_goes_on_without_what_is_missing(slide):
+    """With nothing measured it predicts: the model's own step."""
+    estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=STEP)
+    made = block(estimator, guard=False)
+    names = [v.name for v in made.inputs]
+    memory, p = made.start("memory"), made.start("parameters")
+    values = np.zeros(len(names))
+    values[names.index("x")] = 0.0025
+    for n in ("muscle1.command", "muscle2.command"):
+        values[names.index(f"sent.{n}")] = estimator.point[n]
+    memory, first = (np.asarray(m).ravel() for m in made.step(memory, values, p))
+    values[names.index("x")] = np.nan
+    _, second = (np.asarray(m).ravel() for m in made.step(memory, values, p))
+    x0 = estimator.point.x
+    expected = x0 + np.asarray(estimator.system.A) @ (first - x0)
+    assert np.allclose(second, expected, rtol=1e-12)
+
+
+# ---- refused ------------------------------------------------------------------------------------
+def refused(words, error=InputError):
+    return pytest.raises(error, match=words)
+
+
+def test_what_cannot_be_a_block_is_refused_in_one_sentence(slide, hanging):
+    feedback = lqr(slide, REST, sample_time=STEP)
+    with refused("not known as a block"):
+        block(object())
+    with refused("for another plant"):
+        block(feedback, plant=hanging)
+    with refused("limits="):
+        block(PID(1.0))
+    with refused("command", UnknownNameError):
+        block(feedback, rates={"muscle3.command": 1e6})
+    with refused("outside"):
+        block(feedback, safe={"muscle1.command": 1e9})
+    with refused("guarded already"):
+        block(block(feedback))
+    with refused("must be finite"):
+        block(PID(float("inf")), limits={"command": (-1, 1)})
+
+
+def test_chains_that_do_not_fit_are_refused(slide):
+    feedback = lqr(slide, REST, sample_time=STEP)
+    estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=1e-3)
+    with refused("sample_time"):
+        chain([estimator, feedback])
+    with refused("named"):
+        chain([feedback, feedback])
+    estimator = kalman(slide, REST, measured={"x": 1e-5}, sample_time=STEP)
+    with refused("y", UnknownNameError):
+        chain([estimator, feedback], {"state_feedback.y": "filter.estimate.x"})
+    with refused("counts in"):
+        chain([estimator, feedback], {"state_feedback.v": "filter.estimate.x"})
+    with refused("part of the chain", UnknownNameError):
+        chain([estimator, feedback], {"feedback.x": "filter.estimate.x"})

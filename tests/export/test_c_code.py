@@ -1,0 +1,371 @@
+"""C code of controllers: as in Python, without heap or warnings, the same bits everywhere."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from c_program import COMPILER, Program, needs_compiler, run, selftest
+
+import pam_ocp as pam
+from pam_ocp.control import (
+    PID,
+    BlockController,
+    HysteresisCompensation,
+    KalmanFilter,
+    PositionController,
+    PressureLoop,
+    block,
+    chain,
+    kalman,
+    lqr,
+)
+from pam_ocp.control.references import sine
+from pam_ocp.core.errors import ExportError, InputError
+from pam_ocp.core.exceptions import WriteError
+
+MUSCLE = pam.muscle("DMSP-20-300")
+REST = {"x": 0.002, "stiffness": 2.2e4}
+STEP = 2e-3
+ZIG = [sys.executable, "-m", "ziglang", "cc"]
+CLANG = shutil.which("clang")
+
+
+def pid_block(**more):
+    return block(PID(3.0, 10.0, 0.1), sample_time=1e-3, limits={"command": (-1.0, 1.0)}, **more)
+
+
+@pytest.fixture(scope="module")
+def valved():
+    return pam.AntagonisticSlide(MUSCLE, mass=2.0, feed=pam.feeds.SpoolValve())
+
+
+@pytest.fixture(scope="module")
+def estimating(valved):
+    """LQI on the openings behind a Kalman filter that measures position and pressures."""
+    feedback = lqr(valved, REST, integral={"x": 80.0}, sample_time=STEP)
+    measured = {"x": 1e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
+    estimator = kalman(valved, REST, measured=measured, sample_time=STEP)
+    return block(chain([estimator, feedback]), plant=valved)
+
+
+@pytest.fixture(scope="module")
+def extended():
+    """LQR behind an extended Kalman filter that finds the mass: exponentials, a matrix inverse."""
+    slide = pam.AntagonisticSlide(MUSCLE, mass=2.0)
+    measured = {"x": 1e-5, "muscle1.pressure": 500.0}
+    estimator = KalmanFilter(
+        slide, sample_time=STEP, measured=measured, unknown={"mass": (0.2, 0.01)}, substeps=1
+    )
+    return block(chain([estimator, lqr(slide, REST, sample_time=STEP)]), plant=slide)
+
+
+# ---- the same closed loops ----------------------------------------------------------------------
+def same_loop(made, plant, folder, told, duration=0.2, least=0.02, **loop):
+    """The plant moves, and with the C program as with the block in Python, to 1e-9 of nominal."""
+    pam.export_c(made, folder, name="under_test")
+    here, there = BlockController(made, told), Program(folder, "under_test", made, told)
+    runs = [pam.closed_loop(c, plant, duration=duration, **loop) for c in (here, there)]
+    for v in (*plant.states, *plant.inputs):
+        first, second = (run[v.name] for run in runs)
+        assert np.abs(first - second).max() <= 1e-9 * v.nominal
+    for v in plant.inputs:
+        assert np.ptp(runs[0][v.name]) > least * v.nominal
+
+
+@needs_compiler
+def test_a_slide_with_spool_valves_and_an_estimator_moves_the_same(valved, estimating, tmp_path):
+    def told(t):
+        return {"wanted.x": 0.002 + 0.005 * (t > 0.05)}
+
+    same_loop(estimating, valved, tmp_path / "c", told, noise={"x": 1e-5}, seed=4)
+
+
+@needs_compiler
+def test_a_joint_with_dead_zones_in_its_valves_moves_the_same(tmp_path):
+    joint = pam.AntagonisticJoint(
+        MUSCLE, inertia=0.05, link_mass=1.0, link_length=0.2, feed=pam.feeds.SpoolValve()
+    )
+    path, loop = sine(0.0, 0.2, 1.0), PressureLoop(joint)
+    controller = PositionController(
+        joint, path, PID.placed(2.0), sample_time=STEP, stiffness=30.0, inner=loop
+    )
+    names = [f"wanted.{n}" for n in next(iter(joint.positions.items()))] + ["wanted.acceleration"]
+    same_loop(
+        block(controller, plant=joint),
+        joint,
+        tmp_path / "c",
+        lambda t: dict(zip(names, path(t), strict=True)),
+    )
+
+
+@needs_compiler
+def test_a_muscle_with_memory_moves_the_same(tmp_path):
+    plant = pam.HangingLoad(
+        MUSCLE, 15.0, losses=pam.losses.PrandtlIshlinskii(), feed=pam.feeds.SpoolValve()
+    )
+    start = plant.equilibrium(x=0.03)
+    controller = HysteresisCompensation(plant.with_values(start), sample_time=STEP, frequency=2.0)
+
+    def told(t):
+        found = {}
+        for first, s in (("wanted", t), ("ahead", t + STEP)):
+            found[f"{first}.x"] = 0.03 + 0.008 * np.sin(8 * s)
+            found[f"{first}.v"] = 0.064 * np.cos(8 * s)
+            found[f"{first}.acceleration"] = -0.512 * np.sin(8 * s)
+        return found
+
+    same_loop(block(controller), plant, tmp_path / "c", told, start=start)
+
+
+@needs_compiler
+def test_gains_are_tunable_in_c(tmp_path):
+    made = pid_block()
+    program = Program(pam.export_c(made, tmp_path / "c"), "pid", made)
+    names = [v.name for v in made.parameters]
+    program.parameters[names.index("ki")] = 0.0
+    program.parameters[names.index("kp")] = 0.5
+    program.parameters[names.index("kd")] = 0.0
+    assert program.step({"wanted.measured": 1.0, "measured": 0.4})["command"] == 0.5 * 0.6
+
+
+# ---- what a target wants ------------------------------------------------------------------------
+@needs_compiler
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("made", ["estimating", "extended"])
+def test_the_self_test_passes_without_a_warning(made, precision, request, tmp_path):
+    made = request.getfixturevalue(made)
+    folder = pam.export_c(made, tmp_path / "c", precision=precision)
+    assert "passed" in selftest(folder, "chain")
+
+
+@pytest.mark.skipif(CLANG is None, reason="needs clang")
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_sanitizers_find_nothing(estimating, precision, tmp_path):
+    folder = pam.export_c(estimating, tmp_path / "c", precision=precision)
+    flags = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    assert "passed" in selftest(folder, "chain", *flags, compiler=[CLANG])
+
+
+@needs_compiler
+def test_nothing_is_allocated_and_nothing_is_kept(estimating, tmp_path):
+    """Undefined symbols are those of mathematics alone; no variable outlives a call."""
+    if shutil.which("nm") is None:
+        pytest.skip("needs nm")
+    folder = pam.export_c(estimating, tmp_path / "c")
+    run(COMPILER, "-std=c99", "-O2", "-c", "chain.c", "-o", "chain.o", cwd=folder)
+    symbols = [line.split()[-2:] for line in run("nm", "chain.o", cwd=folder).splitlines()]
+    kinds = {kind for kind, _ in symbols}
+    assert {n for kind, n in symbols if kind == "U"} <= {"sqrt", "memcpy", "memset"}
+    assert {n for kind, n in symbols if kind == "T"} == {"chain_init", "chain_step"}
+    assert not kinds & set("bBdDC")
+
+
+@needs_compiler
+def test_cmake_builds_and_tests_it(tmp_path):
+    if shutil.which("cmake") is None:
+        pytest.skip("needs cmake")
+    folder = pam.export_c(pid_block(), tmp_path / "c")
+    for command in (("cmake", "-B", "b"), ("cmake", "--build", "b"), ("ctest", "--test-dir", "b")):
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def bits_of(printed):
+    return re.search(r"bits ([0-9a-f]{8})", printed).group(1)
+
+
+MACHINES = {
+    "aarch64": ("aarch64-linux-musl", [], "qemu-aarch64"),
+    "Cortex-M7, hard float": ("thumb-linux-musleabihf", ["-mcpu=cortex_m7"], "qemu-arm"),
+}
+
+
+@pytest.mark.slow
+@needs_compiler
+@pytest.mark.parametrize("machine", MACHINES)
+def test_other_processors_give_the_same_bits(machine, estimating, tmp_path):
+    """Thumb code for a Cortex-M7 runs in qemu-arm's user mode, on any ARM core that has it."""
+    target, flags, emulator = MACHINES[machine]
+    found = shutil.which(emulator) or shutil.which(f"{emulator}-static")
+    if found is None:
+        pytest.skip(f"needs {emulator}")
+    folder = pam.export_c(estimating, tmp_path / "c")
+    here = selftest(folder, "chain")
+    program = folder / "elsewhere"
+    sources = ["chain.c", "chain_selftest.c", "-static", "-o", program]
+    warn = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    run(*ZIG, "-target", target, *flags, *warn, *sources, cwd=folder)
+    there = run(found, program)
+    assert "passed" in there
+    assert bits_of(there) == bits_of(here)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_it_compiles_for_a_cortex_m7_without_a_system(precision, tmp_path):
+    folder = pam.export_c(pid_block(), tmp_path / "c", precision=precision)
+    target = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m7", "-ffreestanding")
+    warn = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion")
+    run(*ZIG, *target, *warn, "-Werror", "-c", "pid.c", "-o", "pid.o", cwd=folder)
+    assert (folder / "pid.o").stat().st_size > 0
+
+
+DAY = """
+#include "pid.h"
+#include <stdio.h>
+static pid_state state;
+int main(void) {
+    pid_parameters parameters;
+    pid_inputs inputs;
+    pid_outputs outputs;
+    long k;
+    pid_init(&state, &parameters, &inputs);
+    parameters.kp = 0; parameters.kd = 0; parameters.ki = 1;
+    for (k = 0; k < STEPS; ++k) {
+        inputs.wanted_measured = (pid_real)1e-6;
+        inputs.measured = 0;
+        pid_step(&state, &parameters, &inputs, &outputs);
+    }
+    printf("%.17g %g\\n", (double)outputs.command, (double)outputs.status);
+    return 0;
+}
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("steps", [1_000_000, pytest.param(86_400_000, marks=pytest.mark.slow)])
+def test_an_integral_is_exact_after_a_day(steps, precision, tmp_path):
+    """86.4 million steps at 1 ms: the sum of as many small numbers, to the last digits."""
+    folder = pam.export_c(pid_block(), tmp_path / "c", precision=precision)
+    (folder / "day.c").write_text(DAY)
+    flags = ("-std=c99", "-O2", "-ffp-contract=off", f"-DSTEPS={steps}L")
+    run(COMPILER, *flags, "day.c", "pid.c", "-o", "day", "-lm", cwd=folder)
+    command, status = map(float, run(folder / "day").split())
+    assert status == 0
+    assert command == pytest.approx(steps * 1e-9, rel=1e-14 if precision == "double" else 3e-7)
+
+
+@needs_compiler
+def test_missing_measurements_give_in_c_what_they_give_in_python(estimating, tmp_path):
+    rng = np.random.default_rng(12)
+    program = Program(pam.export_c(estimating, tmp_path / "c"), "chain", estimating)
+    memory, p = estimating.start("memory"), estimating.start("parameters")
+    start = estimating.start("inputs")
+    nominal = np.array([v.nominal for v in estimating.inputs])
+    for _ in range(300):
+        values = start + 0.02 * nominal * rng.standard_normal(len(start))
+        values[rng.random(len(start)) < 0.2] = rng.choice([np.nan, np.inf, -np.inf])
+        found = program.step(dict(zip((v.name for v in estimating.inputs), values, strict=True)))
+        memory, outputs = (np.asarray(m).ravel() for m in estimating.step(memory, values, p))
+        size = np.array([v.nominal for v in estimating.outputs]) + np.abs(outputs)
+        assert np.all(np.abs(np.array([*found.values()]) - outputs) <= 1e-9 * size)
+
+
+# ---- the folder ---------------------------------------------------------------------------------
+def test_the_header_is_short_and_the_readme_says_what_it_takes(tmp_path):
+    folder = pam.export_c(pid_block(), tmp_path / "c")
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "CMakeLists.txt",
+        "README.md",
+        "pam_ocp_export.json",
+        "pid.c",
+        "pid.h",
+        "pid_selftest.c",
+    ]
+    lines = [s for s in (folder / "pid.h").read_text().splitlines() if s[:1] not in ("#", " ", "")]
+    assert len(lines) <= 20
+    readme = (folder / "README.md").read_text()
+    size = int(re.search(r"`pid_state` \| (\d+)", readme).group(1))
+    memory = len(pid_block().memory)
+    assert f"memory[{memory}]" in (folder / "pid.h").read_text()
+    assert size > 8 * memory
+    assert re.search(r"\| multiplications \| \d+ \|", readme)
+
+
+@needs_compiler
+def test_the_readme_tells_the_bytes_that_the_compiler_takes(estimating, tmp_path):
+    folder = pam.export_c(estimating, tmp_path / "c")
+    said = dict(re.findall(r"\| `chain_(\w+)` \| (\d+) \|", (folder / "README.md").read_text()))
+    names = ["state", "inputs", "parameters", "outputs"]
+    prints = "".join(f'printf("%u ", (unsigned)sizeof(chain_{n}));' for n in names)
+    text = f'#include "chain.h"\n#include <stdio.h>\nint main(void) {{ {prints} return 0; }}\n'
+    (folder / "sizes.c").write_text(text)
+    run(COMPILER, "-std=c99", "sizes.c", "-o", "sizes", cwd=folder)
+    assert run(folder / "sizes").split() == [said[n] for n in names]
+
+
+def test_an_export_is_replaced_and_anything_else_is_left_alone(tmp_path):
+    place = tmp_path / "c"
+    pam.export_c(pid_block(), place)
+    pam.export_c(pid_block(), place, name="other")
+    assert json.loads((place / "pam_ocp_export.json").read_text())["name"] == "other"
+    assert not (place / "pid.h").exists()
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    (theirs / "thesis.tex").write_text("years of work")
+    with pytest.raises(WriteError, match="no export of C code"):
+        pam.export_c(pid_block(), theirs)
+    with pytest.raises(WriteError, match="is a file"):
+        pam.export_c(pid_block(), theirs / "thesis.tex")
+    assert [p.name for p in theirs.iterdir()] == ["thesis.tex"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c", "theirs"]
+
+
+def test_what_cannot_be_written_is_refused_in_one_sentence(tmp_path):
+    made, place = pid_block(), tmp_path / "c"
+    for words, arguments in {
+        "precision": {"precision": "half"},
+        "begins all names in C": {"name": "1 pid"},
+        "inputs has the shape": {"inputs": np.zeros((3, 1))},
+        "steps": {"steps": 0},
+    }.items():
+        with pytest.raises(InputError, match=words):
+            pam.export_c(made, place, **arguments)
+    with pytest.raises(InputError, match="not known as a block"):
+        pam.export_c(object(), place)
+    assert not place.exists()
+
+
+def test_a_block_that_rounding_spoils_is_refused(tmp_path):
+    """x -> 4 x (1 - x) doubles an error in each step."""
+    import casadi as ca
+
+    from pam_ocp.core.block import Block
+
+    x = ca.SX.sym("x")
+    none = ca.SX.zeros(0, 1)
+    chaotic = Block(
+        "chaos",
+        1.0,
+        (),
+        (pam.Variable("y", "output"),),
+        (),
+        (pam.Variable("x", "state", start=0.3),),
+        ca.Function("step", [x, none, none], [4 * x * (1 - x), x]),
+    )
+    with pytest.raises(ExportError, match="rounding"):
+        pam.export_c(chaotic, tmp_path / "c")
+
+
+def test_two_instances_do_not_disturb_each_other(tmp_path):
+    if COMPILER is None:
+        pytest.skip("needs a C compiler (cc)")
+    made = pid_block()
+    folder = pam.export_c(made, tmp_path / "c", precision="single")
+    one, two = (Program(folder, "pid", made, real=ctypes.c_float) for _ in range(2))
+    alone = [one.step({"wanted.measured": 0.01})["command"] for _ in range(5)]
+    one.reset()
+    mixed = []
+    for _, other in itertools.product(range(5), [-0.5]):
+        mixed.append(one.step({"wanted.measured": 0.01})["command"])
+        two.step({"wanted.measured": other})
+    assert mixed == alone

@@ -1,0 +1,211 @@
+"""What an FMU says of itself: types, terminals, words about the model, references, shared values."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from conftest import BAR, benchmark_slide
+from fmpy.fmi3 import FMU3Slave
+from fmpy.validation import validate_fmu
+from lxml import etree
+
+import pam_ocp as pam
+from pam_ocp import InputError
+from pam_ocp.export import export_fmu
+from pam_ocp.export.runner import UnpackedFmu
+
+VERSIONS = ("2.0", "3.0")
+SCHEMAS = Path(fmpy.__file__).parent / "schema/fmi3"
+SAID = {
+    "author": "A. Author",
+    "version": "7",
+    "copyright": "(c) somebody",
+    "license": "CC BY 4.0",
+    "date": "2026-03-01T12:00:00+01:00",
+}
+
+
+def motion() -> pam.Trajectory:
+    commands = {f"muscle{i}.command": (2.0 + i) * BAR for i in (1, 2)}
+    return pam.simulate(benchmark_slide(), commands, t=np.linspace(0, 0.1, 11))
+
+
+@pytest.fixture(scope="module", params=VERSIONS)
+def unit(request: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("said") / "slide.fmu"
+    more: dict[str, Any] = {**SAID, "reference": motion(), "share": True}
+    export_fmu(benchmark_slide(), path, fmi=request.param, platforms="native", **more)
+    assert validate_fmu(str(path)) == []
+    return path
+
+
+def read(unit: Path, name: str) -> Any:
+    with zipfile.ZipFile(unit) as archive:
+        return ElementTree.fromstring(archive.read(name))
+
+
+def test_words_about_the_model_stand_in_its_description(unit: Path) -> None:
+    root = read(unit, "modelDescription.xml")
+    for name in ("author", "version", "copyright", "license"):
+        assert root.get(name) == SAID[name]
+    assert root.get("generationDateAndTime") == "2026-03-01T11:00:00Z"
+    assert root.get("generationTool").startswith("pam_ocp ")
+
+
+def test_each_quantity_is_declared_once_with_unit_and_range(unit: Path) -> None:
+    root = read(unit, "modelDescription.xml")
+    declared = {}
+    for type_ in root.find("TypeDefinitions"):
+        about = type_.attrib if type_.tag == "Float64Type" else type_[0].attrib
+        declared[type_.get("name")] = {k: v for k, v in about.items() if k != "name"}
+    kinds = [tuple(sorted(v.items())) for v in declared.values()]
+    assert len(set(kinds)) == len(kinds)
+    for variable in root.find("ModelVariables"):
+        about = variable[0].attrib if len(variable) else variable.attrib
+        if variable.get("causality") == "independent":
+            continue
+        known = declared[about["declaredType"]]
+        for name in ("unit", "displayUnit", "min", "max"):
+            assert about.get(name) == known.get(name)
+
+
+def test_every_parameter_has_a_largest_value_which_is_kept(unit: Path) -> None:
+    described = fmpy.read_model_description(str(unit))
+    parameters = [v for v in described.modelVariables if v.causality == "parameter"]
+    assert parameters
+    for v in parameters:
+        assert math.isfinite(float(v.max))
+        assert float(v.max) >= 9 * abs(float(v.start)) or v.name == "pre_contraction"
+    with pytest.raises(Exception, match="rror"):
+        fmpy.simulate_fmu(str(unit), stop_time=0.01, start_values={"mass": 1e7})
+
+
+@pytest.mark.parametrize(
+    ("file", "schema"),
+    [
+        ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
+        ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
+    ],
+)
+def test_neighbours_follow_their_schemas_in_both_versions(
+    unit: Path, file: str, schema: str
+) -> None:
+    with zipfile.ZipFile(unit) as archive:
+        document = etree.fromstring(archive.read(file))
+        names = archive.namelist()
+    etree.XMLSchema(file=str(SCHEMAS / schema)).assertValid(document)
+    for picture in document.iter("TerminalGraphicalRepresentation"):
+        assert f"terminalsAndIcons/{picture.get('iconBaseName')}.png" in names
+
+
+def test_terminals_of_muscles_match_by_name_and_have_a_place(unit: Path) -> None:
+    root = read(unit, "terminalsAndIcons/terminalsAndIcons.xml")
+    found = {t.get("name"): t for t in root.iter("Terminal")}
+    assert {"muscle1", "muscle2"} < set(found)
+    for name in ("muscle1", "muscle2"):
+        assert found[name].get("matchingRule") == "bus"
+        assert found[name].get("terminalKind") == "org.pam_ocp.muscle"
+        members = {m.get("memberName") for m in found[name].iter("TerminalMemberVariable")}
+        assert {"command", "pressure", "force"} <= members
+    places = {
+        tuple(p.get(c) for c in ("x1", "y1", "x2", "y2"))
+        for p in root.iter("TerminalGraphicalRepresentation")
+    }
+    assert len(places) == len(found)
+
+
+def test_the_reference_motion_is_found_by_its_layered_standard(unit: Path) -> None:
+    folder = "extra/org.fmi-standard.fmi-ls-ref"
+    space = "{http://fmi-standard.org/fmi-ls-manifest}"
+    manifest = read(unit, f"{folder}/fmi-ls-manifest.xml")
+    assert manifest.get(f"{space}fmi-ls-name") == "org.fmi-standard.fmi-ls-ref"
+    with zipfile.ZipFile(unit) as archive:
+        names = set(archive.namelist())
+        for related in manifest.iter("Related"):
+            path = Path(folder, related.get("source") or "").as_posix()
+            parts: list[str] = []
+            for part in path.split("/"):
+                parts = parts[:-1] if part == ".." else [*parts, part]
+            assert "/".join(parts) in names
+    (experiment,) = read(unit, f"{folder}/experiments.xml")
+    assert float(experiment.get("stopTime")) == 0.1
+    assert [e.tag for e in experiment] == ["Stimuli", "References"]
+
+
+def test_equal_muscles_share_parameters_and_move_as_before(unit: Path, tmp_path: Path) -> None:
+    described = fmpy.read_model_description(str(unit))
+    kinds = {v.name: v.causality for v in described.modelVariables}
+    assert kinds["muscle.a1"] == "parameter"
+    assert kinds["muscle1.a1"] == kinds["muscle2.a1"] == "calculatedParameter"
+    changed = {"muscle.rest_length": 0.21}
+    found = fmpy.simulate_fmu(
+        str(unit),
+        stop_time=0.1,
+        output_interval=0.01,
+        start_values={**changed, "muscle1.command": 3.5 * BAR, "muscle2.command": 1.5 * BAR},
+        output=["x", "muscle2.rest_length"],
+        fmi_type="CoSimulation",
+    )
+    here = pam.simulate(
+        benchmark_slide().with_values({f"muscle{i}.rest_length": 0.21 for i in (1, 2)}),
+        {"muscle1.command": 3.5 * BAR, "muscle2.command": 1.5 * BAR},
+        t=found["time"],
+    )
+    assert np.ptp(here["x"]) > 1e-4
+    assert found["x"] == pytest.approx(here["x"], abs=1e-7)
+    assert set(found["muscle2.rest_length"]) == {0.21}
+
+
+def test_muscles_that_differ_keep_their_own(tmp_path: Path) -> None:
+    plant = benchmark_slide().with_values({"muscle1.a3": -30.0})
+    path = export_fmu(plant, tmp_path / "s.fmu", platforms="native", share=True)
+    kinds = {v.name: v.causality for v in fmpy.read_model_description(str(path)).modelVariables}
+    assert kinds["muscle1.a3"] == kinds["muscle2.a3"] == "parameter"
+    assert kinds["muscle2.a1"] == "calculatedParameter"
+
+
+def test_in_event_mode_a_jump_of_a_command_shows_at_once(tmp_path: Path) -> None:
+    """FMI 3 Co-Simulation: with an ideal feed the force follows the command within the event."""
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"), feed=pam.feeds.IdealPressure())
+    path = export_fmu(plant, tmp_path / "s.fmu", fmi="3.0", platforms="native")
+    unit = UnpackedFmu(path, tmp_path / "u")
+    command, force = ([unit.references[f"muscle1.{n}"]] for n in ("pressure", "force"))
+    inner = FMU3Slave(
+        guid=unit.description.guid,
+        unzipDirectory=str(unit.folder),
+        modelIdentifier=plant.name,
+        instanceName="s",
+    )
+    inner.instantiate(eventModeUsed=True)
+    inner.enterInitializationMode()
+    inner.setFloat64(command, [2e5])
+    inner.exitInitializationMode()
+    inner.updateDiscreteStates()
+    inner.enterStepMode()
+    inner.doStep(0.0, 1e-3)
+    before = inner.getFloat64(force)[0]
+    inner.enterEventMode()
+    inner.setFloat64(command, [4e5])
+    assert inner.getFloat64(force)[0] > before + 50.0
+    inner.updateDiscreteStates()
+    inner.enterStepMode()
+    inner.doStep(1e-3, 1e-3)
+    inner.terminate()
+    inner.freeInstance()
+
+
+def test_words_that_cannot_be_meant_are_refused(tmp_path: Path) -> None:
+    for said, match in (
+        ({"author": "two\nlines"}, "author = .* give one line"),
+        ({"date": "yesterday"}, "date = 'yesterday': give a datetime or ISO 8601"),
+    ):
+        with pytest.raises(InputError, match=match):
+            export_fmu(benchmark_slide(), tmp_path / "s.fmu", **said)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,204 @@
+"""Workbooks: what stands in their cells, and that formulas follow when a parameter is changed."""
+
+import re
+import shutil
+import subprocess
+
+import casadi as ca
+import numpy as np
+import openpyxl
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.figures.workbook.formula import LONGEST, formula_of
+from pam_ocp.muscles.law import LAWS
+
+BAR = 1e5
+
+
+def calculated(formula, values):
+    """What a spreadsheet makes of a formula of numbers and names; ^ is left associative there."""
+    text = re.sub(r"(?<![<>])=(?!=)", "==", formula.removeprefix("="))
+    text = text.replace("^", "**").replace("<>", "!=")
+    called = {
+        "EXP": np.exp,
+        "SQRT": np.sqrt,
+        "LN": np.log,
+        "ABS": abs,
+        "SIN": np.sin,
+        "COS": np.cos,
+        "TAN": np.tan,
+        "ATAN": np.arctan,
+        "ATAN2": lambda x, y: np.arctan2(y, x),
+        "ASIN": np.arcsin,
+        "ACOS": np.arccos,
+        "TANH": np.tanh,
+        "MIN": min,
+        "MAX": max,
+        "SIGN": np.sign,
+        "INT": np.floor,
+        "AND": lambda *a: all(a),
+        "OR": lambda *a: any(a),
+        "IF": lambda c, a, b: a if c else b,
+    }
+    return float(eval(text, {"__builtins__": {}}, {**called, **values}))
+
+
+def through_cells(formula, values):
+    """The result, each cell calculated from those before."""
+    known = dict(values)
+    texts = formula.written(lambda name: name)
+    for name in formula.cells:
+        known[name] = calculated(texts[name], known)
+    return calculated(texts[""], known)
+
+
+LAW_NAMES = sorted(LAWS)
+
+
+@pytest.mark.parametrize("name", LAW_NAMES)
+def test_the_formula_of_every_law_gives_the_force_of_the_law(name):
+    rng = np.random.default_rng(LAW_NAMES.index(name))
+    kind = LAWS[name]
+    variables = kind.coefficient_variables()
+    symbols = {n: ca.SX.sym(n) for n in ("p", "kappa", *(v.name for v in variables))}
+    law = kind(**{v.name: symbols[v.name] for v in variables})
+    expression = law.formula(symbols["p"], symbols["kappa"])
+    formula = formula_of(expression, symbols)
+    function = ca.Function("f", list(symbols.values()), [expression])
+    met = 0
+    for _ in range(40):
+        values = {v.name: v.nominal * rng.uniform(0.5, 1.5) for v in variables}
+        values = {"p": rng.uniform(0, 6) * BAR, "kappa": rng.uniform(0, 0.25), **values}
+        expected = float(function(*values.values()))
+        if np.isfinite(expected):
+            assert through_cells(formula, values) == pytest.approx(expected, rel=1e-12, abs=1e-9)
+            met += 1
+    assert met > 10
+    assert max(map(len, formula.written(lambda n: f"law_{n}").values())) < LONGEST
+
+
+def test_signs_powers_and_brackets_bind_as_in_the_expression():
+    rng = np.random.default_rng(3)
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    for expression in (
+        -(x**2),
+        (-x) ** 2,
+        2 ** (x**y),
+        (x**y) ** 2,
+        x - (y - (x - y)),
+        x / (y / (x / 3)),
+        x / y * 2 - 3 * -x,
+        ca.if_else(x > y, x**2, ca.sin(y)),
+        ca.fmax(x, y) - ca.fabs(x - 1.5) * ca.atan2(x, y),
+        ca.expm1(x) / ca.log1p(y) + ca.sqrt(x * y) + ca.floor(3 * x) + ca.sign(x - y),
+        (x + y) * ca.exp(x * y) / (1 + ca.exp(x * y)) - ca.exp(x * y) ** -2,
+    ):
+        function = ca.Function("f", [x, y], [expression])
+        formula = formula_of(ca.SX(expression), {"x": x, "y": y})
+        for a, b in rng.uniform(0.2, 2.0, (20, 2)):
+            met = through_cells(formula, {"x": a, "y": b})
+            assert met == pytest.approx(float(function(a, b)), rel=1e-12), str(expression)
+
+
+def test_what_spreadsheets_do_not_have_is_said():
+    x = ca.SX.sym("x")
+    with pytest.raises(pam.InputError, match="spreadsheets have no"):
+        formula_of(x / ca.SX.inf() + x * ca.SX.inf(), {"x": x})
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return pam.fit_force(pam.read_table("DMSP-20-300_static.csv", rest_length=0.3))
+
+
+def test_a_fits_workbook_holds_data_parameters_intervals_and_formulas(fit, tmp_path):
+    book = openpyxl.load_workbook(fit.to_excel(tmp_path / "fit.xlsx"))
+    assert book.sheetnames == ["Parameters", "Data", "Curves"]
+    page = book["Parameters"]
+    rows = {r[0].value: [c.value for c in r] for r in page.iter_rows() if r[0].value}
+    for name, (low, high) in fit.intervals().items():
+        assert rows[name][1] == pytest.approx(fit.law.values[name], rel=1e-14)
+        met = [e if isinstance(e, float) else float(e.replace("∞", "inf")) for e in rows[name][3:5]]
+        assert met == pytest.approx([low, high], rel=1e-14)
+    assert rows["RMSE"][1].startswith("=SQRT(")
+    data = book["Data"]
+    measured = [data.cell(r, 3).value for r in range(5, data.max_row + 1)]
+    assert sorted(measured) == pytest.approx(sorted(fit.table.force))
+    assert "law_a3" in data["D5"].value
+    assert len(data._charts) == 2
+    assert set(book.defined_names) == {f"law_{n}" for n in fit.law.values}
+    kept = openpyxl.load_workbook(tmp_path / "fit.xlsx", data_only=True)
+    assert kept["Parameters"]["B14"].value == pytest.approx(fit.rmse)  # seen without calculating
+
+
+def test_the_same_fit_gives_the_same_bytes(fit, tmp_path):
+    one, other = (fit.to_excel(tmp_path / n).read_bytes() for n in ("a.xlsx", "b.xlsx"))
+    assert one == other
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("soffice") is None, reason="no LibreOffice (soffice) here")
+def test_in_libreoffice_force_and_rmse_follow_a_changed_coefficient(fit, tmp_path):
+    path = fit.to_excel(tmp_path / "fit.xlsx")
+    book = openpyxl.load_workbook(path)  # which drops the values: LibreOffice must calculate them
+    values = dict(fit.law.values)
+    values |= {"a3": values["a3"] * 1.1, "a6": values["a6"] - 50.0}
+    page = book["Parameters"]
+    for row in page.iter_rows(min_row=7, max_row=12):
+        row[1].value = values[row[0].value]
+    book["Curves"]["A5"].value = 3.21
+    book.save(path)
+    profile = f"-env:UserInstallation=file://{tmp_path}/profile"
+    command = ["soffice", profile, "--headless", "--convert-to", "ods", "--outdir", str(tmp_path)]
+    subprocess.run([*command, str(path)], check=True, capture_output=True, timeout=300)
+    back = ["soffice", profile, "--headless", "--convert-to", "xlsx:Calc MS Excel 2007 XML"]
+    out = tmp_path / "back"
+    subprocess.run(
+        [*back, "--outdir", str(out), str(tmp_path / "fit.ods")],
+        check=True,
+        capture_output=True,
+        timeout=300,
+    )
+    met = openpyxl.load_workbook(out / "fit.xlsx", data_only=True)
+    law = type(fit.law)(**values)
+    for name, rows in (("Data", range(5, 5 + len(fit.table))), ("Curves", range(5, 46))):
+        page = met[name]
+        for row in rows:
+            p, kappa, force = (
+                page.cell(row, 1),
+                page.cell(row, 2),
+                page.cell(row, 3 + (name == "Data")),
+            )
+            expected = float(law.tension(p.value * BAR, kappa.value / 100))
+            assert force.value == pytest.approx(expected, rel=1e-9, abs=1e-6)
+    assert met["Curves"]["A45"].value == 3.21
+    taut = fit.table.taut
+    rest = taut.force - np.asarray(law.tension(taut.pressure, taut.contraction))
+    assert met["Parameters"]["B14"].value == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-9)
+
+
+def test_motions_stand_in_display_units_with_a_chart_per_unit(tmp_path):
+    plant = pam.HangingLoad("DMSP-20-300", mass=10.0)
+    motion = pam.simulate(plant, {"muscle.command": 3 * BAR}, duration=0.05)
+    book = openpyxl.load_workbook(motion.to_excel(tmp_path / "m.xlsx"))
+    page = book["Motion"]
+    head = [c.value for c in page[1]]
+    column = head.index("muscle.pressure [bar]") + 1
+    met = [page.cell(r, column).value for r in range(2, page.max_row + 1)]
+    assert met == pytest.approx(motion["muscle.pressure"] / BAR)
+    units = {v.display_unit for v in motion.variables}
+    assert len(page._charts) == len(units)
+    assert book["Variables"].max_row == 1 + len(motion.variables)
+
+
+def test_a_plans_workbook_begins_with_its_verdict_and_another_ending_is_refused(tmp_path):
+    slide = pam.AntagonisticSlide("DMSP-20-200N", mass=2.0)
+    plan = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=pam.Collocation(8), tolerance=None)
+    book = openpyxl.load_workbook(plan.to_excel(tmp_path / "plan.xlsx"))
+    assert book.sheetnames == ["Plan", "Motion", "Variables"]
+    assert book["Plan"]["A2"].value == str(plan.verdict)
+    with pytest.raises(pam.InputError, match=r"ends in \.xlsx"):
+        plan.to_excel(tmp_path / "plan.csv")
+    with pytest.raises(pam.InputError, match="does not exist"):
+        plan.to_excel(tmp_path / "none" / "plan.xlsx")
