@@ -10,6 +10,9 @@ from pam_ocp.bench.jobs.motion import arguments
 from pam_ocp.bench.made import plant_of
 
 
+pytestmark = pytest.mark.slow
+
+
 def begin(hand, arrangement="AntagonisticSlide"):
     """A plant of the catalogue's muscle."""
     tab(hand, "Muscle")
