@@ -9,7 +9,6 @@ import pam_ocp as pam
 from pam_ocp.bench.jobs.motion import arguments
 from pam_ocp.bench.made import plant_of
 
-
 pytestmark = pytest.mark.slow
 
 
