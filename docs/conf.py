@@ -1,6 +1,6 @@
-"""Sphinx: the pages of this folder and the public names, room by room.
+"""Sphinx: the pages of this folder, the gallery of examples, and the public names, room by room.
 
-pip install -e '.[docs]' && sphinx-build -W -b html docs docs/_build
+pip install -e '.[docs]' && sphinx-build -W -b html docs docs/_build/html
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
+sys.path[:0] = [str(HERE.parent), str(HERE)]
+
+import gallery  # noqa: E402
 
 import pam_ocp  # noqa: E402
 
@@ -21,55 +23,135 @@ author = "The pam_ocp developers"
 copyright = f"2026, {author}"
 version = release = pam_ocp.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
-exclude_patterns = ["_build"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx_copybutton",
+    "sphinx_design",
+]
+exclude_patterns = ["_build", "_templates"]
+templates_path = ["_templates"]
 html_theme = "furo"
 html_title = f"pam_ocp {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_favicon = "_static/favicon.svg"
+html_theme_options = {"navigation_with_keys": True}
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
-# Mermaid is drawn where the page is read on its forge; links to files above docs/ lead there, too
-suppress_warnings = ["myst.xref_missing", "misc.highlighting_failure"]
+nb_execution_mode = "off"  # the gallery's notebooks come with what they printed
+nb_merge_streams = True
+# Mermaid is drawn where the page is read on its forge
+suppress_warnings = ["misc.highlighting_failure"]
 autosummary_generate = True
-autodoc_typehints = "none"  # the signatures have them
+autodoc_typehints = "none"  # the stubs have them
 autodoc_default_options = {"members": True, "member-order": "bysource"}
+nitpicky = True
+
+
+# -- the gallery ----------------------------------------------------------------------------------
+
+gallery.make(HERE / "gallery")
+gallery.index(HERE / "gallery")
+
+
+# -- the reference: a page for each room, a page for each name ------------------------------------
+
+
+def rooms() -> dict[str, tuple[Any, list[str]]]:
+    """{title: (room, its own names)}; what stands at the top, too, is shown in its room."""
+    found: dict[str, tuple[Any, list[str]]] = {}
+    seen: set[int] = set()
+
+    def visit(title: str, room: Any) -> None:
+        inner = {n: getattr(room, n) for n in room.__all__}
+        for name, thing in inner.items():
+            if inspect.ismodule(thing) and id(thing) not in seen:
+                seen.add(id(thing))
+                visit(f"{title}.{name}", thing)
+        own = [n for n, o in inner.items() if not inspect.ismodule(o) and id(o) not in seen]
+        seen.update(id(inner[n]) for n in own)
+        found[title] = (room, own)
+
+    visit("pam", pam_ocp)
+    return dict(sorted(found.items()))
 
 
 def write_reference() -> None:
-    """api.rst: the table of public names, by the room in which each is at home."""
-    rooms = {
-        n: getattr(pam_ocp, n) for n in pam_ocp.__all__ if inspect.ismodule(getattr(pam_ocp, n))
-    }
-    face = [n for n in pam_ocp.__all__ if n not in rooms]
-    lines = ["Public names by room", "=" * 20, ""]
-    entries = [("pam_ocp", pam_ocp, face)]
-    for short, room in rooms.items():
-        own = [n for n in room.__all__ if not inspect.ismodule(getattr(room, n))]
-        entries.append((f"pam_ocp.{short}", room, [n for n in own if n not in face]))
-    for title, module, names in entries:
-        lines += [title, "-" * len(title), "", f".. currentmodule:: {module.__name__}", ""]
+    """api/ROOM.rst: the names of each room, with the first sentence of each."""
+    folder = HERE / "api"
+    folder.mkdir(exist_ok=True)
+    for title, (room, names) in rooms().items():
+        short = title.removeprefix("pam.") if title != "pam" else "top"
+        purpose = inspect.cleandoc(room.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+        lines = [title, "=" * len(title), "", escaped(purpose), ""]
+        lines += [f".. currentmodule:: {room.__name__}", ""]
         lines += [".. autosummary::", "   :toctree: generated", "", *(f"   {n}" for n in names), ""]
-    target, text = HERE / "api.rst", "\n".join(lines)
-    if not target.is_file() or target.read_text("utf-8") != text:
-        target.write_text(text, "utf-8")
+        target, text = folder / f"{short}.rst", "\n".join(lines)
+        if not target.is_file() or target.read_text("utf-8") != text:
+            target.write_text(text, "utf-8")
 
 
-write_reference()
+# -- docstrings: plain text with formulas, made into reStructuredText ----------------------------
+
+CODE = re.compile(r":[a-z]+:`~?([^`]+)`|``([^`]+)``")
+ENTRY = re.compile(r"(?:\*{0,2}[\w.]+(?:, )?)+ : ")
+HEADING = re.compile(r"(\w+)\n-+\n")
 
 
-ROLE = re.compile(r":[a-z]+:`~?([^`]+)`|``([^`]+)``")
+def escaped(text: str) -> str:
+    """Text in which code is code, and all else stands as it is written."""
+    parts, end = [], 0
+    for match in CODE.finditer(text):
+        parts += [re.sub(r"([\\*|`_])", r"\\\1", text[end : match.start()])]
+        parts += [f"``{(match[1] or match[2]).strip()}``", r"\ "]
+        end = match.end()
+    return "".join([*parts, re.sub(r"([\\*|`_])", r"\\\1", text[end:])])
+
+
+def block(text: str) -> list[str]:
+    """A paragraph, a list of arguments, a formula or an example."""
+    if text.startswith(">>> "):
+        return [*text.splitlines(), ""]
+    if text.startswith(" ") or re.match(r"[-*|] ", text):
+        return ["::", "", *(f"   {line}" for line in inspect.cleandoc(text).splitlines()), ""]
+    if not ENTRY.match(text):
+        return [escaped(" ".join(text.split())).removesuffix("::").rstrip(), ""]
+    entries: list[str] = []
+    for line in text.splitlines():
+        if ENTRY.match(line) or not entries:
+            entries.append(line)
+        else:
+            entries[-1] += f" {line.strip()}"
+    found = []
+    for entry in entries:
+        name, colon, meaning = entry.partition(" : ")
+        found.append(f"* ``{name}``: {escaped(meaning)}" if colon else f"* {escaped(entry)}")
+    return [*found, ""]
 
 
 def plain(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Docstrings are plain text, with formulas: a first paragraph, the rest as it is written."""
-    if what == "data":  # what autodoc finds is the description of a value's class
-        lines[:] = []
+    """What autodoc finds, readable."""
+    text = "\n".join(lines).strip()
+    if what == "data" or text.startswith(f"{name.rpartition('.')[2]}("):
+        lines[:] = []  # the description of a value's class, or what dataclass makes of a signature
         return
-    text = ROLE.sub(lambda found: found[1] or found[2], "\n".join(lines)).strip()
-    first, _, rest = text.partition("\n\n")
-    lines[:] = [re.sub(r"([\\*|`_])", r"\\\1", " ".join(first.split())).rstrip(":")]
-    if rest.strip():
-        lines += ["", "::", "", *(f"   {line}" for line in rest.splitlines())]
-    lines.append("")
+    made: list[str] = []
+    for part in re.split(r"\n[ \t]*\n", text):
+        if match := HEADING.match(part):
+            made += [f".. rubric:: {match[1]}", ""]
+            part = part[match.end() :]
+            if match[1] == "Examples":
+                made += ["*Names not made here are those of the* :doc:`/reference`.", ""]
+        made += block(part) if part.strip() else []
+    lines[:] = made
 
 
 def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", plain)
+
+
+write_reference()

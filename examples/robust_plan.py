@@ -2,7 +2,7 @@
 
 A force law is fitted to a measured table. Slides are drawn from the fit's covariance, with the
 scatter of strength between specimens of a muscle (2 %) on top, each muscle by itself. The quickest
-cycle between two stops is planned for the nominal slide alone, and so that 95 % of all slides come
+motion between two stops is planned for the nominal slide alone, and so that 95 % of all slides come
 within 0.3 mm of it at the stops: planned for six, tried on 200 others, planned again with the worst
 of these, until 200 slides that no plan has seen confirm the share.
 
@@ -55,7 +55,6 @@ def main(folder: Path) -> None:
     found = robust_plan(
         plant,
         [{"x": -0.015}, {"x": 0.015}],
-        cyclic=True,
         duration=(0.03, 0.5),
         draws=lambda count, seed: slides(fit, count, seed),
         seed=1,

@@ -75,6 +75,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         SUPPLIES,
         TUBES,
     )
+    from ..studies.steps.step import STEPS
 
     return (
         (PLANTS, "`arrangement` of a `[plant]`, or named on the command line"),
@@ -99,6 +100,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         (CONTROLLERS, "`kind` of a `[controller]` of `pam-ocp mpc`"),
         (ESTIMATORS, "`kind` of an `[estimator]` of `pam-ocp mpc`"),
         (QP_SOLVERS, "`solver` of a `[controller]`, besides ipopt"),
+        (STEPS, "`kind` of a `[steps.NAME]` of a study; its keys"),
     )
 
 
@@ -132,6 +134,8 @@ def _arguments(registry: Registry[Any], name: str) -> list[str]:
     made = registry[name]
     if hasattr(made, "coefficient_variables"):
         return [f"{v.name} [{v.unit}]" for v in made.coefficient_variables()]
+    if hasattr(made, "offers"):
+        return list(dict.fromkeys((*made.needs, *made.parts, *made.keys)))
     if hasattr(made, "total"):
         return [f"[{made.total.unit}]"]
     passed = ("muscle", "plant", "program", "self")

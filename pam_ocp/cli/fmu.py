@@ -9,6 +9,7 @@ from typing import Any
 from .options import require_places
 from .output import add_json, tell, wrote
 from .plants import add_plant, plant_said
+from .systems import EPILOG, is_system, write_system
 
 __all__ = ["add_check", "add_export"]
 
@@ -17,14 +18,16 @@ def add_export(commands: Any) -> None:
     """Add ``export`` to the parser's commands."""
     export = commands.add_parser(
         "export",
-        help="export a plant as an FMU",
-        description="Export a plant as an FMU for Model Exchange and Co-Simulation.",
+        help="export a plant as an FMU, a system as an SSP",
+        description="Export a plant as an FMU for Model Exchange and Co-Simulation, or a system "
+        "file as an SSP of such units.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_plant(export)
     export.add_argument(
         "--fmi",
         choices=("2.0", "3.0"),
-        default="2.0",
         help="version of the standard (default: 2.0, which every tool reads)",
     )
     export.add_argument(
@@ -42,7 +45,7 @@ def add_export(commands: Any) -> None:
             help=f"{kind} that the FMU shows (may be repeated; default: all; the rest become "
             f"{rest})",
         )
-    export.add_argument("--out", type=Path, metavar="FILE.fmu", help="default: PLANT.fmu")
+    export.add_argument("--out", type=Path, metavar="FILE", help="default: PLANT.fmu or SYSTEM.ssp")
     add_json(export)
     export.set_defaults(run=_export)
 
@@ -78,10 +81,14 @@ def _export(options: argparse.Namespace) -> int:
 
     target: Path | None = options.out
     require_places(target)
+    if is_system(options.plant):
+        given = (options.fmi, options.platform, options.allow_code)
+        wrote(options, write_system(options.plant, target, *given))
+        return 0
     plant = plant_said(options)
     target = target or Path(f"{plant.name}.fmu")
     chosen = {"inputs": options.input, "outputs": options.output}
-    fmu = export_fmu(plant, target, fmi=options.fmi, platforms=options.platform, **chosen)
+    fmu = export_fmu(plant, target, fmi=options.fmi or "2.0", platforms=options.platform, **chosen)
     wrote(options, fmu)
     return 0
 

@@ -26,6 +26,7 @@ from .ladder import add_ladder
 from .linearize import add_linearize
 from .mpc import add_mpc
 from .muscles import add_loads, add_muscles
+from .options import require_outputs
 from .output import finish, logged
 from .plan import add_plan
 from .reading import add_look
@@ -55,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             interruptible(),
             limited(seconds),
         ):
+            require_outputs(options)
             code = int(options.run(options) or 0)
             finish(options)
             return code

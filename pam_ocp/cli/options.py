@@ -24,6 +24,7 @@ __all__ = [
     "add_rest_length",
     "length_of",
     "pairs",
+    "require_outputs",
     "require_places",
     "written",
 ]
@@ -37,6 +38,26 @@ def add_allow_code(command: argparse.ArgumentParser) -> None:
         help="let the file run code: Python of a plant named FILE.py:NAME in it, FMUs, libraries "
         "of solvers. Read that code before: it can do whatever you can (default: refused)",
     )
+
+
+PICTURES = (".png", ".pdf", ".svg", ".eps", ".ps", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
+_FOLDERS = ("campaign", "fit-forces")
+"""Commands whose --plot is a folder."""
+
+
+def require_outputs(options: argparse.Namespace) -> None:
+    """--plot and --excel can be written, and as what their names end in: asked before long work.
+
+    Raises InputError (WriteError where nothing can be written).
+    """
+    for name, endings in (("plot", PICTURES), ("excel", (".xlsx",))):
+        target = getattr(options, name, None)
+        if target is None or options.command in _FOLDERS:
+            continue
+        if target.suffix.lower() not in endings:
+            shown = ", ".join(endings[:3])
+            raise InputError(f"--{name} {target}: give a name that ends in {shown}")
+        require_place(target)
 
 
 def require_places(*targets: Path | None) -> None:

@@ -13,6 +13,8 @@ from .output import add_json, tell, wrote
 
 __all__ = ["add_study", "add_tour"]
 
+PATIENCE = 10.0
+"""For a scheduler to answer [s]."""
 EPILOG = """\
 A study file (TOML) names its steps; a key whose value is the name of another step takes what that
 one makes:
@@ -120,7 +122,7 @@ def _executor(address: str | None) -> Iterator[Any]:
     except ImportError:
         raise InputError("--scheduler needs Dask: pip install 'pam_ocp[studies]'") from None
     try:
-        client: Any = distributed.Client(address, timeout=10)  # type: ignore[no-untyped-call]
+        client: Any = distributed.Client(address, timeout=PATIENCE)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no scheduler answers there ({error})") from None
     with client:

@@ -26,6 +26,7 @@ from .linear_quadratic import lqr as lqr
 from .loop import ClosedLoop as ClosedLoop
 from .loop import closed_loop as closed_loop
 from .mpc.mpc import Mpc as Mpc
+from .mpc.mpc_block import mpc_block as mpc_block
 from .offset_free import OffsetFree as OffsetFree
 from .pid import PID as PID
 from .pid import PositionController as PositionController

@@ -25,7 +25,16 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 class OpenLoop:
-    """A Controller that plays the inputs of a motion, whatever happens (for comparison)."""
+    """A Controller that plays the inputs of a motion, whatever happens (for comparison).
+
+    Examples
+    --------
+    >>> law = pam.control.OpenLoop(slide, plan.trajectory, sample_time=1e-3)
+    >>> start = {v.name: plan.trajectory[v.name][0] for v in slide.states}
+    >>> loop = pam.closed_loop(law, slide, duration=plan.duration, start=start)
+    >>> bool(abs(loop["x"][-1] - 0.01) < 2e-3)
+    True
+    """
 
     def __init__(self, plant: Plant, motion: Trajectory, sample_time: float) -> None:
         self.plant, self.motion = plant, motion
@@ -139,6 +148,15 @@ def tvlqr(
 
     Raises InputError for a motion without the plant's states and inputs, or when no stationary LQR
     exists at the end (give ``final``).
+
+    Examples
+    --------
+    >>> law = pam.control.tvlqr(slide, plan.replay.trajectory)
+    >>> start = {v.name: plan.trajectory[v.name][0] for v in slide.states}
+    >>> late = {"duration": plan.duration, "start": start, "parameters": {"mass": 2.1}}
+    >>> loop = pam.closed_loop(law, slide, **late)
+    >>> bool(abs(loop["x"][-1] - 0.01) < 2e-3)
+    True
     """
     from scipy.integrate import solve_ivp
 

@@ -83,6 +83,12 @@ def margins(loop: control.StateSpace, hertz: tuple[float, float] = (1e-2, 1e3)) 
     """Margins of a square loop gain L under negative feedback, as ``StateFeedback.loop``.
 
     By ``control.stability_margins`` for each input; modulus over 2000 frequencies in ``hertz``.
+
+    Examples
+    --------
+    >>> found = pam.control.margins(pam.lqr(plant, point).loop)
+    >>> bool(found.modulus[0] > 0.99)  # the circle of LQR
+    True
     """
     import control
 
@@ -127,6 +133,14 @@ def margins_over(
     cases : as :func:`pam_ocp.simulation.draws` and :func:`pam_ocp.simulation.sweep` give them
     ({"parameters": {...}}).
     conditions : of rest for each of them; with integral action the integrated outputs keep theirs.
+
+    Examples
+    --------
+    >>> feedback = pam.lqr(plant, point)
+    >>> cases = pam.simulation.sweep(mass=[8.0, 12.0])
+    >>> found = pam.control.margins_over(feedback, cases, {"x": 0.04})
+    >>> all(poles.real.max() < 0 for _, poles in found)
+    True
     """
     results = []
     for case in cases:
@@ -179,6 +193,13 @@ def bode_cloud(
     cases : [{"parameters": {...}}], from :func:`pam_ocp.simulation.draws` over a fit's covariance,
     say.
     conditions : of rest, the same for all. Raises EquilibriumError when a case has none.
+
+    Examples
+    --------
+    >>> cases = pam.simulation.sweep(mass=[8.0, 12.0])
+    >>> names = {"source": "muscle.command", "output": "x"}
+    >>> pam.control.bode_cloud(plant, {"x": 0.04}, cases, **names).frequency.shape
+    (200,)
     """
     if not cases:
         raise InputError("bode_cloud: cases is empty")
@@ -262,6 +283,12 @@ def along_stroke(
 
     name, values, conditions : see :func:`equilibrium_path`. outputs : what is measured; by default
     the positions. horizon : [s], to be about as long as a motion.
+
+    Examples
+    --------
+    >>> stroke = pam.control.along_stroke(plant, "x", [0.02, 0.03, 0.04])
+    >>> stroke.frequency.round(1)  # natural frequency at each place [Hz]
+    array([4.3, 4.2, 4.5])
     """
     path = equilibrium_path(plant, name, values, conditions)
     seen = list(plant.positions) if outputs is None else [plant.variable(n).name for n in outputs]
@@ -329,6 +356,13 @@ def mode_map(
     constant force hold it at every (p, x). conditions, free : see :func:`equilibrium`.
     within : {state, input or output: (low, high)} outside which nothing is shown, such as
         ``{"muscle.force": (10.0, inf)}``: near slack a muscle is no spring.
+
+    Examples
+    --------
+    >>> found = pam.control.mode_map(plant, {"mass": [5.0, 10.0], "x": [0.03, 0.04]})
+    >>> found.frequency.round(2)
+    array([[5.52, 5.91],
+           [4.15, 4.46]])
     """
     grid = {plant.variable(n).name: np.asarray(v, float) for n, v in axes.items()}
     if len(grid) != 2:

@@ -63,6 +63,16 @@ class HysteresisCompensation:
 
     Source: inverse compensation by feed-forward, K. Kuhnen, H. Janocha, Control and Intelligent
     Systems 29 (2001) 74-79; for muscles Y. Liu et al., 2017.
+
+    Examples
+    --------
+    >>> sticky = pam.HangingLoad(muscle, mass=10.0, losses=pam.losses.MaxwellSlip())
+    >>> start = sticky.equilibrium(x=0.04)
+    >>> law = pam.control.HysteresisCompensation(sticky.with_values(start), sample_time=5e-3)
+    >>> wanted = {"x": lambda t: 0.04 + 0.005 * np.sin(6 * t)}
+    >>> loop = pam.closed_loop(law, sticky, wanted, duration=1.0, start=start)
+    >>> abs(loop.steady_error("x", 0.5)) < 1e-4
+    True
     """
 
     def __init__(

@@ -54,6 +54,12 @@ def pid_controller(
     together, as ``muscle.opening``.
 
     Inputs ``reference``, ``position`` and ``feedforward.<command>``; outputs ``<command>``.
+
+    Examples
+    --------
+    >>> pid = pam.control.pid_controller(plant, "x", {"muscle.command": 1.0}, proportional=2e6)
+    >>> [v.name for v in pid.inputs]
+    ['reference', 'position', 'feedforward.muscle.command']
     """
     filter_time = require_positive("filter_time", filter_time, "s")
     windup_time = require_positive("windup_time", windup_time, "s")
@@ -149,6 +155,12 @@ def state_feedback_controller(
     Inputs: every state of the plant, and what else is integrated (all measured), and
     ``reference.<output>`` for what is integrated. Outputs ``<command>``. All gains are tunable
     parameters ``gain.<command>.<state>`` and ``integral_gain.<command>.<output>``.
+
+    Examples
+    --------
+    >>> controller = pam.control.state_feedback_controller(pam.lqr(plant, point))
+    >>> [v.name for v in controller.outputs]
+    ['muscle.command']
     """
     if not isinstance(feedback, StateFeedback):
         raise InputError(

@@ -42,6 +42,12 @@ class DescribingFunction:
     distortion : (a, f), r.m.s. of the higher harmonics over that of the first one: how far to trust
         predictions that take the first harmonic for the whole.
     stable : (a, f), whether the periodic motion attracts its neighbours (Floquet multipliers).
+
+    Examples
+    --------
+    >>> found = pam.control.describing_function(plant, "muscle.command", "x", [1e4], [1.0], point)
+    >>> found.values.shape, bool(found.stable.all())
+    ((1, 1), True)
     """
 
     source: str
@@ -83,6 +89,12 @@ def describing_function(
 
     Raises InputError for bad arguments, SimulationError when a motion does not become periodic (an
     integrating plant with a mean drift has no periodic motion).
+
+    Examples
+    --------
+    >>> found = pam.control.describing_function(plant, "muscle.command", "x", [1e4], [1.0], point)
+    >>> print(f"{1e8 * abs(found.values[0, 0]):.1f} mm/bar")
+    19.4 mm/bar
     """
     require_plant(plant)
     (source,) = chosen_signals("source", plant, [source], ("input",))
@@ -217,6 +229,12 @@ def muscle_characteristic(
     Returns f(x) = F(pressure, contraction) - F(pressure, contraction + x / rest length) [N], x in
     m: what resists a shortening by x. For ``control.describing_function`` and its plot (with
     ``zero_check=False``, since it is not odd).
+
+    Examples
+    --------
+    >>> force = pam.control.muscle_characteristic(muscle, 3e5, 0.10)
+    >>> round(force(0.0), 6), force(0.001) > 0
+    (0.0, True)
     """
     require_instance("muscle", muscle, Muscle, "give a Muscle, such as muscle('DMSP-20-300')")
     centre = float(muscle.force(pressure, contraction))

@@ -35,6 +35,13 @@ class InverseDynamics:
     before the stiffness, and the nearest to each is taken.
     States other than position, velocity and pressures are taken at their start values, or as the
     call gives them.
+
+    Examples
+    --------
+    >>> inverse = pam.control.InverseDynamics(plant)
+    >>> (pressure,) = inverse(0.04, 0.0, 0.0)
+    >>> round(float(pressure)) == round(point["muscle.pressure"])
+    True
     """
 
     def __init__(self, plant: Plant) -> None:

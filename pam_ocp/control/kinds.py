@@ -8,9 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ..core.block import Block
 from ..core.registry import Registry
 
-__all__ = ["CONTROLLERS", "ESTIMATORS"]
+__all__ = ["BLOCKS", "CONTROLLERS", "ESTIMATORS"]
 
 CONTROLLERS: Registry[Callable[..., Any]] = Registry("controller", __package__)
 ESTIMATORS: Registry[Callable[..., Any]] = Registry("estimator", f"{__package__}.estimators")
+BLOCKS: Registry[Callable[..., Block]] = Registry("block", __package__)
+"""The functions that make a block of a controller's law, by the name of its class."""

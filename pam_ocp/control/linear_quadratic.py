@@ -317,6 +317,13 @@ def lqr(
     Raises InputError when no input has an influence at the point, or when no stabilising feedback
     exists (a state that is a pure integral, such as the totals of a gas feed, or an integrated
     output that the inputs cannot move).
+
+    Examples
+    --------
+    >>> feedback = pam.lqr(plant, point)
+    >>> inputs = feedback(0.0, {**point.values, "x": 0.035})  # too low: more pressure
+    >>> inputs["muscle.command"] > point["muscle.command"]
+    True
     """
     require_plant(plant)
     sample_time = require_positive("sample_time", sample_time, "s")

@@ -34,6 +34,18 @@ class OffsetFree:
     rest, whatever the true disturbance is: a wrong load, friction, a wrong force law (K. R. Muske
     and T. A. Badgwell, Journal of Process Control 12 (2002) 617-632). It follows a change of the
     goal without the overshoot of an integral.
+
+    Examples
+    --------
+    >>> push = pam.loads.ExternalForce("push")
+    >>> pushed = pam.AntagonisticSlide(muscle, 2.0, loads=push)
+    >>> rest = pushed.equilibrium(x=0.0, stiffness=2e4)
+    >>> drift = {"push": 100.0}  # [N/sqrt(s)]
+    >>> filter = pam.control.kalman(pushed, rest, measured={"x": 1e-5}, disturbances=drift)
+    >>> law = pam.control.OffsetFree(pam.lqr(pushed, rest), filter, hold=["x"])
+    >>> loop = pam.closed_loop(law, pushed, duration=0.5, start=rest, disturbances={"push": 20.0})
+    >>> bool(abs(loop["x"][-1]) < 1e-4)
+    True
     """
 
     feedback: StateFeedback

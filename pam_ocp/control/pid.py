@@ -30,6 +30,12 @@ class PID:
 
     Sampled by backward differences. The integral is frozen while the caller says that the output
     is saturated and the error would drive it further (no wind-up).
+
+    Examples
+    --------
+    >>> pid = pam.control.PID(kp=2.0, ki=1.0)
+    >>> round(pid(0.5, 0.01), 3)
+    1.005
     """
 
     kp: float
@@ -75,6 +81,12 @@ class PressureLoop:
         itself); pressures that are inputs are simply set.
     gain : opening of a valve per pressure error [1/Pa], for spool and on/off valves; the command
         that gives this opening is sent, so that the dead zone of a spool leaves no error.
+
+    Examples
+    --------
+    >>> inner = pam.control.PressureLoop(plant, time_constant=0.01)
+    >>> inner({"muscle": 3e5}, {**point.values, "muscle.pressure": 2.9e5})
+    {'muscle.command': 340000.0}
     """
 
     def __init__(
@@ -156,6 +168,15 @@ class PositionController:
     inner : a :class:`PressureLoop`; by default one that passes commands on.
     feedforward : False leaves the reference's motion to the PID alone (for comparison).
     sample_time : sampling time [s], that of :func:`closed_loop`.
+
+    Examples
+    --------
+    >>> law = pam.control.PositionController(
+    ...     plant, lambda t: (0.045, 0.0, 0.0), pam.control.PID.placed(3.0), sample_time=2e-3
+    ... )
+    >>> loop = pam.closed_loop(law, plant, duration=2.0, start=point)
+    >>> print(f"{loop['x'][-1]:.4f}")
+    0.0450
     """
 
     def __init__(

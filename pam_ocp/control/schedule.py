@@ -98,6 +98,14 @@ def scheduled_lqr(
     axes, conditions : see :func:`linearize_grid`, such as positions and stiffnesses.
     place : t [s] -> {axis: value}. weights, effort, integral : see :class:`Weighting`.
     sample_time : sampling time [s] of the controller.
+
+    Examples
+    --------
+    >>> place = lambda t: {"x": 0.03 + 0.01 * t}
+    >>> law = pam.control.scheduled_lqr(plant, {"x": [0.03, 0.05]}, place)
+    >>> loop = pam.closed_loop(law, plant, duration=0.5, start=plant.equilibrium(x=0.03))
+    >>> print(f"{loop['x'][-1]:.3f}")
+    0.035
     """
     inversion = Inversion(require_plant(plant))
     inner = inversion.inner

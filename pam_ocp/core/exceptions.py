@@ -25,11 +25,28 @@ __all__ = [
 
 
 class PamError(Exception):
-    """Base of every error that pam_ocp raises on purpose."""
+    """Base of every error that pam_ocp raises on purpose.
+
+    Examples
+    --------
+    >>> try:
+    ...     pam.HangingLoad(muscle, mass=-1.0)
+    ... except pam.PamError as error:
+    ...     print(type(error).__name__)
+    ...
+    InputError
+    """
 
 
 class InputError(PamError, ValueError):
-    """An argument has a value that it must not have."""
+    """An argument has a value that it must not have.
+
+    Examples
+    --------
+    >>> pam.HangingLoad(muscle, mass=-1.0)
+    Traceback (most recent call last):
+    pam_ocp.core.exceptions.InputError: mass = -1 kg must be > 0
+    """
 
 
 class WriteError(InputError, OSError):
@@ -44,7 +61,14 @@ class WriteError(InputError, OSError):
 
 
 class UnknownNameError(InputError):
-    """A name that is not known here; the message lists the nearest ones."""
+    """A name that is not known here; the message lists the nearest ones.
+
+    Examples
+    --------
+    >>> pam.muscle("DMSP-20-3O0")
+    Traceback (most recent call last):
+    pam_ocp.core.exceptions.UnknownNameError: unknown muscle 'DMSP-20-3O0': did you ...
+    """
 
     def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
         known = list(known)
@@ -64,6 +88,15 @@ class SimulationError(PamError):
     """The integrator could not go on.
 
     ``time`` is how far it came, ``trajectory`` what was computed until then (or None).
+
+    Examples
+    --------
+    >>> try:
+    ...     pam.simulate(plant, {"muscle.command": 3e5}, duration=1.0, rtol=1e-14, max_steps=5)
+    ... except pam.SimulationError as error:
+    ...     print(error.time < 1.0)
+    ...
+    True
     """
 
     def __init__(self, message: str, time: float | None = None, trajectory: Any = None) -> None:
@@ -73,7 +106,15 @@ class SimulationError(PamError):
 
 
 class FitError(PamError):
-    """The data do not allow this fit, or the solver did not find it."""
+    """The data do not allow this fit, or the solver did not find it.
+
+    Examples
+    --------
+    >>> p, x = [2e5, 3e5], [0.02, 0.03]
+    >>> pam.fitting.fit_holds(plant, {"muscle_pressure": p, "x": x}, ["mass", "gravity"])
+    Traceback (most recent call last):
+    pam_ocp.core.exceptions.FitError: the holds do not tell all of mass, gravity: ...
+    """
 
 
 class OutOfTime(PamError, TimeoutError):
@@ -81,7 +122,17 @@ class OutOfTime(PamError, TimeoutError):
 
 
 class PlanError(PamError):
-    """A plan that was not found; ``plan`` holds what the solver left, sealed."""
+    """A plan that was not found; ``plan`` holds what the solver left, sealed.
+
+    Examples
+    --------
+    >>> try:
+    ...     pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], duration=0.02, starts=1)
+    ... except pam.PlanError as error:
+    ...     print(error.plan.solved, len(error.plan.conflicts) > 0)
+    ...
+    False True
+    """
 
     def __init__(self, message: str, plan: Any = None) -> None:
         super().__init__(message)
@@ -89,12 +140,32 @@ class PlanError(PamError):
 
 
 class PlanWarning(UserWarning):
-    """A plan was found, but not verified: its verdict says which figure failed."""
+    """A plan was found, but not verified: its verdict says which figure failed.
+
+    Examples
+    --------
+    >>> issubclass(pam.PlanWarning, UserWarning)
+    True
+    """
 
 
 class VibrationError(PamError):
-    """A border, a limit cycle or an oscillation that was asked for and not found; says why."""
+    """A border, a limit cycle or an oscillation that was asked for and not found; says why.
+
+    Examples
+    --------
+    >>> slow = pam.HangingLoad(muscle, 10.0, damping=1e4, feed=pam.feeds.IdealPressure())
+    >>> pam.vibration.free_vibration(slow, {"muscle.pressure": 3e5}, 5e-3)
+    Traceback (most recent call last):
+    pam_ocp.core.exceptions.VibrationError: 'hanging_load' does not oscillate about ...
+    """
 
 
 class ExportError(PamError):
-    """An FMU could not be built."""
+    """An FMU could not be built.
+
+    Examples
+    --------
+    >>> issubclass(pam.ExportError, pam.PamError)
+    True
+    """

@@ -31,7 +31,18 @@ ZERO_CELSIUS = 273.15
 
 
 class UnitWarning(UserWarning):
-    """A value is so far from any usual one that another unit was probably meant."""
+    """A value is so far from any usual one that another unit was probably meant.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     _ = pam.simulate(plant, {"muscle.command": 3}, duration=0.1)  # 3 Pa: bar was meant
+    ...
+    >>> given[0].category.__name__
+    'UnitWarning'
+    """
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,6 @@ from .variables import Causality, Variable, variable_of
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["HELD", "Comparison", "Event", "Trajectory", "interpolation_of"]
 
@@ -91,6 +90,15 @@ class Trajectory:
         None when all that is known are the samples. Kept in .npz and .parquet, not in .csv.
 
     ``trajectory["x"]`` gives the samples of one variable; ``_`` may stand for ``.`` in names.
+
+    Examples
+    --------
+    >>> run = pam.Trajectory([0.0, 0.1, 0.2], {"x": [0.0, 1e-3, 3e-3]})
+    >>> float(run["x"][-1]), run.duration
+    (0.003, 0.2)
+    >>> path = motion.save("motion.csv")
+    >>> pam.Trajectory.load(path).compare(motion).largest < 1e-6
+    True
     """
 
     def __init__(
@@ -388,7 +396,7 @@ class Trajectory:
         *,
         ax: Axes | None = None,
         interactive: bool = False,
-    ) -> Figure:
+    ) -> Any:
         """A figure with one panel per unit, over time. Returns the matplotlib Figure.
 
         ax : draw into this panel instead; the names must be of one unit.
@@ -415,7 +423,14 @@ class Deviation:
 @shown
 @dataclass(frozen=True)
 class Comparison:
-    """Differences of two trajectories, one Deviation per shared variable."""
+    """Differences of two trajectories, one Deviation per shared variable.
+
+    Examples
+    --------
+    >>> found = motion.compare(motion)
+    >>> found.largest
+    0.0
+    """
 
     deviations: tuple[Deviation, ...]
 
@@ -431,10 +446,10 @@ class Comparison:
         raise UnknownNameError("compared column", name, [d.variable.name for d in self.deviations])
 
     def __str__(self) -> str:
-        lines = [f"{'variable':<24}{'largest':>14}{'rms':>14}{'/ nominal':>12}{'at t [s]':>12}"]
+        lines = [f"{'variable':<22}{'largest':>17}{'rms':>17}{'/ nominal':>11}{'at t [s]':>12}"]
         lines += [
-            f"{d.variable.name:<24}{d.variable.shown(d.largest):>14}{d.variable.shown(d.rms):>14}"
-            f"{d.relative:>12.2e}{d.time:>12.5g}"
+            f"{d.variable.name:<22} {d.variable.shown(d.largest):>16} {d.variable.shown(d.rms):>16}"
+            f"{d.relative:>11.2e}{d.time:>12.5g}"
             for d in self.deviations
         ]
         return "\n".join(lines)

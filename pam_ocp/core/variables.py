@@ -49,6 +49,12 @@ class Variable:
     widest : for parameters that round off a kink: the width at which planning a motion begins, to
         be narrowed to the parameter's value; 0 for all others.
     display_unit : the unit people read; by default bar for Pa, mm for m, deg for rad.
+
+    Examples
+    --------
+    >>> x = plant.variable("x")
+    >>> x.unit, x.shown(0.04)
+    ('m', '40 mm')
     """
 
     name: str

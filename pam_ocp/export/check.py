@@ -35,7 +35,15 @@ Array: TypeAlias = NDArray[np.float64]
 @shown
 @dataclass(frozen=True)
 class FmuCheck:
-    """What :func:`check_fmu` found. ``print`` it for a report; ``ok`` for a verdict."""
+    """What :func:`check_fmu` found. ``print`` it for a report; ``ok`` for a verdict.
+
+    Examples
+    --------
+    >>> path = pam.export_fmu(plant, "load.fmu", platforms=["native"])
+    >>> check = pam.check_fmu(path)
+    >>> check.ok, check.fmi, check.findings
+    (True, '2.0', ())
+    """
 
     path: Path
     fmi: str
@@ -134,6 +142,12 @@ def check_fmu(
 
     Raises InputError when the file is no archive or nothing can be compared, SimulationError when
     the process cannot be started. What is wrong with the FMU stands in the result.
+
+    Examples
+    --------
+    >>> path = pam.export_fmu(plant, "load.fmu", platforms=["native"])
+    >>> pam.check_fmu(path, against=motion).largest < 1e-4
+    True
     """
     file = Path(path)
     require_positive("tolerance", tolerance)

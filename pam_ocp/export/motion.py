@@ -61,6 +61,12 @@ def export_motion(
 
     Raises InputError (nothing to play, a column named "clock", a bad value), UnknownNameError (a
     column or a platform), ExportError (no compiler).
+
+    Examples
+    --------
+    >>> path = pam.export_motion(plan.trajectory, "motion.fmu", platforms=["native"])
+    >>> path.name
+    'motion.fmu'
     """
     chosen = _columns(motion, names)
     if len(motion) < 2:
@@ -83,6 +89,12 @@ def save_input_table(
     samples.
 
     names : which columns; by default the inputs, or all when there is none. Units are SI.
+
+    Examples
+    --------
+    >>> path = pam.export.save_input_table(plan.trajectory, "motion_in.csv")
+    >>> path.read_text().splitlines()[0]
+    '"time","muscle1.command","muscle2.command"'
     """
     chosen = _columns(motion, names)
     rows = _rows(_signals(motion, chosen), motion, chosen)

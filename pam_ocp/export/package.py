@@ -89,6 +89,12 @@ def export_fmu(
     Raises InputError (a value out of range, a folder that does not exist, an input that is none),
     UnknownNameError (a platform, a variable), ExportError (no compiler, a name FMI keeps for
     itself, a block whose step is not bounded).
+
+    Examples
+    --------
+    >>> path = pam.export_fmu(plant, "load.fmu", fmi="3.0", platforms=["native"])
+    >>> path.name
+    'load.fmu'
     """
     about = checked_about(author, version, copyright, license, date)
     block = as_block(system)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -21,25 +20,11 @@ from .motion import export_motion, player
 from .package import export_fmu
 from .sampled import as_block
 from .settings import FmiVersion
-from .structure import system_structure
+from .structure import Part, Wire, system_structure
 
-__all__ = ["Part", "Wire", "export_ssp"]
+__all__ = ["export_ssp"]
 
 Component: TypeAlias = Plant | Block | Trajectory | Any
-Wire: TypeAlias = tuple[str, str, str, str]
-"""Component and variable of the output, component and variable of the input."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """A component: its variables, and how its FMU is written to a path."""
-
-    inputs: tuple[Variable, ...]
-    outputs: tuple[Variable, ...]
-    settable: tuple[Variable, ...]
-    """States and parameters with their start values."""
-    write: Callable[[Path], Path]
-    sample_time: float | None = None
 
 
 @verb
@@ -79,6 +64,22 @@ def export_ssp(
 
     Raises InputError (an open input, units that do not fit, sample times that differ, a step that
     does not fit them), UnknownNameError, ExportError.
+
+    Examples
+    --------
+    >>> weights = {"muscle.command": 1.0}
+    >>> pid = pam.control.pid_controller(plant, "x", weights, proportional=2e6)
+    >>> x, u = plant.variable("x"), plant.variable("muscle.command")
+    >>> ramp = pam.Trajectory([0, 1], {"x": [0.04, 0.05], u.name: [2e5, 3e5]}, [x, u])
+    >>> wires = {
+    ...     "load.muscle.command": "pid.muscle.command",
+    ...     "pid.position": "load.x",
+    ...     "pid.reference": "ramp.x",
+    ...     "pid.feedforward.muscle.command": "ramp.muscle.command",
+    ... }
+    >>> parts = {"load": plant, "pid": pid, "ramp": ramp}
+    >>> pam.export_ssp(parts, wires, "system.ssp", platforms=["native"]).name
+    'system.ssp'
     """
     require_ending(path, ".ssp", "a system")
     stop_time = require_positive("stop_time", stop_time, "s")

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
 
 from ..core.variables import Variable
 from . import quantities
 
-if TYPE_CHECKING:
-    from .ssp import Part, Wire
+__all__ = ["Part", "Wire", "parameter_set", "system_structure"]
 
-__all__ = ["parameter_set", "system_structure"]
+Wire: TypeAlias = tuple[str, str, str, str]
+"""Component and variable of the output, component and variable of the input."""
 
 _SPACE = "http://ssp-standard.org/SSP1/SystemStructure"
 _NAMESPACES = {
@@ -25,6 +27,18 @@ _PARAMETER_SET = "initialValues"
 _TOLERANCE = "1e-06"
 _WIDTH, _GAP, _ROW = 40.0, 30.0, 6.0
 """Of a block in the diagram [mm]; the height of one connector."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A component: its variables, and how its FMU is written to a path."""
+
+    inputs: tuple[Variable, ...]
+    outputs: tuple[Variable, ...]
+    settable: tuple[Variable, ...]
+    """States and parameters with their start values."""
+    write: Callable[[Path], Path]
+    sample_time: float | None = None
 
 
 def parameter_set(

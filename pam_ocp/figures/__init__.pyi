@@ -1,4 +1,5 @@
 # Names of pam_ocp.figures, loaded at their first use.
+from .canvas import new_figure as new_figure
 from .film import animate_plan as animate_plan
 from .plan import plot_costates as plot_costates
 from .report import write_report as write_report

@@ -69,7 +69,16 @@ def axis_label(variable: Variable) -> str:
 def new_figure(
     rows: int, columns: int = 1, *, size: tuple[float, float], sharex: bool = False
 ) -> tuple[Picture, Any]:
-    """A figure with (rows, columns) empty panels, and these."""
+    """A figure in the look of all pictures, with empty panels, and these, (rows, columns).
+
+    size : of the figure [inch]. sharex : one axis of time for all panels.
+
+    Examples
+    --------
+    >>> figure, ((left, right),) = pam.figures.new_figure(1, 2, size=(8.0, 3.0))
+    >>> _ = left.plot(motion.t, 1e3 * motion["x"])
+    >>> figure.savefig("picture.png")
+    """
     from .picture import Picture
 
     figure = Picture(figsize=size, layout="constrained")
@@ -77,6 +86,7 @@ def new_figure(
     for ax in axes.ravel():
         ax.grid(True, color="#dddddd", linewidth=0.6)
         ax.set_axisbelow(True)
+        ax.set_prop_cycle(color=COLOURS)
         ax.spines[["top", "right"]].set_visible(False)
     return figure, axes
 

@@ -51,6 +51,11 @@ def animate_plan(
     fps : frames per second.
 
     Raises InputError when the ending is not .gif, PlanError for a plan that failed.
+
+    Examples
+    --------
+    >>> pam.animate_plan(plan, "motion.gif", seconds=0.1, fps=10).name
+    'motion.gif'
     """
     require_instance("plan", plan, Plan, "give what plan() returned")
     target = Path(path)

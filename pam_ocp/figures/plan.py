@@ -229,7 +229,12 @@ def _spans(limit: Limit) -> list[tuple[float, float]]:
 
 
 def plot_costates(plan: Plan) -> Figure:
-    """What a change of each state at each time would cost: d(objective)/d(state) over time."""
+    """What a change of each state at each time would cost: d(objective)/d(state) over time.
+
+    Examples
+    --------
+    >>> pam.figures.plot_costates(plan).savefig("costates.png")
+    """
     require_instance("plan", plan, Plan, "give what plan() returned")
     costates = plan.costates
     groups: dict[str, list[Variable]] = {}

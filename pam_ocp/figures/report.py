@@ -61,6 +61,11 @@ def write_report(
         lines. sources : files of which all of it was made: their digests are listed.
 
     Raises InputError for another ending than .html, and for what has no form to show.
+
+    Examples
+    --------
+    >>> pam.figures.write_report("report.html", {"The muscle": muscle, "The fit": fit}).name
+    'report.html'
     """
     require_ending(path, ".html", "a report")
     require_instance("things", things, Mapping, "give {heading: object}")

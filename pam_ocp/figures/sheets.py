@@ -201,7 +201,7 @@ def _force_fit(fit: ForceFit) -> Sheet:
     return Sheet(
         f"{fit.law.title}, fitted to {fit.table.source or 'a table'}",
         f"RMSE {fit.rmse:.4g} N over {fit.n} taut cells, R² {fit.r2:.6f}",
-        not fit.warnings,
+        True,  # doubts stand below
         (_coefficients(fit),),
         fit.warnings,
         picture=lambda: plot_fit(fit),
@@ -214,7 +214,7 @@ def _coefficients(fit: Any) -> Grid:
     for c in fit.coefficients.values():
         low, high = intervals.get(c.name, (c.value, c.value))
         unit = "" if c.unit == "1" else c.unit
-        error, between = f"{c.stderr:.3g}", f"{low:.5g} .. {high:.5g}"
+        error, between = f"{c.stderr:.3g}", f"{low:.5g} .. {high:.5g}".replace("inf", "∞")
         if c.held:
             error, between = "held", ""
         rows.append((c.name, f"{c.value:.6g}", error, between, unit, c.description))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.interrupts import interruptible
 from ..muscles.validity import ValidityWarning
+from .canvas import COLOURS
 
 if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
@@ -78,9 +79,8 @@ def _drawn(
     ax: Any = figure.add_subplot(projection="3d")
     ax.plot_surface(100 * kappa, p / 1e5, z, cmap="viridis", alpha=0.85, linewidth=0)
     if cells is not None:
-        ax.scatter(
-            100 * cells[0], cells[1] / 1e5, cells[2], color="#d55e00", s=12, depthshade=False
-        )
+        there = 100 * cells[0], cells[1] / 1e5, cells[2]
+        ax.scatter(*there, color=COLOURS[1], s=12, depthshade=False)
     ax.set_xlabel("contraction [%]")
     ax.set_ylabel("pressure [bar gauge]")
     ax.set_zlabel(label)

@@ -139,6 +139,12 @@ def student_t(level: float, dof: int) -> float:
 class Coefficient:
     """One coefficient of a fit [unit]; stderr is 0 where held,
     infinite where the data are blind.
+
+    Examples
+    --------
+    >>> a3 = fit.coefficients["a3"]
+    >>> a3.held, a3.stderr > 0
+    (False, True)
     """
 
     name: str
@@ -166,6 +172,12 @@ class Prediction:
     """Force [N] of the fitted law (negative: slack), its standard error, and intervals.
 
     ``confidence`` (low, high) holds the law's mean, ``prediction`` a new measurement.
+
+    Examples
+    --------
+    >>> band = fit.predict(3e5, 0.10)
+    >>> bool(band.confidence[0] < band.force < band.confidence[1])
+    True
     """
 
     force: Array
@@ -182,6 +194,11 @@ class SolverStatistics:
     gradient : largest cosine between the residual and a column of the Jacobian, 0 at an optimum.
     scanned : points of the global scan. at_bound : coefficients that ended at a bound.
     doubt : why the optimum is in doubt, in words; empty when it is not.
+
+    Examples
+    --------
+    >>> fit.solver.gradient < 1e-6, fit.solver.at_bound
+    (True, ())
     """
 
     status: str

@@ -42,7 +42,13 @@ def transfer_note() -> str:
 
 
 def muscle_names() -> list[str]:
-    """The names that :func:`muscle` knows."""
+    """The names that :func:`muscle` knows.
+
+    Examples
+    --------
+    >>> "DMSP-20-300" in pam.muscle_names()
+    True
+    """
     return [name for name, entry in _catalogue().items() if isinstance(entry, dict)]
 
 
@@ -62,7 +68,14 @@ def catalogue_entry(name: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Attribution:
-    """Whose numbers those of a muscle of the catalogue are, and how far they can be trusted."""
+    """Whose numbers those of a muscle of the catalogue are, and how far they can be trusted.
+
+    Examples
+    --------
+    >>> who = pam.muscles.attribution("DMSP-20-300")
+    >>> who.confidence
+    'high'
+    """
 
     name: str
     measured: str
@@ -89,6 +102,11 @@ def attribution(name: str) -> Attribution:
     """What is measured in an entry of the catalogue, where, by whom, and how sure it is.
 
     Raises UnknownNameError with the nearest names.
+
+    Examples
+    --------
+    >>> pam.muscles.attribution("DMSP-20-300").by
+    'M. Martens, I. Boblan'
     """
     entry = catalogue_entry(name)
     keys = ("measured", "measured_by", "measured_where", "source", "obtained", "confidence", "sure")
@@ -128,6 +146,12 @@ def muscle(name: str, *, rest_length: float | None = None) -> Muscle:
     rest_length : replaces the catalogue's [m]; needed where it holds none (DMSP-10).
 
     Raises UnknownNameError with the nearest names, InputError when a rest length is missing.
+
+    Examples
+    --------
+    >>> muscle = pam.muscle("DMSP-20-300")
+    >>> print(f"{muscle.force(6e5, 0.0):.0f} N")
+    1793 N
     """
     entry = catalogue_entry(name)
     length = entry.get("rest_length") if rest_length is None else rest_length

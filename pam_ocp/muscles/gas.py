@@ -62,7 +62,14 @@ def _number(name: str, value: float, **_: Any) -> float:
 
 
 class Volume(Protocol):
-    """The volume that the gas fills in a muscle, over its contraction."""
+    """The volume that the gas fills in a muscle, over its contraction.
+
+    Examples
+    --------
+    >>> volume: pam.gas.Volume = pam.gas.ConsistentVolume(diameter=0.020)
+    >>> pam.gas.Gas(volume=volume).volume
+    ConsistentVolume(diameter=0.02)
+    """
 
     def filled(self, muscle: Muscle, kappa: ca.SX, declare: Declare) -> ca.SX:
         """Volume [m3] at contraction kappa, without dead volume; ``declare`` makes parameters."""
@@ -75,7 +82,14 @@ RUBBERS: Registry[Callable[..., Any]] = Registry("rubber", __package__, argument
 
 
 class HeatTransfer(Protocol):
-    """How well heat passes between the air in a muscle and the inside of its wall."""
+    """How well heat passes between the air in a muscle and the inside of its wall.
+
+    Examples
+    --------
+    >>> heat: pam.gas.HeatTransfer = pam.muscles.ConstantHeatTransfer(30.0)
+    >>> pam.gas.Gas(heat=heat).heat
+    ConstantHeatTransfer(value=30.0)
+    """
 
     def coefficient(self, absolute: ca.SX, temperature: ca.SX, declare: Declare) -> ca.SX:
         """h [W/(m2.K)] at the air's absolute pressure [Pa] and temperature [K]."""
@@ -104,6 +118,12 @@ class ConsistentVolume:
     pressure; others raise InputError. That a fitted law's G be used so is our inference.
 
     diameter : inner diameter at rest [m]; by default the muscle's.
+
+    Examples
+    --------
+    >>> volume = pam.gas.muscle_volume(muscle, 0.0, pam.gas.ConsistentVolume())
+    >>> bool(abs(volume - np.pi * 0.010**2 * 0.300) < 1e-9)
+    True
     """
 
     diameter: float | None = None
@@ -122,6 +142,13 @@ class BraidVolume:
 
     angle : braid angle at rest alpha0 [rad]; the default is that of a DMSP-20 (24.42 degrees).
     diameter : inner diameter at rest [m]; by default the muscle's.
+
+    Examples
+    --------
+    >>> braid = pam.gas.BraidVolume()
+    >>> volume = pam.gas.muscle_volume(muscle, np.array([0.0, 0.2]), braid)
+    >>> bool(volume[1] > volume[0])
+    True
     """
 
     angle: float = math.radians(24.42)
@@ -149,7 +176,14 @@ class BraidVolume:
 @VOLUMES.register(units={"coefficients": "m3"})
 @dataclass(frozen=True)
 class PolynomialVolume:
-    """V = v0 + v1 kappa + v2 kappa^2 + ... [m3], as fitted to a measurement of the volume."""
+    """V = v0 + v1 kappa + v2 kappa^2 + ... [m3], as fitted to a measurement of the volume.
+
+    Examples
+    --------
+    >>> measured = pam.gas.PolynomialVolume([1e-4, 3e-4])
+    >>> print(f"{pam.gas.muscle_volume(muscle, 0.1, measured):.2e} m3")
+    1.30e-04 m3
+    """
 
     coefficients: Sequence[float]
 
@@ -178,6 +212,11 @@ def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> A
     """Volume of the gas [m3] at contraction ``kappa`` (arrays go through); no dead volume.
 
     volume : ``ConsistentVolume()`` by default.
+
+    Examples
+    --------
+    >>> print(f"{1e3 * pam.gas.muscle_volume(muscle, 0.20):.2f} l")
+    0.20 l
     """
     symbol = ca.SX.sym("kappa")
     expression = (volume or ConsistentVolume()).filled(muscle, symbol, _number)
@@ -188,7 +227,13 @@ def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> A
 
 
 def air_mass(absolute: Any, volume: Any, temperature: Any = REFERENCE_TEMPERATURE) -> Any:
-    """Mass of the air [kg] at an absolute pressure [Pa] in a volume [m3]: p V/(R T)."""
+    """Mass of the air [kg] at an absolute pressure [Pa] in a volume [m3]: p V/(R T).
+
+    Examples
+    --------
+    >>> print(f"{1e3 * pam.gas.air_mass(1e5, 1e-3):.2f} g")  # a litre at 1 bar
+    1.19 g
+    """
     return absolute * volume / (GAS_CONSTANT * temperature)
 
 
@@ -260,6 +305,13 @@ class Gas:
 
     Source: R T mdot = d(p V)/dt for n = 1 and the energy balance without heat for n = 1.4; the
     polytropic form between them is the usual one in pneumatics.
+
+    Examples
+    --------
+    >>> air = pam.gas.Gas(dead_volume=1e-5, exponent=1.3)
+    >>> valves = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.SpoolValve(gas=air))
+    >>> valves.variable("muscle.gas.exponent").start
+    1.3
     """
 
     volume: Volume = field(default_factory=ConsistentVolume)
@@ -335,6 +387,11 @@ def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None)
 
     k = -(1/l0) [dF/dkappa - dF/dp n p_abs (dV/dkappa)/V], of the law without clamp; arrays
     broadcast. Compare :meth:`Muscle.stiffness`, that at constant pressure.
+
+    Examples
+    --------
+    >>> bool(pam.gas.closed_stiffness(muscle, 3e5, 0.1) > muscle.stiffness(3e5, 0.1))
+    True
     """
     gas = gas or Gas()
     pressure, contraction = ca.SX.sym("p"), ca.SX.sym("kappa")
@@ -371,6 +428,14 @@ def iso6358(
     sqrt(1 - ((p2/p1 - b)/(1 - b))^2). That formula has an infinite derivative at p1 = p2, so for
     p2/p1 > ``laminar_ratio`` the flow is linear in p1 - p2, continuous in value (its slope there
     steps by a factor of about 2) and with one slope through zero.
+
+    Examples
+    --------
+    >>> choked = pam.gas.iso6358(7e5, 1e5, 2.75e-8)
+    >>> print(f"{1e3 * choked:.1f} g/s")
+    22.8 g/s
+    >>> pam.gas.iso6358(7e5, 2e5, 2.75e-8) == choked
+    True
     """
     high, low = ca.fmax(upstream, downstream), ca.fmin(upstream, downstream)
     ratio = ca.fmin(ca.fmax(low / high, critical_ratio), laminar_ratio)
@@ -392,6 +457,11 @@ def conductance_from_flow(
     The catalogue's flow is that from 6 to 5 bar gauge (``upstream``, ``downstream`` in Pa
     absolute): C = qnN / (60000 p1 sqrt(1 - ((p2/p1 - b)/(1 - b))^2)). 700 l/min with b = 0.3 give
     2.75e-8. The volume is taken at the reference state of ISO 6358.
+
+    Examples
+    --------
+    >>> print(f"{pam.gas.conductance_from_flow(700.0):.2e}")
+    2.75e-08
     """
     require_positive("flow", flow, "l/min")
     if not 0 <= require_finite("critical_ratio", critical_ratio) < 1:
@@ -410,6 +480,11 @@ def specific_exergy(absolute: Any, ambient: Any, temperature: Any, own: Any = No
     """Work that air at this pressure and ambient temperature can do: R T ln(p/p0) [J/kg].
 
     own : the air's temperature [K] where it is another one; more by cp (T_own - T - T ln(T_own/T)).
+
+    Examples
+    --------
+    >>> print(f"{1e-3 * pam.gas.specific_exergy(7e5, 1e5, 293.15):.0f} kJ/kg")  # R T ln 7
+    164 kJ/kg
     """
     exergy = GAS_CONSTANT * temperature * ca.log(absolute / ambient)
     if own is None:

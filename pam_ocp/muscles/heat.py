@@ -32,6 +32,13 @@ class ConstantHeatTransfer:
     """h = value: a constant coefficient of heat transfer; 0 adiabatic, large isothermal.
 
     value : [W/(m2.K)]. Some 10 to 100 are usual for air in cylinders; the default is our choice.
+
+    Examples
+    --------
+    >>> air = pam.gas.Gas(heat=pam.muscles.ConstantHeatTransfer(30.0))
+    >>> warm = pam.HangingLoad(muscle, feed=pam.feeds.SpoolValve(gas=air))
+    >>> warm.variable("muscle.temperature").start
+    293.15
     """
 
     value: float = 30.0
@@ -52,6 +59,13 @@ class PressureHeatTransfer:
     value : [W/(m2.K)] at ``pressure`` p0 [Pa absolute] and T0 = 293.15 K. exponent : 0.5 by
         default, the form after Eichelberg that is in use for pneumatic cylinders (its figures for
         muscles are not known to us: identify value).
+
+    Examples
+    --------
+    >>> air = pam.gas.Gas(heat=pam.muscles.PressureHeatTransfer(30.0))
+    >>> warm = pam.HangingLoad(muscle, feed=pam.feeds.SpoolValve(gas=air))
+    >>> "muscle.temperature" in [v.name for v in warm.states]
+    True
     """
 
     value: float = 30.0
@@ -93,6 +107,14 @@ class Rubber:
 
     The muscle gets the state ``<name>.rubber_temperature``. One temperature for the whole wall and
     one number for its effect are our reconstruction: a law to be fitted.
+
+    Examples
+    --------
+    >>> heat = pam.muscles.ConstantHeatTransfer(30.0)
+    >>> air = pam.gas.Gas(heat=heat, rubber=pam.muscles.Rubber(capacity=100.0))
+    >>> warm = pam.HangingLoad(muscle, feed=pam.feeds.SpoolValve(gas=air))
+    >>> "muscle.rubber_temperature" in [v.name for v in warm.states]
+    True
     """
 
     capacity: float = 100.0

@@ -70,6 +70,13 @@ def coefficient(
     unit, nominal, description, minimum, maximum : as in :class:`Variable` [unit].
     fixed : a known constant (a length, the smoothing of a kink) that no fit should touch.
     default : value where none is given; such fields must come last.
+
+    Examples
+    --------
+    >>> area = pam.laws.coefficient("N/Pa", 1e-3, "area", minimum=0.0)
+    >>> law = pam.laws.own_law("piston", lambda p, kappa, area: area * p, {"area": area})
+    >>> float(law(area=1e-3).tension(2e5, 0.0))
+    200.0
     """
     if not minimum <= nominal <= maximum and not minimum <= -nominal <= maximum:
         raise InputError(f"nominal = {nominal:g} must lie in {minimum:g} .. {maximum:g}")
@@ -93,6 +100,14 @@ class ForceLaw(ABC):
 
     name, title, reference : key in ``LAWS``, what people call it, where it comes from.
     validity : where the law as such is said to hold; numbers outside give a warning, once.
+
+    Examples
+    --------
+    >>> law = muscle.law
+    >>> print(f"{law.tension(3e5, 0.10):.0f} N")
+    234 N
+    >>> print(f"{law.pressure(law.tension(3e5, 0.10), 0.10):.0f} Pa")  # the inverse
+    300000 Pa
     """
 
     name: ClassVar[str]
@@ -312,6 +327,13 @@ class SixParameterLaw(ForceLaw):
     Source: Sárosi, Bíró, Németh, Cveticanin, Mechanism and Machine Theory 85 (2015) 25-34,
     eq. (3) (its "exp^(a3 r)" read as exp(a3 kappa)). Published sets are for p in bar and kappa in
     percent: :meth:`from_published` converts them.
+
+    Examples
+    --------
+    >>> published = muscle.law.published()  # a1 .. a6 for bar and percent
+    >>> law = pam.laws.SixParameterLaw.from_published(published.values())
+    >>> bool(np.isclose(law.tension(3e5, 0.10), muscle.law.tension(3e5, 0.10)))
+    True
     """
 
     a1: FloatOrSX = coefficient("N/Pa", 1e-4, "exponential term, per pressure")

@@ -48,7 +48,13 @@ ENDINGS = (".toml", ".json")
 
 
 def save_muscle(muscle: Muscle, path: str | os.PathLike[str]) -> Path:
-    """Write a muscle with its law and coefficients (SI): TOML or JSON, as the file's name ends."""
+    """Write a muscle with its law and coefficients (SI): TOML or JSON, as the file's name ends.
+
+    Examples
+    --------
+    >>> pam.save_muscle(muscle, "M1.toml").name
+    'M1.toml'
+    """
     require_instance("muscle", muscle, Muscle, "give a Muscle, such as fit.muscle(...)")
     ending, name = _ending(path), muscle.law.name
     try:
@@ -84,7 +90,14 @@ def _ending(path: str | os.PathLike[str]) -> str:
 
 
 def load_muscle(path: str | os.PathLike[str]) -> Muscle:
-    """Read what :func:`save_muscle` wrote. Raises InputError when it is something else."""
+    """Read what :func:`save_muscle` wrote. Raises InputError when it is something else.
+
+    Examples
+    --------
+    >>> path = pam.save_muscle(muscle, "M1.toml")
+    >>> pam.load_muscle(path).law == muscle.law
+    True
+    """
     kind, remedy = "a muscle file", f"its 'format' must be {FORMAT!r}"
     if _ending(path) == ".json":
         content = read_json(path, kind, FORMAT, remedy)

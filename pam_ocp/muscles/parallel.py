@@ -29,6 +29,12 @@ def in_parallel(muscle: Muscle, count: int) -> Muscle:
     all together.
 
     Raises InputError where a law cannot be scaled by its coefficients (one of your own).
+
+    Examples
+    --------
+    >>> two = pam.muscles.in_parallel(muscle, 2)
+    >>> bool(np.isclose(two.law.tension(3e5, 0.1), 2 * muscle.law.tension(3e5, 0.1)))
+    True
     """
     require_count("count", count)
     if count == 1:

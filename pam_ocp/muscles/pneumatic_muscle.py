@@ -21,7 +21,6 @@ from .validity import Validity, warn_beyond
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["Muscle"]
 
@@ -53,6 +52,14 @@ class Muscle:
     obtained : "published", "transcribed" or "fitted here", or "".
 
     ``rest_length`` and ``slack_width`` may be CasADi symbols inside a plant.
+
+    Examples
+    --------
+    >>> mine = pam.Muscle(fit.law, rest_length=0.300, diameter=0.020, name="M1")
+    >>> print(f"{mine.force(3e5, 0.10):.0f} N, {mine.stiffness(3e5, 0.10):.0f} N/m")
+    234 N, 9001 N/m
+    >>> print(f"{mine.max_contraction(6e5):.3f}")
+    0.248
     """
 
     law: ForceLaw
@@ -164,7 +171,7 @@ class Muscle:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
         return replace(self, law=law, rest_length=rest_length)
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
+    def plot(self, *, ax: Axes | None = None) -> Any:
         """Force and stiffness over contraction, one line per pressure, where it was measured.
 
         ax : draw the force into this panel instead.

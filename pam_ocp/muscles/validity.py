@@ -27,7 +27,18 @@ _WARNED: set[tuple[str, str]] = set()
 
 
 class ValidityWarning(UserWarning):
-    """A formula is used outside the range it was measured or stated for."""
+    """A formula is used outside the range it was measured or stated for.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     _ = pam.muscle("DMSP-20-300").force(3e5, 0.5)  # measured to 0.26
+    ...
+    >>> given[0].category.__name__
+    'ValidityWarning'
+    """
 
 
 @dataclass(frozen=True)

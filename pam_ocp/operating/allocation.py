@@ -26,19 +26,38 @@ SETTLED = 1e-13
 
 
 class AllocationError(PamError):
-    """No pressures within the plant's range give what was asked for."""
+    """No pressures within the plant's range give what was asked for.
+
+    Examples
+    --------
+    >>> pam.operating.Allocation(slide).stiffness_range(0.0, 5e3)
+    Traceback (most recent call last):
+    pam_ocp.operating.allocation.AllocationError: effort 5000 is out of reach at x = 0: ...
+    """
 
 
 @verb
 def common_and_difference(p1: ArrayLike, p2: ArrayLike) -> tuple[Array, Array]:
-    """Co-contraction coordinates of a pair: ((p1 + p2)/2, (p1 - p2)/2) [Pa]."""
+    """Co-contraction coordinates of a pair: ((p1 + p2)/2, (p1 - p2)/2) [Pa].
+
+    Examples
+    --------
+    >>> [float(v) for v in pam.operating.common_and_difference(3e5, 1e5)]
+    [200000.0, 100000.0]
+    """
     one, two = np.asarray(p1, float), np.asarray(p2, float)
     return (one + two) / 2, (one - two) / 2
 
 
 @verb
 def pressures_of(common: ArrayLike, difference: ArrayLike) -> tuple[Array, Array]:
-    """The pressures (p1, p2) of co-contraction coordinates [Pa]."""
+    """The pressures (p1, p2) of co-contraction coordinates [Pa].
+
+    Examples
+    --------
+    >>> [float(v) for v in pam.operating.pressures_of(2e5, 1e5)]
+    [300000.0, 100000.0]
+    """
     mean, half = np.asarray(common, float), np.asarray(difference, float)
     return mean + half, mean - half
 
@@ -54,6 +73,13 @@ class Allocation:
     With laws affine in pressure (six-parameter among them) both are linear in (p1, p2), so the
     answer is an exact 2x2 solve; other laws take a few Newton steps more. The laws' tensions are
     used without the clamp at zero: ask for ``taut`` pressures, or look at :meth:`feasible`.
+
+    Examples
+    --------
+    >>> pair = pam.operating.Allocation(slide)
+    >>> p1, p2 = pair.pressures(0.0, 0.0, 2e4)
+    >>> bool(np.isclose(p1, p2))
+    True
     """
 
     def __init__(self, plant: Plant) -> None:

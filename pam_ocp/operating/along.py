@@ -26,7 +26,16 @@ __all__ = ["StabilityPath", "stability_path"]
 
 @dataclass(frozen=True)
 class StabilityPath:
-    """Points of rest along the values of a parameter or an input, and their eigenvalues."""
+    """Points of rest along the values of a parameter or an input, and their eigenvalues.
+
+    Examples
+    --------
+    >>> path = pam.vibration.stability_path(
+    ...     regulated, "muscle.gain", [1e5, 1e7], x=0.04, muscle_reference=0.04
+    ... )
+    >>> path.stable
+    array([ True, False])
+    """
 
     plant: Plant
     parameter: str
@@ -82,6 +91,13 @@ def stability_path(
     Each point is continued from the last by Newton with exact Jacobians.
     Raises UnknownNameError, InputError for values out of range, EquilibriumError where no point of
     rest exists (with the value at which the path ended).
+
+    Examples
+    --------
+    >>> rest = {"muscle.command": 3e5}
+    >>> path = pam.vibration.stability_path(plant, "mass", [5.0, 10.0, 20.0], rest)
+    >>> path.stable
+    array([ True,  True,  True])
     """
     rest = VariedRest(plant, parameter, {**(conditions or {}), **more}, memory)
     numbers = np.atleast_1d(np.asarray(values, dtype=float))

@@ -68,6 +68,13 @@ def equilibrium_branch(
 
     Raises InputError for bad conditions, EquilibriumError when there is no point of rest at
     ``start``.
+
+    Examples
+    --------
+    >>> rest = {"muscle.command": 3e5}
+    >>> path = pam.operating.equilibrium_branch(plant, "mass", 5.0, 20.0, rest)
+    >>> len(path.folds)
+    0
     """
     start, stop = require_finite("start", start), require_finite("stop", stop)
     length = require_positive("step", step)

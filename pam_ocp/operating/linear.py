@@ -225,6 +225,15 @@ def linearize(
     Jacobians are exact (CasADi); signals keep the plant's names with ``_`` for ``.``, since
     python-control reads a dot as system.signal. ``system.units`` = {signal: unit}
     (python-control itself has none, so systems that it computes from this one lack it).
+
+    Examples
+    --------
+    >>> system = pam.linearize(plant, point)
+    >>> system.nstates, system.input_labels
+    (3, ['muscle_command'])
+    >>> scaled = pam.linearize(plant, point, units="display")  # in mm and bar
+    >>> bool(np.allclose(np.sort(scaled.poles()), np.sort(system.poles())))
+    True
     """
     plant, x, u = point_of(plant, at)
     plant, rows = _seen(plant, u[None, :], inputs)
@@ -307,6 +316,12 @@ def linearize_along(
     inputs : as in :func:`linearize`: where a valve's command is in its dead zone anywhere on the
         way, the default are openings.
     Raises InputError when the motion lacks a state or an input of the plant.
+
+    Examples
+    --------
+    >>> along = pam.operating.linearize_along(plant, motion, t=[0.1, 0.2])
+    >>> along.A.shape
+    (2, 3, 3)
     """
     missing = [v.name for v in (*plant.states, *plant.inputs) if v.name not in motion]
     if missing:
@@ -433,6 +448,12 @@ def linearize_grid(
     inputs : as in :func:`linearize`; of a plant fed by valves the default are openings.
 
     Raises InputError for bad axes, EquilibriumError naming the first place without equilibrium.
+
+    Examples
+    --------
+    >>> grid = pam.operating.linearize_grid(plant, {"x": [0.02, 0.03, 0.04]})
+    >>> grid.inputs, grid.outputs[:2]
+    (('muscle.command',), ('x', 'v'))
     """
     inversion = Inversion(require_plant(plant))
     if inputs is None or any(inversion.opening_of(n) for n in inputs):
@@ -492,6 +513,12 @@ def modes(system: control.StateSpace) -> list[tuple[float, float]]:
     """(natural frequency [Hz], damping ratio) of each oscillating pair of poles, slowest first.
 
     Raises InputError for what is no system of python-control.
+
+    Examples
+    --------
+    >>> ((frequency, ratio),) = pam.operating.modes(plant.linearize(point))
+    >>> print(f"{frequency:.2f} Hz, damping ratio {ratio:.2f}")
+    4.46 Hz, damping ratio 0.18
     """
     if not callable(getattr(system, "poles", None)):
         raise InputError(

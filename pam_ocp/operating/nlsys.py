@@ -57,6 +57,16 @@ def as_nlsys(
     several threads at once as long as ``params`` stay the same; copies are independent.
 
     Raises InputError or UnknownNameError for names that are not the plant's.
+
+    Examples
+    --------
+    >>> import control
+    >>> system = pam.operating.as_nlsys(plant, point)
+    >>> t = np.linspace(0, 1, 11)
+    >>> held = np.full(11, system.u0[0])
+    >>> run = control.input_output_response(system, t, held, system.x0)
+    >>> bool(np.ptp(run.outputs[0]) < 1e-5)  # it stays at rest
+    True
     """
     from .plant_system import PlantSystem
 

@@ -25,7 +25,16 @@ MARGIN = 1e-8
 @shown
 @dataclass(frozen=True)
 class OperatingPoint:
-    """States, inputs and outputs of a plant at one point; ``point["x"]`` gives a value [SI]."""
+    """States, inputs and outputs of a plant at one point; ``point["x"]`` gives a value [SI].
+
+    Examples
+    --------
+    >>> point = plant.equilibrium(x=0.04)
+    >>> print(f"{point['muscle.pressure'] / 1e5:.3f} bar")
+    2.687 bar
+    >>> point.stability
+    'stable'
+    """
 
     plant: Plant
     x: Array

@@ -28,7 +28,14 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 class EquilibriumError(PamError):
-    """No equilibrium meets the conditions within the plant's bounds."""
+    """No equilibrium meets the conditions within the plant's bounds.
+
+    Examples
+    --------
+    >>> plant.equilibrium({"muscle.command": 1e5}, mass=300.0)
+    Traceback (most recent call last):
+    pam_ocp.operating.resting_point.EquilibriumError: no equilibrium of 'hanging_load' ...
+    """
 
 
 @verb
@@ -69,6 +76,15 @@ def equilibrium(
     Solved within the variables' bounds by IPOPT from several starts, then by Newton to rounding.
     Raises InputError when the conditions are too few or too many, EquilibriumError when no point
     within the bounds meets them (it names the one that fails, and by how much).
+
+    Examples
+    --------
+    >>> point = pam.equilibrium(plant, x=0.04)
+    >>> print(f"{point['muscle.pressure'] / 1e5:.3f} bar")
+    2.687 bar
+    >>> load = pam.equilibrium(plant, {"x": 0.05, "muscle.command": 3e5}, free=["mass"])
+    >>> print(f"{load['mass']:.2f} kg")
+    5.95 kg
     """
     require_instance("conditions", conditions, Mapping, "give values by name", none=True)
     wanted = {**(conditions or {}), **more}

@@ -55,6 +55,12 @@ def equilibria(
 
     time_limit : [s]; when it is over, what was found is returned (without bands), and ``.ended``
         says so; OutOfTime when that is nothing.
+
+    Examples
+    --------
+    >>> found = pam.equilibria(plant, {"muscle.command": 3e5})
+    >>> [f"{1e3 * p['x']:.1f} mm" for p in found]
+    ['45.4 mm']
     """
     given = {**(conditions or {}), **more}
     search = posed(Search, plant, given, free, memory=memory or "virgin")
@@ -204,6 +210,12 @@ def equilibrium_path(
 
     time_limit : [s]; when it is over, the path so far is returned, and ``end`` says so (OutOfTime
         before the first point).
+
+    Examples
+    --------
+    >>> path = pam.operating.equilibrium_path(plant, "mass", [5.0, 10.0], {"muscle.command": 3e5})
+    >>> [f"{1e3 * p['x']:.1f} mm" for p in path.points]
+    ['51.1 mm', '45.4 mm']
     """
     points: list[OperatingPoint] = []
     done: list[float] = []

@@ -19,7 +19,7 @@ from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement import Statement
 from .solvers.backend import Backend
-from .solvers.narrowing import has_kinks, narrowing
+from .solvers.narrowing import has_kinks, narrowing, widened
 from .transcription.guess import by_stops, from_solution, wants_balance
 from .transcription.mesh import Mesh
 from .transcription.solution import unpack
@@ -31,13 +31,13 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def guess_in_openings(
-    problem: Problem, mesh: Mesh, statement: Statement, backend: Backend
+    problem: Problem, mesh: Mesh, statement: Statement, backend: Backend, wide: bool = False
 ) -> Array | None:
     """Scaled unknowns of ``problem`` (of ``statement``) along the optimum in openings.
 
     None where the plant has no openings, the statement speaks of commands as openings cannot,
     or no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
-    this is where to start ("near"), not the plan.
+    this is where to start ("near"), not the plan. wide : with the widest roundings.
     """
     plant = problem.plant
     inversion = Inversion(plant)
@@ -53,7 +53,9 @@ def guess_in_openings(
     program = transcribe(inner, mesh)
     solver, usual = backend.build(program), wants_balance(inner)
     guess = by_stops(inner, mesh, balanced=usual)
-    if has_kinks(inner):
+    if wide:
+        program = widened(program)
+    if has_kinks(inner) and not wide:
         outcome = narrowing(solver, program, guess, "cold")
         if not outcome.ended:
             outcome = narrowing(solver, program, guess, "adaptive")

@@ -26,6 +26,7 @@ from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
+from .approach import Approach, resolvable
 from .assembly import assembled, trust
 from .climb import Climb, ladder
 from .keywords import SEARCH, PlanKeywords, require_known
@@ -55,6 +56,8 @@ Array: TypeAlias = NDArray[np.float64]
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
 
+APPROACHES = 2
+"""Solutions with wide roundings from which the plant's own are approached, at most."""
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
 
@@ -145,6 +148,14 @@ def plan(
     Raises InputError for a problem that cannot be meant, PlanError when no solution was found: the
     message names the constraints in conflict, ``error.plan`` is the sealed plan. Warns
     (PlanWarning) when the plan is not verified: ``plan.verdict`` says why.
+
+    Examples
+    --------
+    >>> plan = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], minimise="time")
+    >>> print(f"{1e3 * plan.duration:.1f} ms")
+    36.6 ms
+    >>> plan.verified
+    True
     """
     build = functools.partial(
         Planner,
@@ -194,9 +205,13 @@ class Planner:
     the solution of a neighbour: stops, durations, bounds, budgets and constant aims may have other
     values (not other names), and so may all parameters of the plant.
 
-        planner = pam.Planner(plant, [{"x": 0.0}, {"x": 0.01}])
-        first = planner()
-        heavier = planner(values={"mass": 2.5}, guess=first)
+    Examples
+    --------
+    >>> planner = pam.Planner(slide, [{"x": -0.01}, {"x": 0.01}])
+    >>> first = planner()
+    >>> second = planner(values={"mass": 2.5}, guess=first)
+    >>> second.duration > first.duration
+    True
     """
 
     @turns
@@ -319,7 +334,7 @@ class Planner:
             coarse: list[Solved] = []
 
             def search(first: Run) -> list[Solved]:
-                coarse[:] = self._searched(first, None, starts, figures)
+                coarse[:] = self._searched(first, None, starts, figures, climb, partly)
                 return coarse
 
             try:
@@ -330,15 +345,25 @@ class Planner:
                     raise
             if found:
                 return found
-        return self._searched(run, guess, starts, figures)
+        return self._searched(run, guess, starts, figures, climb, partly)
 
     def _searched(
-        self, run: Run, guess: Plan | None, starts: int | None, figures: dict[str, Any]
+        self,
+        run: Run,
+        guess: Plan | None,
+        starts: int | None,
+        figures: dict[str, Any],
+        climb: Climb,
+        partly: bool,
     ) -> list[Solved]:
         """Solutions, the best first; or the one failure that stands for all."""
         program = run.program
         near = guess._near(program) if guess is not None else None
         count = starts or (1 if near is not None else number_of_starts(program.problem.plant))
+        if partly and near is None and resolvable(program):
+            found = self._approached(run, count, figures, climb)
+            if found:
+                return found
         if count == 1:
             return [run.solve(near)]
         opened = self._opened(run) if near is None else None
@@ -352,6 +377,34 @@ class Planner:
             return sorted(good, key=lambda each: each.outcome.objective)
         stopped = [each for each in found if each.outcome.stopped]
         return stopped or [run.after(found[0])]
+
+    def _approached(
+        self, run: Run, count: int, figures: dict[str, Any], climb: Climb
+    ) -> list[Solved]:
+        """By meshes that resolve kinks, from the best solutions with wide roundings; empty where
+        none leads on.
+        """
+        program = run.program
+        opened = None
+        if count > 1:
+            args = (program.problem, program.mesh, self._statement, self._backend)
+            guess = guess_in_openings(*args, wide=True)
+            opened = None if guess is None else run.wide_from(guess)
+        found, ends = run.several(max(count - (opened is not None), 1), wide=True)
+        if opened is not None:
+            ends, found = Ends((*ends.outcomes, opened.outcome)), [*found, opened]
+        if count > 1:
+            figures |= ends.figures()
+        if any(each.outcome.stopped for each in found):
+            return [each for each in found if each.outcome.stopped]
+        good = [each for each in found if each.outcome.success]
+        for wide in sorted(good, key=lambda each: each.outcome.objective)[:APPROACHES]:
+            approach = Approach(run, wide, self._backend.near())
+            reached = approach.solved()
+            climb.iterations += approach.iterations
+            if reached is not None:
+                return [reached]
+        return []
 
     def _opened(self, run: Run) -> Solved | None:
         """From the optimum in openings of valves; None where there are none,

@@ -12,7 +12,8 @@ from ..core.stop import TimeIsUp
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.simulator import evaluated
-from .replay import Replay, explained, interval_errors, replayed
+from .approach import Approach
+from .replay import Replay, chosen_plant, explained, interval_errors, replayed
 from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
@@ -44,8 +45,6 @@ ROUGH = 0.3
 """Replay error in units of nominal from which a mesh does not resolve the motion at all: the solver
 has made use of its errors, and finer meshes have other optima.
 """
-RESOLVING = 2
-"""Times that such a mesh is halved, at most."""
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is slow to solve."""
 
@@ -76,10 +75,7 @@ class Checked:
 def checked(found: Solved) -> Checked:
     """A solution replayed."""
     problem, solution = found.program.problem, found.solution
-    chosen = dict(zip(problem.design, map(float, solution.design), strict=True))
-    plant = problem.plant.with_values(
-        {n: float(np.clip(v, *problem.design[n])) for n, v in chosen.items()}
-    )
+    plant = chosen_plant(problem, solution)
     samples = evaluated(plant, solution.t, solution.states, solution.inputs)
     replay = replayed(problem, plant, found.program.mesh, samples, solution)
     return Checked(found, plant, samples, replay)
@@ -94,6 +90,7 @@ class Refinement:
     def __init__(self, first: Checked, tolerance: float, backend: Backend) -> None:
         self.best, self.tolerance, self.backend = first, CLOSER * tolerance, backend.near()
         self.first = first.found
+        self.kinks = has_kinks(first.found.program.problem)
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
@@ -112,8 +109,9 @@ class Refinement:
         if self.met():
             return
         first = self.best
-        if first.replay.error > ROUGH and has_kinks(first.found.program.problem):
-            first = self._resolved(first) or first
+        if self.kinks:
+            self._kinked(first)
+            return
         if self.meshes[0].form.control != "polynomial":
             self._rounds(first, ROUNDS, ITERATIONS)
             return
@@ -123,54 +121,77 @@ class Refinement:
         following = self._solved(held(self.meshes[0]), first.found)
         if following is not None:
             self._rounds(following, ROUNDS, ITERATIONS)
-        if self.best.found.program.mesh.form.control == "constant":
+        self._warn()
+
+    def _warn(self) -> None:
+        """Say where inputs are held that were asked for as polynomials."""
+        forms = (self.meshes[0].form, self.best.found.program.mesh.form)
+        if [form.control for form in forms] == ["polynomial", "constant"]:
             self.warning = (
                 "polynomial inputs did not meet the tolerance, so inputs are held "
                 "constant on each interval"
             )
 
-    def _resolved(self, rough: Checked) -> Checked | None:
-        """A solution on a mesh that resolves the motion, found with roundings at their widest; None
-        when there is none.
-
-        With the plant's own kinks the way from one optimum to another is long.
+    def _kinked(self, first: Checked) -> None:
+        """Finer meshes as long as they lead on at once; else from wide roundings again, with the
+        motion resolved at each place of the path.
         """
-        here, problem = rough.found, rough.found.program.problem
-        for _ in range(RESOLVING):
-            run = Run(transcribe(problem, halved(here.program.mesh)), self.backend)
-            here = run.widely(here)
-            self.iterations += here.outcome.iterations
-            if not here.outcome.success:
-                return None
-            if checked(here).replay.error <= ROUGH:
-                break
-        return self._taken(run.narrowed(here))
+        if first.replay.error <= ROUGH:
+            self._rounds(first, ROUNDS, ITERATIONS, directly=True)
+        if not self.met():
+            following = self._approached(first.found)
+            if following is not None:
+                self._rounds(following, ROUNDS, ITERATIONS)
+        if not self.met() and self.meshes[0].form.control == "polynomial":
+            following = self._solved(held(self.meshes[0]), first.found)
+            if following is not None:
+                self._rounds(following, ROUNDS, ITERATIONS)
+        self._warn()
 
-    def _rounds(self, current: Checked, most: int, iterations: int) -> None:
-        """From a solution to finer ones."""
+    def _approached(self, rough: Solved) -> Checked | None:
+        """By way of wide roundings, from a solution that has the motion at large."""
+        mesh = rough.program.mesh
+        run = Run(transcribe(rough.program.problem, mesh), self.backend)
+        wide = run.widely(rough)
+        self.iterations += wide.outcome.iterations
+        if not wide.outcome.success:
+            return None
+        approach = Approach(run, wide, self.backend)
+        found = approach.solved()
+        self.iterations += approach.iterations
+        return None if found is None else self._taken(found)
+
+    def _rounds(self, current: Checked, most: int, iterations: int, directly: bool = False) -> None:
+        """From a solution to finer ones; ``directly`` on the most promising mesh or not at all."""
+        iterations += self.iterations
         for i in range(1, most + 1):
             if self.met() or self.iterations > iterations:
                 return
-            mesh = current.found.program.mesh
             following = None
-            meshes = [*self._finer(current), halved(mesh)]
-            if mesh.form.control == "constant":
-                meshes.insert(-1, halved(mesh, joined=True))
-            elif i % EVERYWHERE == 0:
-                meshes = [meshes[-1], *meshes[:-1]]
-            for finer in meshes:
-                if finer == mesh or len(finer.intervals) > len(mesh.intervals) + MORE_INTERVALS:
-                    continue
-                following = self._solved(finer, current.found)
+            for finer in self._meshes(current, i)[: 1 if directly else None]:
+                following = self._solved(finer, current.found, directly)
                 if following is not None:
                     break
             if following is None:
                 return
             current = following
 
-    def _solved(self, mesh: Mesh, coarse: Solved) -> Checked | None:
+    def _meshes(self, current: Checked, i: int) -> list[Mesh]:
+        """Meshes for a round, the most promising first."""
+        mesh = current.found.program.mesh
+        meshes = [*self._finer(current), halved(mesh)]
+        if mesh.form.control == "constant":
+            meshes.insert(-1, halved(mesh, joined=True))
+        elif i % EVERYWHERE == 0:
+            meshes = [meshes[-1], *meshes[:-1]]
+        most = len(mesh.intervals) + MORE_INTERVALS
+        return [each for each in meshes if each != mesh and len(each.intervals) <= most]
+
+    def _solved(self, mesh: Mesh, coarse: Solved, directly: bool = False) -> Checked | None:
         """The solution on another mesh; None when it was not found."""
         run = Run(transcribe(coarse.program.problem, mesh), self.backend)
+        if directly:
+            return self._taken(run.directly(coarse))
         return self._taken(run.refined(coarse, again=mesh.form.control != "polynomial"))
 
     def _taken(self, found: Solved) -> Checked | None:
@@ -188,7 +209,7 @@ class Refinement:
         """Meshes that may do better, the most promising first."""
         mesh, replay = current.found.program.mesh, current.replay
         by_limits = [watched(mesh, replay.beyond, self.tolerance)] if replay.beyond else []
-        worst, kinks = max(replay.error, replay.missed), has_kinks(self.first.program.problem)
+        worst, kinks = max(replay.error, replay.missed), self.kinks
         if worst <= self.tolerance:
             # where checks between the points make the program unsolvable, shorter intervals may do
             beyond = [max(each.values(), default=0.0) for each in replay.beyond]

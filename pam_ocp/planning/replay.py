@@ -22,7 +22,7 @@ from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.stage import nominals
 
-__all__ = ["Replay", "explained", "interval_errors", "replayed"]
+__all__ = ["Replay", "chosen_plant", "explained", "interval_errors", "replayed"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -63,6 +63,14 @@ class Replay:
     """Largest violation of what is no bound: at the stops, of the closing, of a budget."""
     local: float = float("nan")
     """Sum of the :func:`interval_errors`, where somebody asked for it."""
+
+
+def chosen_plant(problem: Problem, solution: Solution) -> Plant:
+    """The problem's plant with the values that a solution chose for its design."""
+    chosen = dict(zip(problem.design, map(float, solution.design), strict=True))
+    return problem.plant.with_values(
+        {n: float(np.clip(v, *problem.design[n])) for n, v in chosen.items()}
+    )
 
 
 def interval_errors(plant: Plant, mesh: Mesh, solution: Solution) -> list[float]:

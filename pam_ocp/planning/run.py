@@ -55,21 +55,28 @@ class Run:
         found = self.from_guess(guess, "near")
         return found if found.outcome.ended or not again else self.from_guess(guess)
 
+    def directly(self, coarse: Solved) -> Solved:
+        """The same with the plant's own roundings at once, or not at all."""
+        guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
+        return self._solution(self.solver(self.program, guess, "step"))
+
     def widely(self, coarse: Solved) -> Solved:
         """With the widest roundings, from the solution on a coarser mesh."""
+        guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
+        return self.wide_from(guess)
+
+    def wide_from(self, guess: Array) -> Solved:
+        """With the widest roundings, from a guess that is near."""
         program = widened(self.program)
-        guess = from_solution(program.problem, program.mesh, coarse.solution)
         outcome = self.solver(program, guess, "near")
         if not outcome.ended:
             outcome = self.solver(program, guess)
-        return Solved(program, outcome, unpack(program.problem, program.mesh, outcome.w))
+        return self._solution(outcome, program)
 
-    def narrowed(self, wide: Solved) -> Solved:
-        """With the plant's own roundings, from the widest ones."""
-        return self._solution(narrowing(self.solver, self.program, wide.outcome.w, "step"))
-
-    def several(self, starts: int) -> tuple[list[Solved], Ends]:
-        """(solutions from different starts, the best first; where all of them ended)."""
+    def several(self, starts: int, wide: bool = False) -> tuple[list[Solved], Ends]:
+        """(solutions from different starts, the best first; where all of them ended); ``wide``:
+        with the widest roundings.
+        """
         kinks = has_kinks(self.program.problem)
         program = widened(self.program) if kinks else self.program
         own, *others = tasks(program.problem, program.mesh, starts)
@@ -89,9 +96,9 @@ class Run:
                     raise
         ends = Ends(tuple(outcomes))
         chosen = [outcomes[i] for i in ends.solved or [0]]
-        if kinks and ends.solved:
-            chosen = self._narrowed(chosen)
-        return [self._solution(outcome) for outcome in chosen], ends
+        if kinks and ends.solved and not wide:
+            chosen, program = self._narrowed(chosen), self.program
+        return [self._solution(outcome, program) for outcome in chosen], ends
 
     def _narrowed(self, wide: Sequence[Outcome]) -> list[Outcome]:
         """The first of some solutions with wide roundings that leads to one of the plant's own."""
@@ -104,7 +111,7 @@ class Run:
 
     def solve(self, previous: Solved | None) -> Solved:
         """The first guess that leads to a solution; then the elastic re-solve's; then failure."""
-        found = self._usual(previous)
+        found = self.usual(previous)
         return found if found.outcome.ended else self.after(found)
 
     def after(self, found: Solved) -> Solved:
@@ -132,7 +139,7 @@ class Run:
         for each in (merged(mesh, count) for count in COARSER):
             if len(each.intervals) < len(mesh.intervals):
                 run = Run(transcribe(problem, each), self.backend.near())
-                coarse = run._wide(coarse) or coarse
+                coarse = run.widest(coarse) or coarse
                 if coarse is not None and coarse.outcome.stopped:
                     return coarse
         if coarse is None:
@@ -144,7 +151,7 @@ class Run:
                 return found
         return None
 
-    def _wide(self, coarse: Solved | None) -> Solved | None:
+    def widest(self, coarse: Solved | None = None) -> Solved | None:
         """The first solution with the widest roundings, from a coarser mesh and from points of
         rest; None when there is none.
         """
@@ -162,7 +169,7 @@ class Run:
         for guess, start in guesses():
             outcome = self.solver(program, guess, start)
             if outcome.ended:
-                return self._solution(outcome)
+                return self._solution(outcome, program)
         return None
 
     def _diagnosed(self) -> Array | None:
@@ -187,7 +194,7 @@ class Run:
         problem, mesh = self.program.problem, self.program.mesh
         return self.from_guess(from_solution(problem, mesh, previous.solution), "near")
 
-    def _usual(self, previous: Solved | None) -> Solved:
+    def usual(self, previous: Solved | None) -> Solved:
         """From another solution if there is one,
         else (or if that fails) from the planner's guess.
         """
@@ -206,6 +213,6 @@ class Run:
             return self._solution(narrowing(self.solver, self.program, guess, start))
         return self._solution(self.solver(self.program, guess, start, warm))
 
-    def _solution(self, outcome: Outcome) -> Solved:
-        solution = unpack(self.program.problem, self.program.mesh, outcome.w)
-        return Solved(self.program, outcome, solution)
+    def _solution(self, outcome: Outcome, program: Program | None = None) -> Solved:
+        program = program or self.program
+        return Solved(program, outcome, unpack(program.problem, program.mesh, outcome.w))

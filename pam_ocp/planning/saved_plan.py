@@ -93,6 +93,12 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
 
     Raises InputError for a file that is no plan, a plan of another plant, or one that contradicts
     itself: the message names what. Warns (PlanWarning) when the plan is not verified.
+
+    Examples
+    --------
+    >>> path = plan.save("plan.npz")
+    >>> pam.load_plan(path, slide).verified
+    True
     """
     require_plant(plant)
     meta, arrays = _read(Path(path))

@@ -22,6 +22,13 @@ class Verdict:
     """What the solver and an independent replay say of a plan, against one tolerance.
 
     ``print(verdict)`` is one sentence.
+
+    Examples
+    --------
+    >>> plan.verdict.verified, plan.verdict.tolerance
+    (True, 0.001)
+    >>> print(str(plan.verdict).split(":")[0])
+    verified
     """
 
     status: str

@@ -36,7 +36,14 @@ STIFFNESS_FLOOR = 1.0
 
 
 class Damping(Protocol):
-    """A viscous damping c [N.s/m] that may depend on the state."""
+    """A viscous damping c [N.s/m] that may depend on the state.
+
+    Examples
+    --------
+    >>> damping: pam.losses.Damping = pam.losses.ConstantDamping(50.0)
+    >>> pam.HangingLoad(muscle, damping=damping).variable("damping").unit
+    'N.s/m'
+    """
 
     def coefficient(
         self, plant: Declares, mass: ca.SX, stiffness: ca.SX, unit: str = "N.s/m"
@@ -47,7 +54,14 @@ class Damping(Protocol):
 @DAMPINGS.register(units={"value": ("N.s/m", "N.m.s/rad")})
 @dataclass(frozen=True)
 class ConstantDamping:
-    """c = constant [N.s/m]."""
+    """c = constant [N.s/m].
+
+    Examples
+    --------
+    >>> damped = pam.HangingLoad(muscle, 10.0, damping=pam.losses.ConstantDamping(50.0))
+    >>> damped.variable("damping").start
+    50.0
+    """
 
     value: float = 20.0
 
@@ -76,6 +90,13 @@ class StiffnessDamping:
     Our reconstruction of the source paper's damping "as nonlinear function of displacement"; k is
     the stiffness at the present pressure and contraction. Where it falls to zero (slack) the root
     is rounded off below STIFFNESS_FLOOR, so that its slope stays finite.
+
+    Examples
+    --------
+    >>> damped = pam.HangingLoad(muscle, 10.0, damping=pam.losses.StiffnessDamping(0.1))
+    >>> system = damped.linearize(damped.equilibrium(x=0.04))
+    >>> print(f"{pam.operating.modes(system)[0][1]:.2f}")
+    0.10
     """
 
     ratio: float = 0.1
@@ -118,7 +139,14 @@ class Motion:
 
 
 class Loss(Protocol):
-    """A force against the contraction of a muscle."""
+    """A force against the contraction of a muscle.
+
+    Examples
+    --------
+    >>> loss: pam.losses.Loss = pam.losses.Creep()
+    >>> pam.HangingLoad(muscle, losses=[loss, pam.losses.CoulombFriction()]).states[-1].name
+    'muscle.creep1'
+    """
 
     def force(self, plant: Declares, name: str, motion: Motion) -> ca.SX:
         """Declare what is needed under ``name``; force [N],
@@ -139,6 +167,13 @@ class DirectionalDamping:
         of them, and never negative.
     speed : below about this speed [m/s] the two B go over into each other (tanh).
     rounding : half width [N.s/m] of the rounded kinks between lines; beyond it B is exact.
+
+    Examples
+    --------
+    >>> loss = pam.losses.DirectionalDamping(contracting=[(50.0, 0.0)], relaxing=[(20.0, 0.0)])
+    >>> run = pam.simulate(pam.HangingLoad(muscle, 10.0, losses=loss), duration=0.5)
+    >>> bool((run["muscle.loss"] * run["v"]).min() > -1e-6)  # it only takes
+    True
     """
 
     contracting: Sequence[Line]
@@ -220,6 +255,13 @@ class CoulombFriction:
 
     constant : [N]. per_pressure : [N/Pa]. excess : static over kinetic friction, less 1.
     speed : v0 [m/s]. stribeck_speed : vs [m/s], to be well above v0.
+
+    Examples
+    --------
+    >>> rubbed = pam.HangingLoad(muscle, 10.0, losses=pam.losses.CoulombFriction(10.0))
+    >>> run = pam.simulate(rubbed, {"muscle.command": 3e5}, duration=1.0)
+    >>> bool(abs(run["muscle.loss"]).max() <= 10.0)
+    True
     """
 
     constant: float = 20.0

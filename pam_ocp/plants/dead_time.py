@@ -42,6 +42,12 @@ class DeadTime:
         but spreads a step over T/sqrt(cells).
 
     The motion with the exact dead time is that of ``simulate(..., dead_times="exact")``.
+
+    Examples
+    --------
+    >>> late = pam.feeds.Regulator(lag=0.05, dead_time=pam.feeds.DeadTime(0.02, order=4))
+    >>> [v.name for v in pam.HangingLoad(muscle, feed=late).states][-2:]
+    ['muscle.delay3', 'muscle.delay4']
     """
 
     time: float

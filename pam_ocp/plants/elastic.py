@@ -38,6 +38,12 @@ class SpringOverMuscle(Plant):
 
     States x [m], v [m/s], those of feed and losses; outputs of the muscle, ``spring_force``,
     ``stiffness`` (muscle and spring).
+
+    Examples
+    --------
+    >>> sprung = pam.SpringOverMuscle(muscle, mass=2.0, spring_stiffness=5e3, preload=100.0)
+    >>> print(f"{sprung.equilibrium(x=0.02)['muscle.force']:.1f} N")  # 100 N + 5 kN/m 20 mm
+    200.0 N
     """
 
     def __init__(
@@ -111,6 +117,13 @@ class SeriesLoad(Plant):
 
     States x, v, ``muscle.shortening`` y, ``muscle.velocity``, those of feed and losses; outputs of
     the muscle, ``tendon_force`` and ``stiffness`` (muscle and tendon in series).
+
+    Examples
+    --------
+    >>> hung = pam.SeriesLoad(muscle, mass=10.0, tendon_stiffness=1e5)
+    >>> rest = hung.equilibrium(x=0.04)
+    >>> print(f"{1e3 * (rest['muscle.shortening'] - rest['x']):.3f} mm")  # 98 N on 1e5 N/m
+    0.981 mm
     """
 
     def __init__(

@@ -56,7 +56,18 @@ __all__ = [
 
 @dataclass(frozen=True)
 class AttachedMuscle:
-    """Expressions of a muscle inside a plant."""
+    """Expressions of a muscle inside a plant.
+
+    Examples
+    --------
+    >>> own = pam.Plant("lifter")
+    >>> x, v = own.state("x", unit="m"), own.state("v", unit="m/s")
+    >>> attached = own.add_muscle("muscle", muscle, shortening=x, rate=v)
+    >>> own.der(x, v)
+    >>> own.der(v, (attached.force - 98.0665) / 10.0)
+    >>> print(f"{own.equilibrium(x=0.04)['muscle.pressure'] / 1e5:.3f} bar")
+    2.687 bar
+    """
 
     name: str
     muscle: Muscle
@@ -73,7 +84,14 @@ class AttachedMuscle:
 
 
 class Feed(Protocol):
-    """How the pressure of a muscle comes about."""
+    """How the pressure of a muscle comes about.
+
+    Examples
+    --------
+    >>> feed: pam.feeds.Feed = pam.feeds.IdealPressure(max_pressure=5e5)
+    >>> pam.HangingLoad(muscle, feed=feed).variable("muscle.pressure").max
+    500000.0
+    """
 
     def connect(
         self, plant: Declares, name: str, muscle: Muscle, contraction: ca.SX, rate: ca.SX
@@ -93,6 +111,12 @@ class IdealPressure:
 
     max_pressure : largest pressure [Pa]; by default the end of the muscle's measured range.
     totals : see :class:`Regulator`.
+
+    Examples
+    --------
+    >>> ideal = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.IdealPressure())
+    >>> [v.name for v in ideal.inputs]
+    ['muscle.pressure']
     """
 
     max_pressure: float | None = None
@@ -112,7 +136,13 @@ class IdealPressure:
 
 
 def as_feed(value: Any) -> Feed:
-    """A feed; by default a :class:`Regulator`."""
+    """A feed; by default a :class:`Regulator`.
+
+    Examples
+    --------
+    >>> type(pam.feeds.as_feed(None)).__name__
+    'Regulator'
+    """
     example = "Regulator(0.05) or SpoolValve()"
     return (
         Regulator() if value is None else cast(Feed, component("feed", value, "connect", example))
@@ -137,6 +167,17 @@ def attach(
 
     losses : components such as ``CoulombFriction()``, ``BoucWen()`` or ``Creep()``, whose forces
         are taken off the law's tension before the clamp: a slack muscle has no friction either.
+
+    Examples
+    --------
+    >>> own = pam.Plant("lifter")
+    >>> x, v = own.state("x", unit="m"), own.state("v", unit="m/s")
+    >>> feed = pam.feeds.IdealPressure()
+    >>> attached = pam.feeds.attach(
+    ...     own, "muscle", muscle, shortening=x, rate=v, pre_contraction=0.0, feed=feed
+    ... )
+    >>> attached.name
+    'muscle'
     """
     muscle, feed, losses = as_muscle(muscle), as_feed(feed), as_losses(losses)
     symbolic = _with_parameters(plant, name, muscle)

@@ -38,6 +38,13 @@ class ForceVelocity:
     Source: the hyperbola of A. V. Hill, Proc. R. Soc. B 126 (1938) 136-195, in the form of a loss
     taken off the static force; that pressure scales it is our choice of form, the straight lines
     those of Reynolds et al. 2003 (see :class:`DirectionalDamping`). No set of parameters was found.
+
+    Examples
+    --------
+    >>> loss = pam.losses.ForceVelocity(contracting=20.0, relaxing=15.0)
+    >>> run = pam.simulate(pam.HangingLoad(muscle, 10.0, losses=loss), duration=0.5)
+    >>> bool((run["muscle.loss"] * run["v"]).min() > -1e-6)  # it only takes
+    True
     """
 
     contracting: float = 20.0

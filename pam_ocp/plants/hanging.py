@@ -118,6 +118,12 @@ class HangingLoad(Plant):
 
     States x [m] (upwards), v [m/s], those of feed and losses; outputs of the muscle, and
     ``stiffness``.
+
+    Examples
+    --------
+    >>> plant = pam.HangingLoad(muscle, mass=10.0)
+    >>> print(f"{plant.equilibrium(x=0.04)['muscle.force']:.2f} N")  # 10 kg
+    98.07 N
     """
 
     def __init__(

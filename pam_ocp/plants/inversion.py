@@ -36,6 +36,13 @@ class Inversion:
     """Between a plant's inputs as they are sent and as a controller chooses them.
 
     plant : with commands. inner : the same with openings (the plant itself where it declares none).
+
+    Examples
+    --------
+    >>> valves = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.SpoolValve())
+    >>> inversion = pam.plants.Inversion(valves)
+    >>> [v.name for v in inversion.inner.inputs]
+    ['muscle.opening']
     """
 
     plant: Plant

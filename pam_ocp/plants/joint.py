@@ -64,6 +64,13 @@ class AntagonisticJoint(Plant):
     States theta [rad], omega [rad/s] and those of feeds and losses. Outputs ``torque`` of the
     muscles [N m], ``stiffness`` [N m/rad] = -d(torque)/d(theta) at constant pressures, and the
     muscles' own.
+
+    Examples
+    --------
+    >>> joint = pam.AntagonisticJoint(muscle, inertia=0.05, moment_arm=0.04)
+    >>> rest = joint.equilibrium(theta=0.2, stiffness=30.0)
+    >>> [f"{rest[name] / 1e5:.2f} bar" for name in ("muscle1.pressure", "muscle2.pressure")]
+    ['3.64 bar', '2.70 bar']
     """
 
     def __init__(

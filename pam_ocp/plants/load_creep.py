@@ -33,6 +33,12 @@ class LoadCreep:
     Source: flow helped by load, H. Eyring, J. Chem. Phys. 4 (1936) 283-291, of which this is the
     first order; the form for a muscle is our choice. Where a record of one load only is at hand,
     use Creep. The states start at 0; see there.
+
+    Examples
+    --------
+    >>> loss = pam.losses.LoadCreep(stiffness=(500.0,), time=(2.0,), load=500.0)
+    >>> [v.name for v in pam.HangingLoad(muscle, losses=loss).states][-1]
+    'muscle.load_creep1'
     """
 
     stiffness: Sequence[float] = (500.0,)

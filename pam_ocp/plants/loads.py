@@ -40,7 +40,15 @@ FACTOR_WIDTH = 0.1
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Where loads act: a position, its velocity, and whether it is an angle."""
+    """Where loads act: a position, its velocity, and whether it is an angle.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> at = pam.loads.Coordinate(ca.SX.sym("x"), ca.SX.sym("v"))
+    >>> at.length, at.effort
+    ('m', 'N')
+    """
 
     position: ca.SX
     velocity: ca.SX
@@ -62,6 +70,13 @@ class Load(Protocol):
 
     ``inertia(plant, at)`` gives an expression, or ``inertia`` is a number: [kg], or [kg.m2] on a
     joint.
+
+    Examples
+    --------
+    >>> load: pam.loads.Load = pam.loads.Spring(1e3)
+    >>> sprung = pam.HangingLoad(muscle, loads=[load, pam.loads.ExternalForce("push")])
+    >>> [v.name for v in sprung.inputs]
+    ['muscle.command', 'push']
     """
 
     def force(self, plant: Declares, at: Coordinate) -> ca.SX:
@@ -71,7 +86,14 @@ class Load(Protocol):
 @LOADS.register(units={"start": ("N", "N.m")})
 @dataclass(frozen=True)
 class ExternalForce:
-    """The input ``<name>``: a force (or torque) from outside, a disturbance to plans."""
+    """The input ``<name>``: a force (or torque) from outside, a disturbance to plans.
+
+    Examples
+    --------
+    >>> pushed = pam.HangingLoad(muscle, 10.0, loads=pam.loads.ExternalForce("push"))
+    >>> [(v.name, v.disturbance) for v in pushed.inputs]
+    [('muscle.command', False), ('push', True)]
+    """
 
     name: str = "external_force"
     start: float = 0.0
@@ -91,7 +113,15 @@ class ExternalForce:
 @LOADS.register(units={"stiffness": ("N/m", "N.m/rad"), "rest": ("m", "rad")})
 @dataclass(frozen=True)
 class Spring:
-    """F = -k (position - rest)."""
+    """F = -k (position - rest).
+
+    Examples
+    --------
+    >>> sprung = pam.HangingLoad(muscle, 10.0, loads=pam.loads.Spring(1e3))
+    >>> force = sprung.equilibrium(x=0.04)["muscle.force"]
+    >>> print(f"{force:.2f} N")  # 10 kg and 40 mm of spring
+    138.07 N
+    """
 
     stiffness: float
     rest: float = 0.0
@@ -126,7 +156,14 @@ class Spring:
 @LOADS.register(units={"coefficient": ("N.s/m", "N.m.s/rad")})
 @dataclass(frozen=True)
 class Damper:
-    """F = -c velocity."""
+    """F = -c velocity.
+
+    Examples
+    --------
+    >>> damped = pam.HangingLoad(muscle, 10.0, loads=pam.loads.Damper(50.0))
+    >>> damped.variable("damper.coefficient").start
+    50.0
+    """
 
     coefficient: float
     name: str = "damper"
@@ -151,7 +188,14 @@ class Damper:
 @LOADS.register(units={"coulomb": ("N", "N.m"), "speed": ("m/s", "rad/s")})
 @dataclass(frozen=True)
 class DryFriction:
-    """F = -F_c tanh(velocity/v0): Coulomb friction of a guide, rounded off below the speed v0."""
+    """F = -F_c tanh(velocity/v0): Coulomb friction of a guide, rounded off below the speed v0.
+
+    Examples
+    --------
+    >>> rubbed = pam.HangingLoad(muscle, 10.0, loads=pam.loads.DryFriction(5.0))
+    >>> rubbed.variable("friction.coulomb").start
+    5.0
+    """
 
     coulomb: float
     speed: float = 1e-3
@@ -187,7 +231,14 @@ class DryFriction:
 @LOADS.register(units={"value": ("kg", "kg.m2")})
 @dataclass(frozen=True)
 class Inertia:
-    """More mass [kg] (or moment of inertia [kg.m2]) that moves along; no force."""
+    """More mass [kg] (or moment of inertia [kg.m2]) that moves along; no force.
+
+    Examples
+    --------
+    >>> heavier = pam.HangingLoad(muscle, 10.0, loads=pam.loads.Inertia(5.0))
+    >>> heavier.equilibrium(x=0.04)["muscle.pressure"] == point["muscle.pressure"]
+    True
+    """
 
     value: float
     name: str = "load_inertia"
@@ -227,6 +278,13 @@ class Wall:
     [N or N.m] of k d (the polynomial of :func:`force.clamp`), and damping with it, so the force has
     no jump. Adds the output ``<name>.gap``, whose zero crossing
     is the event of contact.
+
+    Examples
+    --------
+    >>> stopped = pam.HangingLoad(muscle, 10.0, loads=pam.loads.Wall(0.040))
+    >>> rest = stopped.equilibrium({"muscle.command": 4e5})
+    >>> 0.040 < rest["x"] < 0.045 < plant.equilibrium({"muscle.command": 4e5})["x"]
+    True
     """
 
     position: float
@@ -296,12 +354,28 @@ class Wall:
 
 
 def as_loads(value: Any) -> tuple[Load, ...]:
-    """Loads: one of them, several, or none."""
+    """Loads: one of them, several, or none.
+
+    Examples
+    --------
+    >>> pam.loads.as_loads(None), len(pam.loads.as_loads(pam.loads.Spring(1e3)))
+    ((), 1)
+    """
     return cast("tuple[Load, ...]", components("loads", value, "Spring(1e3)"))
 
 
 def applied(plant: Declares, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
-    """(sum of the forces, sum of the added inertias) of all loads at a coordinate."""
+    """(sum of the forces, sum of the added inertias) of all loads at a coordinate.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> own = pam.Plant("own")
+    >>> at = pam.loads.Coordinate(ca.SX.sym("x"), ca.SX.sym("v"))
+    >>> force, inertia = pam.loads.applied(own, pam.loads.Inertia(2.0), at)
+    >>> [p.name for p in own.parameters]
+    ['load_inertia']
+    """
     force, inertia = ca.SX(0), ca.SX(0)
     for load in as_loads(loads):
         force += load.force(plant, at)

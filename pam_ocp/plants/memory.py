@@ -47,6 +47,14 @@ class BoucWen:
     Source: R. Bouc 1967, Y.-K. Wen, J. Eng. Mech. Div. 102 (1976) 249-263; dissipation for
     beta >= |gamma|: F. Ikhouane, J. Rodellar, Systems with Hysteresis, 2007. Normalised so that
     beta + gamma = 1.
+
+    Examples
+    --------
+    >>> sticky = pam.HangingLoad(muscle, 10.0, losses=pam.losses.BoucWen(friction=20.0))
+    >>> up = sticky.equilibrium({"muscle.command": 3e5}, memory="below")
+    >>> down = sticky.equilibrium({"muscle.command": 3e5}, memory="above")
+    >>> up["x"] < down["x"]
+    True
     """
 
     friction: float = 20.0
@@ -128,6 +136,14 @@ class MaxwellSlip:
 
     Source: W. D. Iwan, J. Appl. Mech. 33 (1966) 893-900; for muscles T. Vo-Minh et al.,
     IEEE/ASME Trans. Mechatronics 16 (2011) 177-186. The default is an example, no measurement.
+
+    Examples
+    --------
+    >>> loss = pam.losses.MaxwellSlip(friction=(6.0, 4.0), yield_contraction=(0.002, 0.01))
+    >>> sticky = pam.HangingLoad(muscle, 10.0, losses=loss)
+    >>> rest = sticky.equilibrium({"muscle.command": 3e5}, memory="below")
+    >>> print(f"{rest['muscle.loss']:.1f} N")  # both have slid: 6 + 4
+    10.0 N
     """
 
     friction: Sequence[float] = (6.0, 6.0, 4.0, 4.0)
@@ -215,6 +231,12 @@ class Creep:
 
     The states start at 0, as after a long rest at rest length; set them to the contraction for a
     muscle that has settled there.
+
+    Examples
+    --------
+    >>> loss = pam.losses.Creep(stiffness=(500.0, 300.0), time=(1.0, 10.0))
+    >>> [v.name for v in pam.HangingLoad(muscle, losses=loss).states][-2:]
+    ['muscle.creep1', 'muscle.creep2']
     """
 
     stiffness: Sequence[float] = (500.0,)

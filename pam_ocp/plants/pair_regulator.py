@@ -34,6 +34,12 @@ class PairRegulator(Regulator):
 
     The feed of a plant with two muscles. In a plant of your own, with muscles "flexor" and
     "extensor", ``first, second = feed.pair(plant, muscle)`` gives the feed of each.
+
+    Examples
+    --------
+    >>> pair = pam.AntagonisticSlide(muscle, 2.0, feed=pam.feeds.PairRegulator(base=2.5e5))
+    >>> [v.name for v in pair.inputs]
+    ['difference']
     """
 
     base: float = 2.5e5

@@ -140,6 +140,17 @@ class Plant:
     input. Values are changed by :meth:`with_values`, which shares the expressions (no rebuilding).
 
     Raises InputError for duplicate names, missing equations, or symbols that nothing declares.
+
+    Examples
+    --------
+    >>> own = pam.Plant("mass", "a mass on a spring")
+    >>> x, v = own.state("x", unit="m", start=0.1), own.state("v", unit="m/s")
+    >>> m = own.parameter("mass", 4.0, unit="kg", min=1e-9)
+    >>> own.der(x, v)
+    >>> own.der(v, -100 * x / m)
+    >>> run = pam.simulate(own, t=[0.0, np.pi / 5])  # sqrt(100/4) = 5 rad/s: half a period
+    >>> print(f"{run['x'][-1]:.4f}")
+    -0.1000
     """
 
     def __init__(self, name: str, description: str = "") -> None:

@@ -17,7 +17,15 @@ from ..muscles.pneumatic_muscle import Muscle
 from .kinds import PLANTS
 from .plant import Plant
 
-__all__ = ["builder_of", "component_of", "muscle_of", "named_plant", "plant_of", "require_allowed"]
+__all__ = [
+    "builder_of",
+    "component_of",
+    "member_of",
+    "muscle_of",
+    "named_plant",
+    "plant_of",
+    "require_allowed",
+]
 
 OWN = "FILE.py:NAME"
 """How a plant of one's own is named."""
@@ -62,7 +70,7 @@ def named_plant(
         made: Plant = PLANTS.find("plant", name, OWN)(muscle, **parts)
         return made
     require_allowed(f"{name!r} would run the Python file {file}", allow_code)
-    found = _member((folder or Path()) / file, member)
+    found = member_of((folder or Path()) / file, member)
     plant = found if isinstance(found, Plant) else found(muscle, **parts)
     if not isinstance(plant, Plant):
         raise InputError(f"{name} gives {type(plant).__name__}, not a Plant")
@@ -201,8 +209,8 @@ def _component(where: str, argument: str, value: Any) -> Any:
     return _built(where, kinds, kinds.name(f"{where}.kind", kind), given)
 
 
-def _member(file: Path, member: str) -> Any:
-    """A name of a Python file."""
+def member_of(file: Path, member: str) -> Any:
+    """A name of a Python file, which is run. Raises InputError, UnknownNameError."""
     spec = importlib.util.spec_from_file_location("users_plant", file)
     if spec is None or spec.loader is None or not file.is_file():
         raise InputError(f"{file}: no such Python file")

@@ -33,6 +33,12 @@ class SlipElements:
     stiffness : of each spring [N per unit of contraction]. upper, lower : [N], as many.
 
     Raises InputError for series of different length, or what is not > 0.
+
+    Examples
+    --------
+    >>> elements = pam.losses.SlipElements([1000.0], upper=[5.0], lower=[3.0])
+    >>> elements.force([0.01, 0.0])
+    array([ 5., -3.])
     """
 
     stiffness: Sequence[float]

@@ -52,6 +52,13 @@ class PrandtlIshlinskii:
     operators for the two ways: Y. Liu et al., Strojniski vestnik 63 (2017) 56-64 (its abstract was
     read: loops of length over pressure; here force over contraction, from which those follow).
     The default is an example, no measurement.
+
+    Examples
+    --------
+    >>> one = {"contracting": (10.0,), "relaxing": (6.0,), "yield_contraction": (0.004,)}
+    >>> loss = pam.losses.PrandtlIshlinskii(**one)
+    >>> loss.elements(0.0).force([0.05, -0.05])  # 10 (1 + 2 x 0.05), then -6
+    array([11., -6.])
     """
 
     contracting: Sequence[float] = (10.0, 8.0)

@@ -29,6 +29,13 @@ class QuickExhaust:
     threshold, band : [Pa]. Their defaults are our choice.
 
     The lip that shuts the tube while it vents is left out: a little air goes back through the tube.
+
+    Examples
+    --------
+    >>> vent = pam.feeds.QuickExhaust()
+    >>> feed = pam.feeds.SpoolValve(tube=pam.feeds.Tube(), quick_exhaust=vent)
+    >>> len(pam.HangingLoad(muscle, feed=feed).states)
+    4
     """
 
     conductance: float = conductance_from_flow(700.0)

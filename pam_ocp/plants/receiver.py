@@ -55,6 +55,13 @@ class Receiver:
 
     State ``<name>.air_pressure`` [Pa gauge]; outputs ``<name>.air_mass`` [kg] and ``<name>.inflow``
     (from the source [kg/s]).
+
+    Examples
+    --------
+    >>> tank = pam.feeds.Receiver(2e-3, pressure=6e5)
+    >>> both = pam.AntagonisticSlide(muscle, feed=pam.feeds.SpoolValve(supply=tank))
+    >>> [v.name for v in both.states if "receiver" in v.name]  # one for both muscles
+    ['receiver.air_pressure']
     """
 
     volume: float = 2e-3

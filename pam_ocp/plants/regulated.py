@@ -45,6 +45,12 @@ class PositionFeedback:
 
     Declares the state ``<name>.pressure``, the inputs ``<name>.set_pressure`` and
     ``<name>.reference`` [m], the output ``<name>.command``, and all of the above as parameters.
+
+    Examples
+    --------
+    >>> followed = pam.HangingLoad(muscle, 10.0, feed=pam.PositionFeedback(gain=5e5))
+    >>> [v.name for v in followed.inputs]
+    ['muscle.set_pressure', 'muscle.reference']
     """
 
     gain: float = 1e6
@@ -173,6 +179,13 @@ class RegulatedLoad(HangingLoad):
 
     States x [m] (upwards), v [m/s], muscle.pressure [Pa]; inputs muscle.set_pressure [Pa] and
     muscle.reference [m]; so an equilibrium takes two conditions.
+
+    Examples
+    --------
+    >>> regulated = pam.RegulatedLoad(muscle, mass=10.0, gain=5e5)
+    >>> rest = regulated.equilibrium({"x": 0.04, "muscle.reference": 0.04})
+    >>> rest.stability
+    'stable'
     """
 
     def __init__(

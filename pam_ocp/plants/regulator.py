@@ -72,6 +72,12 @@ class Regulator:
     All of them are parameters of the plant (``<name>.lag``, ``.venting_lag``, ``.slew``,
     ``.venting_slew``, ``.dead_time``, ``.gain``, ``.bias``); the output ``<name>.set_pressure``
     shows what the command asks for, where that is not the command itself.
+
+    Examples
+    --------
+    >>> feed = pam.feeds.Regulator(lag=0.05, max_pressure=6e5, gain=1e5)
+    >>> pam.HangingLoad(muscle, feed=feed).variable("muscle.command").unit
+    'V'
     """
 
     lag: float = 0.05

@@ -32,6 +32,13 @@ class Sensor:
     resolution the output ``x.reading`` is ``x.measured`` rounded to whole steps: it has no slopes,
     so that fits, plans and linear models look at ``x.measured``, to which the steps are noise of
     resolution/sqrt(12).
+
+    Examples
+    --------
+    >>> seen = pam.HangingLoad(muscle, 10.0)
+    >>> seen.add_sensor("x", pam.plants.Sensor(filter=0.01))
+    >>> "x.measured" in [v.name for v in seen.outputs]
+    True
     """
 
     gain: float = 1.0

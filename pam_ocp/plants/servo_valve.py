@@ -39,6 +39,12 @@ class ServoValve(SpoolValve):
 
     Inputs ``<name>.set_pressure`` [Pa] and ``<name>.reference`` [m], each where its gain is not 0;
     output ``<name>.command``; gains and lag are parameters.
+
+    Examples
+    --------
+    >>> valve = pam.feeds.ServoValve(pressure_gain=2e-5, leak=2e-10)
+    >>> [v.name for v in pam.HangingLoad(muscle, feed=valve).inputs]
+    ['muscle.set_pressure']
     """
 
     pressure_gain: float = 2e-5

@@ -40,6 +40,13 @@ class AntagonisticSlide(Plant):
 
     States x [m], v [m/s], those of feeds and losses; outputs of both muscles, and ``stiffness``.
     With equal muscles the plant is its own mirror image (x -> -x, muscle 1 <-> muscle 2).
+
+    Examples
+    --------
+    >>> slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.10)
+    >>> rest = slide.equilibrium(x=0.0, stiffness=2e4)
+    >>> abs(rest["muscle1.pressure"] - rest["muscle2.pressure"]) < 1.0
+    True
     """
 
     def __init__(

@@ -39,6 +39,12 @@ class Preconditioning:
     erf[(Wm - W)/m], with tanh for erf and the contraction in place of the energy W (our
     simplifications: for one spring both grow together). L. Mullins, Rubber Chem. Technol. 42 (1969)
     339-362. Neither could be read here: the form is that of the manuals of finite-element codes.
+
+    Examples
+    --------
+    >>> loss = pam.losses.Preconditioning(stiffness=300.0, softening=0.3, reached=0.1)
+    >>> [v.name for v in pam.HangingLoad(muscle, losses=loss).states][-1]
+    'muscle.reached'
     """
 
     stiffness: float = 300.0

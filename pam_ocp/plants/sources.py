@@ -40,6 +40,13 @@ class Compressor:
     pressure : gauge pressure at which it delivers nothing any more [Pa]. band : below that, over
         which the flow falls to nothing: in place of a switch, so it never cycles.
     temperature : of the air delivered, after its cooler [K].
+
+    Examples
+    --------
+    >>> tank = pam.feeds.Receiver(2e-3, source=pam.feeds.Compressor(flow=1.67e-3))
+    >>> fed = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.SpoolValve(supply=tank))
+    >>> fed.variable("receiver.air_pressure").start
+    600000.0
     """
 
     flow: float = 1e-3
@@ -95,6 +102,13 @@ class PressureRegulator:
     relief : 0 .. 1; 0 for none: then any pressure above the set one is one of rest.
 
     Its own motion is left out.
+
+    Examples
+    --------
+    >>> source = pam.feeds.PressureRegulator(pressure=5e5, line=8e5)
+    >>> feed = pam.feeds.SpoolValve(supply=pam.feeds.Receiver(source=source))
+    >>> "receiver.inflow" in [v.name for v in pam.HangingLoad(muscle, feed=feed).outputs]
+    True
     """
 
     pressure: float = 6e5

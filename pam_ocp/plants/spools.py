@@ -33,6 +33,12 @@ class FirstOrderSpool:
 
     time : [s]; 2 to 20 ms are usual. hysteresis : width between the way up and down as part of the
         travel, 0 .. 0.2 (data sheets say some 0.004); 0 for none.
+
+    Examples
+    --------
+    >>> feed = pam.feeds.SpoolValve(spool=pam.feeds.FirstOrderSpool(time=0.01))
+    >>> "muscle.valve.spool" in [v.name for v in pam.HangingLoad(muscle, feed=feed).states]
+    True
     """
 
     time: float = 5e-3
@@ -66,6 +72,12 @@ class SecondOrderSpool:
     frequency : natural frequency [Hz]. damping : ratio; below 0.7 it overshoots visibly, and the
         opening then exceeds 1: end stops are left out.
     hysteresis : see :class:`FirstOrderSpool`.
+
+    Examples
+    --------
+    >>> feed = pam.feeds.SpoolValve(spool=pam.feeds.SecondOrderSpool(frequency=60.0))
+    >>> len(pam.HangingLoad(muscle, feed=feed).states)
+    5
     """
 
     frequency: float = 60.0

@@ -58,6 +58,12 @@ class Tube:
     of more than a metre the delay of length/343 m/s is missing; :class:`LumpedTube` has it.
 
     volume : [m3]. lag : time constant [s].
+
+    Examples
+    --------
+    >>> feed = pam.feeds.SpoolValve(tube=pam.feeds.Tube(volume=2e-5, lag=0.01))
+    >>> len(pam.HangingLoad(muscle, feed=feed).states)
+    4
     """
 
     volume: float = 10e-6
@@ -112,6 +118,12 @@ class LumpedTube:
     air's kinetic energy (Mach numbers to some 0.3), frequency-dependent friction, a temperature of
     its own (what leaves it is as warm as the surroundings), a soft wall. The number of segments
     limits what it shows: n segments carry waves to about n/4 per passage time length/343 m/s.
+
+    Examples
+    --------
+    >>> feed = pam.feeds.SpoolValve(tube=pam.feeds.LumpedTube(2.0, 0.004, segments=2))
+    >>> len(pam.HangingLoad(muscle, feed=feed).states)
+    7
     """
 
     length: float = 1.0

@@ -21,6 +21,12 @@ def without_dead_times(plant: Plant) -> Plant:
     was a dead time ago. The command itself stays an input, so that nothing else changes its place.
     Whoever drives this plant (a simulator's own transport delay around an FMU of it) delays
     exactly. Values are kept; the plant itself where it has no dead times.
+
+    Examples
+    --------
+    >>> late = pam.HangingLoad(muscle, feed=pam.feeds.Regulator(dead_time=0.02))
+    >>> [v.name for v in pam.plants.without_dead_times(late).inputs]
+    ['muscle.command', 'muscle.delay4']
     """
     require_plant(plant)
     if not plant.delay_lines:

@@ -31,7 +31,13 @@ def _catalogue() -> dict[str, dict[str, Any]]:
 
 
 def valve_names() -> list[str]:
-    """The names that :func:`valve` knows."""
+    """The names that :func:`valve` knows.
+
+    Examples
+    --------
+    >>> len(pam.feeds.valve_names()) > 2
+    True
+    """
     return list(_catalogue())
 
 
@@ -53,6 +59,12 @@ def valve(name: str, **arguments: Any) -> GasFeed:
         catalogue's. See :func:`valve_entry` for the source, and what it does not know.
 
     Raises UnknownNameError with the nearest names.
+
+    Examples
+    --------
+    >>> feed = pam.feeds.valve(pam.feeds.valve_names()[0], supply=5e5)
+    >>> feed.supply
+    500000.0
     """
     entry = valve_entry(name)
     known = {key: entry[key] for key in _TAKEN if key in entry}

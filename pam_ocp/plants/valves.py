@@ -313,6 +313,13 @@ class SpoolValve(GasFeed):
     Controllers choose ``<name>.opening`` instead of the command, how far the way from the supply
     (> 0) or to ambient (< 0) is open, and send the command that gives exactly that; see
     :meth:`Plant.in_openings`. A spool that moves has no such inverse: they choose its command.
+
+    Examples
+    --------
+    >>> valves = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.SpoolValve(supply=6e5))
+    >>> filled = pam.simulate(valves, {"muscle.command": 0.5}, duration=1.0)
+    >>> print(f"{filled['muscle.pressure'][-1] / 1e5:.1f} bar")
+    6.0 bar
     """
 
     overlap: float = 0.02
@@ -413,6 +420,12 @@ class OnOffValves(GasFeed):
 
     Controllers choose ``<name>.opening`` instead, the duty of filling (> 0) or of venting (< 0):
     never are both open. See :meth:`Plant.in_openings`.
+
+    Examples
+    --------
+    >>> switched = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.OnOffValves())
+    >>> [v.name for v in switched.inputs]
+    ['muscle.fill', 'muscle.vent']
     """
 
     def openings(self, plant: Declares, name: str) -> tuple[ca.SX, ca.SX]:

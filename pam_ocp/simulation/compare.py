@@ -41,7 +41,14 @@ class Agreement:
 @shown
 @dataclass(frozen=True)
 class RecordComparison:
-    """A simulation against a record, over their common time."""
+    """A simulation against a record, over their common time.
+
+    Examples
+    --------
+    >>> found = pam.simulation.compare_with_record(motion, motion)
+    >>> found.shift, [a.name for a in found.agreements][:2]
+    (0.0, ['x', 'v'])
+    """
 
     shift: float
     """The record lags behind the simulation by this time [s] (0 when not aligned)."""
@@ -86,6 +93,13 @@ def compare_with_record(
         a sample. 0 takes the clocks as they are.
 
     Raises InputError when nothing can be compared (no common column, no common time).
+
+    Examples
+    --------
+    >>> late = pam.Trajectory(motion.t + 0.01, {"x": motion["x"]})
+    >>> found = pam.simulation.compare_with_record(motion, late, max_shift=0.05)
+    >>> print(f"{found.shift:.4f}")
+    0.0100
     """
     if max_shift:
         max_shift = require_positive("max_shift", max_shift, "s")

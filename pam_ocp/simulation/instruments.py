@@ -44,6 +44,13 @@ class Instrument:
     delay : [s], of any length: nothing newer is read.
 
     Texts such as "0.02 mm" or "5 ms" are numbers too, where the unit fits the quantity.
+
+    Examples
+    --------
+    >>> encoder = pam.simulation.Instrument(resolution="1 mm", delay="10 ms")
+    >>> read = pam.simulation.measured(motion, {"x": encoder})
+    >>> bool(np.allclose(1e3 * read["x"], np.round(1e3 * read["x"])))
+    True
     """
 
     filter: float = 0.0
@@ -189,6 +196,13 @@ def measured(
     seed : of noise and wander. The quantity between the motion's samples is a straight line.
 
     Raises InputError, UnknownNameError.
+
+    Examples
+    --------
+    >>> encoder = pam.simulation.Instrument(resolution="1 mm")
+    >>> read = pam.simulation.measured(motion, {"x": encoder}, sample_time="10 ms")
+    >>> bool(np.allclose(read["x"] * 1e3, np.round(read["x"] * 1e3)))
+    True
     """
     require_instance("motion", motion, Trajectory, "give a Trajectory, such as simulate() returns")
     variables = {n: motion.variable(n) for n in sensors}

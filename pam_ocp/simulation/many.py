@@ -28,7 +28,15 @@ __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
 @shown
 @dataclass(frozen=True)
 class ManySimulations:
-    """Results of many simulations in the order of their cases; a failed one holds its error."""
+    """Results of many simulations in the order of their cases; a failed one holds its error.
+
+    Examples
+    --------
+    >>> cases = pam.simulation.sweep(mass=[5.0, 10.0])
+    >>> many = pam.simulate_many(plant, cases, duration=0.1)
+    >>> len(many.results), many.failures
+    (2, {})
+    """
 
     cases: tuple[Case, ...]
     results: tuple[Trajectory | Exception, ...] = field(repr=False)
@@ -56,6 +64,12 @@ def sweep(**values: Sequence[float]) -> list[dict[str, Any]]:
     """Cases for every combination of parameter values: ``sweep(mass=[1, 2], damping=[10, 20])``.
 
     ``_`` may stand for the dot in a name.
+
+    Examples
+    --------
+    >>> cases = pam.simulation.sweep(mass=[1.0, 2.0], muscle_lag=[0.05, 0.1])
+    >>> len(cases), cases[0]
+    (4, {'parameters': {'mass': 1.0, 'muscle_lag': 0.05}})
     """
     return [
         {"parameters": dict(zip(values, combination, strict=True))}
@@ -70,6 +84,12 @@ def draws(
 
     values : {parameter: mean}; covariance : (n, n) in their order; prefix : put before each name
     (``"muscle1."``, or several muscles of one fit: repeat with the same seed and merge).
+
+    Examples
+    --------
+    >>> cases = pam.simulation.draws(fit.law.values, fit.covariance, 3, prefix="muscle.", seed=1)
+    >>> len(cases), sorted(cases[0]["parameters"])[:2]
+    (3, ['muscle.a1', 'muscle.a2'])
     """
     matrix = np.asarray(covariance, float)
     if matrix.shape != (len(values), len(values)):
@@ -149,6 +169,13 @@ def simulate_many(
 
     Raises InputError when a case or a common argument is not one of those, and for a folder that
     holds something else.
+
+    Examples
+    --------
+    >>> cases = pam.simulation.sweep(mass=[5.0, 10.0, 20.0])
+    >>> many = pam.simulate_many(plant, cases, inputs={"muscle.command": 4e5}, duration=2.0)
+    >>> [f"{run['x'][-1]:.3f}" for run in many.results]
+    ['0.061', '0.057', '0.049']
     """
     if chunk is not None:
         require_count("chunk", chunk)

@@ -82,6 +82,15 @@ def simulate(
 
     Raises InputError for bad arguments, SimulationError (with the time reached and the part
     computed so far) when the integrator cannot go on.
+
+    Examples
+    --------
+    >>> motion = pam.simulate(plant, {"muscle.command": 3e5}, duration=2.0)
+    >>> print(f"{motion['x'][-1]:.3f}")
+    0.045
+    >>> rest = plant.equilibrium({"muscle.command": 3e5})
+    >>> bool(abs(motion["x"][-1] - rest["x"]) < 1e-4)
+    True
     """
     require_plant(plant)
     if parameters is not None:

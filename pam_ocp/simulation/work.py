@@ -23,7 +23,14 @@ FINER = 8
 @shown
 @dataclass(frozen=True)
 class StrokeWork:
-    """Mechanical work of one muscle over a stroke."""
+    """Mechanical work of one muscle over a stroke.
+
+    Examples
+    --------
+    >>> work = pam.simulation.stroke_work(motion)["muscle"]
+    >>> work.work > 0, work.efficiency is None
+    (True, True)
+    """
 
     muscle: str
     work: float
@@ -59,6 +66,11 @@ def stroke_work(
         work.
 
     Raises InputError when there is no power, or no sample between begin and end.
+
+    Examples
+    --------
+    >>> round(pam.simulation.stroke_work(motion)["muscle"].work, 1)  # J
+    18.3
     """
     require_instance("motion", motion, Trajectory, "give what simulate() returned")
     low = motion.t[0] if begin is None else require_finite("begin", begin, "s")

@@ -1,4 +1,4 @@
-"""Jobs that use everything: the tour, the study of loads."""
+"""Jobs that use everything: the tour, the study of loads, studies out of one file."""
 
 from ..core.lazy import from_stub
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
-import warnings
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -46,12 +46,15 @@ class Kept:
         """What was kept; None where there is nothing, or nothing that can be read."""
         if key not in self:
             return None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what is damaged is made anew
-            try:
-                found: dict[str, Any] = self._results(key, _nothing)
-            except _NothingKept:
-                return None
+        log = logging.getLogger("joblib")
+        before = log.level
+        log.setLevel(logging.CRITICAL)  # what is damaged is made anew, without a word
+        try:
+            found: dict[str, Any] = self._results(key, _nothing)
+        except _NothingKept:
+            return None
+        finally:
+            log.setLevel(before)
         return found
 
     def put(self, key: str, result: dict[str, Any]) -> None:

@@ -69,7 +69,14 @@ class LoadCase:
 @shown
 @dataclass(frozen=True)
 class LoadStudy:
-    """All cases, load by load."""
+    """All cases, load by load.
+
+    Examples
+    --------
+    >>> study = pam.load_study(muscle, masses=10.0, pressures=3e5, duration=1.0)
+    >>> study.cases[0].mass, round(study.cases[0].frequency, 2)
+    (10.0, 4.7)
+    """
 
     muscle: str
     step: float
@@ -146,6 +153,12 @@ def load_study(
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for masses, pressures or a step that are not positive.
+
+    Examples
+    --------
+    >>> study = pam.load_study(muscle, masses=[5.0, 10.0], pressures=3e5, duration=1.0)
+    >>> study.cases[1].frequency < study.cases[0].frequency
+    True
     """
     muscle = as_muscle(muscle)
     weights = _several("masses", masses, "kg")

@@ -15,91 +15,28 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from ..core.errors import InputError, PamError, UnknownNameError, require_count
+from ..core.errors import InputError, PamError, require_count
 from ..core.files import atomic_path, make_folder, read_json, reading, write_json
 from ..core.interrupts import interruptible
 from ..core.progress import Bar, working
-from ..core.shown import shown
 from ..core.stop import check, limited
 from .kept_results import Kept, digest_of, file_digest, own_digest, versions
 from .study_file import Entry, Study, read_study
+from .study_result import StudyResult, StudyStep
 from .working import digest_of_files, rehearse, work
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["StudyResult", "StudyStep", "run_study"]
+__all__ = ["run_study"]
 
 LOG = logging.getLogger(__name__)
 MANIFEST = "study.json"
 FORMAT = "pam_ocp study 1"
 REPORT = "report.html"
 SUMMARY = "summary.csv"
-
-
-@dataclass(frozen=True)
-class StudyStep:
-    """What became of a step."""
-
-    name: str
-    kind: str
-    state: str
-    """"done" (now), "kept" (from an earlier run), "failed", or "left out" (stands on one that
-    failed).
-    """
-    verdict: str = ""
-    good: bool = True
-    numbers: Mapping[str, tuple[float, str]] = field(default_factory=dict)
-    """{name: (value in SI, unit)}"""
-    seconds: float = 0.0
-    """That it took when it was done."""
-    folder: Path = Path()
-    made: Mapping[str, Any] = field(default_factory=dict, repr=False)
-
-
-@shown
-@dataclass(frozen=True)
-class StudyResult:
-    """A study that was run: its steps by name, its folder, its report."""
-
-    title: str
-    folder: Path
-    steps: Mapping[str, StudyStep]
-    report: Path
-
-    @property
-    def ok(self) -> bool:
-        """Whether every step was done, and every verdict is good."""
-        return all(s.good for s in self.steps.values())
-
-    def __getitem__(self, name: str) -> StudyStep:
-        if name not in self.steps:
-            raise UnknownNameError("step of the study", name, self.steps)
-        return self.steps[name]
-
-    def to_pandas(self) -> pd.DataFrame:
-        """A row for each step: kind, state, verdict, good, seconds."""
-        import pandas as pd
-
-        names = ("kind", "state", "verdict", "good", "seconds")
-        rows = [[getattr(s, n) for n in names] for s in self.steps.values()]
-        return pd.DataFrame(rows, index=list(self.steps), columns=list(names))
-
-    def __str__(self) -> str:
-        own = {n: s for n, s in self.steps.items() if "[" not in n}
-        width = max(len(n) for n in own) + 2
-        lines = [f"{self.title}: {'all well' if self.ok else 'NOT all well'}"]
-        lines += [
-            f"{'✓' if s.good else '✗'} {n:<{width}}{s.kind:<11}{s.state:<9} {s.verdict}"
-            for n, s in own.items()
-        ]
-        return "\n".join(lines)
 
 
 def run_study(

@@ -98,6 +98,7 @@ def read_study(path: str | Path) -> Study:
         if not said:
             raise InputError("steps is empty: give at least one table [steps.NAME] with its kind")
         entries = {n: _entry(n, table(f"steps.{n}", v), said) for n, v in said.items()}
+        _order(entries)  # a circle would have no end
         for entry in entries.values():
             _require_offers(entry, entries)
         for entry in list(entries.values()):
@@ -173,7 +174,6 @@ def _repeated(sweep: Entry, entries: Mapping[str, Entry]) -> dict[str, Entry]:
     plain = {n: e for n, e in entries.items() if e.kind != "sweep" and "[" not in n}
     if of not in plain:
         raise UnknownNameError(f"{where}.of", of, plain)
-    _order(plain)  # a circle would have no end
     below = _below(of, plain)
     cases = cases_of(where, sweep.said["vary"])
     for target in cases[0]:

@@ -15,7 +15,7 @@ from .steps.step import STAGES, STEPS, csv_text
 from .study_file import Entry, Study
 
 if TYPE_CHECKING:
-    from .study import StudyStep
+    from .study_result import StudyStep
 
 __all__ = ["study_report", "summary"]
 

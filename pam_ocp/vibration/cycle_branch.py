@@ -48,7 +48,15 @@ LEAST_COSINE = 0.9
 @shown
 @dataclass(frozen=True)
 class CycleBranch:
-    """Limit cycles along a branch, in the order in which they were found."""
+    """Limit cycles along a branch, in the order in which they were found.
+
+    Examples
+    --------
+    >>> small = pam.vibration.limit_cycle(border.plant, border, amplitude={"x": 2e-3})
+    >>> found = pam.vibration.continue_cycle(small, "muscle.gain", (1e5, 1e7), most=3)
+    >>> len(found.cycles), found.stable.shape
+    (3, (3,))
+    """
 
     parameter: str
     cycles: tuple[LimitCycle, ...]
@@ -143,6 +151,13 @@ def continue_cycle(
 
     Raises InputError for bad arguments. A branch that cannot be followed further is no error: what
     was found is returned, and ``ended`` says why it ends.
+
+    Examples
+    --------
+    >>> small = pam.vibration.limit_cycle(border.plant, border, amplitude={"x": 2e-3})
+    >>> found = pam.vibration.continue_cycle(small, "muscle.gain", (1e5, 1e7), most=3)
+    >>> bool(found.amplitudes("x")[-1] > small.amplitude("x"))
+    True
     """
     variable, low, high = _range(cycle, parameter, within)
     if direction not in ("larger", "smaller", "up", "down"):

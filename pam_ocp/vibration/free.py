@@ -34,6 +34,13 @@ class FreeVibration:
     """A motion that was let go beside a point of rest, cycle by cycle.
 
     A cycle runs from one rising passage through rest to the next.
+
+    Examples
+    --------
+    >>> held = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.IdealPressure())
+    >>> swing = pam.vibration.free_vibration(held, {"muscle.pressure": 3e5}, 5e-3, cycles=5)
+    >>> round(swing.damping_ratio, 2)
+    0.1
     """
 
     trajectory: Trajectory
@@ -107,6 +114,13 @@ class Backbone:
 
     offsets, amplitudes, lows, highs [unit of the state], frequencies [Hz] : (n,) each;
     the turning points are deviations from rest.
+
+    Examples
+    --------
+    >>> held = pam.HangingLoad(muscle, 10.0, damping=0.0, feed=pam.feeds.IdealPressure())
+    >>> found = pam.vibration.backbone(held, {"muscle.pressure": 3e5}, [1e-3, 1e-2])
+    >>> found.frequencies.round(2)
+    array([4.7, 4.7])
     """
 
     state: str
@@ -157,6 +171,13 @@ def free_vibration(
     for bad arguments, SimulationError when the integration fails.
 
     time_limit : [s]; OutOfTime when it is over before there is a result.
+
+    Examples
+    --------
+    >>> held = pam.HangingLoad(muscle, 10.0, feed=pam.feeds.IdealPressure())
+    >>> swing = pam.vibration.free_vibration(held, {"muscle.pressure": 3e5}, 5e-3, cycles=5)
+    >>> print(f"{swing.frequency:.2f} Hz, damping ratio {swing.damping_ratio:.2f}")
+    4.68 Hz, damping ratio 0.10
     """
     point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     plant = point.plant
@@ -246,6 +267,13 @@ def backbone(
     Arguments as in :func:`free_vibration`.
 
     time_limit : [s]; OutOfTime when it is over before there is a result.
+
+    Examples
+    --------
+    >>> held = pam.HangingLoad(muscle, 10.0, damping=0.0, feed=pam.feeds.IdealPressure())
+    >>> found = pam.vibration.backbone(held, {"muscle.pressure": 3e5}, [1e-3, 5e-3])
+    >>> found.amplitudes.round(4)
+    array([0.001, 0.005])
     """
     starts = np.atleast_1d(np.asarray(offsets, dtype=float))
     if not starts.size:

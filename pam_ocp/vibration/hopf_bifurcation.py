@@ -40,7 +40,13 @@ FINER = 2
 @shown
 @dataclass(frozen=True)
 class HopfPoint:
-    """A point of rest with a pair of eigenvalues +-i omega."""
+    """A point of rest with a pair of eigenvalues +-i omega.
+
+    Examples
+    --------
+    >>> border.value > 1e5, round(border.frequency, 1), border.supercritical
+    (True, 2.9, True)
+    """
 
     point: OperatingPoint
     """The point of rest; ``point.plant`` holds the parameters of the Hopf point."""
@@ -83,7 +89,16 @@ class HopfPoint:
 
 @dataclass(frozen=True)
 class HopfBorder:
-    """The border between rest and vibration over two parameters."""
+    """The border between rest and vibration over two parameters.
+
+    Examples
+    --------
+    >>> rest = {"x": 0.04, "muscle.reference": 0.04}
+    >>> gain, lags = "muscle.gain", [0.1, 0.2]
+    >>> found = pam.vibration.hopf_border(regulated, gain, (1e5, 1e7), "muscle.lag", lags, rest)
+    >>> found.border.shape, found.reasons
+    ((2,), {})
+    """
 
     parameter: str
     over: str
@@ -140,6 +155,13 @@ def hopf(
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError when no pair crosses in the bracket, UnknownNameError, EquilibriumError.
+
+    Examples
+    --------
+    >>> rest = {"x": 0.04, "muscle.reference": 0.04}
+    >>> found = pam.vibration.hopf(regulated, "muscle.gain", (1e5, 1e7), rest)
+    >>> print(f"{found.value / 1e5:.2f} bar/m, {found.frequency:.2f} Hz")
+    13.83 bar/m, 2.87 Hz
     """
     given = {**(conditions or {}), **more}
     low, high = (plant.variable(parameter).check(b, "bracket") for b in bracket)
@@ -336,6 +358,14 @@ def hopf_border(
 
     Raises InputError when no border is found for any value; single failures are NaN in ``border``,
     with the reason in ``reasons``.
+
+    Examples
+    --------
+    >>> rest = {"x": 0.04, "muscle.reference": 0.04}
+    >>> gain, lags = "muscle.gain", [0.1, 0.2]
+    >>> found = pam.vibration.hopf_border(regulated, gain, (1e5, 1e7), "muscle.lag", lags, rest)
+    >>> bool(np.isfinite(found.border).all())
+    True
     """
     given = {plant.variable(n).name: v for n, v in {**(conditions or {}), **more}.items()}
     second = plant.variable(over)

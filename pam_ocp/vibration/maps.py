@@ -41,7 +41,16 @@ SETTLED = 1e-3
 @shown
 @dataclass(frozen=True)
 class HopfMap:
-    """A parameter at the border between rest and vibration, over two values."""
+    """A parameter at the border between rest and vibration, over two values.
+
+    Examples
+    --------
+    >>> axes = {"mass": [10.0, 30.0], "x": [0.04]}
+    >>> rest = {"muscle.reference": 0.04}
+    >>> found = pam.vibration.hopf_map(regulated, "muscle.gain", (1e5, 1e7), axes, rest)
+    >>> found.border.shape
+    (2, 1)
+    """
 
     parameter: str
     axes: Mapping[str, Array]
@@ -92,7 +101,15 @@ class HopfMap:
 @shown
 @dataclass(frozen=True)
 class AmplitudeMap:
-    """How a plant vibrates by itself over two values."""
+    """How a plant vibrates by itself over two values.
+
+    Examples
+    --------
+    >>> axes = {"mass": [20.0], "x": [0.04]}
+    >>> found = pam.vibration.amplitude_map(regulated, axes, {"muscle.reference": 0.04})
+    >>> float(found.amplitude[0, 0]) > 0 or bool(found.growth[0, 0] < 0)
+    True
+    """
 
     plant: Plant
     state: str
@@ -158,6 +175,14 @@ def hopf_map(
 
     Raises InputError when no border is found anywhere; single failures are NaN in ``border``, with
     the reason in ``reasons``.
+
+    Examples
+    --------
+    >>> axes = {"mass": [10.0, 30.0], "x": [0.04]}
+    >>> rest = {"muscle.reference": 0.04}
+    >>> found = pam.vibration.hopf_map(regulated, "muscle.gain", (1e5, 1e7), axes, rest)
+    >>> bool((found.border > 0).all())
+    True
     """
     given, grid = _grid(plant, axes, {**(conditions or {}), **more})
     (one, first), (two, second) = grid.items()
@@ -220,6 +245,14 @@ def amplitude_map(
     time_limit : [s]; points that were not reached when it is over are unknown.
 
     Raises InputError for axes and names; what fails at a point stands in ``reasons``.
+
+    Examples
+    --------
+    >>> calm = regulated.with_values({"muscle.gain": 2e5})
+    >>> axes = {"mass": [20.0], "x": [0.04]}
+    >>> found = pam.vibration.amplitude_map(calm, axes, {"muscle.reference": 0.04})
+    >>> float(found.amplitude[0, 0])
+    0.0
     """
     given, grid = _grid(plant, axes, {**(conditions or {}), **more})
     (one, first), (two, second) = grid.items()

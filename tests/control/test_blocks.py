@@ -121,7 +121,7 @@ def test_compensation_of_hysteresis_as_a_block_gives_the_same_commands():
     start = plant.equilibrium(x=0.03)
     controller = HysteresisCompensation(plant.with_values(start), sample_time=STEP, frequency=2.0)
     wanted = {"x": lambda t: 0.03 + 0.008 * np.sin(8 * t)}
-    path = controller.tracking({n: w for n, w in wanted.items()}, {}, True)._path
+    path = controller.tracking(dict(wanted), {}, True)._path
 
     def told(t):
         pairs = {"wanted": path(t), "ahead": path(t + STEP)}
@@ -265,6 +265,9 @@ def test_lqi_goes_on_from_the_commands_that_acted_while_it_was_off(slide):
     for _ in range(5):
         assert controller(0.0, {**at, "enable": 0.0}) == safe
     assert controller(0.0, {**at, "enable": 1.0}) == pytest.approx(safe, rel=1e-9)
+    names = [v.name for v in controller.block.memory]
+    fading = [controller.memory[names.index(f"fade.{n}")] for n in safe]
+    assert np.abs(fading).max() < 1.0  # [Pa]: two integrals follow two commands
 
 
 def test_rates_are_kept_and_told():
@@ -311,6 +314,26 @@ def test_a_filter_goes_on_without_what_is_missing(slide):
     assert np.allclose(second, expected, rtol=1e-12)
 
 
+def test_gains_have_units_and_limits_may_be_texts(slide):
+    feedback = lqr(slide, REST, integral={"x": 80.0}, sample_time=STEP)
+    made = block(feedback, limits={"muscle1.command": ("0.5 bar", "4 bar")})
+    found = {v.name: v for v in made.parameters}
+    assert found["K.muscle1.command.x"].unit == "Pa/m"
+    assert found["K.muscle1.command.v"].unit == "Pa.s/m"
+    assert found["K.muscle1.command.muscle2.pressure"].unit == "1"
+    assert found["min.muscle1.command"].start == 0.5e5
+
+
+def test_the_loop_tells_a_block_what_to_reach(hanging):
+    point = hanging.equilibrium(x=0.04)
+    feedback = lqr(hanging, point, integral={"x": 100.0}, sample_time=STEP)
+    controller = BlockController(block(feedback))
+    loop = pam.closed_loop(controller, hanging, {"x": 0.042}, duration=1.0, start=point)
+    assert loop.steady_error("x", 0.1) < 1e-5
+    with refused("is not told v"):
+        pam.closed_loop(controller, hanging, {"v": 0.1}, duration=0.1)
+
+
 # ---- refused ------------------------------------------------------------------------------------
 def refused(words, error=InputError):
     return pytest.raises(error, match=words)
@@ -328,6 +351,10 @@ def test_what_cannot_be_a_block_is_refused_in_one_sentence(slide, hanging):
         block(feedback, rates={"muscle3.command": 1e6})
     with refused("outside"):
         block(feedback, safe={"muscle1.command": 1e9})
+    with refused("beyond the command's range"):
+        block(feedback, limits={"muscle1.command": (-1.0, 1e5)})
+    with refused("option of a StateFeedback", UnknownNameError):
+        block(feedback, gain=3.0)
     with refused("guarded already"):
         block(block(feedback))
     with refused("must be finite"):

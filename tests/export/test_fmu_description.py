@@ -1,4 +1,4 @@
-"""What an FMU says of itself: types, terminals, words about the model, references, shared values."""
+"""What an FMU says of itself: types, terminals, words, references, shared parameters."""
 
 from __future__ import annotations
 

@@ -319,3 +319,40 @@ def test_blocks_that_cannot_run_in_a_tool_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="unbounded"):
         export_fmu(unbounded, tmp_path / "a.fmu", platforms="native")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_line_writes_a_system_from_its_file(tmp_path: Path, capsys: Any) -> None:
+    from pam_ocp.cli.main import main
+
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"))
+    motion_to(1e-3, plant).save(tmp_path / "motion.npz")
+    (tmp_path / "mine.py").write_text(
+        "import pam_ocp as pam\n"
+        "from pam_ocp.control import block\n"
+        "plant = pam.AntagonisticSlide(pam.muscle('DMSP-20-200N'))\n"
+        "law = pam.lqr(plant, plant.equilibrium(x=0.0, stiffness=2e4), sample_time=0.002)\n"
+        "def controller():\n    return block(law)\n"
+    )
+    (tmp_path / "s.toml").write_text(
+        'stop_time = "100 ms"\n[components]\nmotion = "motion.npz"\n'
+        'controller = "mine.py:controller"\n[components.plant]\n'
+        'arrangement = "AntagonisticSlide"\nmuscle = "DMSP-20-200N"\n[connections]\n'
+        + "".join(f'"plant.{c}.command" = "controller.{c}.command"\n' for c in MUSCLES)
+        + "".join(f'"controller.{n}" = "plant.{n}"\n' for n in ("x", "v"))
+        + "".join(f'"controller.{c}.pressure" = "plant.{c}.pressure"\n' for c in MUSCLES)
+        + '"controller.enable" = "plant.x"\n'
+    )
+    arguments = ["export", str(tmp_path / "s.toml"), "--platform", "native"]
+    target = tmp_path / "s.ssp"
+    assert main([*arguments, "--out", str(target)]) == 2
+    assert "--allow-code" in capsys.readouterr().err
+    assert main([*arguments, "--out", str(target), "--allow-code"]) == 2
+    assert "controller.enable is in 1, but plant.x is in m" in capsys.readouterr().err
+    text = (tmp_path / "s.toml").read_text().replace('"plant.x"\n', '"controller.status"\n')
+    text = text.replace('"controller.x" = "controller.status"', '"controller.x" = "plant.x"')
+    (tmp_path / "s.toml").write_text(text)
+    assert main([*arguments, "--out", str(target), "--allow-code"]) == 0
+    fmpy.ssp.ssd.read_ssd(str(target))
+
+
+MUSCLES = ("muscle1", "muscle2")

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from numpy.polynomial import Polynomial, legendre
 
+import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
+from pam_ocp.planning.refine import checked
+from pam_ocp.planning.run import Run
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh, halved, held, refined, watched
+from pam_ocp.planning.transcription.transcription import transcribe
 
 
 def mesh(form, *intervals):
@@ -174,3 +178,42 @@ def test_the_smallest_and_the_largest_meshes_are_meshes():
     assert shape(Collocation(1, 9, points="gauss").mesh(1)) == [(0, 1.0, 9)]
     assert shape(Shooting(1, 1).mesh(1)) == [(0, 1.0, 1)]
     assert shape(Shooting(1, 64).mesh(1)) == [(0, 1.0, 64)]
+
+
+# ---- finer for states only -----------------------------------------------------------------------
+def test_an_interval_of_a_held_input_that_is_split_keeps_one_value_for_it():
+    form = Form("radau", "constant")
+    rough, fine = Interval(0, 0.5, 3), Interval(0, 0.5, 3)
+    parted = refined(mesh(form, rough, fine), [1.0, 0.0], 1e-3)
+    parts = len(parted.intervals) - 1
+    assert parts > 1
+    assert [i.joined for i in parted.intervals] == [False, *[True] * (parts - 1), False]
+    assert parted.held() == [0, parts]
+
+
+def test_inputs_that_are_polynomials_have_their_own_in_each_part():
+    parted = refined(mesh(RADAU, Interval(0, 1.0, 9, raised=True)), [1.0], 1e-3)
+    assert len(parted.intervals) > 1
+    assert not any(i.joined for i in parted.intervals)
+
+
+@pytest.mark.parametrize("minimise", ["effort", {"effort": 1.0, "rate": 0.1}], ids=str)
+def test_a_mesh_that_is_finer_for_states_only_has_the_same_optimum_where_states_were_exact(
+    minimise,
+):
+    # v' = u, x' = v: cubic polynomials hold the states of any held input
+    plant = pam.Plant("mass")
+    x, v, u = plant.state("x"), plant.state("v"), plant.input("u", min=-9.0, max=9.0)
+    plant.der(x, v)
+    plant.der(v, u)
+    stops = [{"x": 0.0}, {"x": 1.0}]
+    method = Collocation(6, 3)
+    planner = pam.Planner(plant, stops, duration=1.0, minimise=minimise, method=method)
+    coarse = Run(planner._program, planner._backend).solve(None)
+    finer = halved(coarse.program.mesh, joined=True)
+    run = Run(transcribe(coarse.program.problem, finer), planner._backend)
+    fine = run.refined(coarse)
+    assert fine.outcome.objective == pytest.approx(coarse.outcome.objective, rel=1e-7)
+    t = np.linspace(0.0, 1.0, 50)
+    assert fine.solution.inputs(t) == pytest.approx(coarse.solution.inputs(t), abs=1e-5)
+    assert checked(fine).replay.objective == pytest.approx(fine.outcome.objective, rel=1e-6)

@@ -102,7 +102,7 @@ def test_a_solver_at_its_limit_is_no_conflict():
 
 def test_no_place_of_the_path_is_tried_twice_with_the_same_guess(monkeypatch):
     tried = []
-    monkeypatch.setattr(narrowing, "_at", lambda program, part: part)
+    monkeypatch.setattr(narrowing, "rounded_at", lambda program, part: part)
 
     def solver(program, guess, start):
         part = program if isinstance(program, float) else 1.0

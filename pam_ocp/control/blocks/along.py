@@ -106,15 +106,16 @@ def source(
     sample_time: float = 1e-3,
     names: list[str] | None = None,
 ) -> Block:
-    """A motion as a source of references ``wanted.NAME``, joined by straight lines.
+    """A motion as a source of references ``wanted.NAME``, at the end of it the last ones.
 
     names : of its columns; by default all. sample_time : [s].
     """
     draft = Draft(name, require_positive("sample_time", sample_time, "s"), "a motion", ca.MX)
-    wanted = list(names or motion.columns)
-    end = float(motion.t[-1])
-    times = np.minimum(sample_time * np.arange(_samples(end, sample_time)), end)
-    table = np.column_stack([np.interp(times, motion.t, motion[n]) for n in wanted])
+    wanted = list(names or motion.names)
+    begin, end = float(motion.t[0]), float(motion.t[-1])
+    times = np.clip(sample_time * np.arange(_samples(end, sample_time)), begin, end)
+    distinct, place = np.unique(times, return_inverse=True)
+    table = motion.at(distinct).array(wanted)[place]
     row = _row(draft, table)
     for i, n in enumerate(wanted):
         v = motion.variable(n)

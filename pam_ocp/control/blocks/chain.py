@@ -39,9 +39,9 @@ def chain(
 
     Raises InputError for sample times or units that differ, UnknownNameError for names.
     """
+    if not isinstance(parts, Sequence) or not parts:
+        raise InputError("chain: parts has none; give a list of blocks or controllers")
     blocks = [law_of(part) for part in parts]
-    if not blocks:
-        raise InputError("chain: parts is empty; give at least one block")
     return _Chain(blocks, dict(connections or {}), name, description).block()
 
 

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core import units
 from ...core.block import Block
 from ...core.errors import InputError
 from ...core.variables import Variable
@@ -16,7 +17,7 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant
 from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
-__all__ = ["Draft", "compensated", "least_norm"]
+__all__ = ["Draft", "compensated", "least_norm", "per"]
 
 Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
@@ -78,13 +79,26 @@ class Draft:
         return self._enter(Variable(name, "parameter", start=float(value), tunable=True, **about))
 
     def matrix(
-        self, name: str, values: Array, rows: Iterable[Variable], columns: Iterable[Variable]
+        self,
+        name: str,
+        values: Array,
+        rows: Iterable[Variable],
+        columns: Iterable[Variable],
+        times: str = "1",
     ) -> Symbol:
-        """A matrix of gains, each a parameter ``name.row.column``."""
+        """A matrix of gains, each a parameter ``name.row.column``.
+
+        times : unit of what the columns are multiplied with ("s" for integrals).
+        """
         right = list(columns)
         entries = [
             [
-                self.parameter(f"{name}.{r.name}.{c.name}", float(v))
+                self.parameter(
+                    f"{name}.{r.name}.{c.name}",
+                    float(v),
+                    unit=per(r.unit, c.unit, times),
+                    description=f"gain of {r.name} over {c.name}",
+                )
                 for c, v in zip(right, line, strict=True)
             ]
             for r, line in zip(rows, np.atleast_2d(values), strict=True)
@@ -246,6 +260,27 @@ def opened_by(inversion: Inversion | None, plant: Plant, draft: Draft) -> dict[s
     return found
 
 
+def per(unit: str, *others: str) -> str:
+    """The unit of a ratio; "1" for one that has no plain name."""
+    above: list[str] = []
+    below: list[str] = []
+    for text, ends in ((unit, (above, below)), *((o, (below, above)) for o in others)):
+        for part, end in zip(text.split("/"), ends, strict=False):
+            end += [p for p in part.split(".") if p != "1"]
+    for p in [p for p in above if p in below]:
+        if p in below:
+            above.remove(p)
+            below.remove(p)
+    if len(below) > 1:
+        return "1"
+    name = "/".join([".".join(above) or "1", *below])
+    try:
+        units.unit(name)
+    except InputError:
+        return "1"
+    return name
+
+
 def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Symbol]:
     """(total, carry) of a sum that goes on for days, without the rounding of each addition.
 
@@ -257,9 +292,12 @@ def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Sym
 
 
 def least_norm(matrix: Symbol, right: Symbol) -> Symbol:
-    """The z nearest to matrix z = right; 0 where the matrix is zero."""
-    square = ca.mtimes(matrix.T, matrix)
-    size = ca.trace(square)
-    n = square.shape[0]
-    shifted = square + ca.if_else(size > 0, 1e-14 * size, 1.0) * type(square).eye(n)
-    return ca.solve(shifted, ca.mtimes(matrix.T, right)) if n else right[:0]
+    """The z nearest to matrix z = right; 0 for columns that are zero."""
+    rows, columns = matrix.shape
+    m, r = ca.SX.sym("m", rows, columns), ca.SX.sym("r", rows)
+    sizes = [ca.sqrt(ca.sumsqr(m[:, j])) for j in range(columns)]
+    scales = [1 / ca.if_else(size > 0, size, 1) for size in sizes]
+    even = ca.horzcat(*(m[:, j] * scales[j] for j in range(columns)))
+    square = ca.mtimes(even.T, even) + 1e-14 * ca.SX.eye(columns)
+    z = ca.solve(square, ca.mtimes(even.T, r)) * ca.vertcat(*scales)
+    return ca.Function("least_norm", [m, r], [z], {"cse": True})(matrix, right)

@@ -81,7 +81,7 @@ def state_feedback(controller: StateFeedback, name: str = "state_feedback") -> B
     integrated = [plant.variable(n) for n in controller.integrated]
     x = draft.column(plant.states)
     k = draft.matrix("K", controller.K, chosen, plant.states)
-    ki = draft.matrix("Ki", controller.Ki, chosen, integrated)
+    ki = draft.matrix("Ki", controller.Ki, chosen, integrated, "s")
     x0 = _parameters(draft, "x0", plant.states, point.x)
     u0 = _parameters(draft, "u0", chosen, point.u[controller._columns])
     v = u0 - ca.mtimes(k, x - x0)
@@ -121,7 +121,13 @@ def _parameters(
 ) -> Symbol:
     return ca.vertcat(
         *(
-            draft.parameter(f"{name}.{v.name}", float(value), unit=v.unit, nominal=v.nominal)
+            draft.parameter(
+                f"{name}.{v.name}",
+                float(value),
+                unit=v.unit,
+                nominal=v.nominal,
+                description=f"{v.name} at the point of rest",
+            )
             for v, value in zip(variables, values, strict=True)
         )
     )

@@ -23,6 +23,7 @@ import numpy as np
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError, require_count, require_positive
 from ...core.variables import Causality, Variable
+from .draft import per
 from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
 __all__ = ["STATUS", "Guard", "guarded"]
@@ -89,13 +90,23 @@ class _Guarded:
         self._declare()
 
     def _range(self, command: Variable) -> tuple[float, float]:
-        low, high = self.guard.limits.get(command.name, (command.min, command.max))
+        name = command.name
+        given = self.guard.limits.get(name, (command.min, command.max))
+        if not isinstance(given, tuple | list) or len(given) != 2:
+            raise InputError(f"limits[{name!r}] = {given!r}: give (lowest, highest)")
+        low, high = (command.number(v, "limit") for v in given)
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise InputError(
-                f"{self.law.name}: the command {command.name} may be anything between {low:g} and "
-                f"{high:g}; give limits={{{command.name!r}: (lowest, highest)}}, finite and rising"
+                f"{self.law.name}: the command {name} may be anything between {low:g} and "
+                f"{high:g}; give limits={{{name!r}: (lowest, highest)}}, finite and rising"
             )
-        return float(low), float(high)
+        if low < command.min or high > command.max:
+            raise InputError(
+                f"limits[{name!r}] = {command.shown(low)} .. {command.shown(high)} goes beyond "
+                f"the command's range {command.shown(command.min)} .. "
+                f"{command.shown(command.max)}; give a part of it"
+            )
+        return low, high
 
     # ---- variables ----------------------------------------------------------------------------
     def _enter(self, name: str, causality: Causality, start: float, **about: Any) -> None:
@@ -143,13 +154,13 @@ class _Guarded:
         self._enter(f"min.{v.name}", "parameter", low, description="lowest command", **about)
         self._enter(f"max.{v.name}", "parameter", high, description="highest command", **about)
         if v.name in self.guard.rates:
-            rate = require_positive(f"rates[{v.name!r}]", self.guard.rates[v.name])
-            unit = f"{v.unit}/s" if v.unit != "1" else "1/s"
+            unit = per(v.unit, "s")
+            rate = require_positive(f"rates[{v.name!r}]", self.guard.rates[v.name], unit)
             self._enter(
                 f"rate.{v.name}", "parameter", rate, min=0.0, unit=unit, description="largest rate"
             )
         if v.name in self.guard.safe:
-            safe = float(self.guard.safe[v.name])
+            safe = v.number(self.guard.safe[v.name], "safe")
             if not low <= safe <= high:
                 raise InputError(
                     f"safe[{v.name!r}] = {v.shown(safe)} is outside {v.shown(low)} .. "

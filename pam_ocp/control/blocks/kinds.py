@@ -17,16 +17,13 @@ on and off) is put around it by :func:`guarded`. A law may take these inputs, wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from ...core.block import Block
-from ...core.errors import InputError
-from ...core.registry import Registry
+from ...core.errors import InputError, UnknownNameError
+from ..kinds import BLOCKS
 
 __all__ = ["ACTIVE", "BLOCKS", "HELD_BACK", "LARGEST", "LIMITED", "SENT", "TOLD", "law_of"]
-
-BLOCKS: Registry[Callable[..., Block]] = Registry("block", "pam_ocp.control")
 
 ACTIVE, LIMITED, HELD_BACK, SENT = "active", "limited", "held_back", "sent."
 TOLD = (ACTIVE, LIMITED, HELD_BACK, "sent", "enable", "wanted", "ahead", "place")
@@ -38,9 +35,15 @@ LARGEST = 1e30
 def law_of(controller: Any, **options: Any) -> Block:
     """The block of a controller's law alone. Raises InputError for what has none."""
     if isinstance(controller, Block):
+        if options:
+            raise InputError(f"{controller.name} is a block already; leave out {min(options)}")
         return controller
     for kind in type(controller).__mro__:
         if kind.__name__ in BLOCKS:
+            known = list(BLOCKS.arguments(kind.__name__))[1:]
+            for option in options:
+                if option not in known:
+                    raise UnknownNameError(f"option of a {kind.__name__}", option, known)
             return BLOCKS[kind.__name__](controller, **options)
     raise InputError(
         f"a {type(controller).__name__} is not known as a block; there are {', '.join(BLOCKS)}"

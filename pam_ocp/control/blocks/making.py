@@ -14,6 +14,7 @@ from ...core.stop import locked, verb
 from ...core.units import unit
 from ...plants.plant import Plant
 from ..controller import Measured
+from ..references import Source
 from .guard import Guard, guarded
 from .kinds import TOLD, law_of
 
@@ -79,7 +80,8 @@ class BlockController:
     """A Block in the closed loop: a Controller that calls its step once per sample.
 
     block : with commands among its outputs. inputs : t [s] -> {input: value} for what is not
-    measured: references, ``enable``. Inputs that are neither stay at their start values.
+    measured: references, ``enable``. Inputs that are neither stay at their start values. What the
+    loop's ``reference`` names are the inputs ``wanted.NAME``.
     outputs : those of the last sample by name; memory : as it stands now.
     """
 
@@ -93,7 +95,32 @@ class BlockController:
         self._place = {v.name: i for i, v in enumerate(block.inputs)}
         self._start = block.start("inputs")
         self.parameters = block.start("parameters")
+        self._reference: dict[str, Source] = {}
         self.reset()
+
+    def tracking(
+        self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
+    ) -> BlockController:
+        """The Controller whose inputs ``wanted.NAME`` are these references; see Tracking."""
+        for name in reference:
+            if f"wanted.{name}" not in self._place:
+                known = [n.partition(".")[2] for n in self._place if n.startswith("wanted.")]
+                raise InputError(
+                    f"reference: {self.block.name} is not told {name}; it tracks "
+                    f"{', '.join(known) or 'nothing'}"
+                )
+
+        def told(t: float) -> dict[str, float]:
+            before = dict(self._told(t)) if self._told else {}
+            return before | {f"wanted.{n}": at(t) for n, at in reference.items()}
+
+        found = BlockController(self.block, told)
+        found.parameters, found._reference = self.parameters, dict(reference)
+        return found
+
+    def wanted(self, t: float) -> dict[str, float]:
+        """What the loop told to reach at a time [s]."""
+        return {n: at(t) for n, at in self._reference.items()}
 
     def reset(self) -> None:
         """See :class:`Controller`."""

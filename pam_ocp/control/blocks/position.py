@@ -11,7 +11,7 @@ from ...core.variables import Variable
 from ...plants.plant import Plant
 from ..inverse import InverseDynamics
 from ..pid import PositionController, PressureLoop
-from .draft import Draft, Symbol, as_output, sent_by
+from .draft import Draft, Symbol, as_output, per, sent_by
 from .kinds import BLOCKS
 from .pid import pid_law
 
@@ -65,7 +65,7 @@ def wanted_motion(
     acceleration = draft.input(
         f"{first}.acceleration",
         start[2],
-        unit=f"{velocity.unit}/s" if "/" not in velocity.unit else f"{velocity.unit}2",
+        unit=per(velocity.unit, "s") if "/" not in velocity.unit else f"{velocity.unit}2",
         nominal=10.0 * velocity.nominal,
         description="to be reached: acceleration",
     )

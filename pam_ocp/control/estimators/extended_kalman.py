@@ -206,6 +206,13 @@ class KalmanFilter(Estimator):
     an unknown the filter is the linear Kalman filter when the plant is linear.
 
     Raises InputError for values, UnknownNameError for names that cannot be meant.
+
+    Examples
+    --------
+    >>> filter = pam.KalmanFilter(plant, sample_time=0.01, measured={"x": 1e-4}, start=point)
+    >>> seen = filter.correct({"x": 0.041})
+    >>> seen.state["x"] > point["x"], sorted(seen.deviation)
+    (True, ['muscle.pressure', 'v', 'x'])
     """
 
     def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:

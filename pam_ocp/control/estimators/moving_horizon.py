@@ -55,6 +55,14 @@ class MovingHorizonEstimator(Estimator):
     Measuring the same variable twice before the next :meth:`predict` replaces its value.
 
     Raises InputError for values, UnknownNameError for names that cannot be meant.
+
+    Examples
+    --------
+    >>> estimator = pam.control.MovingHorizonEstimator(
+    ...     plant, sample_time=0.01, measured={"x": 1e-4}, horizon=5, start=point
+    ... )
+    >>> estimator.correct({"x": 0.041}).state["x"] > point["x"]
+    True
     """
 
     def __init__(

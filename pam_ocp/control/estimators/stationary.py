@@ -33,6 +33,14 @@ class StationaryFilter:
     estimated.
     inversion : for a plant fed by valves, whose openings are the linear model's inputs: ``predict``
     takes commands (or openings), and an estimated offset is one of the opening.
+
+    Examples
+    --------
+    >>> filter = pam.control.kalman(plant, point, measured={"x": 1e-4}, sample_time=0.01)
+    >>> filter.reset()
+    >>> estimate = filter.correct({"x": 0.041})
+    >>> bool(estimate[0] > point["x"])
+    True
     """
 
     point: OperatingPoint
@@ -131,6 +139,12 @@ def kalman(
 
     By ``control.dlqe``'s Riccati equation on the exactly sampled system in units of nominal.
     Raises InputError when the states cannot be told from what is measured.
+
+    Examples
+    --------
+    >>> observer = pam.control.kalman(plant, point, measured={"x": 1e-4}, sample_time=0.01)
+    >>> observer.gain.shape
+    (3, 1)
     """
     require_plant(plant)
     inversion, at = inside(plant, at)
@@ -277,6 +291,15 @@ class WithEstimate:
     """A controller that sees the filter's estimate in place of the states, and what is measured.
 
     Outputs that the filter does not measure stay visible only if named in ``also``.
+
+    Examples
+    --------
+    >>> filter = pam.control.kalman(plant, point, measured={"x": 1e-5})
+    >>> law = pam.control.WithEstimate(pam.lqr(plant, point), filter)
+    >>> start = {"x": 0.038, "muscle.pressure": point["muscle.pressure"]}
+    >>> loop = pam.closed_loop(law, plant, duration=0.5, start=start)
+    >>> bool(abs(loop["x"][-1] - 0.04) < 5e-4)
+    True
     """
 
     controller: Controller

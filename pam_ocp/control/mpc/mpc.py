@@ -108,6 +108,14 @@ class Mpc:
     Raises InputError for a horizon, step or weight that cannot be meant, UnknownNameError for
     names. The first call warns of an input that has no influence where the plant stands (a dead
     zone that is not declared): no solver of this kind finds out of it.
+
+    Examples
+    --------
+    >>> weights = {"track": {"x": 1.0}, "rate": {"muscle.command": 0.1}}
+    >>> mpc = pam.Mpc(plant, horizon=20, sample_time=0.01, **weights)
+    >>> loop = mpc.closed_loop(plant, {"x": 0.045}, duration=1.0, start=point)
+    >>> print(f"{loop['x'][-1]:.4f}")
+    0.0450
     """
 
     def __init__(
@@ -168,6 +176,7 @@ class Mpc:
         other = solver in ("ipopt", "riccati")
         self._sqp = Sqp(self.program, "hpipm" if other else solver, tolerance)
         self._ipopt: TrackingIpopt | None = None
+        self._cores: dict[tuple[int, int], RealTimeIteration] = {}
         self._calls = RealTimeCalls(self.real_time()) if solver == "riccati" else None
         self._how, self._advance = how, self._predictor(how)
         self._fine: ca.Function | None = None
@@ -195,14 +204,17 @@ class Mpc:
 
         iterations : SQP steps (None: as this Mpc). patience : calls in a row that may fail.
         """
-        return RealTimeIteration(
-            self.program,
-            iterations=self.iterations if iterations is None else iterations,
-            work=self.work,
-            tolerance=self._sqp.tolerance,
-            delay=self.delay,
-            patience=patience,
-        )
+        steps = self.iterations if iterations is None else iterations
+        if (steps, patience) not in self._cores:
+            self._cores[steps, patience] = RealTimeIteration(
+                self.program,
+                iterations=steps,
+                work=self.work,
+                tolerance=self._sqp.tolerance,
+                delay=self.delay,
+                patience=patience,
+            )
+        return self._cores[steps, patience]
 
     @property
     def commands(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...numerics.portable import portable
 from .riccati import ITERATIONS, RiccatiQp, Side, inlined, repeated
 from .shooting import NodeLimit, TrackingPoint, TrackingProgram
 from .sqp import DAMPING, MISS, SqpOutcome
@@ -67,8 +68,9 @@ class RealTimeIteration:
     facts : see FACTS. ``status`` is 0 where the tolerance was met, 1 where the SQP steps or their
     ``work`` were used up before, 2 where a quadratic program failed and the plan of the call before
     is followed, 3 where more than ``patience`` failed in a row: the safe inputs. After a failure
-    the next call begins anew, from the state and the inputs as they are. ``active`` counts the limits that hold the plan back, ``violation`` is
-    the largest by which a soft one gives way, in units of nominal.
+    the next call begins anew, from the state and the inputs as they are. ``active`` counts the
+    limits that hold the plan back, ``violation`` is the largest by which a soft one gives way, in
+    units of nominal.
 
     applied : inputs that act now [SI]. Memory holds the solution (states and inputs, node after
     node, scaled), the state expected at the next call, and whether there is a solution, how many
@@ -95,9 +97,8 @@ class RealTimeIteration:
         sides = _sides(p, self.bounds)
         at_end = [s for s in sides if not ca.depends_on(s.value, p.u)]
         self.qp = RiccatiQp(p, values, sides, at_end, qp_iterations)
-        self._advance = ca.Function(
-            "advance", [p.x, p.u, p.q], [p.step.expression(p.given, p.x, p.u, p.q)]
-        )
+        after = [p.step.expression(p.given, p.x, p.u, p.q)]
+        self._advance = portable(ca.Function("advance", [p.x, p.u, p.q], after))
         n, nx, nu = p.horizon, p.nx, p.nu
         self.sizes = {
             "states": nx * (n + 1),

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from ...numerics.portable import portable
 from .shooting import TrackingProgram
 
 __all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "inlined", "repeated"]
@@ -108,7 +109,7 @@ class _Stage:
         self.count = self.m
         """Sides that say something, at nodes after the first."""
         self.first_count = self.m - sum(s.given for s in sides)
-        y, s = ca.vertsplit(node.y, [0, self.ny, self.ny + p.ns])
+        y, _ = ca.vertsplit(node.y, [0, self.ny, self.ny + p.ns])
         zero = [node.y], [ca.vertcat(y, ca.SX.zeros(p.ns))]
 
         def at_zero(e: ca.SX) -> ca.SX:
@@ -280,7 +281,7 @@ class _Stage:
         )
         known = ca.SX.sym("policy", policy.numel())
         sizes = np.cumsum([0, nu * nz, nu * (nu + 1) // 2, nu])
-        k, r, first = ca.vertsplit(known, sizes.tolist())
+        k, r, _ = ca.vertsplit(known, sizes.tolist())
         gain, root = ca.reshape(k, nu, nz), _triangle(r, nu)
         slope = ca.SX.sym("slope", nz)
         pull = change + ab.T @ slope
@@ -500,7 +501,7 @@ def inlined(function: ca.Function, arguments: Sequence[ca.MX]) -> list[ca.MX]:
 
 
 def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    return ca.Function(name, arguments, results, {"cse": True})
+    return portable(ca.Function(name, arguments, results, {"cse": True}))
 
 
 def _backwards(columns: ca.MX) -> ca.MX:

@@ -96,7 +96,7 @@ class Sqp:
     def __init__(self, program: TrackingProgram, solver: QpSolver, tolerance: float) -> None:
         if solver not in QP_SOLVERS:
             names = ", ".join(repr(name) for name in QP_SOLVERS)
-            raise InputError(f"solver = {solver!r}: choose {names} or 'ipopt'")
+            raise InputError(f"solver = {solver!r}: choose {names}, 'riccati' or 'ipopt'")
         self.program, self.tolerance = program, tolerance
         self.point = TrackingPoint(program)
         self.direction = np.zeros(program.size)

@@ -87,7 +87,7 @@ def _own(
     elif function.class_name() == "Switch":  # one of the branches is taken: at most the longest
         branches = [*function.info()["f"], function.info()["f_def"]]
         parts = [_own(branch, codes, known) for branch in branches]
-        own.update(max((part for part, _ in parts), key=lambda part: part.total()))
+        own.update(max((part for part, _ in parts), key=lambda part: sum(part.values())))
         whole = all(understood for _, understood in parts)
     else:
         whole = False

@@ -63,6 +63,10 @@ _KEYWORDS = frozenset(
 )
 
 
+WIDE = 80
+"""Characters of a comment in the header; README.md has the whole."""
+
+
 @dataclass(frozen=True)
 class Vectors:
     """What the self-test compares: inputs (n, inputs) and outputs (n, outputs) of n steps."""
@@ -146,7 +150,7 @@ class CExport:
 extern "C" {{
 #endif
 typedef {self.precision.ctype} {p}_real;
-#define {p.upper()}_SAMPLE_TIME {self.precision.literal(b.sample_time)} /* {b.sample_time:g} s */
+#define {p.upper()}_SAMPLE_TIME {b.sample_time!r}{self.precision.suffix} /* [s] */
 {structs}
 typedef struct {{
     {p}_real memory[{max(len(b.memory), 1)}];  /* carried from step to step */
@@ -348,6 +352,9 @@ add_test(NAME selftest COMMAND {p}_selftest)
             or "- none: the code of a step runs straight through"
         )
         whole = "at most" if self.counts.whole else "at least (linear systems are not counted)"
+        straight = ""
+        if b.step.is_a("SXFunction"):
+            straight = " (nothing is skipped: each step takes the same time)"
         rough = inexact(c, self.precision)
         bits = (
             "The same bits on every machine that computes by IEEE 754 and fuses no product with a "
@@ -393,8 +400,7 @@ The stack holds {pointers} pointers, {4 * c.integers} bytes of indices, and the 
 variables. Nothing is allocated; no function of the system is called, of the C library
 {_list(library_functions(c, self.precision))}.
 
-Operations of one step, {whole} (both branches of every choice are computed, so that each step
-takes the same time):
+Operations of one step, {whole}{straight}:
 
 | operation | count |
 |---|---|
@@ -434,7 +440,8 @@ def _plain(text: str) -> str:
 
 def _about(v: Variable) -> str:
     unit = "" if v.unit == "1" else f"[{v.unit}] "
-    return _plain(f"{unit}{v.description or v.name}").strip()
+    words = _plain(f"{unit}{v.description or v.name}").strip()
+    return words if len(words) <= WIDE else f"{words[:WIDE].rpartition(' ')[0]} ... (README)"
 
 
 def _list(names: Sequence[str]) -> str:

@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 STEP = "block_step"
+LARGEST_SINGLE, SMALLEST_SINGLE = 3.4028235e38, 1.1754944e-38
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,7 @@ def _spelt(text: str, precision: Precision, used: tuple[str, ...]) -> str:
         text = re.sub(rf"(?<![\w.]){name}\(", f"{spelt}(", text)
     if precision.suffix:
         text = re.sub(
-            r"(?<![\w.])(\d+\.\d*(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)(?![\w.])", r"\1f", text
+            r"(?<![\w.])(\d+\.\d*(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)(?![\w.])", _single, text
         )
     return text
 
@@ -189,6 +190,14 @@ def portable_functions(code: StepCode, precision: Precision) -> str:
         return ""
     text = re.sub(r"\bINFINITY\b", "(double)INFINITY", c_text("elementary.h"))
     return re.sub(r"(?m)^static double (?=\w+\()", "static inline double ", text)
+
+
+def _single(found: re.Match[str]) -> str:
+    """A constant in single precision; what is too large or too small for it is its last number."""
+    value = float(found[1])
+    if value > LARGEST_SINGLE:
+        return "3.4028235e38f"
+    return "1.1754944e-38f" if 0 < value < SMALLEST_SINGLE else f"{found[1]}f"
 
 
 def library_functions(code: StepCode, precision: Precision) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from ...core.exceptions import WriteError
 from ...core.stop import verb
 from .counts import counted
 from .files import CExport, Vectors
-from .generated import PRECISIONS, Precision, step_code
+from .generated import LARGEST_SINGLE, PRECISIONS, Precision, step_code
 from .vectors import inputs_of, outputs_of, sensitivity
 
 __all__ = ["export_c"]
@@ -35,7 +35,6 @@ MARGIN = 10.0
 """How much more than the effect of rounding a self-test allows."""
 USELESS = 0.5
 """Effect of rounding, relative, beyond which a block is of no use in a precision."""
-LARGEST_SINGLE = 3e38
 
 
 @verb
@@ -139,13 +138,13 @@ def _inputs(block: Block, steps: int, inputs: ArrayLike | None, seed: int) -> Ar
 # ---- the folder ---------------------------------------------------------------------------------
 def _place(folder: str | os.PathLike[str]) -> Path:
     """The folder to write. Raises WriteError where something else stands there."""
-    place = Path(os.path.abspath(folder))
+    place = Path(os.path.realpath(folder))
     if place.is_dir():
         if any(place.iterdir()) and not (place / MARK).is_file():
             raise WriteError(
                 f"{os.fspath(folder)} is there and is no export of C code; give a new folder"
             )
-    elif place.exists() or place.is_symlink():
+    elif place.exists():
         raise WriteError(f"{os.fspath(folder)} is a file; give the name of a folder")
     return place
 
@@ -164,8 +163,13 @@ def _write(place: Path, files: dict[str, str]) -> None:
         if place.is_dir():
             old = Path(tempfile.mkdtemp(prefix=f".{place.name}-", dir=place.parent))
             place.rename(old / "old")
-            fresh.rename(place)
-            shutil.rmtree(old, ignore_errors=True)
+            try:
+                fresh.rename(place)
+            except OSError:
+                (old / "old").rename(place)
+                raise
+            finally:
+                shutil.rmtree(old, ignore_errors=True)
         else:
             fresh.rename(place)
     except OSError as error:

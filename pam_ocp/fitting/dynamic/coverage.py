@@ -84,6 +84,12 @@ class Coverage:
     state and inputs together are farther from all of the records than these are from each other.
     uncertainty : {measured variable: (standard deviation of the prediction by that of the
     parameters, the same along the records)}, RMS over the samples [its unit].
+
+    Examples
+    --------
+    >>> seen = pam.fitting.coverage(dynamic_fit, {"muscle.command": 5e5}, duration=0.5)
+    >>> seen.covered
+    False
     """
 
     reaches: tuple[Reach, ...]
@@ -205,6 +211,12 @@ def coverage(
     Raises
     ------
     InputError : inputs without a duration, a fit without records.
+
+    Examples
+    --------
+    >>> seen = pam.fitting.coverage(dynamic_fit, record)
+    >>> seen.far, pam.fitting.coverage(dynamic_fit, {"muscle.command": 6e5}, duration=0.5).far > 0.5
+    (0.0, True)
     """
     if not (hasattr(fit, "plant") and hasattr(fit, "records")):
         raise InputError(

@@ -125,6 +125,12 @@ def fit_plant(
     InputError, UnknownNameError : arguments that cannot be, NaN in a record.
     FitError : a parameter without influence, constant inputs that cannot tell the parameters, or no
         solution.
+
+    Examples
+    --------
+    >>> found = pam.fit_plant(plant, record, ["mass", "damping"], outputs=["x"])
+    >>> abs(found.values["mass"] - 10.0) < 0.05, found.at_bound
+    (True, ())
     """
     began = time.perf_counter()
     chosen = [records] if isinstance(records, Trajectory) else list(records)

@@ -88,6 +88,12 @@ def free_run(
     Raises
     ------
     InputError, UnknownNameError : records without an input, of unequal rates, too short, or NaN.
+
+    Examples
+    --------
+    >>> run = pam.fitting.free_run(plant, record, horizon=0.3, every=0.2, outputs=["x"])
+    >>> run.names, run.rmse["x"] < 1e-3
+    (('x',), True)
     """
     runs = runs_of(plant, records, horizon, every, outputs, history, steps, warm_up)
     rig = known_rig(plant, runs.names, delay, gains, offsets, starts, corrections)
@@ -146,6 +152,12 @@ def fit_free_run(
     ------
     InputError, UnknownNameError : arguments that cannot be.
     FitError : the runs diverge at the start, or a parameter has no influence on them.
+
+    Examples
+    --------
+    >>> found = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
+    >>> abs(found.values["mass"] - 10.0) < 0.1
+    True
     """
     began = time.perf_counter()
     wanted = groups(plant, free, dict(bounds or {}))

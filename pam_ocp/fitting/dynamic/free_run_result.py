@@ -41,6 +41,12 @@ class FreeRunFit:
     the step changes the runs (RMS, unit of each variable). at_bound : unknowns that ended at the
     edge of their range. cost : mean squared error before and after, in parts of the measured
     variables' variance. converged : whether the search came to its end.
+
+    Examples
+    --------
+    >>> found = pam.fit_free_run(plant, record, ["mass"], horizon=0.3, every=0.2, outputs=["x"])
+    >>> abs(found.values["mass"] - 10.0) < 0.1
+    True
     """
 
     plant: Plant

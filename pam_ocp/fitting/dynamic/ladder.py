@@ -89,6 +89,20 @@ class Ladder:
     rungs : from the simplest up. parts : what was left out, each once. best : the rung of the least
     error; chosen : the simplest that is not significantly worse. unclimbed : names of rungs for
     which there was no time.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
+    >>> commanded = pam.Trajectory(
+    ...     record.t,
+    ...     {n: record[n] for n in ("muscle.command", "x")},
+    ...     [plant.variable(n) for n in ("muscle.command", "x")],
+    ...     "previous",
+    ... )
+    >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
+    >>> ladder.best.name
+    '+ lag'
     """
 
     rungs: tuple[RungFit, ...]
@@ -211,6 +225,20 @@ def fit_ladder(
     ------
     InputError, UnknownNameError : arguments that cannot be.
     FitError : no rung could be fitted.
+
+    Examples
+    --------
+    >>> from functools import partial
+    >>> rig = partial(pam.HangingLoad, muscle, 10.0, damping=100.0)
+    >>> commanded = pam.Trajectory(
+    ...     record.t,
+    ...     {n: record[n] for n in ("muscle.command", "x")},
+    ...     [plant.variable(n) for n in ("muscle.command", "x")],
+    ...     "previous",
+    ... )
+    >>> ladder = pam.fitting.fit_ladder(rig, commanded, folds=3, rungs=["static", "lag"])
+    >>> [rung.name for rung in ladder.rungs]
+    ['static', '+ lag']
     """
     began = time.perf_counter()
     chosen = [records] if isinstance(records, Trajectory) else list(records)

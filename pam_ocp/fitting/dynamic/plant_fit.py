@@ -47,6 +47,14 @@ class PlantFit:
     integrated anew under the measured inputs (sensors' gains and offsets and the delay applied).
     starts : initial states of each record. measured : names that were compared.
     noise : standard deviation of each measured variable [its unit].
+
+    Examples
+    --------
+    >>> print(f"{dynamic_fit.values['mass']:.2f} kg")
+    10.00 kg
+    >>> low, high = dynamic_fit.interval("mass")
+    >>> low < 10.0 < high
+    True
     """
 
     plant: Plant

@@ -39,6 +39,12 @@ class Rung:
     which the fit begins once; the best goes on. static : the plant counts as at rest at each
     moment. fast : {parameters: parts}: starts are these parts of the fastest rate of pressures in
     the rung before.
+
+    Examples
+    --------
+    >>> rung = pam.fitting.Rung("lag", plant, ("mass", "muscle.lag"))
+    >>> rung.name, rung.static
+    ('lag', False)
     """
 
     name: str

@@ -31,6 +31,12 @@ class FreeRun:
     record, start : of each run (n,) the number of its record and the time where it begins [s].
     t : times since the start (K,) [s]. measured, predicted : (n, K, ny), in SI, of ``names``; NaN
     behind the end of a run that its record cuts short. horizons : [s], those that were asked for.
+
+    Examples
+    --------
+    >>> run = pam.fitting.free_run(plant, record, horizon=0.3, every=0.2, outputs=["x"])
+    >>> run.predicted.shape == run.measured.shape
+    True
     """
 
     names: tuple[str, ...]

@@ -88,6 +88,12 @@ def load_plant_fit(path: str | os.PathLike[str], plant: Plant) -> PlantFit:
     plant : the same plant (any parameter values); the fitted values are set on it.
 
     Raises InputError for a file that holds no fit, or one of another plant.
+
+    Examples
+    --------
+    >>> path = dynamic_fit.save("fit.json")
+    >>> print(f"{pam.fitting.load_plant_fit(path, plant).values['mass']:.2f} kg")
+    10.00 kg
     """
     name = os.fspath(path)
     require_plant(plant)

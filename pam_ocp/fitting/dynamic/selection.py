@@ -42,6 +42,13 @@ class Structure(Protocol):
     """What can be chosen: a model's form, with the way in which its parameters are found.
 
     With a process pool it travels by pickle: a dataclass of a module, no lambda.
+
+    Examples
+    --------
+    >>> names = ["x"], ["muscle.command"]
+    >>> yardstick = pam.fitting.ArxStructure(*names, order=2, horizon=[0.1], every=0.2)
+    >>> isinstance(yardstick, pam.fitting.Structure)
+    True
     """
 
     @property
@@ -67,6 +74,18 @@ class Tried:
     loss : mean over the records, by criterion (m,). score : mean of the criteria, each in parts of
     the best structure's. behind : mean lead of the best, in its score, and ``error``, its standard
     error, from differences record by record. chosen : in how many inner loops it was taken.
+
+    Examples
+    --------
+    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
+    >>> ways = {"horizon": [0.1], "every": 0.1}
+    >>> orders = {
+    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
+    ...     for n in (1, 2)
+    ... }
+    >>> choice = pam.fitting.choose(orders, runs, folds=3, seed=1)
+    >>> [tried.name for tried in choice.tried]  # the simplest first
+    ['order 1', 'order 2']
     """
 
     name: str
@@ -92,6 +111,18 @@ class Choice:
     m): each record is judged by what was chosen and fitted without its fold; its mean is the honest
     figure, ``tried[...].loss`` of the winner is too good. chosen : the name in each fold. folds :
     the fold of each record. seed : that made them.
+
+    Examples
+    --------
+    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
+    >>> ways = {"horizon": [0.1], "every": 0.1}
+    >>> orders = {
+    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
+    ...     for n in (1, 2)
+    ... }
+    >>> choice = pam.fitting.choose(orders, runs, folds=3, seed=1)
+    >>> choice.name in orders, choice.nested.shape
+    (True, (3, 1))
     """
 
     name: str
@@ -180,6 +211,17 @@ def choose(
     ------
     InputError : arguments that cannot be.
     FitError : no structure could be fitted to every fold.
+
+    Examples
+    --------
+    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
+    >>> ways = {"horizon": [0.1], "every": 0.1}
+    >>> orders = {
+    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
+    ...     for n in (1, 2)
+    ... }
+    >>> pam.fitting.choose(orders, runs, folds=3, seed=1).name in orders
+    True
     """
     began = time.perf_counter()
     given = _structures(structures)

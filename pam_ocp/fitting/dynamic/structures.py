@@ -29,6 +29,12 @@ class FreeRunStructure:
 
     options : of :func:`fit_free_run`; its horizons are the criteria, for each measured variable.
     judged : what differs where runs are judged, such as ``{"every": 0.05, "steps": 8}``.
+
+    Examples
+    --------
+    >>> options = {"horizon": [0.1], "every": 0.2}
+    >>> pam.fitting.FreeRunStructure(plant, ["mass"], options).complexity
+    1.0
     """
 
     plant: Plant
@@ -90,6 +96,11 @@ class PlantStructure:
     initial states are estimated.
 
     options : of :func:`fit_plant`. The criteria are its measured variables.
+
+    Examples
+    --------
+    >>> pam.fitting.PlantStructure(plant, ["mass"]).complexity
+    1.0
     """
 
     plant: Plant
@@ -129,6 +140,13 @@ class ArxStructure:
     order : samples of the past outputs, and of the inputs from ``lag`` samples ago on (0: that of
     the moment itself; below zero where inputs are recorded late). Fitted to the next sample, judged
     by runs over ``horizon`` from every ``every`` seconds on, ``first`` seconds of each record past.
+
+    Examples
+    --------
+    >>> names = ["x"], ["muscle.command"]
+    >>> yardstick = pam.fitting.ArxStructure(*names, order=2, horizon=[0.1], every=0.2)
+    >>> yardstick.complexity  # two of the past of each, and a constant
+    5.0
     """
 
     outputs: Sequence[str]

@@ -53,6 +53,12 @@ class CellDesign:
     pressure. stderr_before, stderr_after : standard errors of the coefficients that are free.
     prediction_before, prediction_after : root of the mean variance of the predicted force [N].
     efficiency : at least this, against the best design of the same size on the grid of candidates.
+
+    Examples
+    --------
+    >>> design = pam.experiments.design_cells(fit, 4)
+    >>> len(design.cells.force), design.stderr_after["a3"] < design.stderr_before["a3"]
+    (4, True)
     """
 
     cells: ForceTable
@@ -202,6 +208,12 @@ def design_cells(
     Raises
     ------
     InputError, UnknownNameError : arguments that cannot be; too few points for the coefficients.
+
+    Examples
+    --------
+    >>> design = pam.experiments.design_cells(fit, 4, pressure=(1e5, 6e5))
+    >>> bool(design.cells.pressure.max() < 6.001e5)
+    True
     """
     if criterion not in _WORDS:
         raise InputError(f"criterion = {criterion!r}: choose 'D', 'A' or 'I'")

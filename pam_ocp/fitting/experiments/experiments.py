@@ -35,6 +35,12 @@ def design_experiment(
     :func:`design_signal`.
 
     Raises InputError for anything else.
+
+    Examples
+    --------
+    >>> design = pam.experiments.design_experiment(fit, 4)  # of a plant: a signal to play
+    >>> type(design).__name__
+    'CellDesign'
     """
     if isinstance(known, (ForceFit, ForceLaw)):
         return design_cells(known, *args, **options)

@@ -50,6 +50,14 @@ class SignalDesign:
     random signals of the same family and ranges that keep the limits (all of them where none does).
     gain : ratio of the criterion's standard error (geometric mean over the chosen parameters, or
     root of their mean relative variance) of the best of those random signals to this one.
+
+    Examples
+    --------
+    >>> design = pam.experiments.design_signal(
+    ...     plant, ["mass"], duration=0.5, noise={"x": 1e-5}, segments=4, sample=0.02, tries=1
+    ... )
+    >>> design.parameters, 0.0 < design.stderr["mass"] < 1.0
+    (('mass',), True)
     """
 
     trajectory: Trajectory
@@ -190,6 +198,14 @@ def design_signal(
     ------
     InputError, UnknownNameError : arguments that cannot be.
     FitError : a plant that RK4 cannot follow at these samples; a parameter that no signal tells.
+
+    Examples
+    --------
+    >>> design = pam.experiments.design_signal(
+    ...     plant, ["mass"], duration=0.5, noise={"x": 1e-5}, segments=4, sample=0.02, tries=1
+    ... )
+    >>> design.trajectory.duration
+    0.5
     """
     began = time.perf_counter()
     if isinstance(known, Coverage):

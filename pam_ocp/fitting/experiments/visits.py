@@ -34,6 +34,13 @@ class GapSignal:
     trajectory : the inputs and the motion that is expected. before, after : coverage of what is to
     be predicted, without and with this record. violation : how far limits are left, in parts of
     their range.
+
+    Examples
+    --------
+    >>> asked = pam.fitting.coverage(dynamic_fit, {"muscle.command": 5e5}, duration=0.5)
+    >>> gap = pam.experiments.design_signal(asked, duration=0.5, sample=0.02, tries=1)
+    >>> gap.inputs, gap.violation
+    (('muscle.command',), 0.0)
     """
 
     trajectory: Trajectory

@@ -26,6 +26,12 @@ class Bootstrap:
     """Refitted coefficients: ``samples`` (n, k) of the free ones, in the order of ``names``.
 
     failed : resampled tables of which no fit was found; they are left out.
+
+    Examples
+    --------
+    >>> found = fit.bootstrap(20)
+    >>> found.samples.shape, found.failed
+    ((20, 6), 0)
     """
 
     names: tuple[str, ...]

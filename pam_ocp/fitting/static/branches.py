@@ -37,6 +37,15 @@ class LackOfFit:
     pure_error : standard deviation of repeats [N], with ``pure_dof`` degrees of freedom.
     misfit : root of the mean square of the law's distance from the means of repeats [N], with
     ``misfit_dof``. f, probability : that so large a ratio comes from scatter alone.
+
+    Examples
+    --------
+    >>> p, kappa = np.tile(table.pressure, 2), np.tile(table.contraction, 2)
+    >>> force = np.tile(table.force, 2) + np.repeat([0.0, 1.0], len(table.force))
+    >>> twice = pam.fitting.ForceTable(p, kappa, force, rest_length=0.300)
+    >>> found = pam.fit_force(twice).lack_of_fit()
+    >>> print(f"{found.pure_error:.2f} N")  # two readings 1 N apart: 1/sqrt(2)
+    0.71 N
     """
 
     pure_error: float
@@ -67,6 +76,15 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
     that is not linear in its coefficients.)
 
     Raises InputError where no cell was repeated, no freedom is left, or the loss is a robust one.
+
+    Examples
+    --------
+    >>> p, kappa = np.tile(table.pressure, 2), np.tile(table.contraction, 2)
+    >>> force = np.tile(table.force, 2) + np.repeat([0.0, 1.0], len(table.force))
+    >>> twice = pam.fitting.ForceTable(p, kappa, force, rest_length=0.300)
+    >>> found = pam.fitting.lack_of_fit(pam.fit_force(twice))
+    >>> found.probability < 0.01  # what is left over is no noise
+    True
     """
     from scipy.special import fdtrc
 
@@ -130,6 +148,14 @@ class Hysteresis:
 
     pressure, contraction, width : (m,), at the cells of inflation within deflation's pressures
     [Pa, 1, N]. largest_force : of the table [N].
+
+    Examples
+    --------
+    >>> p, kappa, force = [1e5, 2e5, 1e5, 2e5], [0.0] * 4, [300.0, 600.0, 310.0, 612.0]
+    >>> branch = ("inflation", "inflation", "deflation", "deflation")
+    >>> both = pam.fitting.ForceTable(p, kappa, force, branch=branch)
+    >>> pam.fitting.hysteresis(both).width
+    array([10., 12.])
     """
 
     pressure: Array = field(repr=False)
@@ -179,6 +205,14 @@ def hysteresis(table: ForceTable) -> Hysteresis:
     the pressures of inflation; nothing is extrapolated.
 
     Raises InputError for a table without both branches, or none of whose levels hold both.
+
+    Examples
+    --------
+    >>> p, kappa, force = [1e5, 2e5, 1e5, 2e5], [0.0] * 4, [300.0, 600.0, 310.0, 612.0]
+    >>> branch = ("inflation", "inflation", "deflation", "deflation")
+    >>> both = pam.fitting.ForceTable(p, kappa, force, branch=branch)
+    >>> float(pam.fitting.hysteresis(both).mean)
+    11.0
     """
     for name in ("inflation", "deflation"):
         if name not in table.branches:

@@ -75,6 +75,12 @@ def fit_campaign(
     Raises
     ------
     InputError : no table at all, or arguments that cannot be.
+
+    Examples
+    --------
+    >>> campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
+    >>> campaign.save("campaign").name
+    'campaign'
     """
     kind = law_class(law)
     options = {n: v for n, v in (("columns", columns), ("units", units)) if v is not None}

@@ -96,7 +96,14 @@ class LengthStudy:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Muscles by name, groups of one diameter, and what was not read or fitted, with reasons."""
+    """Muscles by name, groups of one diameter, and what was not read or fitted, with reasons.
+
+    Examples
+    --------
+    >>> campaign = pam.fitting.fit_campaign({"M1": table}, rest_length=0.300)
+    >>> list(campaign.muscles), round(campaign["M1"].fit.rmse, 1)
+    (['M1'], 6.2)
+    """
 
     law: type[ForceLaw]
     muscles: Mapping[str, MuscleStudy]

@@ -33,7 +33,6 @@ from .sweep import Sweep
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["ForceFit"]
 
@@ -51,6 +50,16 @@ class ForceFit(Optimum):
     law : the fitted law. table : the data, slack cells included. held : coefficients that were
     not fitted. weights : of the taut cells, or None. solver : how the optimum was found.
     terms : loss, censoring, bounds and priors of the fit.
+
+    Examples
+    --------
+    >>> fit
+    ForceFit(six-parameter: RMSE 6.196 N over 60 taut cells)
+    >>> low, high = fit.interval("a3")
+    >>> low < fit.law.values["a3"] < high
+    True
+    >>> fit.muscle(rest_length=0.300, diameter=0.020).law.name
+    'six-parameter'
     """
 
     def __repr__(self) -> str:
@@ -264,7 +273,7 @@ class ForceFit(Optimum):
         """The fit as text: statistics, coefficients ± standard error, correlations, warnings."""
         return courtesy.force_report(self, level)
 
-    def plot(self, *, ax: Axes | None = None) -> Figure:
+    def plot(self, *, ax: Axes | None = None) -> Any:
         """Measured and fitted force over contraction, one colour per pressure; residuals below.
 
         ax : draw the forces into this panel instead.
@@ -279,8 +288,8 @@ class ForceFit(Optimum):
         return courtesy.plot_fit_surface(self, interactive=interactive)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write all of it (.json, as :meth:`to_json`), or coefficients and text (.csv, .xlsx, .html,
-        .txt).
+        """Write all of it (.json, as :meth:`to_json`, or .xlsx), its coefficients (.csv), its text
+        (.txt) or a page (.html).
         """
         if Path(path).suffix.lower() == ".json":
             return self.to_json(path)

@@ -91,6 +91,14 @@ def fit_holds(
     ------
     InputError, UnknownNameError : arguments or holds that cannot be.
     FitError : the holds do not tell what was asked; it names the combination that stays open.
+
+    Examples
+    --------
+    >>> p = np.array([2e5, 3e5, 4e5, 5e5])
+    >>> x = [plant.equilibrium({"muscle.pressure": v})["x"] for v in p]
+    >>> found = pam.fitting.fit_holds(plant, {"muscle_pressure [bar]": p / 1e5, "x": x}, "mass")
+    >>> round(found.values["mass"], 3)
+    10.0
     """
     require_plant(plant)
     if loss not in ("squares", "huber", "bisquare"):

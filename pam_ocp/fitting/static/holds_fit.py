@@ -32,6 +32,14 @@ class HoldsFit:
     latter measured less predicted. given : what was put in, as measured. side : (n,), +1 where
     positions rose to the hold, -1 where they fell, 0 unknown. weights : (n, measured), below 1
     where a robust loss counts a hold less. unreached : holds at which the plant finds no rest.
+
+    Examples
+    --------
+    >>> p = np.array([2e5, 3e5, 4e5, 5e5])
+    >>> x = [plant.equilibrium({"muscle.pressure": v})["x"] for v in p]
+    >>> found = pam.fitting.fit_holds(plant, {"muscle_pressure": p, "x": x}, "mass")
+    >>> round(found.values["mass"], 3)
+    10.0
     """
 
     plant: Plant

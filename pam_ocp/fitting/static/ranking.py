@@ -33,6 +33,12 @@ class ComparedLaw:
 
     fit : None, with the reason in ``problem``, where there is none.
     left_out : contraction of each interior level -> RMSE [N] there of a fit without it.
+
+    Examples
+    --------
+    >>> best = pam.compare_laws(table, ["six-parameter", "five-parameter"]).laws[0]
+    >>> best.name, round(best.left_out_rmse, 1)
+    ('five-parameter', 16.4)
     """
 
     name: str
@@ -84,7 +90,14 @@ class ComparedLaw:
 @shown
 @dataclass(frozen=True, eq=False)
 class LawComparison:
-    """Laws on one table, the best at a level left out first; those without a fit last."""
+    """Laws on one table, the best at a level left out first; those without a fit last.
+
+    Examples
+    --------
+    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
+    >>> found.best.name
+    'five-parameter'
+    """
 
     laws: tuple[ComparedLaw, ...]
     source: str = ""
@@ -145,6 +158,12 @@ def compare_laws(
     Raises
     ------
     InputError : no law, or a name in ``fixed`` that no law knows.
+
+    Examples
+    --------
+    >>> found = pam.compare_laws(table, ["six-parameter", "five-parameter"])
+    >>> [law.name for law in found.laws]
+    ['five-parameter', 'six-parameter']
     """
     require_table(table)
     chosen: list[str | type[ForceLaw]] = (

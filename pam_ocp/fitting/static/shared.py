@@ -38,6 +38,12 @@ class JointForceFit:
     fits : {muscle: its fit}. names : of the unknowns, ``"a4"`` where shared, ``"a1[20 mm]"`` where
     each muscle has its own. linearisation : of the unknowns, in that order.
     noise : {muscle: standard deviation of a measurement of weight 1 [N]}.
+
+    Examples
+    --------
+    >>> joint = pam.fit_forces({"new": table, "old": table})
+    >>> joint.shared == joint.names, round(joint["new"].rmse, 1)
+    (True, 6.2)
     """
 
     fits: Mapping[str, MemberFit]
@@ -219,6 +225,12 @@ def fit_forces(
     ------
     InputError, UnknownNameError : arguments that cannot be; fewer cells than unknowns.
     FitError : no stationary point was found.
+
+    Examples
+    --------
+    >>> joint = pam.fit_forces({"new": table, "old": table}, shared=["a3"])
+    >>> len(joint.names)  # a3, and five of each
+    11
     """
     began = time.perf_counter()
     named = _named(tables)

@@ -88,6 +88,14 @@ def fit_force(
     ------
     InputError, UnknownNameError : arguments that cannot be; fewer taut cells than coefficients.
     FitError : the solver found no stationary point.
+
+    Examples
+    --------
+    >>> fit = pam.fit_force(table)
+    >>> fit
+    ForceFit(six-parameter: RMSE 6.196 N over 60 taut cells)
+    >>> print(f"{100 * fit.rmse / table.force.max():.1f} % of the largest force")
+    0.4 % of the largest force
     """
     began = time.perf_counter()
     require_table(table)
@@ -257,6 +265,17 @@ def fit_branches(
     """A fit for each branch of a table; options as for :func:`fit_force`, without weights.
 
     Raises InputError for a table without branches.
+
+    Examples
+    --------
+    >>> both = pam.fitting.ForceTable(
+    ...     np.tile(table.pressure, 2),
+    ...     np.tile(table.contraction, 2),
+    ...     np.tile(table.force, 2),
+    ...     branch=("inflation",) * 126 + ("deflation",) * 126,
+    ... )
+    >>> sorted(pam.fit_branches(both))
+    ['deflation', 'inflation']
     """
     if not require_table(table).branches:
         raise InputError(

@@ -55,6 +55,12 @@ class ForceTable:
     scatter, error : of a ramp binned to cells: standard deviation of the rows within a cell, and
         of their mean [N], shape (n,); None where cells were measured one by one.
     notes : what was left out or mended in reading, in words.
+
+    Examples
+    --------
+    >>> cells = pam.fitting.ForceTable([1e5, 2e5], [0.0, 0.05], [300.0, 400.0], rest_length=0.3)
+    >>> cells
+    ForceTable(2 cells, 2 taut: p 1..2 bar, kappa 0..5 %, F up to 400 N, l0 0.3 m)
     """
 
     pressure: Array
@@ -216,6 +222,12 @@ def read_table(
     Raises
     ------
     InputError, UnknownNameError : one sentence with column, row, value and remedy.
+
+    Examples
+    --------
+    >>> table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
+    >>> len(table), len(table.taut)  # cells, those with a force
+    (126, 60)
     """
     how, words = TableWords.of(
         rest_length=rest_length,

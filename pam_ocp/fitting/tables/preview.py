@@ -68,6 +68,12 @@ class Preview:
     kind : "table" or "record". dialect, notes, doubts : in words. rows : of the source. result :
     the table, or the records, as they are read; None where they cannot yet, for which ``problem``
     says the reason and the remedy. call : Python that reads it so.
+
+    Examples
+    --------
+    >>> seen = pam.fitting.look("DMSP-20-300_static.csv", rest_length=0.300)
+    >>> seen.ok, seen.kind, seen.rows
+    (True, 'table', 126)
     """
 
     source: str
@@ -161,7 +167,7 @@ def _aligned(columns: tuple[ColumnView, ...]) -> list[str]:
 
 
 def look(source: Any, plant: Plant | None = None, **options: Any) -> Preview | Previews:
-    """What is understood of a file, before anything is fitted: ``print(look(path))``.
+    r"""What is understood of a file, before anything is fitted: ``print(look(path))``.
 
     source : as for :func:`read_table` and :func:`read_record`; a list, folder or pattern gives
         Previews. plant : whose variables name the columns of a record.
@@ -170,6 +176,13 @@ def look(source: Any, plant: Plant | None = None, **options: Any) -> Preview | P
 
     Raises InputError for a file that is damaged or none, or an option that cannot be meant; what
     must be said before it can be read is said in ``problem``.
+
+    Examples
+    --------
+    >>> seen = pam.fitting.look("DMSP-20-300_static.csv", rest_length=0.300)
+    >>> print("\n".join(str(seen).splitlines()[:2]))
+    DMSP-20-300_static.csv: a force table, 126 rows
+      cells between commas, names in line 1
     """
     if not is_source(source):
         return Previews(_look(one, plant, dict(options)) for one in sources_of(source))

@@ -20,7 +20,21 @@ __all__ = ["RawTable", "ReadingWarning", "complete", "say"]
 
 
 class ReadingWarning(UserWarning):
-    """Not all of a file was taken as it stands: what was left out or mended, and where."""
+    r"""Not all of a file was taken as it stands: what was left out or mended, and where.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> from pathlib import Path
+    >>> text = "p [bar],l [mm],F [N]\n1,300,200\n2,300,500\n2,290,\n3,290,600\n"
+    >>> _ = Path("rig.csv").write_text(text)
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     table = pam.read_table("rig.csv", rest_length=0.300)
+    ...
+    >>> given[0].category.__name__
+    'ReadingWarning'
+    """
 
 
 def say(label: str, notes: Sequence[str]) -> None:

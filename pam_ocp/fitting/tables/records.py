@@ -133,6 +133,12 @@ def read_record(
     ------
     InputError : time that runs backwards or has a gap (and where), cells that are no numbers, units
         that do not fit, no column of use. UnknownNameError : names that are not there.
+
+    Examples
+    --------
+    >>> path = record.save("run.csv")
+    >>> pam.read_record(path, plant)["x"].shape
+    (201,)
     """
     words = RecordWords.of(
         columns=columns,
@@ -172,6 +178,12 @@ def read_records(
     one source cut where column ``split`` changes, or where its clock jumps (``clock="cut"``).
 
     options : as for :func:`read_record`.
+
+    Examples
+    --------
+    >>> paths = [record.save("run1.csv"), record.save("run2.csv")]
+    >>> len(pam.read_records(paths, plant))
+    2
     """
     words = RecordWords.of(**options)
     found: list[Trajectory] = []

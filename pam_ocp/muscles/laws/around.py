@@ -31,6 +31,12 @@ def bladder_law(law: type[ForceLaw]) -> type[ForceLaw]:
     The volume consistent with it is that of ``law``: what the bladder takes up below the threshold
     is left out. Source: dead pressure of bladders, B. Tondu, J. Intell. Mater. Syst. Struct. 23
     (2012) 225-253 (abstract read); the form is our reconstruction.
+
+    Examples
+    --------
+    >>> law = pam.laws.bladder_law(pam.laws.SixParameterLaw)
+    >>> law.name
+    'six-parameter+bladder'
     """
     return _bladder_law(_free_of(law, "bladder"))
 
@@ -71,6 +77,12 @@ def ends_law(law: type[ForceLaw]) -> type[ForceLaw]:
     IEEE Control Syst. Mag. 20 (2000) 15-38; "boundary constraint of rigid tips" and the two
     fixations, B. Tondu, J. Intell. Mater. Syst. Struct. 23 (2012) 225-253 (abstracts read). That
     the fixation acts as a spring beside the law is our reconstruction.
+
+    Examples
+    --------
+    >>> law = pam.laws.ends_law(pam.laws.SixParameterLaw)
+    >>> law.name
+    'six-parameter+ends'
     """
     return _ends_law(_free_of(law, "ends"))
 
@@ -123,13 +135,27 @@ AROUND: dict[str, Callable[[type[ForceLaw]], type[ForceLaw]]] = {
 
 
 def with_bladder(law: ForceLaw, threshold: Any, width: Any = WIDTH) -> ForceLaw:
-    """``law`` behind a dead pressure ``threshold`` [Pa]; see :func:`bladder_law`."""
+    """``law`` behind a dead pressure ``threshold`` [Pa]; see :func:`bladder_law`.
+
+    Examples
+    --------
+    >>> law = pam.laws.with_bladder(muscle.law, threshold=3e4)
+    >>> bool(np.isclose(law.tension(3e5, 0.1), muscle.law.tension(2.7e5, 0.1)))
+    True
+    """
     made = bladder_law(type(law))
     return made(**{**law.values, "threshold": threshold, "threshold_width": width})
 
 
 def with_ends(law: ForceLaw, rigid: float = 0.0, taper: float = 1.0, tube: float = 0.0) -> ForceLaw:
-    """``law`` with ends that do not contract; see :func:`ends_law`."""
+    """``law`` with ends that do not contract; see :func:`ends_law`.
+
+    Examples
+    --------
+    >>> law = pam.laws.with_ends(muscle.law, rigid=0.1)
+    >>> bool(abs(law.tension(3e5, 0.09) - muscle.law.tension(3e5, 0.10)) < 1e-9)
+    True
+    """
     return ends_law(type(law))(**{**law.values, "rigid": rigid, "taper": taper, "tube": tube})
 
 

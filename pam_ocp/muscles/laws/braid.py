@@ -48,6 +48,12 @@ class GeometricLaw(ForceLaw):
 
     Source: C.-P. Chou, B. Hannaford, IEEE Trans. Robot. Autom. 12 (1996) 90-102; eq. (2) of the
     source paper.
+
+    Examples
+    --------
+    >>> law = pam.laws.GeometricLaw(alpha0=0.44, radius=0.010)
+    >>> law.tension(0.0, 0.1) == 0.0
+    True
     """
 
     alpha0: FloatOrSX = _angle()
@@ -72,6 +78,12 @@ class CorrectedLaw(ForceLaw):
 
     Source: B. Tondu, P. Lopez, IEEE Control Systems Magazine 20 (2000) 15-38, and their
     successors, for the pressure-dependent factor.
+
+    Examples
+    --------
+    >>> law = pam.laws.CorrectedLaw(alpha0=0.44, a_e=0.1, b_e=1.2, radius=0.010)
+    >>> bool(law.tension(2e5, 0.05) > law.tension(2e5, 0.10) > 0)
+    True
     """
 
     alpha0: FloatOrSX = _angle()

@@ -30,6 +30,12 @@ class FiveParameterLaw(ForceLaw):
 
     The force at p = 0 then vanishes at kappa = 0, as the definition of the rest length demands.
     That this is how the five-parameter variant is meant is our inference.
+
+    Examples
+    --------
+    >>> found = pam.fit_force(table, "five-parameter")
+    >>> print(f"{found.rmse:.1f} N")
+    9.3 N
     """
 
     a1: FloatOrSX = coefficient("N/Pa", 1e-4, "exponential term, per pressure")
@@ -63,6 +69,12 @@ class HildebrandtLaw(ForceLaw):
 
     Source: A. Hildebrandt, O. Sawodny, R. Neumann, A. Hartmann, Proc. American Control
     Conference 2005, for the structure.
+
+    Examples
+    --------
+    >>> found = pam.fit_force(table, "hildebrandt")
+    >>> print(f"{found.rmse:.1f} N")
+    4.0 N
     """
 
     c0: FloatOrSX = coefficient("N/Pa", 1e-3, "pressure")
@@ -116,6 +128,12 @@ class LengthScaledLaw(ForceLaw):
     Source: B. Bolen, A. Hunt and others (Portland State University), sets for 10, 20, 40 mm;
     that Fmax is taken at 620 kPa follows from their published code. For 40 mm they know no
     effect of length (6398.4 N, from the maker's tool): b2 is so large here that atan is pi/2.
+
+    Examples
+    --------
+    >>> long = pam.muscle("DMSP-20-scaled", rest_length=0.400)
+    >>> print(f"{long.blocked_force(6e5):.0f} N")
+    1256 N
     """
 
     a0: FloatOrSX = coefficient("1", 0.1, "passive part", minimum=0.0)
@@ -172,6 +190,12 @@ class ThreeElementLaw(ForceLaw):
 
     Source: D. B. Reynolds, D. W. Repperger, C. A. Phillips, G. Bandry, Annals of Biomedical
     Engineering 31 (2003) 310-317; for 207 to 621 kPa.
+
+    Examples
+    --------
+    >>> law = pam.laws.ThreeElementLaw.reynolds(rest_length=0.3)
+    >>> print(f"{law.tension(4e5, 0.0):.1f} N")  # 179.2 + 1.39 x 400 kPa
+    735.2 N
     """
 
     f0: FloatOrSX = coefficient("N", 100.0, "contractile force, constant")
@@ -206,6 +230,12 @@ class TwoSlopeThreeElementLaw(ForceLaw):
 
     Source: J. L. Serres et al., Comput. Methods Biomech. Biomed. Engin. 12(4) (2009) 423-430, doi
     10.1080/10255840802654327; the coefficients are printed in its abstract, for 150 to 550 kPa.
+
+    Examples
+    --------
+    >>> law = pam.laws.TwoSlopeThreeElementLaw.festo(rest_length=0.3)
+    >>> print(f"{law.tension(4e5, 0.0):.1f} N")  # 44.6 + 2.91 x 400 kPa
+    1208.6 N
     """
 
     f0: FloatOrSX = coefficient("N", 100.0, "contractile force, constant")

@@ -38,6 +38,12 @@ class ThickWallLaw(ForceLaw):
     modulus rather than that of the rubber (our observation). Affine in pressure.
 
     Source: M. Martens, I. Boblan, Actuators 2017, 6(4), 33.
+
+    Examples
+    --------
+    >>> law = pam.muscle("DMSP-20-300-wall").law
+    >>> print(f"{law.tension(3e5, 0.10):.0f} N")
+    227 N
     """
 
     c0: FloatOrSX = coefficient("Pa", 1e8, "effective modulus, constant")

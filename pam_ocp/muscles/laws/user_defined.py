@@ -64,6 +64,12 @@ def polynomial_law(gain_degree: int = 3, offset_degree: int = 4) -> type[ForceLa
 
     Coefficients g0 .. [N/Pa] and h0 .. [N]. Linear in all of them, so a fit is one least-squares
     solve. As many contraction levels as coefficients of G must have been measured.
+
+    Examples
+    --------
+    >>> law = pam.laws.polynomial_law(1, 3)
+    >>> print(f"{pam.fit_force(table, law).rmse:.1f} N")
+    6.9 N
     """
     return _polynomial_law(
         _degree("gain_degree", gain_degree), _degree("offset_degree", offset_degree)
@@ -107,6 +113,12 @@ def spline_law(breaks: Sequence[float], degree: int = 3) -> type[ForceLaw]:
     degree : of the pieces; 3 has two continuous derivatives of the force.
 
     ``len(breaks) - 1 + degree`` coefficients each, g0 .. [N/Pa] and h0 .. [N].
+
+    Examples
+    --------
+    >>> law = pam.laws.spline_law([0.0, 0.1, 0.25], degree=2)
+    >>> len(law.free_coefficients())
+    8
     """
     points = tuple(float(b) for b in breaks)
     if len(points) < 2 or not np.all(np.isfinite(points)) or np.any(np.diff(points) <= 0):
@@ -189,14 +201,22 @@ def own_law(
         ``kappa`` and the coefficients' names; or a function ``formula(p, kappa, **coefficients)``.
     coefficients : name -> :func:`coefficient` (unit, nominal, description, range).
 
-    Example::
-
-        Spring = own_law(
-            "spring", lambda p, kappa, area, k: area * p - k * kappa,
-            {"area": coefficient("N/Pa", 1e-3, "area"), "k": coefficient("N", 1e3, "spring")}, )
-        Muscle(Spring(area=3e-4, k=2e3), rest_length=0.3)
-
     Raises InputError for an expression with symbols that are neither p, kappa nor coefficients.
+
+    Examples
+    --------
+    >>> def force(p, kappa, area, k):
+    ...     return area * p - k * kappa
+    ...
+    >>> coefficients = {
+    ...     "area": pam.laws.coefficient("N/Pa", 1e-3, "area"),
+    ...     "k": pam.laws.coefficient("N", 1e3, "spring"),
+    ... }
+    >>> law = pam.laws.own_law("sprung", force, coefficients)
+    >>> float(law(area=1e-3, k=2e3).tension(2e5, 0.05))
+    100.0
+    >>> print(f"{pam.fit_force(table, law).rmse:.0f} N")
+    91 N
     """
     for key in coefficients:
         if not key.isidentifier() or key in ("p", "kappa", "slack_width", "pre_contraction"):

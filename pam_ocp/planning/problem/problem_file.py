@@ -39,6 +39,18 @@ def load_problem(path: str | Path, *, allow_code: bool = False) -> tuple[Plant, 
         load libraries or write files. Without it they are refused; a file of others cannot do harm.
 
     Raises InputError that names the file, the key, the value and what is allowed.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = '''
+    ... stops = [{ x = "-10 mm" }, { x = "10 mm" }]
+    ... plant = { arrangement = "AntagonisticSlide", muscle = "DMSP-20-300" }
+    ... '''
+    >>> _ = Path("problem.toml").write_text(text)
+    >>> found, arguments = pam.load_problem("problem.toml")
+    >>> pam.plan(found, **arguments).verified
+    True
     """
     source = Path(path)
     content = read_toml(source)

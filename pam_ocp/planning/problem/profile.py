@@ -27,6 +27,13 @@ class Profile:
 
     Raises InputError for times that do not rise, values that are not finite, or lengths that
     differ.
+
+    Examples
+    --------
+    >>> roof = pam.Profile([0.0, 0.03, 0.2], [0.0, 0.011, 0.011])
+    >>> under = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], bounds={"x": (None, roof)})
+    >>> under.verified
+    True
     """
 
     t: Array

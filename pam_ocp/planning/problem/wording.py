@@ -28,6 +28,13 @@ class Stop:
         the plan's own ``rest``.
     dwell : how long the motion stays [s], or (shortest, longest); all named values are then held.
     within : how far they may stray during the dwell, in units of their nominals.
+
+    Examples
+    --------
+    >>> held = pam.Stop({"x": 0.01}, dwell=0.05)
+    >>> stay = pam.plan(slide, [{"x": -0.01}, held, {"x": -0.01}])
+    >>> len(stay.durations)  # the dwell is a leg of its own
+    3
     """
 
     values: Mapping[str, Any]
@@ -55,6 +62,14 @@ class Constraint:
 
     expression : of the plant's symbols (``plant.expression(NAME)``) and ``pam_ocp.TIME``.
     low, high : numbers, None for an open end. nominal : a typical size of the expression.
+
+    Examples
+    --------
+    >>> net = slide.expression("muscle1.force") - slide.expression("muscle2.force")
+    >>> limit = pam.Constraint(net, -300.0, 300.0, name="net force", nominal=100.0, unit="N")
+    >>> gentle = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], constraints=[limit])
+    >>> gentle.duration > plan.duration
+    True
     """
 
     expression: ca.SX
@@ -88,6 +103,13 @@ class Avoid:
 
     region : {name: (centre, half width)}; sum of ((value - centre)/half width)^2 >= 1 all along.
         "time" may be one of the names: a place that is taken for a while.
+
+    Examples
+    --------
+    >>> fast = pam.Avoid({"x": (0.0, 0.004), "v": (0.6, 0.2)}, name="fast in the middle")
+    >>> slower = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], constraints=[fast])
+    >>> slower.verified, slower.duration > plan.duration
+    (True, True)
     """
 
     region: Mapping[str, tuple[float, float]]
@@ -117,6 +139,14 @@ class Phase:
 
     duration : seconds, (shortest, longest), or None for free.
     bounds : as for :func:`pam_ocp.plan`. constraints : Constraint and Avoid.
+
+    Examples
+    --------
+    >>> slow = pam.Phase(bounds={"v": (-0.2, 0.2)})
+    >>> stops = [{"x": -0.01}, {"x": 0.01}, {"x": -0.01}]
+    >>> there = pam.plan(slide, stops, phases=[slow, None])
+    >>> there.durations[0] > there.durations[1]
+    True
     """
 
     duration: Duration = None

@@ -19,7 +19,7 @@ from ..problem.problem import Problem
 from ..transcription.transcription import Program
 from .solver import Outcome, Solver, Start
 
-__all__ = ["has_kinks", "narrowing", "rounded", "widened"]
+__all__ = ["has_kinks", "narrowing", "rounded", "rounded_at", "widened"]
 
 FIRST, LEAST = 0.3, 0.02
 """Parts of the path that are gone at once: at first, and at least before it is given up."""
@@ -46,15 +46,17 @@ def rounded(plant: Plant, part: float) -> Plant:
     )
 
 
-def _at(program: Program, part: float) -> Program:
-    """The program with the roundings of a place on the path."""
+def rounded_at(program: Program, part: float) -> Program:
+    """The program with the roundings of a place on the path; itself at the end."""
+    if part >= 1.0:
+        return program
     problem = replace(program.problem, plant=rounded(program.problem.plant, part))
     return replace(program, problem=problem)
 
 
 def widened(program: Program) -> Program:
     """The program with its roundings at their widest."""
-    return _at(program, 0.0)
+    return rounded_at(program, 0.0)
 
 
 def narrowing(
@@ -67,7 +69,7 @@ def narrowing(
 
     def solved(part: float, w: NDArray[np.float64], how: Start) -> Outcome:
         nonlocal iterations, seconds
-        outcome = solver(_at(program, part) if part < 1 else program, w, how)
+        outcome = solver(rounded_at(program, part), w, how)
         iterations, seconds = iterations + outcome.iterations, seconds + outcome.seconds
         return outcome
 

@@ -49,6 +49,12 @@ POLISH = 1e-4
 class Pareto:
     """Plans along the front of two objectives,
     from the least of the first to that of the second.
+
+    Examples
+    --------
+    >>> front = pam.pareto(slide, [{"x": -0.01}, {"x": 0.01}], points=3)
+    >>> bool(np.all(np.diff(front.values[:, 1]) < 0))
+    True
     """
 
     first: Variable
@@ -134,6 +140,12 @@ def pareto(
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
     points between that are not found stand in ``failures``.
+
+    Examples
+    --------
+    >>> front = pam.pareto(slide, [{"x": -0.01}, {"x": 0.01}], points=3)
+    >>> front.values.shape, front.failures
+    ((3, 2), ())
     """
     require_plant(plant)
     require_count("points", points, 2)

@@ -117,6 +117,15 @@ def robust_plan(
     given, and the plan is the one with the largest share that was found. Raises InputError for what
     cannot be meant; PlanError where the spread cannot be kept for the first plants: the message
     names ``NAME.deviation<k>`` at its stop, and what the nominal plan's inputs would keep.
+
+    Examples
+    --------
+    >>> draws = [{"mass": 1.96}, {"mass": 2.04}]
+    >>> ways = {"share": None, "method": pam.Collocation(10, 3)}
+    >>> stops = [{"x": -0.01}, {"x": 0.01}]
+    >>> robust = pam.robust_plan(slide, stops, draws=draws, spread={"x": 1e-3}, **ways)
+    >>> robust.verified
+    True
     """
     require_plant(plant)
     _check_share(share, confidence)

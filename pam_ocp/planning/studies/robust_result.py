@@ -100,6 +100,15 @@ class RobustPlan:
 
     ``print(robust.verdict)`` says for whom it is robust; ``share`` is that of plants that no round
     of the search had seen before, with its interval.
+
+    Examples
+    --------
+    >>> draws = [{"mass": 1.96}, {"mass": 2.04}]
+    >>> ways = {"share": None, "method": pam.Collocation(10, 3)}
+    >>> stops = [{"x": -0.01}, {"x": 0.01}]
+    >>> robust = pam.robust_plan(slide, stops, draws=draws, spread={"x": 1e-3}, **ways)
+    >>> robust.verified, robust.plan.duration > plan.duration
+    (True, True)
     """
 
     plan: Plan

@@ -48,7 +48,17 @@ def drawn(plant: Plant, draws: Sequence[Mapping[str, Any]]) -> tuple[dict[str, f
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """The motions of plants with drawn parameters under one motion's inputs."""
+    """The motions of plants with drawn parameters under one motion's inputs.
+
+    Examples
+    --------
+    >>> draws = [{"mass": 1.96}, {"mass": 2.04}]
+    >>> ways = {"share": None, "method": pam.Collocation(10, 3)}
+    >>> stops = [{"x": -0.01}, {"x": 0.01}]
+    >>> robust = pam.robust_plan(slide, stops, draws=draws, spread={"x": 1e-3}, **ways)
+    >>> bool(np.abs(robust.members.at_stops("x")).max() < 1.001e-3)
+    True
+    """
 
     plant: Plant
     nominal: Trajectory

@@ -208,6 +208,12 @@ class Collocation:
     guarded : bounds of polynomial inputs, and path constraints that depend on them, are asked for
         between the points too; without, they may be far outside there (a switch makes them swing),
         which the plan's replay reports.
+
+    Examples
+    --------
+    >>> method = pam.Collocation(intervals=10, degree=4)
+    >>> pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=method).verified
+    True
     """
 
     intervals: int = 50
@@ -238,6 +244,12 @@ class Shooting:
     Fewer unknowns than collocation; for plants that are not stiff (RK4 is explicit), and where
     bounds need hold at the intervals' ends only.
     control : "constant" or "linear" inputs on each interval.
+
+    Examples
+    --------
+    >>> method = pam.Shooting(intervals=20)
+    >>> pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], method=method).verified
+    True
     """
 
     intervals: int = 50

@@ -42,7 +42,8 @@ def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
     legs, designed, peaks = len(problem.legs), len(problem.design), problem.m.numel()
     tail = w[len(w) - legs - designed - peaks :]
     durations = tail[:legs] * problem.time_nominals
-    t, states, pieces = [0.0], [w[:nx]], []
+    t, states = [0.0], [w[:nx]]
+    pieces: list[Array] = []
     breaks, at, begin = [0.0], nx, 0.0
     for interval in mesh.intervals:
         h = float(durations[interval.leg] * interval.fraction)

@@ -71,7 +71,7 @@ class FitStep(Step):
     parts: ClassVar[Mapping[str, str]] = {"table": "table"}
     needs = ("table",)
     keys = ("law", "fixed", "loss", "rest_length", "diameter", "name")
-    offers: ClassVar[Mapping[str, str]] = {"muscle": "muscle.toml", "fit": "fit.json"}
+    offers: ClassVar[Mapping[str, str]] = {"muscle": "muscle.toml"}
 
     @classmethod
     def _fixed(cls, job: Job) -> dict[str, float]:
@@ -105,7 +105,9 @@ class FitStep(Step):
         usual = muscle("DMSP-20-300")
         law = usual.law
         if kind is not type(law):
-            law = kind(**{v.name: v.nominal for v in kind.coefficient_variables()})
+            nominal = {v.name: v.nominal for v in kind.coefficient_variables()}
+            own = {"rest_length": length} if "rest_length" in nominal else {}
+            law = kind(**{**nominal, **own})
         diameter = job.si("diameter", "m")
         return {"muscle": replace(usual, law=law, rest_length=length, diameter=diameter)}
 
@@ -146,12 +148,10 @@ class FitStep(Step):
         )
 
     @classmethod
-    def read(cls, noun: str, job: Job) -> Muscle | ForceFit:
-        from ...fitting.static.saved_force import read_fit
+    def read(cls, noun: str, job: Job) -> Muscle:
         from ...muscles.muscle_file import load_muscle
 
-        path = job.out / cls.offers[noun]
-        return load_muscle(path) if noun == "muscle" else read_fit(path)
+        return load_muscle(job.out / cls.offers[noun])
 
 
 def _write_coefficients(fit: ForceFit, path: Path) -> None:

@@ -1,0 +1,164 @@
+"""The gallery: every example as a notebook, run by a kernel of its own, and its picture.
+
+python docs/gallery.py [FOLDER] [NAME ...]
+
+A script becomes a notebook so: its docstring is the title and the text, ``# %%`` begins a cell,
+comments behind it are text, and what it saves as a picture is shown instead.
+"""
+
+from __future__ import annotations
+
+import ast
+import base64
+import hashlib
+import re
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+EXAMPLES = HERE.parent / "examples"
+TITLE = re.compile(r"(.+?)[:.](?:\s|$)", re.S)
+
+
+def groups() -> dict[str, list[str]]:
+    """{heading: names of examples}, as the folder's own page lists them."""
+    found: dict[str, list[str]] = {}
+    for line in (EXAMPLES / "README.md").read_text("utf-8").splitlines():
+        if line.startswith("## "):
+            heading = found.setdefault(line[3:], [])
+        elif match := re.fullmatch(r"- \[(\w+)\]\(\1\.py\)", line):
+            heading.append(match[1])
+    return found
+
+
+def words(source: str) -> tuple[str, str]:
+    """Title and text of an example, from its docstring."""
+    text = ast.get_docstring(ast.parse(source)) or ""
+    text = re.sub(r"\n*^(Run|Usage): .*", "", text, flags=re.M).strip()
+    match = TITLE.match(text)
+    assert match, "an example begins with a docstring"
+    return " ".join(match[1].split()), text
+
+
+def shown(code: str) -> str:
+    """The code with ``display(figure)`` in place of ``figure.savefig(...)``."""
+    spots = [
+        node
+        for node in ast.walk(ast.parse(code))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr == "savefig"
+    ]
+    for node in sorted(spots, key=lambda n: (n.lineno, n.col_offset), reverse=True):
+        whole = ast.get_source_segment(code, node)
+        figure = ast.get_source_segment(code, node.func.value)  # type: ignore[attr-defined]
+        assert whole is not None
+        code = code.replace(whole, f"display({figure})")
+    last = ast.parse(code).body[-1:]
+    if (
+        last
+        and isinstance(last[0], ast.Expr)
+        and not re.match(r"print|display", ast.unparse(last[0]))
+    ):
+        return f"{code.rstrip()};\n"  # a legend that was made, say, is no result
+    return code
+
+
+def notebook(path: Path) -> Any:
+    """An example as a notebook that has not run yet."""
+    from nbformat import v4
+
+    source = path.read_text("utf-8")
+    title, text = words(source)
+    docstring = ast.parse(source).body[0]
+    code = "".join(source.splitlines(keepends=True)[docstring.end_lineno :])
+    first, *others = re.split(r"^# %%.*\n", code, flags=re.M)
+    said = f"# {title}\n\n{text}\n\nAs a script: `examples/{path.name}`."
+    cells = [v4.new_markdown_cell(said)]
+    ready = "%matplotlib inline\nimport sys\n\nsys.argv[1:] = ['.']  # results go here"
+    cells.append(v4.new_code_cell(ready, metadata={"tags": ["remove-cell"]}))
+    for part in (first, *others):
+        comment = re.match(r"(?:#.*\n)*", part)[0] if part is not first else ""  # type: ignore[index]
+        if comment.strip():
+            cells.append(v4.new_markdown_cell(re.sub(r"^# ?", "", comment, flags=re.M).strip()))
+        if body := shown(part[len(comment) :]).strip():
+            cells.append(v4.new_code_cell(body))
+    for number, cell in enumerate(cells):
+        cell.id = f"{path.stem.replace('_', '-')}-{number}"
+    made = v4.new_notebook(cells=cells)
+    made.metadata.kernelspec = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    made.metadata.source = hashlib.sha256(source.encode()).hexdigest()
+    return made
+
+
+def run(name: str, folder: Path) -> Path:
+    """``folder/NAME.ipynb`` with its outputs, and ``NAME.png``; kept while the example stays."""
+    import nbformat
+    from nbclient import NotebookClient
+
+    made, target = notebook(EXAMPLES / f"{name}.py"), folder / f"{name}.ipynb"
+    if target.is_file():
+        before = nbformat.read(target, as_version=4)
+        if before.metadata.get("source") == made.metadata.source:
+            return target
+    with tempfile.TemporaryDirectory() as place:
+        NotebookClient(made, timeout=300, resources={"metadata": {"path": place}}).execute()
+    pictures = [
+        output.data["image/png"]
+        for cell in made.cells
+        if cell.cell_type == "code"
+        for output in cell.outputs
+        if "image/png" in output.get("data", {})
+    ]
+    assert pictures, f"{name} shows no picture"
+    (folder / f"{name}.png").write_bytes(base64.b64decode(pictures[0]))
+    for cell in made.cells:
+        cell.metadata.pop("execution", None)  # times of day
+    nbformat.write(made, target)
+    return target
+
+
+def make(folder: Path, names: list[str] | None = None) -> list[Path]:
+    """Run examples, two at a time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = names or [name for group in groups().values() for name in group]
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda name: run(name, folder), chosen))
+
+
+def index(folder: Path) -> None:
+    """``folder/index.md``: a card for each example."""
+    lines = [
+        "# Gallery",
+        "",
+        "Each was run for this page, by a kernel of its own.",
+        "",
+    ]
+    names = []
+    for heading, group in groups().items():
+        lines += [f"## {heading}", "", "::::{grid} 1 2 3 3", ":gutter: 2", ""]
+        for name in group:
+            title, _ = words((EXAMPLES / f"{name}.py").read_text("utf-8"))
+            lines += [
+                f":::{{grid-item-card}} {title}",
+                f":img-top: {name}.png",
+                f":link: {name}",
+                ":link-type: doc",
+                ":::",
+                "",
+            ]
+            names.append(name)
+        lines += ["::::", ""]
+    lines += ["```{toctree}", ":hidden:", "", *names, "```", ""]
+    text, target = "\n".join(lines), folder / "index.md"
+    if not target.is_file() or target.read_text("utf-8") != text:
+        target.write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    where = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "gallery"
+    for path in make(where, sys.argv[2:]):
+        print(path)

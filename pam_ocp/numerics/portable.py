@@ -1,0 +1,90 @@
+"""Elementary functions of sums and products alone, whose last bit is the same everywhere.
+
+No two C libraries agree on the last bit of exp. Where a result depends strongly on its data (many
+iterations, kinks), a difference there grows to one that can be seen, so that a Function gives other
+numbers in Python than in its C code on a target.
+"""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+
+__all__ = ["portable"]
+
+LN2_HIGH, LN2_LOW = float.fromhex("0x1.62e42fee00000p-1"), float.fromhex("0x1.a39ef35793c76p-33")
+"""ln(2) in two parts; the first has so few digits that its multiples by whole numbers are exact."""
+TERMS = 13
+"""Of the series of exp on [-ln(2)/2, ln(2)/2]: its remainder is 4e-18."""
+LARGEST = 700.0
+"""Arguments of exp are held to this size: beyond are neither numbers nor zeros to compute with."""
+
+
+def _parts(x: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(2^k, exp(r) - 1) of x = k ln(2) + r, |r| <= ln(2)/2; powers of two are exact everywhere."""
+    held = ca.if_else(x > LARGEST, LARGEST, ca.if_else(x < -LARGEST, -LARGEST, x))
+    k = ca.floor(held * (1 / math.log(2)) + 0.5)
+    r = (held - k * LN2_HIGH) - k * LN2_LOW
+    series = ca.SX(1.0)
+    for n in range(TERMS, 1, -1):
+        series = 1 + r * series * (1 / n)
+    return ca.power(2.0, k), r * series
+
+
+def _exp(x: ca.SX) -> ca.SX:
+    power, rest = _parts(x)
+    return power + power * rest
+
+
+def _expm1(x: ca.SX) -> ca.SX:
+    power, rest = _parts(x)
+    return (power - 1) + power * rest
+
+
+def _tanh(x: ca.SX) -> ca.SX:
+    grown = _expm1(-2 * ca.fabs(x))
+    value = -grown / (2 + grown)
+    return ca.SX(ca.if_else(x < 0, -value, value))
+
+
+_REPLACED = {ca.OP_EXP: _exp, ca.OP_EXPM1: _expm1, ca.OP_TANH: _tanh}
+
+
+def portable(function: ca.Function) -> ca.Function:
+    """An SX Function with exp, expm1 and tanh written out; itself where it has none.
+
+    Rounding differs from the C library's by some units in the last place; an argument that is not a
+    number gives none.
+    """
+    count = function.n_instructions()
+    codes = [function.instruction_id(k) for k in range(count)]
+    if not any(code in _REPLACED for code in codes):
+        return function
+    arguments = function.sx_in()
+    entries = [[ca.SX(e) for e in a.nonzeros()] for a in arguments]
+    outputs: list[list[ca.SX]] = [
+        [ca.SX(0.0)] * function.nnz_out(i) for i in range(function.n_out())
+    ]
+    work: list[ca.SX] = [ca.SX(0.0)] * function.sz_w()
+    for k, code in enumerate(codes):
+        from_, to = function.instruction_input(k), function.instruction_output(k)
+        if code == ca.OP_INPUT:
+            work[to[0]] = entries[from_[0]][from_[1]]
+        elif code == ca.OP_OUTPUT:
+            outputs[to[0]][to[1]] = work[from_[0]]
+        elif code == ca.OP_CONST:
+            work[to[0]] = ca.SX(function.instruction_constant(k))
+        elif code in _REPLACED:
+            work[to[0]] = _REPLACED[code](work[from_[0]])
+        elif len(from_) == 1:
+            work[to[0]] = ca.SX.unary(code, work[from_[0]])
+        else:
+            work[to[0]] = ca.SX.binary(code, *(work[i] for i in from_))
+    results = [
+        ca.SX(function.sparsity_out(i), ca.vertcat(*column))
+        if column
+        else ca.SX(*function.size_out(i))
+        for i, column in enumerate(outputs)
+    ]
+    return ca.Function(function.name(), arguments, results, {"cse": True})

@@ -1,0 +1,106 @@
+"""From wide roundings to the plant's own ones, on meshes that resolve the motion at each place.
+
+A mesh that does not resolve a kink has optima of its own, which move as the kink narrows: there a
+solver takes hundreds of iterations from one place of the path to the next, or fails. Where the
+motion is resolved before each step, most steps take some ten.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .replay import chosen_plant, interval_errors
+from .result import Solved
+from .run import Run
+from .solvers.backend import Backend
+from .solvers.narrowing import has_kinks, rounded_at
+from .transcription.guess import from_solution
+from .transcription.mesh import refined
+from .transcription.solution import unpack
+from .transcription.transcription import Program, transcribe
+
+__all__ = ["Approach", "resolvable"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+RESOLVED = 0.02
+"""Sum of the intervals' errors in units of nominal, on the way."""
+STEP, LEAST = 0.15, 0.01
+"""Parts of the path that are gone at once: at most (longer steps lead to other, worse optima), and
+at least before it is given up.
+"""
+FASTER, SLOWER = 1.4, 0.4
+"""Of these parts, after a step that led to a solution, and after one that did not."""
+REFINEMENTS = 4
+"""At each place, at most."""
+EFFORT = 1.2e7
+"""Iterations times unknowns of the way, at most: a minute or so."""
+
+
+def resolvable(program: Program) -> bool:
+    """Whether a program has kinks that finer meshes may resolve while its inputs stay as they are.
+
+    Economical motions have meshes of their own, see climb.py.
+    """
+    constant = program.mesh.form.control == "constant" and program.mesh.form.scheme != "shooting"
+    return constant and has_kinks(program.problem) and not program.problem.objective.economical
+
+
+class Approach:
+    """The way of one program from a solution with the widest roundings.
+
+    iterations : of the solver on it.
+    """
+
+    def __init__(self, run: Run, wide: Solved, backend: Backend) -> None:
+        self.run, self.backend = run, backend
+        self._here, self._part = wide, 0.0
+        self.iterations, self._effort = 0, 0.0
+
+    def solved(self) -> Solved | None:
+        """The solution with the plant's own roundings, on a mesh of its own; None where the way
+        is blocked.
+        """
+        step = STEP
+        self._resolve()
+        while self._part < 1.0:
+            if step < LEAST or self._effort > EFFORT:
+                return None
+            there = min(1.0, self._part + step)
+            found = self._on(self.run, there, self._here.outcome.w)
+            if found.outcome.stopped:
+                return None
+            if not found.outcome.success:
+                step *= SLOWER
+                continue
+            self._here, self._part, step = found, there, min(STEP, FASTER * step)
+            if there < 1.0:
+                self._resolve()
+        return self._here
+
+    def _resolve(self) -> None:
+        """Finer meshes, until the motion is resolved; where one fails, the one before it."""
+        problem = self.run.program.problem
+        for _ in range(REFINEMENTS):
+            mesh, solution = self._here.program.mesh, self._here.solution
+            plant = chosen_plant(self._here.program.problem, solution)
+            errors = interval_errors(plant, mesh, solution)
+            finer = refined(mesh, errors, RESOLVED / len(errors), True)
+            if sum(errors) <= RESOLVED or finer == mesh or self._effort > EFFORT:
+                return
+            run = Run(transcribe(problem, finer), self.backend)
+            found = self._on(run, self._part, from_solution(problem, finer, solution))
+            if not found.outcome.success:
+                return
+            self.run, self._here = run, found
+
+    def _on(self, run: Run, part: float, guess: Array) -> Solved:
+        """What the solver makes of a program at a place of the path."""
+        program = rounded_at(run.program, part)
+        outcome = run.solver(program, guess, "step")
+        self.iterations += outcome.iterations
+        self._effort += outcome.iterations * len(outcome.w)
+        return Solved(program, outcome, unpack(program.problem, program.mesh, outcome.w))

@@ -1,0 +1,106 @@
+"""Every result has a table, a picture, a text and files; surfaces; panels of one's own."""
+
+import csv
+import json
+
+import matplotlib.pyplot as plt
+import numpy as np
+import openpyxl
+import pytest
+
+import pam_ocp as pam
+
+METHODS = ("plot", "report", "save", "to_excel", "to_pandas")
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return pam.HangingLoad("DMSP-20-300", mass=10.0)
+
+
+@pytest.fixture(scope="module")
+def motion(plant):
+    return pam.simulate(plant, {"muscle.command": 3e5}, duration=0.05)
+
+
+@pytest.fixture(scope="module")
+def results(plant, motion):
+    table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.3)
+    cases = [{"parameters": {"mass": m}} for m in (5.0, 6.0)]
+    return [
+        motion,
+        motion.compare(motion),
+        table,
+        pam.fit_force(table, "three-element"),
+        pam.compare_laws(table, ["three-element", "polynomial-1-3"]),
+        plant.equilibrium({"muscle.pressure": 2e5}),
+        pam.equilibria(plant, {"muscle.pressure": 2e5}),
+        pam.simulate_many(plant, cases, inputs={"muscle.command": 3e5}, duration=0.01),
+        pam.load_study("DMSP-20-300", [5.0, 10.0], [2e5], duration=0.5),
+    ]
+
+
+def test_every_result_has_a_picture_a_text_a_frame_and_a_workbook(results, tmp_path):
+    for thing in results:
+        assert all(callable(getattr(thing, m)) for m in METHODS)
+        assert thing.plot().axes
+        assert len(thing.to_pandas()) > 0
+        assert isinstance(thing.report(), str)
+        book = openpyxl.load_workbook(thing.to_excel(tmp_path / "a.xlsx"))
+        assert book.worksheets[0].max_row > 1
+
+
+def test_a_comparison_in_files_holds_its_numbers(motion, plant, tmp_path):
+    other = pam.simulate(plant.with_values(mass=12.0), {"muscle.command": 3e5}, duration=0.05)
+    found = motion.compare(other)
+    rows = list(csv.DictReader(found.save(tmp_path / "c.csv").open()))
+    said = json.loads(found.save(tmp_path / "c.json").read_text())["rows"]
+    for d, row, plain in zip(found.deviations, rows, said, strict=True):
+        assert row["variable"] == plain["variable"] == d.variable.name
+        assert float(row["largest"]) == plain["largest"] == d.largest
+    assert "<h1>Comparison" in found.save(tmp_path / "c.html").read_text()
+    assert found.save(tmp_path / "c.txt").read_text() == f"{found}\n"
+    with pytest.raises(pam.InputError, match=r"end the name in one of \.csv"):
+        found.save(tmp_path / "c.docx")
+
+
+def test_many_simulations_stand_in_a_frame_by_what_was_varied(results):
+    many = results[7]
+    frame = many.to_pandas()
+    assert list(frame["mass"]) == [5.0, 6.0]
+    assert list(frame["x.last"]) == [r["x"][-1] for r in many.results]
+
+
+def test_a_panel_of_ones_own_is_drawn_into(motion):
+    figure, (left, right) = plt.subplots(1, 2)
+    assert motion.plot(["x"], ax=left) is figure
+    (line,) = left.lines
+    assert np.allclose(line.get_ydata(), 1e3 * motion["x"])
+    assert "[mm]" in left.get_ylabel()
+    pam.muscle("DMSP-20-300").plot(ax=right)
+    assert len(right.lines) == 6
+    with pytest.raises(pam.InputError, match="names of one unit"):
+        motion.plot(ax=left)
+    plt.close(figure)
+
+
+def test_the_surface_is_the_muscles_force():
+    muscle = pam.muscle("DMSP-20-300")
+    (ax, *_) = muscle.plot_surface().axes
+    assert ax.get_zlabel() == "pulling force [N]"
+    objects = pytest.importorskip("plotly.graph_objects")
+    figure = muscle.plot_surface("stiffness", interactive=True)
+    assert isinstance(figure, objects.Figure)
+    (surface,) = figure.data
+    p, kappa = surface.y[7][9] * 1e5, surface.x[7][9] / 100
+    assert surface.z[7][9] == pytest.approx(muscle.stiffness(p, kappa) / 1e3)
+    with pytest.raises(pam.InputError, match="choose 'force' or 'stiffness'"):
+        muscle.plot_surface("colour")
+
+
+def test_interactive_panels_hold_the_motion_in_display_units(motion):
+    pytest.importorskip("plotly")
+    figure = motion.plot(["x", "muscle.command"], interactive=True)
+    drawn = {trace.name: trace for trace in figure.data}
+    assert np.allclose(drawn["x"].y, 1e3 * motion["x"])
+    assert np.allclose(drawn["muscle.command"].y, 3.0)
