@@ -138,11 +138,13 @@ def test_the_script_of_motions_and_controllers_gives_the_same_figures(state, mot
 
 def test_a_study_says_the_plan_as_the_script_does(state, motion, tmp_path):
     from pam_ocp.core.files import read_toml
+    from pam_ocp.studies.study_file import read_study
 
     motion["stops"][1] |= {"rest": False}
     motion |= {"durations": [0.05], "bounds": [{"name": "v", "low": None, "high": 1.5}]}
     path = tmp_path / "session.toml"
     path.write_text(study.study_of({**state, "motions": [motion]}), "utf-8")
+    assert list(read_study(path).entries) == ["muscle", "plant", "linear", "motions1"]
     steps = read_toml(path)["steps"]
     assert steps["plant"]["muscle"] == "muscle"
     one = steps["motions1"]
