@@ -327,5 +327,5 @@ def export_lines(state: Mapping[str, Any]) -> list[str]:
                 f'stop_time={motion}.duration, platforms=["native"])'
             ]
         elif said["kind"] == "c" and said["controller"]:
-            lines += [f"pam.export.export_c({said['controller']}, {literal(f'{id}_c')})"]
+            lines += [f"pam.export_c({said['controller']}, {literal(f'{id}_c')})"]
     return lines

@@ -20,6 +20,7 @@ import numpy as np
 from ...core.errors import InputError, PamError
 from ...core.stop import deadline
 from ...core.trajectory import Trajectory
+from ...export.c_code.package import export_c
 from ...export.check import FmuCheck, check_fmu
 from ...export.package import export_fmu
 from ...export.ssp import export_ssp
@@ -37,7 +38,6 @@ __all__ = [
     "c_code",
     "fmu",
     "fresh_figures",
-    "has_c_code",
     "report",
     "same",
     "script_checked",
@@ -132,23 +132,14 @@ def ssp(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> 
     return {"file": path.name, "size": path.stat().st_size, "ok": True, "words": str(path.name)}
 
 
-def has_c_code() -> bool:
-    """Whether controllers can be written as C."""
-    from ... import export
-
-    return hasattr(export, "export_c")
-
-
 def c_code(say: Say, folder: Path, state: State, said: State, allow_code: bool) -> dict[str, Any]:
     """A controller as C, zipped. said : {"id", "controller": id}."""
-    from ... import export
-
     controller = _member(state, "controllers", said["controller"])
     plant = plant_of(folder, state, allow_code=allow_code)
     made = controller_of(plant, equilibrium(plant, state["point"]), controller)
     target = _place(folder, f"{said['id']}.zip")
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as temporary:
-        whole = Path(getattr(export, "export_c")(made, Path(temporary) / "c"))  # noqa: B009
+        whole = Path(export_c(made, Path(temporary) / "c"))
         with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
             for file in sorted(whole.rglob("*")):
                 if file.is_file():

@@ -141,7 +141,7 @@ class Control(Tab):
         """All that fields and buttons depend on, but the numbers that they show."""
         said = self._controller
         names = [(c["id"], c["name"]) for c in self.state["controllers"]]
-        at_hand = said and (said["id"], said["kind"], said["gains"].get("horizon"))
+        at_hand = said and (said["id"], said["kind"])
         point = list(self.state["point"])
         return copy.deepcopy([self.state["muscle"], self.state["plant"], point, names, at_hand])
 
@@ -260,14 +260,10 @@ class Control(Tab):
         for name, (words, usual) in jobs.GAINS[said["kind"]].items():
             value = float(said["gains"][name])
             if name == "horizon":
-                el.Field(
-                    "Horizon [samples]",
-                    value,
-                    "1",
-                    self._gain_act(name),
-                    low=2,
-                    high=200,
-                    shown="1",
+                still = partial(self._moved, name)
+                self._sliders[name] = (
+                    el.Slider(words, value, 2, 100, "", still, partial(self._settle, name, 1.0)),
+                    1.0,
                 )
                 continue
             unit, factor = units.get(name, ("", 1.0))
@@ -287,13 +283,11 @@ class Control(Tab):
         if said["kind"] == "lqr":
             el.note("Weights of squares in units of nominal: more effort, less gain.")
 
-    def _gain_act(self, name: str) -> Callable[[Any], None]:
-        return lambda value: self._settle(name, 1.0, float(round(value)))
-
     def _moved(self, name: str, value: float) -> Said | None:
         said = self._controller
         if said is None or not np.isfinite(value) or value < 0:
             return None
+        value = float(np.clip(round(value), 2, 200)) if name == "horizon" else value
         return {**said, "gains": {**said["gains"], name: value}}
 
     def _slide(self, name: str, factor: float, shown: float) -> None:
@@ -424,7 +418,7 @@ class Control(Tab):
                     height=240,
                     pull=self._pulled,
                 )
-                self._push_field = el.Field("Push", 0.0, "N", self._set_push)
+                self._push_field = el.Field("Push now", 0.0, "N", self._set_push)
         el.note(
             "Drag the arrow at the right edge, or use its arrow keys: the reference. Pull the "
             "plant with the pointer, or type a push."

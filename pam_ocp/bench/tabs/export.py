@@ -121,11 +121,11 @@ class Export(Tab):
             el.button("Export SSP", lambda: self._start("ssp"))
 
     def _c_fields(self) -> None:
-        controllers = {c["id"]: c["name"] for c in self.state["controllers"]}
-        if not jobs.has_c_code():
-            el.note("This version writes no C code of controllers.")
-        elif not controllers:
-            el.note("Design a controller in the tab Control first.")
+        # a PID about a point has no block (pam.control.block)
+        known = [c for c in self.state["controllers"] if c["kind"] != "pid"]
+        controllers = {c["id"]: c["name"] for c in known}
+        if not controllers or not self.state["point"]:
+            el.note("Design an LQR or MPC in the tab Control first.")
         else:
             self._controller = next(reversed(controllers))
 
