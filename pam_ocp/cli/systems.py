@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ..core.errors import InputError
 from ..core.files import read_toml, reading
@@ -58,7 +58,7 @@ def write_system(
         {str(k): str(v) for k, v in connections.items()},
         target or Path(f"{name}.ssp"),
         name=name,
-        fmi=fmi or content.get("fmi", "2.0"),
+        fmi=cast(Any, fmi or content.get("fmi", "2.0")),
         platforms=platforms,
         **times,
     )

@@ -53,37 +53,37 @@ def run_study(
 ) -> StudyResult:
     """Run a study file: what changed since the last run, and what stands on it.
 
-        Parameters
-        ----------
-        path : of the file (TOML); docs/studies.md has its keys.
-        out : folder for figures, tables, parameter files, FMUs and the report; by default named as the
-            file, in the working folder. A file of an earlier run that no step writes any more is
-            removed, unless it was changed.
-        workers : processes for steps that do not stand on each other; 1 runs all in this one.
-        executor : any ``concurrent.futures.Executor`` instead, such as Dask's
-            ``client.get_executor()``; its workers see the study's folder under the same name.
-        allow_code : the study may run code: a plant named FILE.py:NAME, an FMU that it names.
-        fresh : do all of it anew. cache : folder for kept results (by default the user's own). They are
-            Python's pickles: name none that others can write to.
-        progress : called with each step that ended, how many did, and how many there are.
-        time_limit : [s]; OutOfTime when it is over. What was done until then is kept.
+    Parameters
+    ----------
+    path : of the file (TOML); docs/studies.md has its keys.
+    out : folder for figures, tables, parameter files, FMUs and the report; by default named as the
+        file, in the working folder. A file of an earlier run that no step writes any more is
+        removed, unless it was changed.
+    workers : processes for steps that do not stand on each other; 1 runs all in this one.
+    executor : any ``concurrent.futures.Executor`` instead, such as Dask's
+        ``client.get_executor()``; its workers see the study's folder under the same name.
+    allow_code : the study may run code: a plant named FILE.py:NAME, an FMU that it names.
+    fresh : do all of it anew. cache : folder for kept results (by default the user's own). They are
+        Python's pickles: name none that others can write to.
+    progress : called with each step that ended, how many did, and how many there are.
+    time_limit : [s]; OutOfTime when it is over. What was done until then is kept.
 
-        Results are kept by the digest of what goes into a step: its keys, the contents of the files
-        that it names, the results that it stands on, this package and those below it. A run that ends
-        early, even by kill -9, is gone on with by the next one.
+    Results are kept by the digest of what goes into a step: its keys, the contents of the files
+    that it names, the results that it stands on, this package and those below it. A run that ends
+    early, even by kill -9, is gone on with by the next one.
 
-        Raises InputError, before anything runs, for a file that cannot be meant. A step that fails ends
-        what stands on it; the others go on, and the report tells.
+    Raises InputError, before anything runs, for a file that cannot be meant. A step that fails ends
+    what stands on it; the others go on, and the report tells.
 
-        Examples
-        --------
-        >>> from pathlib import Path
-            >>> said = "steps.mine = { kind = 'muscle', name = 'DMSP-20-300' }"
-        >>> _ = Path("study.toml").write_text(said)
-        >>> result = pam.studies.run_study("study.toml", cache="kept")
-        >>> result.ok, result.report.name
-        (True, 'report.html')
-        """
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> said = "steps.mine = { kind = 'muscle', name = 'DMSP-20-300' }"
+    >>> _ = Path("study.toml").write_text(said)
+    >>> result = pam.studies.run_study("study.toml", cache="kept")
+    >>> result.ok, result.report.name
+    (True, 'report.html')
+    """
     require_count("workers", workers, 1)
     if executor is not None and workers != 1:
         raise InputError("give executor or workers, not both")

@@ -20,15 +20,15 @@ __all__ = ["StudyResult", "StudyStep"]
 class StudyStep:
     """What became of a step.
 
-        Examples
-        --------
-            >>> from pathlib import Path
-        >>> said = "steps.mine = { kind = 'muscle', name = 'DMSP-20-300' }"
-        >>> _ = Path("step.toml").write_text(said)
-        >>> step = pam.studies.run_study("step.toml", cache="kept")["mine"]
-        >>> step.kind, step.good, step.folder.name
-        ('muscle', True, 'mine')
-        """
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> said = "steps.mine = { kind = 'muscle', name = 'DMSP-20-300' }"
+    >>> _ = Path("step.toml").write_text(said)
+    >>> step = pam.studies.run_study("step.toml", cache="kept")["mine"]
+    >>> step.kind, step.good, step.folder.name
+    ('muscle', True, 'mine')
+    """
 
     name: str
     kind: str
@@ -51,15 +51,15 @@ class StudyStep:
 class StudyResult:
     """A study that was run: its steps by name, its folder, its report.
 
-        Examples
-        --------
-        >>> from pathlib import Path
-            >>> said = "steps.mine = { kind = 'muscle', name = 'DMSP-20-300' }"
-        >>> _ = Path("result.toml").write_text(said)
-        >>> result = pam.studies.run_study("result.toml", cache="kept")
-        >>> list(result.steps), list(result.to_pandas().columns)[:2]
-        (['mine'], ['kind', 'state'])
-        """
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> said = "steps.mine = { kind = 'muscle', name = 'DMSP-20-300' }"
+    >>> _ = Path("result.toml").write_text(said)
+    >>> result = pam.studies.run_study("result.toml", cache="kept")
+    >>> list(result.steps), list(result.to_pandas().columns)[:2]
+    (['mine'], ['kind', 'state'])
+    """
 
     title: str
     folder: Path
