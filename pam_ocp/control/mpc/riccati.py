@@ -67,8 +67,8 @@ class _Packed:
         entries: list[ca.SX] = []
         for name, part in parts.items():
             values: list[float | None] = []
-            for element in part.nonzeros():
-                entry = ca.SX(element)
+            elements: list[Any] = part.nonzeros()
+            for entry in map(ca.SX, elements):
                 values.append(float(entry) if entry.is_constant() else None)
                 if values[-1] is None:
                     entries.append(entry)
