@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -66,7 +67,7 @@ class _Packed:
         entries: list[ca.SX] = []
         for name, part in parts.items():
             values: list[float | None] = []
-            for entry in part.nonzeros():
+            for entry in ca.vertsplit(part.nz[:]) if part.nnz() else []:
                 values.append(float(entry) if entry.is_constant() else None)
                 if values[-1] is None:
                     entries.append(entry)
@@ -495,7 +496,7 @@ def repeated(
     return ca.Function("chain", arguments, chain(body, rest, now)[:carried])
 
 
-def inlined(function: ca.Function, arguments: Sequence[ca.MX]) -> list[ca.MX]:
+def inlined(function: ca.Function, arguments: Sequence[Any]) -> list[ca.MX]:
     """The results of a call written out where it stands, which takes no memory of its own."""
     return list(function.call(list(arguments), True, False))
 
