@@ -204,7 +204,7 @@ class RealTimeIteration:
         rated = ca.horzcat(applied, inputs[:, : n - 1])[p.rated, :] if p.rated else ca.MX(0, n)
         y = ca.vertcat(states[:, :n], rated, inputs)
         data = qp.write(y, states[:, n], references, q, bounds, damping)
-        dy, dy_end, facts = inlined(qp.solve, data)
+        dy, dy_end, facts = inlined(qp.solve, [*data])
         share, miss = facts[0], facts[3]
         size = ca.fmax(ca.mmax(ca.fabs(dy)), ca.mmax(ca.fabs(dy_end)))
         finite = ca.sum1(ca.sum2(ca.fabs(dy))) + ca.sum1(ca.fabs(dy_end)) <= LARGEST

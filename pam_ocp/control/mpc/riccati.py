@@ -67,8 +67,7 @@ class _Packed:
         entries: list[ca.SX] = []
         for name, part in parts.items():
             values: list[float | None] = []
-            elements: list[Any] = part.nonzeros()
-            for entry in map(ca.SX, elements):
+            for entry in ca.vertsplit(part.nz[:]) if part.nnz() else []:
                 values.append(float(entry) if entry.is_constant() else None)
                 if values[-1] is None:
                     entries.append(entry)
@@ -497,7 +496,7 @@ def repeated(
     return ca.Function("chain", arguments, chain(body, rest, now)[:carried])
 
 
-def inlined(function: ca.Function, arguments: Sequence[Any] | ca.MX) -> list[Any]:
+def inlined(function: ca.Function, arguments: Sequence[Any]) -> list[ca.MX]:
     """The results of a call written out where it stands, which takes no memory of its own."""
     return list(function.call(list(arguments), True, False))
 
