@@ -38,6 +38,12 @@ class PointPid:
 
     ``loop`` is python-control's L(s), broken at the error, ``poles`` are those of the closed loop
     (continuous, linear). Raises InputError where no input moves the position.
+
+    Examples
+    --------
+    >>> loop = pam.control.PointPid(plant, point, proportional=1e5, integral=3e5)
+    >>> bool(loop.poles.real.max() < 0)
+    True
     """
 
     plant: Plant
