@@ -5,6 +5,8 @@ import socket
 
 import pytest
 
+pytest_plugins = ["page_fixtures"]
+
 
 def ask(server, path, method="GET", body=None, **headers):
     """(status, headers, body)"""

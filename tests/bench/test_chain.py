@@ -13,6 +13,8 @@ from test_page_motion import tab
 
 import pam_ocp as pam
 
+pytest_plugins = ["page_fixtures"]
+
 
 def rig_file(folder):
     """A rig's table: kPa, mm and N, some noise."""

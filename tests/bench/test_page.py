@@ -10,6 +10,8 @@ import pam_ocp as pam
 from pam_ocp.bench.jobs.plant import equilibrium_map
 from pam_ocp.bench.made import muscle_of, plant_of, table_of
 
+pytest_plugins = ["page_fixtures"]
+
 SCRIPTED = "<img src=x onerror=document.title='harmed'>"
 
 

@@ -9,6 +9,8 @@ import pam_ocp as pam
 from pam_ocp.bench.jobs.motion import arguments
 from pam_ocp.bench.made import plant_of
 
+pytest_plugins = ["page_fixtures"]
+
 pytestmark = pytest.mark.slow
 
 
