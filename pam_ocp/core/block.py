@@ -23,7 +23,7 @@ __all__ = ["Block"]
 Array: TypeAlias = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Block:
     """(memory, outputs) = step(memory, inputs, parameters), every ``sample_time`` seconds.
 
@@ -50,11 +50,11 @@ class Block:
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     memory: tuple[Variable, ...]
-    step: ca.Function = field(repr=False)
+    step: ca.Function
     description: str = ""
     commands: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
-    loops: Mapping[str, int] = field(default_factory=dict, repr=False)
+    loops: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         Variable(self.name, "parameter")
@@ -94,6 +94,13 @@ class Block:
     def of(cls, controller: Any, **options: Any) -> Block:
         """What ``pam_ocp.control.block`` makes of a controller, an estimator or a motion."""
         return courtesy.block(controller, **options)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Block {self.name}: {len(self.inputs)} inputs to {len(self.outputs)} outputs every "
+            f"{1e3 * self.sample_time:g} ms, {len(self.parameters)} parameters, "
+            f"{len(self.memory)} values kept>"
+        )
 
     def start(self, kind: str) -> Array:
         """Start values of "memory", "inputs" or "parameters", in order [SI]."""

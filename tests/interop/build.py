@@ -82,9 +82,12 @@ SAMPLED_WIRES = {
 
 
 def write_systems(folder: Path, model: pam.Plant) -> None:
-    """A PID that follows a motion (system), an LQI that goes to a goal (feedback), and the same
-    LQI as a sampled block (sampled).
+    """A PID that follows a motion (system), an LQI that goes to a goal (feedback), the same LQI as
+    a sampled block (sampled), and a predictive controller behind a Kalman filter (predictive).
     """
+    valves = valve_plant()
+    export_fmu(valves, folder / "valves2.fmu", fmi="2.0")
+    write_system(folder / "predictive", valves, predictive_wires(valves), predictive_parts(valves))
     write_system(folder / "sampled", model, SAMPLED_WIRES, sampled_parts(model))
     write_system(folder / "system", model, WIRES, pid_parts(model))
     write_system(folder / "feedback", model, FEEDBACK_WIRES, feedback_parts(model))
@@ -118,6 +121,43 @@ def sampled_parts(model: pam.Plant) -> dict[str, Any]:
         "goal": pam.Trajectory(goal.t, columns, [model.variable("x"), on]),
         "state_feedback": block(feedback_law(model), plant=model),
         "plant": parts["plant"],
+    }
+
+
+def valve_plant() -> pam.Plant:
+    """A slide with spool valves, their dead zone and hysteresis, from rest."""
+    valves = pam.feeds.SpoolValve(overlap=0.05)
+    muscle, memory = pam.muscle("DMSP-20-200N"), pam.losses.BoucWen()
+    model = pam.AntagonisticSlide(muscle, losses=memory, feed=valves)
+    point = model.equilibrium({"x": 0.0, "muscle1.pressure": 3 * BAR})
+    return model.with_values(dict(zip((v.name for v in model.states), point.x, strict=True)))
+
+
+def predictive_parts(model: pam.Plant) -> dict[str, Any]:
+    measured = {"x": 1e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
+    weights = {v.name: 3.0 for v in model.inputs}
+    mpc = pam.control.Mpc(
+        model, horizon=15, sample_time=STEP, track={"x": 1.0}, rate=weights, iterations=1
+    )
+    estimator = pam.control.KalmanFilter(model, sample_time=STEP, measured=measured)
+    law = pam.control.chain([estimator, pam.control.mpc_block(mpc)])
+    on = Variable("on", "output", description="the controller acts")
+    t = np.array([0.0, STEPS * STEP])
+    columns = {"x": np.full(2, 0.004), "on": np.ones(2)}
+    return {
+        "goal": pam.Trajectory(t, columns, [model.variable("x"), on]),
+        "mpc": block(law, plant=model),
+        "plant": model,
+    }
+
+
+def predictive_wires(model: pam.Plant) -> dict[str, str]:
+    seen = ("x", "muscle1.pressure", "muscle2.pressure")
+    return {
+        **{f"plant.{v.name}": f"mpc.{v.name}" for v in model.inputs},
+        **{f"mpc.{n}": f"plant.{n}" for n in seen},
+        "mpc.wanted.x": "goal.x",
+        "mpc.enable": "goal.on",
     }
 
 
@@ -231,7 +271,14 @@ def build(folder: Path) -> None:
     write_motion(folder / "constant.csv", model, CONSTANT, START)
     write_systems(folder, model)
     results = (*model.states, *model.outputs)
+    valves = valve_plant()
     facts = {
+        "predictive": {
+            "start": {},
+            "inputs": [],
+            "states": [],
+            "nominals": {v.name: v.nominal for v in (*valves.states, *valves.outputs)},
+        },
         "start": START,
         "step": STEP,
         "inputs": [v.name for v in model.inputs],

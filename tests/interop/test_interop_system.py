@@ -12,14 +12,22 @@ needs_run()
 NANO = 1e9
 SYSTEMS = pytest.mark.parametrize(
     ("name", "mode"),
-    [("system", "SSP, PID"), ("feedback", "SSP, LQI"), ("sampled", "SSP, sampled LQI")],
+    [
+        ("system", "SSP, PID"),
+        ("feedback", "SSP, LQI"),
+        ("sampled", "SSP, sampled LQI"),
+        ("predictive", "SSP, Kalman filter and MPC"),
+    ],
 )
 
 
 @SYSTEMS
 def test_libcosimpy_runs_the_system(name: str, mode: str) -> None:
     execution = importer("libcosimpy.CosimExecution").CosimExecution
-    motion, told = Motion(name), Description(fmu("2"))
+    motion, told = (
+        Motion(name),
+        Description(fmu("2", "valves" if name == "predictive" else "slide")),
+    )
     system = Path(FOLDER) / f"{name}.ssp"
     master = execution.from_ssp_file(str(system), step_size=round(motion.step * NANO))
     observer = importer("libcosimpy.CosimObserver").CosimObserver.create_last_value()
