@@ -33,6 +33,7 @@ from pam_ocp.planning.solvers.solver import SOLVERS, Outcome
 from pam_ocp.plants.kinds import DAMPINGS, FEEDS, LOADS, LOSSES, PLANTS
 from pam_ocp.plants.plant_file import plant_of
 from pam_ocp.plants.sketch import Line, Mark, Polygon, Sketch, Spindle, box
+from pam_ocp.studies.steps.step import STEPS, Made, Step
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
@@ -561,8 +562,32 @@ def test_a_qp_solver_is_one_function():
         ]
         for name, value in given[0].items():
             assert value == pytest.approx(given[1][name], abs=50.0)  # 5e-4 of nominal
-    with pytest.raises(pam.InputError, match="'qrqp': choose 'hpipm', 'piqp' or 'ipopt'"):
+    with pytest.raises(
+        pam.InputError, match="'qrqp': choose 'hpipm', 'piqp', 'riccati' or 'ipopt'"
+    ):
         pam.Mpc(plant, solver="qrqp", **asked)
+
+
+def test_a_step_of_a_study_is_one_class(tmp_path):
+    @STEPS.register("double")
+    class Double(Step):
+        """Twice a number."""
+
+        needs = ("value",)
+
+        @classmethod
+        def work(cls, job):
+            twice = 2 * job.get("value")
+            (job.out / "twice.txt").write_text(f"{twice:g}", "utf-8")
+            return Made(verdict=f"twice is {twice:g}", numbers={"twice": (twice, "1")})
+
+    with known(STEPS, "double"):
+        file = tmp_path / "study.toml"
+        file.write_text("steps.mine = { kind = 'double', value = 21.0 }", "utf-8")
+        found = pam.studies.run_study(file, tmp_path / "out", cache=tmp_path / "kept")
+        assert found.ok
+        assert found["mine"].verdict == "twice is 42"
+        assert (tmp_path / "out" / "mine" / "twice.txt").read_text("utf-8") == "42"
 
 
 # ---- what CONTRIBUTING.md shows ---------------------------------------------------------------
@@ -582,6 +607,7 @@ def test_the_load_and_the_problem_of_the_page_work(tmp_path, monkeypatch):
 def test_the_page_names_every_registry_and_every_file_that_holds_one():
     holders = {"plants/kinds.py", "muscles/law.py", "muscles/gas.py", "control/kinds.py"}
     holders |= {"planning/problem/costs.py", "planning/solvers/solver.py", "control/mpc/sqp.py"}
+    holders |= {"studies/steps/step.py"}
     found = {
         path.relative_to(ROOT / "pam_ocp").as_posix()
         for path in (ROOT / "pam_ocp").rglob("*.py")
