@@ -44,6 +44,7 @@ from pam_ocp.core.plausible import UnitWarning
 from pam_ocp.fitting import ReadingWarning, fit_plant, look, read_record
 from pam_ocp.fitting.dynamic.saved_plant import load_plant_fit
 from pam_ocp.fitting.static.force_fit import ForceFit
+from pam_ocp.studies.loop_problem import guarded, set_up
 
 LONGEST_SENTENCE = 1500
 SLOWEST = 5.0
@@ -235,8 +236,8 @@ def _study(file: Path) -> None:
 
 def _loop(file: Path) -> None:
     study = mpc_command._study(_parser().parse_args(["mpc", str(file)]))
-    with mpc_command._guard(study):
-        mpc_command._set_up(study)
+    with guarded(study):
+        set_up(study)
 
 
 def _fits(folder: Path) -> list[Reader]:

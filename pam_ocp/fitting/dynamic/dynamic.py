@@ -27,7 +27,14 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
 from .between import decided, deviance
-from .estimation import ORDERS, FitTask, PlantEstimate, estimate, require_influence
+from .estimation import (
+    ORDERS,
+    FitTask,
+    NoInfluence,
+    PlantEstimate,
+    estimate,
+    require_influence,
+)
 from .experiment import groups, measured_names, prepare
 from .gauss_newton import GRACE, TIMED
 from .outcome import outcome
@@ -167,8 +174,8 @@ def fit_plant(
             found = by(first, ran)
             if not rest or found[0].status == TIMED or found[0].integration_error < ASTRAY:
                 return found
-        except FitError:
-            if not rest:
+        except FitError as error:
+            if not rest or isinstance(error, NoInfluence):
                 raise
         return by(rest[0], ran)
 

@@ -18,7 +18,15 @@ from .progress import Report
 from .simulated import SimulatedProgram
 from .transcribe import FitMethod, FitProgram, Unknowns, transcribe
 
-__all__ = ["ORDERS", "FitTask", "PlantEstimate", "estimate", "head_names", "require_influence"]
+__all__ = [
+    "ORDERS",
+    "FitTask",
+    "NoInfluence",
+    "PlantEstimate",
+    "estimate",
+    "head_names",
+    "require_influence",
+]
 
 SCANNED_DELAYS = 5
 """Delays from which the best is sought, evenly over the range."""
@@ -35,6 +43,12 @@ SETTLED = 0.1
 """Relative change of the noise below which a fit of one variable is not sought anew."""
 BLIND = 1e-10
 """A column of the Jacobian shorter than this part of the longest has no influence."""
+BLIND_BY_RUNS = 1e-5
+"""The same where columns are differences of runs, which are a little off."""
+
+
+class NoInfluence(FitError):
+    """Parameters that nothing measured depends on: no other method finds them either."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +190,11 @@ def require_influence(task: FitTask, program: FitProgram | SimulatedProgram, sig
     lengths = np.linalg.norm(jacobian, axis=0)
     if not np.all(np.isfinite(lengths)):
         raise FitError("the plant's start values give no finite motion; set them with with_values")
-    blind = [n for n, size in zip(names, lengths, strict=False) if size <= BLIND * lengths.max()]
+    least = (BLIND_BY_RUNS if task.method == "simulation" else BLIND) * lengths.max()
+    blind = [n for n, size in zip(names, lengths, strict=False) if size <= least]
     still = all(_constant(e) for e in task.experiments)
     if blind and not still:
-        raise FitError(
+        raise NoInfluence(
             f"{', '.join(blind)}: no influence on {', '.join(task.unknowns.names)} in these "
             "records; leave it out of free, or measure something that depends on it (in a "
             "symmetric pair an equal constant of both muscles cancels)"
@@ -191,7 +206,7 @@ def require_influence(task: FitTask, program: FitProgram | SimulatedProgram, sig
     mixed = [n for j, n in enumerate(names) if lost.size and np.abs(lost[:, j]).max() > 1e-3]
     unknown = [n for n in names if n in blind or n in mixed]
     if unknown:
-        raise FitError(
+        raise NoInfluence(
             f"all inputs are constant in these records, which cannot tell {', '.join(unknown)}: "
             "move the inputs (steps, a sweep), or leave them out of free"
         )
