@@ -55,7 +55,7 @@ def _plain(noun: str) -> str:
 
 def groups() -> tuple[tuple[Registry[Any], str], ...]:
     """(registry, where its names are given), in the order of the page."""
-    from ..control.kinds import CONTROLLERS, ESTIMATORS
+    from ..control.kinds import BLOCKS, CONTROLLERS, ESTIMATORS
     from ..control.mpc.sqp import QP_SOLVERS
     from ..muscles.gas import GASES, HEATS, RUBBERS, VOLUMES
     from ..muscles.law import LAWS
@@ -99,6 +99,7 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
         (SOLVERS, "`solver` of a plan"),
         (CONTROLLERS, "`kind` of a `[controller]` of `pam-ocp mpc`"),
         (ESTIMATORS, "`kind` of an `[estimator]` of `pam-ocp mpc`"),
+        (BLOCKS, "what `pam.control.block` makes of, by class"),
         (QP_SOLVERS, "`solver` of a `[controller]`, besides ipopt"),
         (STEPS, "`kind` of a `[steps.NAME]` of a study; its keys"),
     )

@@ -241,4 +241,5 @@ def _snake(name: str) -> str:
 
 def _first_sentence(text: str) -> str:
     paragraph = " ".join(text.partition("\n\n")[0].split())
+    paragraph = re.sub(r":\w+:`", "`", paragraph)  # roles mean nothing outside of the docs
     return re.split(r"(?<=[.;])\s+(?=[A-Z`])", paragraph)[0].rstrip(".;:")

@@ -31,6 +31,8 @@ def as_block(system: Any) -> Block | None:
         return system
     if isinstance(system, Plant | Trajectory) or type(system).__module__ == "builtins":
         return None
+    if not callable(system) and not hasattr(system, "reset"):
+        return None  # no controller and no estimator
     return Block.of(system)
 
 

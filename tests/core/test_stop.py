@@ -302,7 +302,7 @@ def test_a_border_of_vibration_keeps_the_points_that_it_has(monkeypatch):
     plant = RegulatedLoad(pam.muscle("DMSP-20-400N"), mass=20.0, lag=0.1)
     rest = {"x": 0.04, "muscle.reference": 0.04}
     asked = (plant, "muscle.gain", (1e5, 5e7), "muscle.lag", [0.1, 0.11, 0.12], rest)
-    over_at_call(monkeypatch, hopf_bifurcation, "_near", 2)
+    over_at_call(monkeypatch, hopf_bifurcation, "near_hopf", 2)
     found = pam.vibration.hopf_border(*asked, time_limit=1000.0)
     assert found.points[0] is not None
     assert found.points[1] is None
@@ -330,7 +330,7 @@ def test_a_time_limit_is_a_positive_number(wrong):
 # ---- processes -----------------------------------------------------------------------------------
 @posix
 def test_sigterm_ends_the_command_with_143(tmp_path):
-    run = "import sys; from pam_ocp.cli.main import main; from pam_ocp.cli import main as m\n"
+    run = "import sys; from pam_ocp.cli.main import main; from pam_ocp.cli import study as m\n"
     run += "import time\n"
     run += "def wait(o):\n    print('go', flush=True)\n    time.sleep(60)\n"
     run += "m._tour = wait\nsys.exit(main(['tour']))"
