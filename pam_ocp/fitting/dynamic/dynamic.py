@@ -331,8 +331,8 @@ def _process(
         return ()
     if method in ("single-shooting", "simulation"):
         raise InputError(
-            f"process_noise: {method} knows no jumps; take method='collocation' or "
-            "'multiple-shooting'"
+            f"process_noise: {method.replace('-', ' ')} knows no jumps; take "
+            "method='collocation' or 'multiple-shooting'"
         )
     if noise is None:
         raise InputError(
