@@ -363,6 +363,10 @@ class Trajectory:
     @classmethod
     def _read_npz(cls, path: Path) -> Trajectory:
         content, arrays = read_npz(path, "a trajectory")
+        if "data" not in arrays and "states" in arrays:
+            raise InputError(
+                f"{path} is a plan, no trajectory: load_plan(path, plant).trajectory is its motion"
+            )
         return cls._from_meta(content, arrays["t"], arrays["data"])
 
     @classmethod

@@ -375,3 +375,10 @@ def test_a_plan_that_is_not_verified_has_exit_code_3_and_is_written_all_the_same
     assert "is not verified: " in err
     assert "PlanWarning" not in err
     assert (tmp_path / "plan.npz").exists()
+
+
+def test_the_file_of_a_plan_is_no_trajectory_and_says_where_its_motion_is(tmp_path):
+    plant = pam.AntagonisticSlide("DMSP-20-200N")
+    path = pam.plan(plant, [{"x": -0.002}, {"x": 0.002}]).save(tmp_path / "plan.npz")
+    with pytest.raises(pam.InputError, match=r"is a plan, no trajectory: load_plan\(path, plant\)"):
+        pam.Trajectory.load(path)
