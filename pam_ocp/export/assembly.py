@@ -16,6 +16,7 @@ from ..core.files import atomic_path, require_ending
 from ..core.trajectory import Trajectory
 from . import compile as compiler
 from . import description, documentation, source, terminals
+from .c_keywords import C_KEYWORDS
 from .layout import Layout
 from .runtime import c_text
 from .settings import Settings
@@ -67,47 +68,7 @@ def write_fmu(
 def model_identifier(name: str) -> str:
     """A C identifier of a plant's name."""
     identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return f"{identifier}_" if identifier in _C_KEYWORDS else identifier
-
-
-_C_KEYWORDS = frozenset(
-    {
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-    }
-)
+    return f"{identifier}_" if identifier in C_KEYWORDS else identifier
 
 
 def _contents(

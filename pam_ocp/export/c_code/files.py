@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...core.block import Block
 from ...core.errors import ExportError
 from ...core.variables import Variable
+from ..c_keywords import C_KEYWORDS
 from .counts import Counts
 from .generated import Precision, StepCode, inexact, library_functions, portable_functions
 
@@ -20,47 +21,7 @@ __all__ = ["CExport", "Vectors"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_KEYWORDS = frozenset(
-    [
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-        "real",
-        "memory",
-        "scratch",
-    ]
-)
+_KEYWORDS = C_KEYWORDS | {"real", "memory", "scratch"}
 
 
 WIDE = 80
