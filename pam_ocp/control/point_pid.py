@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..operating.linear import OperatingPoint, inside, linearize, no_influence
-from ..plants.plant import Plant, Values
+from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
 from .pid import PID
 from .references import Source
@@ -58,6 +58,12 @@ class PointPid:
     goal: Source | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        require_plant(self.plant)
+        if not isinstance(self.at, OperatingPoint | Mapping):
+            raise InputError(
+                f"PointPid: at is a {type(self.at).__name__}; give a point of rest, or conditions "
+                "by name such as {'x': 0.04}"
+            )
         for name in ("proportional", "integral", "derivative"):
             require_finite(f"PointPid.{name}", getattr(self, name))
         require_positive("PointPid.filter_time", self.filter_time, "s")

@@ -12,7 +12,7 @@ from ..core.files import atomic_path, require_ending
 from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle
 from ..plants.hanging import HangingLoad
-from ..plants.plant import Plant, by_name
+from ..plants.plant import Plant, by_name, require_plant
 from .description import to_text
 from .structure import parameter_set
 
@@ -36,6 +36,7 @@ def save_ssv(
     >>> pam.export.save_ssv(plant, "load.ssv", {"mass": "12 kg"}).name
     'load.ssv'
     """
+    require_plant(plant)
     given = by_name("values", values)
     if values is None:
         pairs = [(v, v.start or 0.0) for v in plant.parameters]

@@ -12,7 +12,7 @@ from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError
 from ...core.stop import locked, verb
 from ...core.units import unit
-from ...plants.plant import Plant
+from ...plants.plant import Plant, require_plant
 from ..controller import Measured
 from ..references import Source
 from .guard import Guard, guarded
@@ -57,7 +57,7 @@ def block(
         options["name"] = name
     law = law_of(controller, **options)
     if plant is not None:
-        _require_plant_of(law, plant)
+        _require_plant_of(law, require_plant(plant))
     if not guard:
         return law
     return guarded(law, Guard(limits or {}, rates or {}, safe or {}, hold, fade_time))

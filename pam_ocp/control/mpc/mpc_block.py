@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 from ...core.block import Block
-from ...core.errors import InputError, require_count
+from ...core.errors import InputError, require_count, require_instance
 from ...core.variables import Variable
 from ..blocks.draft import as_output
 from ..blocks.kinds import BLOCKS, SENT
@@ -85,6 +85,7 @@ def mpc_block(
     >>> made.name, "wanted.x" in [v.name for v in made.inputs]
     ('mpc', True)
     """
+    require_instance("mpc_block: controller", controller, Mpc, "give an Mpc")
     if controller._only_ipopt:
         raise InputError(
             "solver = 'ipopt': the work of a call cannot be bounded; give the Mpc solver='riccati' "
