@@ -1,20 +1,23 @@
 """A robot arm of four joints and eight muscles: grey boxes against ARX, nested cross-validation.
 
-Every structure below is fitted to free runs of both files of episodes and chosen, joint by joint,
-by ``pam.fitting.choose``: whole episodes are left out, the folds are drawn when the script starts,
-and starts of the search are sizes, never values that were fitted before. The yardstick is the best
-of several ARX models (own angle and pressures, or all of them; several orders; pressures as
-recorded, or 20 ms ahead of it), picked with hindsight, which flatters it.
+Every structure below is fitted to free runs of both files of episodes and chosen by
+``pam.fitting.choose``: whole episodes are left out, the folds are drawn when the script starts, and
+starts of the search are sizes, never values that were fitted before. The yardstick, the best of
+several ARX models of each joint (own angle and pressures, or all of them; several orders; pressures
+as recorded, or 20 ms ahead of it), is chosen in the same way by the same folds.
 
     q'' = T1 - T2 + load(q) - stop(q) - c q' - friction tanh(q'/v)      in parts of the inertia
 
 is the grey box of examples/fit_joint.py: tensions affine in the pressure, friction that grows with
-tension. "late" adds that the pressures are recorded later than they act, by an estimated time.
+tension; the pressures are recorded later than they act, by an estimated time. Joints 2 and 3 have
+parallel axes, so that each one's acceleration moves the other: "coupled" has the inertia of a
+double pendulum between them, "apart" has not.
 
-Run:  python benchmarks/arm.py [64.csv 200.csv ...] [--folds 3] [--seed N] [--only own|late]
-                               [--test other.csv]
+Run:  python benchmarks/arm.py [64.csv 200.csv ...] [--folds 3] [--seed N] [--groups 1,4,23]
+                               [--only apart|coupled] [--test other.csv]
 
---test judges the chosen models, fitted to all episodes of the training files, on another file.
+--only fits one structure, so that nothing is chosen inside. --test judges the chosen models, fitted
+to all episodes of the training files, on another file.
 """
 
 from __future__ import annotations
@@ -24,14 +27,16 @@ import importlib.util
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 import pam_ocp as pam
-from pam_ocp.fitting import ArxStructure, Choice, FreeRunStructure, choose
+from pam_ocp.fitting import ArxStructure, Choice, FreeRunFit, FreeRunStructure, choose
 
 HERE = Path(__file__).resolve().parent
 FILES = ("mpi_arm_64_episodes.csv", "mpi_arm_200_episodes.csv")
@@ -39,7 +44,16 @@ HORIZONS = (0.1, 0.25, 0.5, 1.0)
 EVERY = 0.05
 """From start to start where runs are judged [s]."""
 EVALUATIONS = 12
-JOINTS = (1, 2, 3, 4)
+OPTIONS = {
+    "horizon": (0.1, 0.25),
+    "every": 0.25,
+    "history": 2,
+    "steps": 2,
+    "evaluations": EVALUATIONS,
+    "begin_short": False,
+    "delay": (-0.04, 0.02),
+}
+JUDGED = {"horizon": HORIZONS, "every": EVERY, "steps": 4, "history": 2}
 
 
 def example() -> Any:
@@ -59,50 +73,168 @@ fit_joint = example()
 
 
 # ---- structures ---------------------------------------------------------------------------------
-def structures(j: int) -> dict[str, FreeRunStructure]:
-    """Of one joint, in units of its record: q, and the pressures that its plant has."""
+def alone(j: int) -> FreeRunStructure:
     plant = fit_joint.joint(j).with_values(fit_joint.CRUDE[j])
-    free = [v.name for v in plant.parameters]
-    options = {
-        "horizon": (0.1, 0.25),
-        "every": 0.25,
-        "history": 2,
-        "steps": 2,
-        "evaluations": EVALUATIONS,
-        "begin_short": False,
-    }
-    judged = {"horizon": HORIZONS, "every": EVERY, "steps": 4, "history": 2}
-    late = {**options, "delay": (-0.04, 0.02)}
-    return {
-        "own": FreeRunStructure(plant, free, options, judged),
-        "late": FreeRunStructure(plant, free, late, judged),
-    }
+    return FreeRunStructure(plant, [v.name for v in plant.parameters], OPTIONS, JUDGED)
 
 
-def yardsticks() -> dict[str, dict[str, ArxStructure]]:
-    """{joints that it sees: {name: model}}."""
-    angles, muscles = [f"q{j}" for j in range(1, 5)], [f"p{k}" for k in range(1, 9)]
+@dataclass(frozen=True)
+class Apart:
+    """Some joints of the arm, each by itself. Losses: by horizon, and in it by joint."""
 
-    def made(seen: Sequence[int], order: int, lag: int) -> ArxStructure:
-        outputs = [angles[j - 1] for j in seen]
-        inputs = [muscles[k] for j in seen for k in (2 * j - 2, 2 * j - 1)]
+    joints: tuple[int, ...]
+
+    @property
+    def complexity(self) -> float:
+        return sum(alone(j).complexity for j in self.joints)
+
+    def fit(self, records: Sequence[pam.Trajectory], /) -> dict[int, FreeRunFit]:
+        return {j: alone(j).fit(of_joint(j, records)) for j in self.joints}
+
+    def losses(
+        self, model: Mapping[int, FreeRunFit], records: Sequence[pam.Trajectory], /
+    ) -> np.ndarray:
+        found = [alone(j).losses(model[j], of_joint(j, records)) for j in self.joints]
+        return np.stack(found, axis=2).reshape(len(records), -1)
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """Joints 2 and 3 with what each one's acceleration does to the other.
+
+    First each by itself, then from there with the coupling.
+    """
+
+    evaluations: int = 6
+
+    @property
+    def complexity(self) -> float:
+        return float(len(pair().parameters))
+
+    def _structure(self, values: Mapping[str, float]) -> FreeRunStructure:
+        plant = pair().with_values(values)
+        options = {**OPTIONS, "evaluations": self.evaluations}
+        return FreeRunStructure(plant, [v.name for v in plant.parameters], options, JUDGED)
+
+    def fit(self, records: Sequence[pam.Trajectory], /) -> FreeRunFit:
+        found = Apart((2, 3)).fit(records)
+        values = {f"{n}_{j}": v for j, fit in found.items() for n, v in fit.values.items()}
+        return self._structure(values).fit(of_pair(records))
+
+    def losses(self, model: FreeRunFit, records: Sequence[pam.Trajectory], /) -> np.ndarray:
+        return self._structure({}).losses(model, of_pair(records))
+
+
+def pair() -> pam.Plant:
+    """Joints 2 and 3 as a double pendulum; everything in parts of the inertia of its own joint.
+
+    | 1 + 2 b2 cos q3   c2 + b2 cos q3 |        | f2 + b2 sin q3 (2 w2 w3 + w3^2) |
+    | c3 + b3 cos q3           1       | q'' =  | f3 - b3 sin q3 w2^2             |
+
+    with f of the joint alone, and gravity of both angles together.
+    """
+    plant = pam.Plant("joints2and3", "two joints with parallel axes, each with its pair of muscles")
+    angle = {j: plant.state(f"q{j}", unit="rad") for j in (2, 3)}
+    speed = {j: plant.state(f"w{j}", unit="rad/s") for j in (2, 3)}
+    inputs: dict[str, ca.SX] = {}
+    both = angle[2] + angle[3]
+    force = {}
+    for j in (2, 3):
+        one = fit_joint.joint(j).with_values(fit_joint.CRUDE[j])
+        for v in one.inputs:
+            if v.name not in inputs:
+                inputs[v.name] = plant.input(v.name)
+        own = [
+            plant.parameter(
+                f"{v.name}_{j}", v.start, nominal=v.nominal, unit=v.unit, min=v.min, max=v.max
+            )
+            for v in one.parameters
+        ]
+        u = ca.vertcat(*(inputs[v.name] for v in one.inputs))
+        rates = one.function(ca.vertcat(angle[j], speed[j]), u, ca.vertcat(*own))[0]
+        force[j] = rates[1]
+        for name, wave in (("sin", ca.sin(both)), ("cos", ca.cos(both))):
+            force[j] += plant.parameter(f"both_{name}_{j}", 0.0, nominal=10, unit="1/s2") * wave
+
+    def inertia(name: str, value: float, nominal: float, end: float) -> ca.SX:
+        return plant.parameter(name, value, nominal=nominal, min=-end, max=end)
+
+    c2, b2 = inertia("c2", 0.05, 0.1, 1.0), inertia("b2", 0.0, 0.1, 0.3)
+    c3, b3 = inertia("c3", 0.3, 0.5, 3.0), inertia("b3", 0.0, 0.5, 2.0)
+    w2, w3, sine, cosine = speed[2], speed[3], ca.sin(angle[3]), ca.cos(angle[3])
+    f2 = force[2] + b2 * sine * (2 * w2 * w3 + w3**2)
+    f3 = force[3] - b3 * sine * w2**2
+    m22, m23, m32 = 1 + 2 * b2 * cosine, c2 + b2 * cosine, c3 + b3 * cosine
+    det = m22 - m23 * m32
+    for j, rate in ((2, f2 - m23 * f3), (3, m22 * f3 - m32 * f2)):
+        plant.der(angle[j], speed[j])
+        plant.der(speed[j], rate / det)
+    return plant
+
+
+def structures(joints: tuple[int, ...], only: str | None = None) -> dict[str, Any]:
+    found: dict[str, Any] = {"apart": Apart(joints)}
+    if joints == (2, 3):
+        found["coupled"] = Coupled()
+    return {only: found[only]} if only in found else found
+
+
+def yardsticks(j: int) -> dict[str, ArxStructure]:
+    """ARX models of joint j: of its own columns, and of those of the whole arm."""
+    muscles = [f"p{2 * j - 1}", f"p{2 * j}"]
+    rest = [f"q{k}" for k in range(1, 5)], [f"p{k}" for k in range(1, 9)]
+
+    def made(outputs: Sequence[str], inputs: Sequence[str], order: int, lag: int) -> ArxStructure:
         # from the same starts as the grey boxes, which need two samples of the past
         return ArxStructure(outputs, inputs, order, HORIZONS, EVERY, first=0.05, lag=lag)
 
-    orders = (2, 5, 8, 15, 30)
-    own = {
-        f"q{j}": {f"own {n}, lag {lag}": made((j,), n, lag) for n in orders for lag in (0, -2)}
-        for j in range(1, 5)
+    own = {f"own {n}, lag {g}": made([f"q{j}"], muscles, n, g) for n in (5, 8, 15) for g in (0, -2)}
+    return own | {
+        f"all {n}, lag {g}": OneOf(made(*rest, n, g), j - 1) for n in (5, 8) for g in (0, -2)
     }
-    everything = {
-        f"all {n}, lag {lag}": made((1, 2, 3, 4), n, lag) for n in (5, 8) for lag in (0, -2)
-    }
-    return {**own, "all": everything}
+
+
+KEPT: dict[Any, Any] = {}
+"""Of ARX models of the whole arm, which serve all joints."""
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One output of an ARX model of several."""
+
+    whole: ArxStructure
+    place: int
+
+    @property
+    def complexity(self) -> float:
+        return self.whole.complexity
+
+    def fit(self, records: Sequence[pam.Trajectory], /) -> Any:
+        key = (self.whole.order, self.whole.lag, *map(id, records))
+        if key not in KEPT:
+            KEPT[key] = self.whole.fit(records)
+        return KEPT[key]
+
+    def losses(self, model: Any, records: Sequence[pam.Trajectory], /) -> np.ndarray:
+        key = (id(model), *map(id, records))
+        if key not in KEPT:
+            KEPT[key] = self.whole.losses(model, records)
+        return KEPT[key][:, self.place :: len(self.whole.outputs)]
 
 
 # ---- data ---------------------------------------------------------------------------------------
 def read(paths: Sequence[Path]) -> list[pam.Trajectory]:
-    return [r for path in paths for r in fit_joint.read_arm(path)]
+    """The episodes of all files; pressures ran by lines between samples."""
+    return [r.running("linear") for path in paths for r in fit_joint.read_arm(path)]
+
+
+def of_joint(j: int, records: Sequence[pam.Trajectory]) -> list[pam.Trajectory]:
+    return [r.running("linear") for r in fit_joint.records_of(j, list(records))]
+
+
+def of_pair(records: Sequence[pam.Trajectory]) -> list[pam.Trajectory]:
+    names = ("q2", "q3", *(v.name for v in pair().inputs))
+    return [pam.Trajectory(r.t, {n: r[n] for n in names}, interpolation="linear") for r in records]
 
 
 def found_files() -> list[Path]:
@@ -111,32 +243,31 @@ def found_files() -> list[Path]:
 
 
 # ---- comparison ---------------------------------------------------------------------------------
-def best_arx(
-    train: Sequence[pam.Trajectory], test: Sequence[pam.Trajectory]
-) -> dict[str, dict[str, np.ndarray]]:
-    """{joint: {ARX: losses (n, horizons)}} on ``test``."""
-    found: dict[str, dict[str, np.ndarray]] = {f"q{j}": {} for j in range(1, 5)}
-    for models in yardsticks().values():
-        for name, model in models.items():
-            losses = model.losses(model.fit(train), test)
-            for i, q in enumerate(model.outputs):
-                found[q][name] = losses[:, i :: len(model.outputs)]
-    return found
+def by_joint(joints: tuple[int, ...], losses: np.ndarray) -> dict[int, np.ndarray]:
+    """{joint: (n, horizons)}."""
+    whole = losses.reshape(len(losses), len(HORIZONS), len(joints))
+    return {j: whole[:, :, i] for i, j in enumerate(joints)}
 
 
-def table(grey: dict[str, np.ndarray], arx: dict[str, dict[str, np.ndarray]]) -> str:
-    """RMSE by joint and horizon, of the grey boxes and of the best ARX of each cell."""
-    head = "".join(f"{f'{h:g} s':>24}" for h in HORIZONS)
-    lines = ["RMSE [rad] grey / best ARX (ratio), free runs from every 0.05 s", f"{'':10}{head}"]
-    for q, losses in grey.items():
-        cells = []
-        for h in range(len(HORIZONS)):
-            own = float(np.sqrt(np.nanmean(losses[:, h])))
-            name = min(arx[q], key=lambda n, h=h: np.nanmean(arx[q][n][:, h]))
-            best = float(np.sqrt(np.nanmean(arx[q][name][:, h])))
-            cells.append(f"{own:.4f} / {best:.4f} ({own / best:.2f})".rjust(24))
-        lines.append(f"joint {q[1]:<4}" + "".join(cells))
-    return "\n".join(lines)
+def row(j: int, grey: np.ndarray, arx: np.ndarray) -> str:
+    """RMSE by horizon of the chosen grey box and the chosen ARX, both by the folds left out."""
+    cells = []
+    for mine, other in zip(np.nanmean(grey, axis=0), np.nanmean(arx, axis=0), strict=True):
+        own, best = np.sqrt(mine), np.sqrt(other)
+        cells.append(f"{own:.4f} / {best:.4f} ({own / best:.2f})".rjust(24))
+    return f"joint {j:<4}" + "".join(cells)
+
+
+def yardstick(
+    j: int, arm: Sequence[pam.Trajectory], folds: int, seed: int, refit: bool = False
+) -> Choice:
+    """The best ARX of joint j, chosen as the grey boxes are."""
+    return choose(
+        yardsticks(j), arm, folds=folds, seed=seed, rule="best", refit=refit, criteria=CRITERIA
+    )
+
+
+CRITERIA = [f"{h:g} s" for h in HORIZONS]
 
 
 def main(words: Sequence[str]) -> None:
@@ -146,7 +277,8 @@ def main(words: Sequence[str]) -> None:
     parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--folds", type=int, default=3)
     parser.add_argument("--seed", type=int, default=None)
-    parser.add_argument("--only", help="one structure: plain cross-validation")
+    parser.add_argument("--groups", default="1,4,23", help="joints that are fitted together")
+    parser.add_argument("--only", help="one structure, where there are two")
     parser.add_argument("--test", type=Path, default=None)
     given = parser.parse_args(words)
     files = given.files or found_files()
@@ -158,38 +290,37 @@ def main(words: Sequence[str]) -> None:
     arm = read(files)
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if given.seed is None else given.seed
     print(f"{len(arm)} episodes of {', '.join(f.name for f in files)}, seed {seed}", flush=True)
-    choices: dict[int, Choice] = {}
-    for j in JOINTS:
+    head = "".join(f"{c:>24}" for c in CRITERIA)
+    rows: list[str] = []
+    refit = given.test is not None
+    yardstick_of = {j: yardstick(j, arm, given.folds, seed, refit) for j in (1, 2, 3, 4)}
+    for j, arx in yardstick_of.items():
+        print(f"joint {j}: ARX chosen in the folds: {', '.join(arx.chosen)}", flush=True)
+    for joints in (tuple(int(c) for c in group) for group in given.groups.split(",")):
         began = time.process_time()
-        choices[j] = choose(
-            {n: s for n, s in structures(j).items() if given.only in (None, n)},
-            fit_joint.records_of(j, arm),
+        choice = choose(
+            structures(joints, given.only),
+            arm,
             folds=given.folds,
             seed=seed,
-            criteria=[f"{h:g} s" for h in HORIZONS],
-            refit=given.test is not None,
+            criteria=[f"q{j}, {c}" for c in CRITERIA for j in joints],
+            refit=refit,
+            progress=lambda done, of: print(f"    fit {done} of {of}", file=sys.stderr, flush=True),
         )
-        print(f"\njoint {j}: {time.process_time() - began:.0f} s of processor time")
-        print(choices[j], flush=True)
-    fold = choices[1].folds
-    arx: dict[str, dict[str, np.ndarray]] = {f"q{j}": {} for j in range(1, 5)}
-    for k in range(given.folds):
-        train = [r for r, f in zip(arm, fold, strict=True) if f != k]
-        test = [r for r, f in zip(arm, fold, strict=True) if f == k]
-        for q, models in best_arx(train, test).items():
-            for name, losses in models.items():
-                arx[q].setdefault(name, np.full((len(arm), len(HORIZONS)), np.nan))[fold == k] = (
-                    losses
-                )
-    nested = {f"q{j}": choices[j].nested for j in JOINTS}
-    print("\nnested cross-validation\n" + table(nested, arx), flush=True)
-    if given.test is not None:
-        other = read([given.test])
-        losses = {
-            f"q{j}": structures(j)[c.name].losses(c.model, fit_joint.records_of(j, other))
-            for j, c in choices.items()
-        }
-        print(f"\n{given.test.name}\n" + table(losses, best_arx(arm, other)))
+        print(f"\njoints {joints}: {time.process_time() - began:.0f} s of processor time")
+        print(choice, flush=True)
+        nested = by_joint(joints, choice.nested)
+        for j in joints:
+            arx = yardstick_of[j]
+            rows.append(row(j, nested[j], arx.nested))
+            print(rows[-1], flush=True)
+            if given.test is not None:
+                other = read([given.test])
+                losses = structures(joints)[choice.name].losses(choice.model, other)
+                best = yardsticks(j)[arx.name].losses(arx.model, other)
+                print(f"{given.test.name}: {row(j, by_joint(joints, losses)[j], best)}", flush=True)
+    title = "RMSE [rad] grey box / ARX (ratio), free runs from every 0.05 s, nested"
+    print("\n".join(["", title, f"{'':10}{head}", *sorted(rows)]))
 
 
 if __name__ == "__main__":

@@ -1,69 +1,165 @@
-"""Memory and time of simulate_many into a folder, by the number of cases.
+"""A loop over many cases: what it costs beside a plain one, what processes gain, what memory it
+takes.
 
-    python benchmarks/many.py [cases ...]
+    python benchmarks/many.py                    cost and scaling, some hundred cases
+    python benchmarks/many.py --large            100 000 simulations of a slide, 1000 plans
+    python benchmarks/many.py --memory [cases]   memory by the number of cases, into a folder
 
-The largest resident memory of this process and of one worker is read at every tenth of the cases:
-what grows with them shows. Short cases, 3 output times. Then the same again, all there.
+Cost: processor seconds of all processes for a case, by ``simulate_many`` or ``each``, over those
+of a plain loop, which is run on a sample of the same cases in the same minute. Scaling: wall time
+by one process of our own over that by two; it needs two idle processors. Cases go into a folder
+of Parquet files.
 """
 
 from __future__ import annotations
 
+import os
 import resource
 import sys
 import tempfile
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 import pam_ocp as pam
 
+SAMPLE = 200
+"""Cases of the plain loop, where there are more."""
+COMMON: dict[str, Any] = {"t": np.linspace(0.0, 1.0, 51)}
+STOPS = [{"x": -0.01}, {"x": 0.01}]
 
-def cases(count: int) -> Iterator[dict[str, Any]]:
-    """Loads from 5 to 50 kg, made one by one."""
-    return ({"parameters": {"mass": 5.0 + 45.0 * i / count}} for i in range(count))
+
+def slide() -> pam.Plant:
+    """A slide between two muscles, each behind a proportional valve."""
+    return pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"), feed=pam.feeds.SpoolValve())
 
 
-def peak(who: int = resource.RUSAGE_SELF) -> float:
-    """The largest resident memory so far [MB]."""
-    return resource.getrusage(who).ru_maxrss / 1024
+def pushes(count: int) -> Iterator[dict[str, Any]]:
+    """Loads and openings of the valves."""
+    for i in range(count):
+        share = i / count
+        opening = {"muscle1.command": 0.1 + 0.3 * share, "muscle2.command": 0.2 - 0.3 * share}
+        yield {"parameters": {"mass": 1.0 + 4.0 * share}, "inputs": opening}
+
+
+class Quickest:
+    """The quickest motion of a load, from the solution for another."""
+
+    def __init__(self) -> None:
+        plant = pam.AntagonisticSlide("DMSP-20-400N", mass=2.0)
+        self.planner = pam.Planner(plant, STOPS, method=pam.Collocation(20, 3))
+        self.first = self.planner()
+
+    def __call__(self, mass: float) -> float:
+        return self.planner({"mass": mass}, guess=self.first).duration
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Quickest, ()
+
+
+def processor() -> float:
+    """Seconds of this process and of its children that have ended."""
+    both = (resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(r.ru_utime + r.ru_stime for r in both)
+
+
+def measured(work: Callable[[], Any]) -> tuple[float, float]:
+    """(processor seconds of all processes, seconds by the clock)."""
+    begin, clock = processor(), perf_counter()
+    work()
+    return processor() - begin, perf_counter() - clock
+
+
+def simulations(count: int, both: bool = True) -> dict[str, float]:
+    """Figures of simulations into a folder."""
+    plant = slide()
+    pam.simulate(plant, **COMMON, **next(pushes(1)))  # integrators are built once
+    sample = min(count, SAMPLE)
+    chosen = [c for i, c in enumerate(pushes(count)) if i % (count // sample) == 0][:sample]
+    plain = measured(lambda: [pam.simulate(plant, **COMMON, **c) for c in chosen])[0] / sample
+
+    def run(processes: int) -> tuple[float, float]:
+        with tempfile.TemporaryDirectory() as folder:
+            return measured(
+                lambda: pam.simulate_many(
+                    plant, pushes(count), executor=processes, into=folder, **COMMON
+                )
+            )
+
+    two = run(2)
+    found = {
+        "simulations, cost of a case / plain loop": two[0] / count / plain,
+        "simulations, a case of a plain loop [ms]": 1e3 * plain,
+        "simulations, wall, two processes [s]": two[1],
+    }
+    if both:
+        found["simulations, scaling on two processes (wall)"] = run(1)[1] / two[1]
+    return found
+
+
+def plans(count: int) -> dict[str, float]:
+    """Figures of plans."""
+    work, masses = Quickest(), np.linspace(1.5, 3.0, count).tolist()
+    sample = masses[:: max(1, count // 50)]
+    plain = measured(lambda: [work(m) for m in sample])[0] / len(sample)
+    one, two = (measured(lambda n=n: pam.each(work, masses, executor=n)) for n in (1, 2))
+    return {
+        "plans, cost of a case / plain loop": two[0] / count / plain,
+        "plans, a case of a plain loop [ms]": 1e3 * plain,
+        "plans, scaling on two processes (wall)": one[1] / two[1],
+    }
+
+
+def figures(quick: bool) -> dict[str, float]:
+    """For run.py: cost, scaling, and growth with the number of cases."""
+    found = simulations(200 if quick else 1000) | plans(40 if quick else 200)
+    plant = slide()
+    for count in (10, 100) if quick else (10, 100, 1000):
+        begin = perf_counter()
+        pam.simulate_many(plant, list(pushes(count)), executor=2, **COMMON)
+        found[f"simulate_many, two processes, a case, wall [ms]@{count}"] = (
+            1e3 * (perf_counter() - begin) / count
+        )
+    return found
+
+
+def memory(count: int) -> None:
+    """The largest resident memory at every tenth of short cases, and a worker's."""
+    plant, met = pam.HangingLoad("DMSP-20-400N"), {}
+    cases = ({"parameters": {"mass": 5.0 + 45.0 * i / count}} for i in range(count))
+    short = {"inputs": {"muscle.command": 4e5}, "t": np.linspace(0.0, 0.02, 3), "rtol": 1e-4}
+
+    def note(done: int, _: int | None) -> None:
+        if done * 10 // count > len(met):
+            met[done] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    with tempfile.TemporaryDirectory() as folder:
+        ways = {"executor": 2, "chunk": 500, "into": folder}
+        seconds = measured(lambda: pam.simulate_many(plant, cases, progress=note, **ways, **short))
+        size = sum(p.stat().st_size for p in Path(folder).rglob("*.*")) / 1e6
+    worker = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print("peak memory [MB] after so many cases:")
+    print(", ".join(f"{done}: {mb:.0f}" for done, mb in met.items()))
+    print(f"{count} cases: {seconds[1]:.0f} s, {size:.0f} MB on disk, a worker {worker:.0f} MB")
 
 
 def main() -> None:
-    plant = pam.HangingLoad("DMSP-20-400N")
-    common = {
-        "inputs": {"muscle.command": 4e5},
-        "t": np.linspace(0.0, 0.02, 3),
-        "rtol": 1e-4,
-        "chunk": 500,
-        "workers": 2,
-    }
-    for count in [int(a) for a in sys.argv[1:]] or [100_000]:
-        met: dict[int, float] = {}
-
-        def note(done: int, _: int | None, count: int = count, met: dict[int, float] = met) -> None:
-            if done * 10 // count > len(met):
-                met[done] = peak()
-
-        with tempfile.TemporaryDirectory() as folder:
-            seconds = []
-            for _ in range(2):  # the second time everything is there
-                begin = time.perf_counter()
-                stored = pam.simulate_many(
-                    plant, cases(count), into=folder, progress=note, **common
-                )
-                seconds.append(time.perf_counter() - begin)
-            size = sum(p.stat().st_size for p in Path(folder).iterdir()) / 1e6
-            print("peak memory [MB] after so many cases:")
-            print(", ".join(f"{done}: {mb:.0f}" for done, mb in met.items()))
-            print(
-                f"{count} cases, {len(stored.failures)} failed: {seconds[0]:.0f} s, again "
-                f"{seconds[1]:.1f} s, {size:.0f} MB on disk, a worker "
-                f"{peak(resource.RUSAGE_CHILDREN):.0f} MB",
-                flush=True,
-            )
+    print(f"load {os.getloadavg()[0]:.1f}", flush=True)
+    if "--memory" in sys.argv:
+        memory(int(sys.argv[2]) if len(sys.argv) > 2 else 100_000)
+        return
+    large = "--large" in sys.argv
+    parts = (
+        (lambda: simulations(100_000, both=False), lambda: simulations(5000), lambda: plans(1000))
+        if large
+        else (lambda: simulations(200), lambda: plans(40))
+    )
+    for part in parts:
+        for name, value in part().items():
+            print(f"{name:<52}{value:>10.3f}", flush=True)
 
 
 if __name__ == "__main__":

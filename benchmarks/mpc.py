@@ -23,10 +23,12 @@ STEP, BAR = 0.005, 1e5
 COMMANDS = ("muscle1.command", "muscle2.command")
 METHODS = (
     ("ipopt", {"solver": "ipopt"}, 60),
-    ("piqp, one iteration", {"solver": "piqp", "iterations": 1}, 400),
-    ("hpipm, one iteration", {"iterations": 1}, 400),
-    ("hpipm, converged, work bounded", {"iterations": 30}, 400),
-    ("hpipm, converged", {"iterations": 30, "work": None}, 400),
+    ("piqp, one iteration", {"solver": "piqp", "iterations": 1, "compiled": False}, 400),
+    ("hpipm, one iteration", {"iterations": 1, "compiled": False}, 400),
+    ("hpipm, one iteration, compiled", {"iterations": 1, "compiled": True}, 400),
+    ("hpipm, converged, work bounded", {"iterations": 30, "compiled": False}, 400),
+    ("the same, compiled", {"iterations": 30, "compiled": True}, 400),
+    ("hpipm, converged", {"iterations": 30, "work": None, "compiled": False}, 400),
 )
 
 

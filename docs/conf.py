@@ -98,7 +98,7 @@ def write_reference() -> None:
 # -- docstrings: plain text with formulas, made into reStructuredText ----------------------------
 
 CODE = re.compile(r":[a-z]+:`~?([^`]+)`|``([^`]+)``")
-ENTRY = re.compile(r"(?:\*{0,2}[\w.]+(?:, )?)+ : ")
+ENTRY = re.compile(r"\*{0,2}[\w.]+(?:, \*{0,2}[\w.]+)* : ")
 HEADING = re.compile(r"(\w+)\n-+\n")
 
 

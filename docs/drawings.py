@@ -114,7 +114,69 @@ def series(ax: Axes) -> None:
     arrow(ax, (-0.5, 0.0), (-0.5, 0.5), "x")
 
 
-def main(path: Path) -> None:
+def vessel(ax: Axes, x: float, y: float, w: float, h: float, name: str, says: str) -> None:
+    """A place that holds air: what it is, and its variables below."""
+    ax.add_patch(Rectangle((x - w / 2, y - h / 2), w, h, fc="#dddddd", ec=INK, lw=1.2))
+    ax.text(x, y + h / 2 + 0.12, name, ha="center", va="bottom", fontsize=10)
+    ax.text(x, y, says, ha="center", va="center", fontsize=9, style="italic")
+
+
+def pipe(ax: Axes, a: float, b: float, y: float, says: str = "", way: str = "->") -> None:
+    """A flow between two places, and what it is called."""
+    style = {"arrowstyle": way, "color": MUSCLE, "lw": 1.6}
+    ax.annotate("", xy=(b, y), xytext=(a, y), arrowprops=style)
+    ax.text((a + b) / 2, y + 0.08, says, ha="center", va="bottom", fontsize=9)
+
+
+def upright(ax: Axes, x: float, a: float, b: float, says: str, color: str) -> None:
+    """A flow up or down."""
+    style = {"arrowstyle": "->", "color": color, "lw": 1.4}
+    ax.annotate("", xy=(x, b), xytext=(x, a), arrowprops=style)
+    ax.text(x + 0.08, (a + b) / 2, says, va="center", fontsize=9)
+
+
+def air(ax: Axes) -> None:
+    """The way of the air from the source to the surroundings."""
+    pipe(ax, -0.9, 0.4, 1.0, "source")
+    vessel(ax, 1.1, 1.0, 1.4, 0.8, "", "p, T, V")
+    ax.text(0.4, 1.52, "receiver", ha="left", va="bottom", fontsize=10)
+    upright(ax, 1.65, 1.4, 2.7, "to the next muscle", MUSCLE)
+    pipe(ax, 1.8, 3.0, 1.0, "supply flow")
+    ax.add_patch(Rectangle((3.0, 0.6), 1.2, 0.8, fc="white", ec=INK, lw=1.2))
+    ax.plot([3.6, 3.6], [0.6, 1.4], color=INK, lw=1)
+    ax.text(3.6, 1.52, "valve: spool s, C, b", ha="center", va="bottom", fontsize=10)
+    upright(ax, 3.6, 0.6, -0.1, "to ambient", MUSCLE)
+    for i in range(3):
+        vessel(ax, 5.1 + 0.55 * i, 1.0, 0.5, 0.4, "", ("p$_1$", "...", "p$_n$")[i])
+    pipe(ax, 4.2, 4.85, 1.0, way="<->")
+    ax.text(5.65, 1.52, "tube: friction, inertance", ha="center", va="bottom", fontsize=10)
+    upright(ax, 7.0, 0.95, -0.1, "quick exhaust, leak", MUSCLE)
+    pipe(ax, 6.45, 7.6, 1.0, "flow m", way="<->")
+    muscle(ax, (7.6, 1.0), (11.0, 1.0), "p, T, V(κ)")
+    ax.text(9.3, 1.52, "muscle", ha="center", va="bottom", fontsize=10)
+    upright(ax, 9.0, 0.25, 0.75, "Q = h A (T$_w$ - T)", LOAD)
+    ax.text(9.0, 0.13, "rubber T$_w$", ha="center", va="top", fontsize=9)
+    upright(ax, 9.0, -0.1, -0.5, "G (T$_w$ - T$_o$)", LOAD)
+    pipe(ax, 11.05, 12.0, 1.0, "F, p dV/dt")
+    ax.set(xlim=(-1, 12.3), ylim=(-0.7, 2.6))
+
+
+def save(figure: Figure, path: Path) -> None:
+    """The same bytes every time."""
+    with rc_context({"svg.hashsalt": "pam_ocp", "svg.fonttype": "none"}):
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+
+
+def path_of_air(path: Path) -> None:
+    figure = Figure(figsize=(11.0, 2.8), layout="constrained")
+    ax = figure.subplots()
+    air(ax)
+    ax.set_aspect("equal")
+    ax.axis("off")
+    save(figure, path)
+
+
+def arrangements(path: Path) -> None:
     titles = {
         "HangingLoad": hanging,
         "SpringOverMuscle": spring_over,
@@ -131,10 +193,9 @@ def main(path: Path) -> None:
         ax.set(aspect="equal", title=title)
         ax.axis("off")
         ax.margins(0.12)
-    same = {"svg.hashsalt": "pam_ocp", "svg.fonttype": "none"}  # the same bytes every time
-    with rc_context(same):
-        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    save(figure, path)
 
 
 if __name__ == "__main__":
-    main(HERE / "arrangements.svg")
+    arrangements(HERE / "arrangements.svg")
+    path_of_air(HERE / "air.svg")

@@ -1,6 +1,6 @@
 """A sweep on many processes: how mass and damping shape the response to a step of pressure.
 
-`simulate_many` takes any executor of Python: processes of this machine, Dask's on a cluster, MPI's.
+`simulate_many` takes a number of processes, any executor of Python, or a client of Dask's cluster.
 One case that fails does not stop the others. Here Dask runs two workers on this machine.
 """
 
@@ -27,7 +27,7 @@ def run() -> pam.simulation.ManySimulations:
         return pam.simulate_many(
             plant,
             cases,
-            executor=client.get_executor(),
+            executor=client,
             inputs={"muscle.command": 3e5},
             duration=2.0,
         )

@@ -14,6 +14,7 @@ from .control.estimators.extended_kalman import KalmanFilter as KalmanFilter
 from .control.linear_quadratic import lqr as lqr
 from .control.loop import closed_loop as closed_loop
 from .control.mpc.mpc import Mpc as Mpc
+from .core.cases import each as each
 from .core.exceptions import ExportError as ExportError
 from .core.exceptions import FitError as FitError
 from .core.exceptions import InputError as InputError
@@ -55,6 +56,7 @@ from .operating.operating_point import OperatingPoint as OperatingPoint
 from .operating.resting_point import EquilibriumError as EquilibriumError
 from .operating.resting_point import equilibrium as equilibrium
 from .operating.several import equilibria as equilibria
+from .planning.arcs import Arcs as Arcs
 from .planning.planner import Planner as Planner
 from .planning.planner import plan as plan
 from .planning.problem.problem import TIME as TIME

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from .control.blocks.making import block as block
     from .control.loop import ClosedLoop as ClosedLoop
     from .control.loop import closed_loop as closed_loop
+    from .export.machine import MachinePlant as MachinePlant
+    from .export.machine import machine_plant as machine_plant
     from .export.ssv import save_ssv as save_ssv
     from .export.ssv import write_muscle_ssv as write_muscle_ssv
     from .figures.html import html_of as html_of
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
     from .operating.linear import linearize as linearize
     from .operating.resting_point import OperatingPoint as OperatingPoint
     from .operating.resting_point import equilibrium as equilibrium
+    from .planning.arcs_named import arcs_along as arcs_along
     from .planning.saved_plan import save_plan as save_plan
 
 _HOMES: dict[str, str] = {
@@ -77,6 +80,7 @@ _HOMES: dict[str, str] = {
     "report_of": "figures.tables",
     "save_result": "figures.tables",
     "html_of": "figures.html",
+    "machine_plant": "export.machine",
     "linearize": "operating.linear",
     "plant_report": "fitting.dynamic.plant_report",
     "plot_amplitude_map": "figures.vibration_maps",
@@ -99,6 +103,7 @@ _HOMES: dict[str, str] = {
     "plot_stability": "figures.vibration",
     "plot_trajectory": "figures.trajectory",
     "read_fit": "fitting.static.saved_force",
+    "arcs_along": "planning.arcs_named",
     "save_plan": "planning.saved_plan",
     "save_ssv": "export.ssv",
     "validate": "fitting.dynamic.outcome",

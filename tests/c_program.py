@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,11 @@ STRICT = (
     *("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"),
     *("-Wshadow", "-Wdouble-promotion", "-Werror"),
 )
+
+ZIG = (sys.executable, "-m", "ziglang", "cc")
+WARN = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+BARE = Path(__file__).parent / "export" / "cortex"
+"""A start-up file, a linker script and the few headers that a bare Cortex-M7 wants."""
 
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="needs a C compiler (cc)")
 
@@ -40,6 +47,46 @@ def selftest(folder: Path, name: str, *flags: str, compiler: Any = None) -> str:
     chosen = compiler or [COMPILER]
     run(*chosen, *STRICT, *flags, *sources, "-o", program, "-lm", cwd=folder)
     return run(program)
+
+
+def needs(program: str) -> str:
+    """Where a program is; a skip where it is not."""
+    found = shutil.which(program) or shutil.which(f"{program}-static")
+    if found is None:
+        pytest.skip(f"needs {program}")
+    return found
+
+
+def bits_of(printed: str) -> str:
+    """The sum of bits that a self-test prints; it must have passed."""
+    assert "passed" in printed, printed
+    found = re.search(r"bits ([0-9a-f]{8})", printed)
+    assert found is not None
+    return found.group(1)
+
+
+def on_aarch64(folder: Path, name: str) -> str:
+    """What the self-test prints on aarch64, under qemu."""
+    emulator = needs("qemu-aarch64")
+    sources = [f"{name}.c", f"{name}_selftest.c", "-static", "-o", "elsewhere"]
+    run(*ZIG, "-target", "aarch64-linux-musl", *WARN, *sources, cwd=folder)
+    return run(emulator, folder / "elsewhere")
+
+
+def on_cortex_m7(folder: Path, name: str) -> str:
+    """What it prints on qemu's mps2-an500, without an operating system or a C library."""
+    emulator = needs("qemu-system-arm")
+    cpu = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m7+fp_armv8d16+fp64")
+    plain = ("-ffreestanding", "-fno-math-errno", "-fno-sanitize=all", "-fno-unwind-tables")
+    sources = [BARE / "startup.c", f"{name}.c", f"{name}_selftest.c"]
+    link = (f"-Wl,-T,{BARE / 'mps2.ld'}", "-I", BARE / "include", "-o", "bare.elf")
+    run(*ZIG, *cpu, *plain, *WARN, *sources, *link, cwd=folder)
+    semihosting = ("-semihosting-config", "enable=on,target=native")
+    machine = ("-M", "mps2-an500", "-nographic", *semihosting)
+    command = [emulator, *machine, "-kernel", str(folder / "bare.elf")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr  # semihosting writes to the latter
 
 
 class Program:

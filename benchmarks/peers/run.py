@@ -38,6 +38,9 @@ TOOLS = {
     "rockit": ["rockit-meco"],
     "yapss": ["yapss"],
     "dompc": ["do-mpc"],
+    "pycollo": ["pycollo"],
+    "maptor": ["maptor"],
+    "acados": ["acados-template"],
 }
 """Peer: what to install from the package index."""
 OWN = ("casadi_opti", "pam_ocp")
@@ -52,6 +55,9 @@ WAYS = (
     ("yapss", "low"),
     ("yapss", "high"),
     ("dompc", ""),
+    ("pycollo", ""),
+    ("maptor", ""),
+    ("acados", ""),
 )
 """(peer, which of its ways), in the order of the table."""
 LIMIT = 600.0
@@ -149,6 +155,10 @@ def _environment() -> dict[str, str]:
 
 def run(tool: str, way: str) -> Result | str:
     """A peer's result, or why there is none."""
+    if not (HERE / f"{tool}_peer.py").is_file():
+        return (
+            "installs, not stated here" if (CACHE / tool / "ready").is_file() else "not installed"
+        )
     if tool not in OWN and not (CACHE / tool / "ready").is_file():
         return "not installed (--install)"
     try:
@@ -173,6 +183,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("tools", nargs="*", metavar="TOOL", help=f"of {', '.join(TOOLS)}")
     parser.add_argument("--install", action="store_true", help="make the environments first")
+    parser.add_argument("--json", action="store_true", help="at the end, all figures in one line")
     parser.add_argument("--repeat", type=int, default=3, help="processes a tool, the best counts")
     options = parser.parse_args()
     unknown = set(options.tools) - set(TOOLS)
@@ -188,6 +199,7 @@ def main() -> None:
     )
     print(head)
     base: Result | None = None
+    figures: dict[str, object] = {}
     for tool, way in WAYS:
         if tool not in (*OWN, *tools):
             continue
@@ -195,10 +207,14 @@ def main() -> None:
         done = [f for f in found if isinstance(f, Result)]
         if not done:
             print(f"{f'{tool} {way}':<44}{found[0]}")
+            figures[f"{tool} {way}".strip()] = found[0]
             continue
         best = min(done, key=lambda r: r.whole)
         best.first, best.solve = (min(getattr(r, e) for r in done) for e in ("first", "solve"))
         base = base or best
+        figures[best.name] = {
+            e: round(getattr(best, e) / getattr(base, e), 3) for e in ("whole", "first", "solve")
+        } | {"error": float(f"{best.error():.1e}")}
         ratios = (getattr(best, e) / getattr(base, e) for e in ("whole", "first", "solve"))
         print(
             f"{best.name:<44}{best.duration:>10.6f}"
@@ -211,6 +227,8 @@ def main() -> None:
             f"({base.name}: whole {base.whole:.2f} s, first {base.first:.2f} s, "
             f"solve {base.solve:.2f} s)"
         )
+    if options.json:
+        print("PEERS " + json.dumps(figures))
 
 
 if __name__ == "__main__":

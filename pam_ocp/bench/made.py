@@ -6,6 +6,7 @@ few of each are kept. ``state`` is a session's state, ``folder`` its folder.
 
 from __future__ import annotations
 
+import ast
 import json
 import warnings
 from collections.abc import Callable, Mapping
@@ -30,6 +31,7 @@ from .session import safe_name
 __all__ = [
     "chosen_item",
     "muscle_of",
+    "own_plants",
     "plant_of",
     "preview_of",
     "records_of",
@@ -158,3 +160,23 @@ def _described(folder: str, content: str) -> Plant:
         warnings.simplefilter("ignore")
         files = Path(folder) / "files"
         return described({**table, "muscle": part}, "plant", files, allow_code=allow_code)
+
+
+def own_plants(folder: Path) -> dict[str, str]:
+    """{FILE.py:NAME: words}: what Python files of the session name at their top. None is run.
+
+    Names that are imported, or begin with _, are left out.
+    """
+    found: dict[str, str] = {}
+    for path in sorted((folder / "files").glob("*.py")):
+        try:
+            body = ast.parse(path.read_bytes()).body
+        except (SyntaxError, ValueError):
+            continue
+        names = [s.name for s in body if isinstance(s, ast.FunctionDef | ast.ClassDef)]
+        for assigned in body:
+            if isinstance(assigned, ast.Assign):
+                names += [t.id for t in assigned.targets if isinstance(t, ast.Name)]
+        shown = path.name.partition("-")[2] or path.name
+        found |= {f"{path.name}:{n}": f"{n} ({shown})" for n in names if n[0] != "_"}
+    return found

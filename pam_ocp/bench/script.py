@@ -9,6 +9,7 @@ quoted literal, or as a comment on one line.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -20,11 +21,13 @@ __all__ = [
     "HEAD",
     "PUSH",
     "call",
+    "can_be_pushed",
     "control_lines",
     "data_lines",
     "export_lines",
     "figure_lines",
     "figures_said",
+    "is_followed",
     "literal",
     "muscle_lines",
     "plant_code",
@@ -36,6 +39,7 @@ __all__ = [
 HEAD = '''"""Repeats a session of pam-ocp bench; run it in the folder that holds "files"."""
 
 import dataclasses
+import runpy
 
 import numpy as np
 
@@ -58,11 +62,12 @@ def script_of(parts: Iterable[Sequence[str]]) -> str:
     """The script: what each tab has to say, in the order of the tabs."""
     blocks = ["\n".join(map(wrapped, lines)) for lines in parts if lines]
     text = "\n\n".join(blocks)
-    imports = {"dataclasses": "dataclasses.", "numpy as np": "np."}
+    imports = {"dataclasses": "dataclasses.", "runpy": "runpy.", "numpy as np": "np."}
     head = HEAD
     for name, used in imports.items():
         if used not in text:
-            head = head.replace(f"import {name}\n\n", "")
+            head = head.replace(f"import {name}\n", "")
+    head = re.sub(r"\n{3,}", "\n\n", head)
     if "figures" in text:
         head, text = f"{head}\n{FIGURES}\n", f"{text}\n\n{TAIL.rstrip()}"
     return f"{head}\n{text}\n"
@@ -182,10 +187,8 @@ def plant_lines(state: Mapping[str, Any]) -> list[str]:
     """The plant, and its operating point."""
     if state["muscle"] is None:
         return []
-    if ":" in state["plant"]["arrangement"]:
-        name = _comment(state["plant"]["arrangement"])
-        return [f"# the plant {name} is code of your own: import it, and call it with muscle"]
-    lines = [f"plant = {plant_code(state['plant'])}"]
+    own = ":" in state["plant"]["arrangement"]
+    lines = _own_plant(state["plant"]) if own else [f"plant = {plant_code(state['plant'])}"]
     for sensed, sensor in state["plant"].get("sensors", {}).items():
         lines += [f"plant.add_sensor({literal(sensed)}, {_component('sensors', sensor)})"]
     if state["point"]:
@@ -195,6 +198,17 @@ def plant_lines(state: Mapping[str, Any]) -> list[str]:
             '    figures[f"point.{v.name}"] = point[v.name]',
         ]
     return lines
+
+
+def _own_plant(said: Mapping[str, Any]) -> list[str]:
+    """A plant whose file lies among those of the session: NAME is one, or makes one."""
+    file, _, member = said["arrangement"].rpartition(":")
+    values = said.get("set", {})
+    lines = [
+        f"made = runpy.run_path({literal(f'files/{file}')})[{literal(member)}]  # code of your own",
+        "plant = made if isinstance(made, pam.Plant) else made(muscle)",
+    ]
+    return [*lines, *([f"plant = plant.with_values({literal(values)})"] if values else [])]
 
 
 def plant_code(said: Mapping[str, Any]) -> str:
@@ -235,16 +249,27 @@ def _component(argument: str, content: Mapping[str, Any]) -> str:
 
 
 # ---- controllers ---------------------------------------------------------------------------------
+def can_be_pushed(plant: Mapping[str, Any]) -> bool:
+    """Whether an arrangement takes a force from outside among its loads; one's own are as said."""
+    name = str(plant["arrangement"])
+    return ":" not in name and "loads" in PLANTS.arguments(PLANTS.name("arrangement", name))
+
+
+def is_followed(said: Mapping[str, Any]) -> bool:
+    """Whether the reference of the study reaches a controller: an LQR without integral has none."""
+    return said["kind"] != "lqr" or bool(said["gains"]["integral"])
+
+
 def control_lines(state: Mapping[str, Any]) -> list[str]:
     """Each controller with its run against the plant, which can be pushed."""
     if state["muscle"] is None or not state["point"] or not state["controllers"]:
         return []
     lines = []
-    name = state["plant"]["arrangement"]
-    loads = [*state["plant"].get("loads", ()), {"kind": "ExternalForce", "name": PUSH}]
-    pushed = {**state["plant"], "loads": loads}
-    if ":" not in name:
-        lines += [f"side = {plant_code(pushed)}"]
+    side = "plant"
+    if can_be_pushed(state["plant"]):
+        loads = [*state["plant"].get("loads", ()), {"kind": "ExternalForce", "name": PUSH}]
+        side = plant_code({**state["plant"], "loads": loads})
+    lines += [f"side = {side}"]
     lines += ["position = next(iter(plant.positions))"]
     lines += ["start = {v.name: point[v.name] for v in (*plant.states, *plant.inputs)}"]
     for said in state["controllers"]:
@@ -255,13 +280,11 @@ def control_lines(state: Mapping[str, Any]) -> list[str]:
 def _run_lines(said: Mapping[str, Any]) -> list[str]:
     id, study, gains = said["id"], said["study"], said["gains"]
     time = {"sample_time": said["sample_time"]}
-    followed = True
     if said["kind"] == "pid":
         lines = [f"{id} = {call('pam.control.PointPid', 'plant', 'point', **gains, **time)}"]
     elif said["kind"] == "lqr":
         weights = f"{{position: {gains['position']!r}, velocity: {gains['velocity']!r}}}"
-        followed = bool(gains["integral"])
-        integral = f"integral={{position: {gains['integral']!r}}}, " if followed else ""
+        integral = f"integral={{position: {gains['integral']!r}}}, " if gains["integral"] else ""
         lines = [
             "velocity = plant.positions[position]",
             f"{id} = pam.lqr(plant, point, weights={weights}, effort={gains['effort']!r}, "
@@ -274,7 +297,9 @@ def _run_lines(said: Mapping[str, Any]) -> list[str]:
             f"sample_time={said['sample_time']!r}, track={{position: {gains['position']!r}}}, "
             f"rate={rate})",
         ]
-    reference = f"{{position: point[position] + {study['step']!r}}}" if followed else "None"
+    reference = (
+        f"{{position: point[position] + {study['step']!r}}}" if is_followed(said) else "None"
+    )
     more = f", disturbances={{{PUSH!r}: ({study['push']!r}, {study['push_from']!r})}}"
     more = more if study["push"] else ""
     if study["noise"]:

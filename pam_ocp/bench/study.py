@@ -1,4 +1,4 @@
-"""What was done on the page as a study file for ``pam-ocp study``: made of the state alone."""
+"""What was done on the page as a study file for ``pam-ocp study``: the same steps in words."""
 
 from __future__ import annotations
 
@@ -8,45 +8,118 @@ from typing import Any
 
 import tomli_w
 
+from ..operating.linear import equilibrium
 from ..planning.problem.wording import Stop
-from .jobs.export import TOLERANCE
+from ..plants.plant import Plant
+from ..studies.steps.measured import TableStep
+from .jobs.control import lqr_arguments, mpc_arguments, side_state
+from .jobs.export import STEPS, TOLERANCE
 from .jobs.motion import METHODS, arguments
-from .made import muscle_of
+from .made import muscle_of, plant_of
+from .script import PUSH, can_be_pushed, is_followed
 
 __all__ = ["study_of"]
 
 MUSCLE_FILE = "muscle.toml"
 """Beside the study, where no step makes the muscle."""
-READ = ("rest_length", "ambient_pressure", "ramp", "sheet", "units", "columns", "pivot")
-"""What a step of kind "table" may be told."""
+READ = [k for k in TableStep.keys if k not in ("file", "without")]
+"""What a step of kind "table" may be told of the reading."""
+State = Mapping[str, Any]
+Steps = dict[str, Any]
 
 
-def study_of(state: Mapping[str, Any], title: str = "") -> str:
-    """The study file: table, fit, plant, linear model, plans and FMUs as steps.
+def study_of(folder: Path, state: State, title: str = "", allow_code: bool = False) -> str:
+    """The study file: table, fit, plant, linear model, plans, controllers' runs and exports.
 
     Files are named as in the session's folder ("files/..."); a muscle with coefficients moved by
-    hand is MUSCLE_FILE beside it. Controllers' runs are left out: the script has them.
+    hand is MUSCLE_FILE beside it. A plant of the user's own runs with ``--allow-code`` only.
     """
-    steps: dict[str, Any] = {}
+    steps: Steps = {}
     muscle = _muscle(state["muscle"], steps)
-    if muscle is not None and ":" not in state["plant"]["arrangement"]:
-        steps["plant"] = {"kind": "plant", **state["plant"], "muscle": muscle}
+    if muscle is not None:
+        steps["plant"] = {"kind": "plant", **_plant(state["plant"]), "muscle": muscle}
         if state["point"]:
             steps["linear"] = {"kind": "linearize", "plant": "plant", "rest": state["point"]}
         for motion in state["motions"]:
             steps[motion["id"]] = {"kind": "plan", "plant": "plant", **_plan(motion)}
+        if state["point"] and state["controllers"]:
+            plant = plant_of(folder, state, allow_code=allow_code)
+            steps |= _controllers(state, plant, muscle)
         for said in state["exports"]:
-            if said["kind"] == "fmu":
-                step = {"kind": "export", "plant": "plant", "fmi": said["fmi"]}
-                steps[said["id"]] = {**step, "platforms": ["native"]}
-                check = {"kind": "check", "fmu": said["id"], "tolerance": TOLERANCE}
-                if said["motion"]:
-                    check["against"] = said["motion"]
-                steps[f"{said['id']}-check"] = check
+            steps |= _exported(said, state)
     content = {"title": title or "A session of pam-ocp bench", "steps": steps}
     return tomli_w.dumps(content)
 
 
+def _plant(said: State) -> dict[str, Any]:
+    name = str(said["arrangement"])
+    return {**said, "arrangement": f"files/{name}" if ":" in name else name}
+
+
+# ---- controllers ---------------------------------------------------------------------------------
+def _controllers(state: State, plant: Plant, muscle: str) -> Steps:
+    """Each controller, and its run against the plant that can be pushed."""
+    steps: Steps = {}
+    against = "plant"
+    if can_be_pushed(state["plant"]):
+        side, against = _plant(side_state(state)["plant"]), "side"
+        steps["side"] = {"kind": "plant", **side, "muscle": muscle}
+    for said in state["controllers"]:
+        law = steps[f"{said['id']}-law"] = {"kind": "controller", "plant": "plant"}
+        if said["kind"] != "mpc":
+            law["rest"] = state["point"]
+        law["controller"] = _law(plant, said)
+        steps[said["id"]] = _run(plant, state, said, against)
+    return steps
+
+
+def _law(plant: Plant, said: State) -> dict[str, Any]:
+    """The table of a controller: the arguments that the page gives its class."""
+    if said["kind"] == "pid":
+        return {"kind": "pid", **said["gains"], "sample_time": said["sample_time"]}
+    arguments = {"lqr": lqr_arguments, "mpc": mpc_arguments}[said["kind"]]
+    return {"kind": said["kind"], **arguments(plant, said)}
+
+
+def _run(plant: Plant, state: State, said: State, against: str) -> dict[str, Any]:
+    study, position = said["study"], next(iter(plant.positions))
+    step: dict[str, Any] = {"kind": "loop", "plant": "plant", "controller": f"{said['id']}-law"}
+    step |= {"against": against, "start": state["point"], "duration": study["duration"]}
+    if is_followed(said):
+        at = equilibrium(plant, state["point"])
+        step["reference"] = {position: at[position] + study["step"]}
+    if study["push"]:
+        step["disturbances"] = {PUSH: [study["push"], study["push_from"]]}
+    if study["noise"]:
+        step["noise"] = {position: study["noise"]}
+    return {**step, "estimator": {"kind": "none"}}
+
+
+# ---- exports -------------------------------------------------------------------------------------
+def _exported(said: State, state: State) -> Steps:
+    """An export, with its check where there is one."""
+    id, kind, motion = said["id"], said["kind"], said["motion"]
+    unit = {"plant": "plant", "platforms": ["native"]}
+    if kind == "c":
+        return {id: {"kind": "export-c", "controller": f"{said['controller']}-law"}}
+    unit |= {"fmi": said["fmi"], "step_size": said["step_size"]} if kind == "fmu" else {}
+    if kind == "ssp":
+        return {
+            id: {"kind": "export-ssp", **unit, "motion": motion, "step_size": said["step_size"]}
+        }
+    steps: Steps = {id: {"kind": "export", **unit}}
+    check = {"kind": "check", "fmu": id, "tolerance": TOLERANCE}
+    if motion:
+        check["against"] = motion
+    elif state["point"]:
+        rest = check["against"] = f"{id}-rest"
+        duration = STEPS * said["step_size"]
+        steps[rest] = {"kind": "simulate", "plant": "plant", "rest": state["point"]}
+        steps[rest] |= {"duration": duration, "samples": STEPS + 1}
+    return {**steps, f"{id}-check": check}
+
+
+# ---- the muscle ----------------------------------------------------------------------------------
 def needs_muscle_file(state: Mapping[str, Any]) -> bool:
     """Whether the muscle must lie beside the study."""
     said = state["muscle"]
@@ -79,7 +152,8 @@ def _muscle(said: Mapping[str, Any] | None, steps: dict[str, Any]) -> str | None
     table = said["table"]
     source = table["bundled"] if "bundled" in table else f"files/{table['file']}"
     read = {k: v for k, v in table["said"].items() if k in READ and v is not None}
-    steps["table"] = {"kind": "table", "file": source, **read}
+    off = {"without": sorted(table["off"])} if table.get("off") else {}
+    steps["table"] = {"kind": "table", "file": source, **read, **off}
     steps["fit"] = {"kind": "fit", "table": "table", "law": said["law"]}
     for name in ("rest_length", "diameter", "fixed", "name"):
         if said.get(name):

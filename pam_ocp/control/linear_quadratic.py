@@ -16,6 +16,7 @@ from ..operating.resting_point import OperatingPoint
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
+from .kinds import CONTROLLERS
 from .references import Source
 
 if TYPE_CHECKING:
@@ -291,6 +292,7 @@ def stationary(
     raise ValueError(reason)
 
 
+@CONTROLLERS.register("lqr", units={"sample_time": "s"})
 @verb
 def lqr(
     plant: Plant,

@@ -14,6 +14,7 @@ from ..core.errors import InputError, require_finite, require_positive
 from ..operating.linear import OperatingPoint, inside, linearize, no_influence
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
+from .kinds import CONTROLLERS
 from .pid import PID
 from .references import Source
 
@@ -25,6 +26,7 @@ __all__ = ["PointPid"]
 Array: TypeAlias = NDArray[np.float64]
 
 
+@CONTROLLERS.register("pid", units={"filter_time": "s", "sample_time": "s"})
 @dataclass
 class PointPid:
     """u = u0 + weight (P e + I + D), e = wanted - position: a Controller for :func:`closed_loop`.
@@ -36,6 +38,7 @@ class PointPid:
     weights : {input: how it takes part}; by default 1 or -1 for each, as it moves the position.
     filter_time : of the derivative [s]. sample_time : of the loop [s].
 
+    ``position`` is what it moves, ``shares`` are the weights of the inputs that it moves.
     ``loop`` is python-control's L(s), broken at the error, ``poles`` are those of the closed loop
     (continuous, linear). Raises InputError where no input moves the position.
 
@@ -74,17 +77,17 @@ class PointPid:
                 f"{', '.join(self.plant.positions) or 'none'}"
             )
         self.position = next(iter(self.plant.positions))
-        self._inversion, self.point = inside(self.plant, self.at)
+        self.inversion, self.point = inside(self.plant, self.at)
         inner = self.point.plant
         inputs = [v.name for v in inner.inputs if not v.disturbance]
         self.system = linearize(inner, self.point, inputs=inputs, outputs=[self.position])
         no_influence("PointPid", inner, np.asarray(self.system.B), inputs)
-        self._weights = self._signs(inputs) if self.weights is None else dict(self.weights)
-        unknown = [n for n in self._weights if n not in inputs]
+        self.shares = self._signs(inputs) if self.weights is None else dict(self.weights)
+        unknown = [n for n in self.shares if n not in inputs]
         if unknown:
             raise InputError(f"PointPid.weights: {unknown[0]} is none of {', '.join(inputs)}")
-        self._limits = {n: (inner.variable(n).min, inner.variable(n).max) for n in self._weights}
-        self._pid = PID(self.proportional, self.integral, self.derivative, self.filter_time)
+        self._limits = {n: (inner.variable(n).min, inner.variable(n).max) for n in self.shares}
+        self.pid = PID(self.proportional, self.integral, self.derivative, self.filter_time)
         self._saturated = False
 
     def _signs(self, inputs: list[str]) -> dict[str, float]:
@@ -107,7 +110,7 @@ class PointPid:
 
         column = np.zeros((self.system.ninputs, 1))
         labels = list(self.system.input_labels)
-        for name, weight in self._weights.items():
+        for name, weight in self.shares.items():
             column[labels.index(name.replace(".", "_"))] = weight
         single = control.ss(
             self.system.A, np.asarray(self.system.B) @ column, self.system.C, np.zeros((1, 1))
@@ -134,7 +137,7 @@ class PointPid:
     # ---- a Controller ----------------------------------------------------------------------------
     def reset(self) -> None:
         """See :class:`Controller`."""
-        self._pid.reset()
+        self.pid.reset()
         self._saturated = False
 
     def wanted(self, t: float) -> dict[str, float]:
@@ -153,15 +156,15 @@ class PointPid:
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         error = self.wanted(t)[self.position] - measured[self.position]
-        output = self._pid(error, self.sample_time, self._saturated)
-        asked = {n: self.point[n] + w * output for n, w in self._weights.items()}
+        output = self.pid(error, self.sample_time, self._saturated)
+        asked = {n: self.point[n] + w * output for n, w in self.shares.items()}
         held = {n: float(np.clip(u, *self._limits[n])) for n, u in asked.items()}
         self._saturated = all(held[n] != asked[n] for n in asked)
-        if not self._inversion:
+        if not self.inversion:
             return held
         rest = {
             v.name: self.point[v.name]
             for v in self.point.plant.inputs
             if not v.disturbance and v.name not in held
         }
-        return self._inversion.commands({**rest, **held})
+        return self.inversion.commands({**rest, **held})

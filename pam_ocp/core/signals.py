@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import comb, isfinite
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -221,48 +220,70 @@ def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> P
     return PiecewisePolynomial(times, np.stack([samples[:-1], slopes], axis=1)[:, :, None])
 
 
+NODES = (1 - np.cos(np.pi * (np.arange(4) + 0.5) / 4)) / 2
+"""Of a cubic on a piece of length 1."""
+PROBES = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-9])
+"""Where it is compared with the function."""
+BATCH = 4096
+"""So many pieces are fitted at a time."""
+
+
 def _from_function(
     variable: Any, function: Callable[[float], float], t: Array
 ) -> PiecewisePolynomial:
     """Cubic pieces through four Chebyshev points, halved until they follow the function."""
-
-    def sample(time: float) -> float:
-        plain = function(time)
-        if isinstance(plain, float) and isfinite(plain):
-            return plain
-        value = np.asarray(plain, float)
-        if value.size != 1 or not np.isfinite(value).all():
+    sample = _sampled(variable, function)
+    orders = np.arange(4)
+    inverse = np.linalg.inv(NODES[:, None] ** orders).T
+    powers = (PROBES[:, None] ** orders).T
+    enough = FUNCTION_TOLERANCE * variable.nominal
+    found: list[tuple[Array, Array]] = []
+    left, right = np.asarray(t[:-1], float), np.asarray(t[1:], float)  # what is still to be fitted
+    done, most = 0, MOST_PIECES + len(left)
+    while left.size:
+        a, b = left[:BATCH], right[:BATCH]
+        h = b - a
+        cubic = sample(a, h, NODES) @ inverse
+        error = np.abs(sample(a, h, PROBES) - cubic @ powers).max(axis=1)
+        good = (error <= enough) | (h <= SHORTEST_PIECE)
+        found.append((a[good], cubic[good] / h[good, None] ** orders))
+        done += int(good.sum())
+        a, b = a[~good], b[~good]
+        middle = (a + b) / 2
+        left = np.concatenate([np.stack([a, middle], axis=1).ravel(), left[BATCH:]])
+        right = np.concatenate([np.stack([middle, b], axis=1).ravel(), right[BATCH:]])
+        if done >= most and left.size:
             raise InputError(
-                f"input {variable.name}: the function gives {value} at t = {time:g} s; "
+                f"input {variable.name}: the function changes so fast that {most} cubic pieces "
+                f"follow it to t = {left[0]:g} s only, of {t[-1]:g} s; give a slower function, a "
+                "shorter duration, or samples as (times, values)"
+            )
+    begins, cubics = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = np.argsort(begins, kind="stable")
+    return PiecewisePolynomial(np.append(begins[order], t[-1]), cubics[order][:, :, None])
+
+
+def _sampled(
+    variable: Any, function: Callable[[float], float]
+) -> Callable[[Array, Array, Array], Array]:
+    """(begins, lengths, places in [0, 1]) -> values (pieces, places) of a user's function."""
+
+    def checked(value: Any, time: float) -> float:
+        if isinstance(value, float) and isfinite(value):
+            return value
+        array = np.asarray(value, float)
+        if array.size != 1 or not np.isfinite(array).all():
+            raise InputError(
+                f"input {variable.name}: the function gives {array} at t = {time:g} s; "
                 "it must give one finite number"
             )
-        return float(value.reshape(()))
+        return float(array.reshape(()))
 
-    nodes = (1 - np.cos(np.pi * (np.arange(4) + 0.5) / 4)) / 2
-    inverse = np.linalg.inv(nodes[:, None] ** np.arange(4))
-    probes = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-9])
-    powers = probes[:, None] ** np.arange(4)
-    enough = FUNCTION_TOLERANCE * variable.nominal
-    done: list[tuple[float, Array]] = []
-    stack = list(pairwise(t.tolist()))[::-1]
-    most = MOST_PIECES + len(stack)
-    while stack:
-        a, b = stack.pop()
-        h = b - a
-        cubic = inverse @ [sample(a + h * s) for s in nodes.tolist()]
-        error = np.abs([sample(a + h * s) for s in probes.tolist()] - powers @ cubic).max()
-        if error <= enough or h <= SHORTEST_PIECE:
-            done.append((a, cubic / h ** np.arange(4)))
-            if len(done) == most:
-                raise InputError(
-                    f"input {variable.name}: the function changes so fast that {most} cubic pieces "
-                    f"follow it to t = {b:g} s only, of {t[-1]:g} s; give a slower function, a "
-                    "shorter duration, or samples as (times, values)"
-                )
-        else:
-            stack += [(a + h / 2, b), (a, a + h / 2)]
-    breaks = np.array([a for a, _ in done] + [t[-1]])
-    return PiecewisePolynomial(breaks, np.array([c for _, c in done])[:, :, None])
+    def values(begins: Array, lengths: Array, places: Array) -> Array:
+        times = (begins[:, None] + lengths[:, None] * places).ravel().tolist()
+        return np.array([checked(function(s), s) for s in times]).reshape(-1, len(places))
+
+    return values
 
 
 def joined(pieces: list[PiecewisePolynomial], t: Array) -> PiecewisePolynomial:

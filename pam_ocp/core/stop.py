@@ -37,7 +37,9 @@ __all__ = [
     "native",
     "spared",
     "turns",
+    "unlimited",
     "verb",
+    "yielded",
 ]
 
 P = ParamSpec("P")
@@ -194,6 +196,28 @@ def limited(seconds: float | None) -> AbstractContextManager[None]:
 def spared(seconds: float) -> AbstractContextManager[None]:
     """So many seconds [s] more where the time is up: to finish what there is to show for it."""
     return _Until(Deadline(max(seconds, _here.deadline.remaining())), told=False)
+
+
+def unlimited() -> None:
+    """In a process that was forked within a time limit: its parent looks after that."""
+    _here.deadline = Deadline(math.inf)
+
+
+class yielded:
+    """In the ``with`` other threads may take their turns, though a verb of this one is under way.
+
+    For waiting alone: nothing of CasADi is touched in it.
+    """
+
+    def __enter__(self) -> None:
+        lock: Any = LOCK
+        self._state = lock._release_save() if lock._is_owned() else None
+
+    @undisturbed
+    def __exit__(self, *error: object) -> None:
+        if self._state is not None:
+            lock: Any = LOCK  # as threading.Condition does
+            lock._acquire_restore(self._state)
 
 
 def verb(function: Callable[P, R]) -> Callable[P, R]:

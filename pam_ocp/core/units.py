@@ -11,7 +11,7 @@ from functools import cache
 
 from .exceptions import UnknownNameError
 
-__all__ = ["BASE", "Unit", "display_unit", "unit"]
+__all__ = ["BASE", "Unit", "display_unit", "per_second", "unit"]
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units in the order of FMI's BaseUnit element."""
@@ -129,3 +129,13 @@ _DISPLAY = {"Pa": "bar", "Pa/s": "bar/s", "m": "mm", "rad": "deg", "rad/s": "deg
 def display_unit(name: str) -> str:
     """The unit in which people read this one: bar for Pa, mm for m, deg for rad."""
     return _DISPLAY.get(name, name)
+
+
+def per_second(unit: str) -> str:
+    """The unit of a time derivative, as Modelica spells it: "m/s" for "m", "m/s2" for "m/s"."""
+    numerator, _, denominator = unit.partition("/")
+    if not denominator:
+        return f"{numerator}/s"
+    if denominator == "s":
+        return f"{numerator}/s2"
+    return f"{numerator}/({denominator.strip('()')}.s)"

@@ -13,7 +13,7 @@ import casadi as ca
 
 from ..core.errors import ExportError
 from ..core.plausible import largest_usual
-from ..core.units import display_unit
+from ..core.units import display_unit, per_second
 from ..core.variables import Variable
 
 if TYPE_CHECKING:
@@ -220,13 +220,3 @@ def _derivative(state: Variable) -> Variable:
         display_unit=display_unit(unit),
         description=f"time derivative of {state.name}",
     )
-
-
-def per_second(unit: str) -> str:
-    """The unit of a time derivative, as Modelica spells it: "m/s" for "m", "m/s2" for "m/s"."""
-    numerator, _, denominator = unit.partition("/")
-    if not denominator:
-        return f"{numerator}/s"
-    if denominator == "s":
-        return f"{numerator}/s2"
-    return f"{numerator}/({denominator.strip('()')}.s)"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import WriteError
 from ..core.files import atomic_path
@@ -14,7 +14,7 @@ from ..core.interrupts import interruptible
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["save_figure"]
+__all__ = ["drawn", "save_figure"]
 
 
 @interruptible()
@@ -31,7 +31,29 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: float = 130) 
             "; end its name in .png, .pdf or .svg"
         )
     with atomic_path(target) as temporary:
-        drawn = io.BytesIO()  # some formats hide what the system refuses while they write
-        figure.savefig(drawn, format=target.suffix[1:].lower(), dpi=dpi)
-        temporary.write_bytes(drawn.getvalue())
+        # in memory first: some formats hide what the system refuses while they write
+        temporary.write_bytes(drawn(figure, target.suffix[1:].lower(), dpi))
     return target
+
+
+def drawn(figure: Figure, kind: str, dpi: float) -> bytes:
+    """A figure as a file's content.
+
+    Of pixels it is drawn once: ``savefig`` does so three times, and lays it out each time.
+    """
+    from matplotlib import rcParams
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    content = io.BytesIO()
+    if kind != "png" or rcParams["savefig.bbox"] is not None:
+        figure.savefig(content, format=kind, dpi=dpi)
+        return content.getvalue()
+    before = figure.canvas, figure.dpi
+    try:
+        figure.dpi = dpi
+        canvas: Any = FigureCanvasAgg(figure)
+        canvas.print_png(content)
+    finally:
+        figure.set_canvas(before[0])
+        figure.dpi = before[1]
+    return content.getvalue()

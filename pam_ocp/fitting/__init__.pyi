@@ -1,20 +1,20 @@
 # Names of pam_ocp.fitting, loaded at their first use.
 from . import experiments as experiments
+from .dynamic.choice import Choice as Choice
+from .dynamic.choice import Structure as Structure
+from .dynamic.choice import Tried as Tried
 from .dynamic.coverage import Coverage as Coverage
 from .dynamic.coverage import coverage as coverage
 from .dynamic.dynamic import fit_plant as fit_plant
 from .dynamic.free_run_fit import fit_free_run as fit_free_run
 from .dynamic.free_run_fit import free_run as free_run
 from .dynamic.free_run_result import FreeRunFit as FreeRunFit
-from .dynamic.ladder import Ladder as Ladder
 from .dynamic.ladder import fit_ladder as fit_ladder
+from .dynamic.ladder_result import Ladder as Ladder
 from .dynamic.plant_fit import PlantFit as PlantFit
 from .dynamic.rungs import Rung as Rung
 from .dynamic.runs import FreeRun as FreeRun
 from .dynamic.saved_plant import load_plant_fit as load_plant_fit
-from .dynamic.selection import Choice as Choice
-from .dynamic.selection import Structure as Structure
-from .dynamic.selection import Tried as Tried
 from .dynamic.selection import choose as choose
 from .dynamic.structures import ArxStructure as ArxStructure
 from .dynamic.structures import FreeRunStructure as FreeRunStructure

@@ -21,6 +21,18 @@ LARGEST = 700.0
 """Arguments of exp are held to this size: beyond are neither numbers nor zeros to compute with."""
 
 
+def _power_of_two(k: ca.SX) -> ca.SX:
+    """2^k of a whole number, |k| <= 1023, as a product of powers: pow would do, but bare targets
+    have none.
+    """
+    left, power = ca.fabs(k), ca.SX(1.0)
+    for bit in range(9, -1, -1):
+        has = left >= 2**bit
+        power = power * ca.if_else(has, 2.0 ** (2**bit), 1)
+        left = left - ca.if_else(has, 2**bit, 0)
+    return ca.SX(ca.if_else(k < 0, 1 / power, power))
+
+
 def _parts(x: ca.SX) -> tuple[ca.SX, ca.SX]:
     """(2^k, exp(r) - 1) of x = k ln(2) + r, |r| <= ln(2)/2; powers of two are exact everywhere."""
     held = ca.if_else(x > LARGEST, LARGEST, ca.if_else(x < -LARGEST, -LARGEST, x))
@@ -29,7 +41,7 @@ def _parts(x: ca.SX) -> tuple[ca.SX, ca.SX]:
     series = ca.SX(1.0)
     for n in range(TERMS, 1, -1):
         series = 1 + r * series * (1 / n)
-    return ca.power(2.0, k), r * series
+    return _power_of_two(k), r * series
 
 
 def _exp(x: ca.SX) -> ca.SX:

@@ -1,4 +1,6 @@
 # Names of pam_ocp.planning, loaded at their first use.
+from .arcs import Arc as Arc
+from .arcs import Arcs as Arcs
 from .planner import Planner as Planner
 from .planner import plan as plan
 from .problem.problem import TIME as TIME

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..simulation.simulator import evaluated
+from .checked import Checked
 from .climb import Climb
-from .refine import Checked, Refinement
+from .correction import Corrected
+from .refine import Refinement
 from .result import Plan, Solved
 from .solvers.diagnosis import Conflict
 from .transcription.mesh import Mesh
@@ -64,13 +66,17 @@ def assembled(
 
 
 def trust(refinement: Refinement, climb: Climb, tolerance: float | None) -> dict[str, Any]:
-    """Figures of how far an economical objective has settled, and what did not go as asked."""
+    """Figures of how far an economical objective has settled, of whether the mesh's defects were
+    corrected, and what did not go as asked.
+    """
     figures: dict[str, Any] = {}
     words = [refinement.warning]
     if climb.rungs and tolerance is not None:
         gap = climb.above(refinement.best.found)
         figures |= {"objective_change": climb.change, "objective_gap": gap}
         words += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
+    if isinstance(refinement.best.found.program, Corrected):
+        figures["corrected"] = True
     if any(words):
         figures["warning"] = "; ".join(filter(None, words))
     return figures

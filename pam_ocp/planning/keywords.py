@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Mapping
 from typing import Any
 
+from .arcs import Arcs
 from .problem.statement import StatementKeywords
 from .result import Plan
 from .solvers.backend import SolverName
@@ -21,7 +22,7 @@ SEARCH = {"solver": "name", "compiled": "compiled", "options": "options", "progr
 class PlanKeywords(StatementKeywords, total=False):
     """What is asked, and how it is searched: the keywords of all verbs that plan."""
 
-    method: Method | None
+    method: Method | Arcs | None
     progress: Progress
     solver: SolverName
     compiled: bool

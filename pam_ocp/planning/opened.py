@@ -21,6 +21,7 @@ from .problem.statement import Statement
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks, narrowing, widened
 from .transcription.guess import by_stops, from_solution, wants_balance
+from .transcription.leading import by_leading
 from .transcription.mesh import Mesh
 from .transcription.solution import unpack
 from .transcription.transcription import transcribe
@@ -53,16 +54,14 @@ def guess_in_openings(
     program = transcribe(inner, mesh)
     solver, usual = backend.build(program), wants_balance(inner)
     guess = by_stops(inner, mesh, balanced=usual)
-    if wide:
-        program = widened(program)
-    if has_kinks(inner) and not wide:
-        outcome = narrowing(solver, program, guess, "cold")
-        if not outcome.ended:
-            outcome = narrowing(solver, program, guess, "adaptive")
-    else:
-        outcome = solver(program, guess, "cold", None)
-        if not outcome.ended:
-            outcome = solver(program, by_stops(inner, mesh, balanced=not usual), "cold", None)
+    rounded = widened(program)
+    outcome = solver(rounded, guess, "cold", None)
+    if not outcome.ended:
+        outcome = solver(rounded, by_leading(rounded.problem, mesh), "near", None)
+    if not outcome.ended:
+        outcome = solver(rounded, by_stops(inner, mesh, balanced=not usual), "cold", None)
+    if outcome.success and has_kinks(inner) and not wide:
+        outcome = narrowing(solver, program, outcome.w, "step")
     if not outcome.success:
         return None
     found = unpack(inner, mesh, outcome.w)

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import time
 import warnings
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -27,18 +28,21 @@ from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from .approach import Approach, resolvable
+from .arcs import Arcs
 from .assembly import assembled, trust
+from .checked import checked
 from .climb import Climb, ladder
 from .keywords import SEARCH, PlanKeywords, require_known
 from .opened import guess_in_openings
 from .problem.formulation import formulate
 from .problem.statement import Cyclic, Statement
 from .problem.wording import Avoid, Constraint, Phase, Stop
-from .refine import CLOSER, Refinement, checked
-from .renewal import renewed_rows, require_same_form
+from .refine import CLOSER, Refinement
+from .renewal import renewed
 from .result import Plan, Solved
 from .run import Run
-from .solvers.backend import Backend, SolverName
+from .shortcuts import by_coarser, carried
+from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import explanation
 from .solvers.solver import Progress
 from .starts import MOST, Ends, number_of_starts
@@ -80,7 +84,7 @@ def plan(
     design: Mapping[str, tuple[float, float]] | None = None,
     integrand: ca.SX | None = None,
     final: ca.SX | None = None,
-    method: Method | None = None,
+    method: Method | Arcs | None = None,
     tolerance: float | None = TOLERANCE,
     guess: Plan | None = None,
     starts: int | None = None,
@@ -123,7 +127,7 @@ def plan(
     integrand, final : further running cost, and cost of the end: CasADi expressions of the plant's
         symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
     method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
-        ``Shooting(intervals=50, steps=4)``.
+        ``Shooting(intervals=50, steps=4)``, or ``Arcs()``: intervals that end where inputs switch.
     tolerance : of the plan's verdict, in units of nominal: how far a tight integration of the
         planned inputs may leave the planned motion, and exceed limits, stops and budgets, between
         the points of the mesh too. The mesh is refined until it is met; polynomial inputs that
@@ -224,11 +228,14 @@ class Planner:
         begin = time.perf_counter()
         require_known(keywords)
         said: dict[str, Any] = dict(keywords)
-        method: Method | None = said.pop("method", None)
+        method: Method | Arcs | None = said.pop("method", None)
         search = {SEARCH[name]: said.pop(name) for name in SEARCH if name in said}
-        if method is not None and not isinstance(method, Collocation | Shooting):
-            raise InputError(f"method = {method!r}: give Collocation(...) or Shooting(...)")
+        if method is not None and not isinstance(method, Collocation | Shooting | Arcs):
+            raise InputError(
+                f"method = {method!r}: give Collocation(...), Shooting(...) or Arcs(...)"
+            )
         self.plant = plant
+        self._said = stops, dict(keywords)
         jumps = not (isinstance(method, Collocation) and method.control == "linear")
         self._statement = Statement(stops, jumps=jumps, **said)
         self._backend = Backend(**search)
@@ -236,7 +243,12 @@ class Planner:
         mesh = (method or Collocation()).mesh(len(problem.legs))
         self._program = transcribe(problem, mesh)
         self._solver = self._backend.build(self._program)
+        self._finer: deque[Program] = deque(maxlen=KEPT)
         self._build_seconds = time.perf_counter() - begin
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Symbols do not travel: another process builds the problem anew, once."""
+        return _again, (self.plant, *self._said)
 
     @verb
     def __call__(
@@ -282,6 +294,10 @@ class Planner:
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
+        if tolerance is not None and guess is not None and starts in (None, 1):
+            finer = self._carried(program, guess, tolerance, climb)
+            if finer is not None:
+                return self._result(finer, climb, figures, begin, tolerance)
         try:
             found = self._found(run, guess, starts, figures, climb, partly=tolerance is not None)
         except TimeIsUp:
@@ -300,18 +316,56 @@ class Planner:
             with contextlib.suppress(TimeIsUp):
                 found = [climb.settled(base, tolerance), *found[1:]]
         refinement = self._refined(found, tolerance, climb)
-        if refinement.cut or deadline().over:
-            figures["ended"] = f"{deadline()} was over"
-        figures["iterations"] += refinement.iterations + climb.iterations
-        figures |= trust(refinement, climb, tolerance)
-        figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
         meshes, first = refinement.meshes, refinement.first
-        best = refinement.best.explained(tolerance or TOLERANCE)
         if any(first is each for each in climb.rungs[1:]):
             first, meshes = base, [base.program.mesh, *meshes]
         if resolvable(program) and meshes[0] != program.mesh:  # kinks were approached on finer ones
             meshes = [program.mesh, *meshes]
-        result = assembled(best.found, figures, best, tuple(meshes), first, tolerance)
+        refinement.meshes, refinement.first = meshes, first
+        return self._result(refinement, climb, figures, begin, tolerance)
+
+    def _carried(
+        self, program: Program, guess: Plan, tolerance: float, climb: Climb
+    ) -> Refinement | None:
+        """On the finer mesh of a neighbour's plan, from its multipliers; None where there is none,
+        or it is not fine enough for these numbers.
+        """
+        near, wanted = guess._solved, (self._backend, tolerance)
+        try:
+            check = carried(program.problem, near, self._finer, wanted, climb)
+        except TimeIsUp:
+            return None
+        if check is None:
+            return None
+        refinement = Refinement(check, tolerance, self._backend)
+        refinement.first = guess._coarse or check.found
+        refinement.meshes.insert(0, program.mesh)
+        refinement.warn()
+        return refinement
+
+    def _result(
+        self,
+        refinement: Refinement,
+        climb: Climb,
+        figures: dict[str, Any],
+        begin: float,
+        tolerance: float | None,
+    ) -> Plan:
+        """The plan of what refinement came to."""
+        if refinement.cut or deadline().over:
+            figures["ended"] = f"{deadline()} was over"
+        spent = refinement.iterations + climb.iterations
+        figures["iterations"] = figures.get("iterations", 0) + spent
+        figures |= trust(refinement, climb, tolerance)
+        seconds = {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
+        figures |= seconds
+        best = refinement.best.explained(tolerance or TOLERANCE)
+        meshes, first = tuple(refinement.meshes), refinement.first
+        result = assembled(best.found, figures, best, meshes, first, tolerance)
+        program = best.found.program
+        known = (self._program, *self._finer)
+        if best.found.multiplied and not any(program.nlp is each.nlp for each in known):
+            self._finer.append(program)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
             warnings.warn(message, PlanWarning, stacklevel=outside())
@@ -363,11 +417,10 @@ class Planner:
         near = guess._near(program) if guess is not None else None
         count = starts or (1 if near is not None else number_of_starts(program.problem.plant))
         if partly and near is None and resolvable(program):
-            found = self._approached(run, count, figures, climb)
-            if found:
-                return found
+            return self._approached(run, count, figures, climb)
         if count == 1:
-            return [run.solve(near)]
+            short = by_coarser(run, climb) if near is None else None
+            return [short or run.solve(near)]
         opened = self._opened(run) if near is None else None
         found, ends = run.several(count if opened is None else count - 1)
         ours = run.from_another(near) if near is not None else opened
@@ -383,8 +436,8 @@ class Planner:
     def _approached(
         self, run: Run, count: int, figures: dict[str, Any], climb: Climb
     ) -> list[Solved]:
-        """By meshes that resolve kinks, from the best solutions with wide roundings; empty where
-        none leads on.
+        """By meshes that resolve kinks, from the best solutions with wide roundings; where none
+        leads on so, on the mesh as it is; or the one failure that stands for all.
         """
         program = run.program
         opened = None
@@ -400,13 +453,16 @@ class Planner:
         if any(each.outcome.stopped for each in found):
             return [each for each in found if each.outcome.stopped]
         good = [each for each in found if each.outcome.success]
+        if not good and (led := run.led_widely()) is not None:
+            good = [led]
         for wide in sorted(good, key=lambda each: each.outcome.objective)[:APPROACHES]:
             approach = Approach(run, wide, self._backend.near())
             reached = approach.solved()
             climb.iterations += approach.iterations
             if reached is not None:
                 return [reached]
-        return []
+        narrow = run.narrowed(good) if good else found[0]
+        return [narrow if narrow.outcome.ended else run.after(narrow)]
 
     def _opened(self, run: Run) -> Solved | None:
         """From the optimum in openings of valves; None where there are none,
@@ -467,6 +523,9 @@ class Planner:
                 )
         plant = self.plant.with_values(values) if values else self.plant
         problem = formulate(plant, replace(self._statement, **changed))
-        require_same_form(self._program.problem, problem)
-        rows = renewed_rows(self._program, problem)
-        return replace(self._program, problem=problem, rows=rows)
+        return renewed(self._program, problem)
+
+
+def _again(plant: Plant, stops: Sequence[Any], keywords: dict[str, Any]) -> Planner:
+    """A planner that was pickled."""
+    return Planner(plant, stops, **keywords)

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.stop import TimeIsUp
-from ..core.trajectory import Trajectory
-from ..plants.plant import Plant
-from ..simulation.simulator import evaluated
 from .approach import Approach
-from .replay import Replay, chosen_plant, explained, interval_errors, replayed
+from .arcs import BY_ARCS, guarded
+from .arcs_search import ArcSearch
+from .checked import Checked, checked
+from .correction import CORRECTABLE, Corrected, corrected
+from .renewal import on_mesh
+from .replay import interval_errors
 from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks
 from .transcription.mesh import Mesh, halved, held, refined, watched
+from .transcription.solution import unpack
 from .transcription.transcription import transcribe
 
-__all__ = ["Checked", "Refinement", "checked"]
+__all__ = ["Refinement"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -45,40 +48,11 @@ ROUGH = 0.3
 """Replay error in units of nominal from which a mesh does not resolve the motion at all: the solver
 has made use of its errors, and finer meshes have other optima.
 """
+CORRECTIONS = 4
+"""On one mesh, at most; each leaves a part of the error, ``LEFT`` of it at most."""
+LEFT = 0.5
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is slow to solve."""
-
-
-@dataclass(frozen=True)
-class Checked:
-    """A solution and its replay."""
-
-    found: Solved
-    plant: Plant
-    """With the values that were chosen for its design."""
-    samples: Trajectory
-    replay: Replay
-
-    @property
-    def miss(self) -> float:
-        """The figure that counts, in units of nominal; infinite when there is none."""
-        worst = max(self.replay.error, self.replay.violation)
-        return float("inf") if np.isnan(worst) else worst
-
-    def explained(self, tolerance: float) -> Checked:
-        """The same, with what the intervals deviate by where the replay does by more than that."""
-        found = self.found
-        replay = explained(self.replay, self.plant, found.program.mesh, found.solution, tolerance)
-        return replace(self, replay=replay)
-
-
-def checked(found: Solved) -> Checked:
-    """A solution replayed."""
-    problem, solution = found.program.problem, found.solution
-    plant = chosen_plant(problem, solution)
-    samples = evaluated(plant, solution.t, solution.states, solution.inputs)
-    replay = replayed(problem, plant, found.program.mesh, samples, solution)
-    return Checked(found, plant, samples, replay)
 
 
 class Refinement:
@@ -106,9 +80,13 @@ class Refinement:
         return self.best.miss <= self.tolerance
 
     def _refine(self) -> None:
+        first, asked = self.best, self.meshes[0].form == BY_ARCS
+        if asked and np.isfinite(self.tolerance) and not self.kinks and self._by_arcs():
+            return
         if self.met():
             return
-        first = self.best
+        if asked:
+            first = self._solved(guarded(self.meshes[0]), first.found) or first
         if self.kinks:
             self._kinked(first)
             return
@@ -121,9 +99,19 @@ class Refinement:
         following = self._solved(held(self.meshes[0]), first.found)
         if following is not None:
             self._rounds(following, ROUNDS, ITERATIONS)
-        self._warn()
+        self.warn()
 
-    def _warn(self) -> None:
+    def _by_arcs(self) -> bool:
+        """Whether intervals that end where inputs switch met the tolerance."""
+        search = ArcSearch(self.first, self.tolerance, self.backend, self._taken)
+        found = search.solved()
+        self.iterations += search.iterations
+        if found is not None:
+            self.best = found
+            self.meshes.append(found.found.program.mesh)
+        return found is not None
+
+    def warn(self) -> None:
         """Say where inputs are held that were asked for as polynomials."""
         forms = (self.meshes[0].form, self.best.found.program.mesh.form)
         if [form.control for form in forms] == ["polynomial", "constant"]:
@@ -146,7 +134,7 @@ class Refinement:
             following = self._solved(held(self.meshes[0]), first.found)
             if following is not None:
                 self._rounds(following, ROUNDS, ITERATIONS)
-        self._warn()
+        self.warn()
 
     def _approached(self, rough: Solved) -> Checked | None:
         """By way of wide roundings, from a solution that has the motion at large."""
@@ -167,6 +155,9 @@ class Refinement:
         for i in range(1, most + 1):
             if self.met() or self.iterations > iterations:
                 return
+            current = self._corrected(current)
+            if self.met():
+                return
             following = None
             for finer in self._meshes(current, i)[: 1 if directly else None]:
                 following = self._solved(finer, current.found, directly)
@@ -175,6 +166,29 @@ class Refinement:
             if following is None:
                 return
             current = following
+
+    def _corrected(self, current: Checked) -> Checked:
+        """The solution with its mesh's defects corrected where kinks make these large; itself where
+        that does not pay.
+        """
+        while_better = range(CORRECTIONS if self.kinks else 0)
+        for _ in while_better:
+            if not self.tolerance < current.replay.error <= CORRECTABLE:
+                break
+            found = current.found
+            program = corrected(found.program, found.solution)
+            if program is None:
+                break
+            solver = self.backend.build(found.program)
+            outcome = solver(program, found.outcome.w, "warm", found.outcome)
+            solution = unpack(program.problem, program.mesh, outcome.w)
+            now = self._taken(Solved(program, outcome, solution))
+            if now is None:
+                break
+            current, before = now, current
+            if now.replay.error > LEFT * before.replay.error:
+                break
+        return current
 
     def _meshes(self, current: Checked, i: int) -> list[Mesh]:
         """Meshes for a round, the most promising first."""
@@ -189,7 +203,10 @@ class Refinement:
 
     def _solved(self, mesh: Mesh, coarse: Solved, directly: bool = False) -> Checked | None:
         """The solution on another mesh; None when it was not found."""
-        run = Run(transcribe(coarse.program.problem, mesh), self.backend)
+        program = on_mesh(coarse.program.problem, mesh, self.backend.programs)
+        if isinstance(coarse.program, Corrected) and _alike(mesh, coarse.program.mesh):
+            program = corrected(program, coarse.solution) or program
+        run = Run(program, self.backend)
         if directly:
             return self._taken(run.directly(coarse))
         return self._taken(run.refined(coarse, again=mesh.form.control != "polynomial"))
@@ -202,7 +219,8 @@ class Refinement:
         now = checked(found)
         if now.miss < self.best.miss:
             self.best = now
-            self.meshes.append(found.program.mesh)
+            if self.meshes[-1] != found.program.mesh:
+                self.meshes.append(found.program.mesh)
         return now
 
     def _finer(self, current: Checked) -> list[Mesh]:
@@ -219,3 +237,9 @@ class Refinement:
         growth = max(1.0, worst / sum(errors)) if np.isfinite(worst) and sum(errors) > 0 else 1.0
         allowed = self.tolerance / len(errors) / growth
         return [refined(mesh, errors, allowed, kinks), *by_limits]
+
+
+def _alike(mesh: Mesh, other: Mesh) -> bool:
+    """Whether two meshes have the same points, and differ in what is checked between them."""
+    bare = [[replace(i, watched=()) for i in each.intervals] for each in (mesh, other)]
+    return bare[0] == bare[1]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from ..core.errors import InputError
 from .problem.problem import Budget, Condition, Problem
-from .transcription.transcription import Program, Row
+from .transcription.mesh import Mesh
+from .transcription.stage import between_points
+from .transcription.transcription import Program, Row, transcribe
 
-__all__ = ["renewed_rows", "require_same_form"]
+__all__ = ["on_mesh", "renewed", "same_form"]
 
 
 def _shape(problem: Problem) -> tuple[object, ...]:
@@ -27,8 +29,13 @@ def _shape(problem: Problem) -> tuple[object, ...]:
     )
 
 
-def require_same_form(old: Problem, new: Problem) -> None:
-    if _shape(old) != _shape(new):
+def same_form(old: Problem, new: Problem) -> bool:
+    """Whether two problems differ by numbers only, so that a program of one bears the other's."""
+    return _shape(old) == _shape(new)
+
+
+def _require_same_form(old: Problem, new: Problem) -> None:
+    if not same_form(old, new):
         raise InputError(
             "the changed stops, bounds or budgets name other variables than those the planner was "
             "built with; only numbers may change. Make a new Planner"
@@ -37,9 +44,40 @@ def require_same_form(old: Problem, new: Problem) -> None:
         raise InputError("a Profile cannot change in a built planner; make a new Planner")
 
 
-def renewed_rows(program: Program, problem: Problem) -> tuple[Row, ...]:
+def renewed(program: Program, problem: Problem, mesh: Mesh | None = None) -> Program:
+    """A program with the numbers of another problem of the same form; ``mesh``: with its margins,
+    all else of it being the program's.
+    """
+    program = program.exact()
+    _require_same_form(program.problem, problem)
+    # durations are unknowns in units that the expressions hold
+    same = replace(problem, typical=tuple(map(float, program.problem.time_nominals)))
+    moved = replace(program, problem=same, mesh=mesh or program.mesh)
+    return replace(moved, rows=_rows(program, moved))
+
+
+def on_mesh(problem: Problem, mesh: Mesh, known: Iterable[Program]) -> Program:
+    """The program of a problem on a mesh, with the expressions of a known one where these are the
+    same: margins are limits, and no part of them.
+    """
+    for program in known:
+        same = _structure(program.mesh) == _structure(mesh)
+        if same and same_form(program.problem, problem):
+            return renewed(program, problem, mesh)
+    return transcribe(problem, mesh)
+
+
+def _structure(mesh: Mesh) -> tuple[object, ...]:
+    """What the expressions of a program depend on."""
+    return mesh.form, [
+        replace(i, raised=False, watched=tuple((label, 0.0) for label, _ in i.watched))
+        for i in mesh.intervals
+    ]
+
+
+def _rows(program: Program, moved: Program) -> tuple[Row, ...]:
     """The rows of a program with the limits of another problem of the same form."""
-    old = program.problem
+    old, problem, intervals = program.problem, moved.problem, moved.mesh.intervals
     pairs: list[tuple[Sequence[Condition | Budget], Sequence[Condition | Budget]]] = [
         *zip(old.nodes, problem.nodes, strict=True),
         *((a.path, b.path) for a, b in zip(old.legs, problem.legs, strict=True)),
@@ -53,15 +91,14 @@ def renewed_rows(program: Program, problem: Problem) -> tuple[Row, ...]:
         id(a): b for before, after in pairs for a, b in zip(before, after, strict=True)
     }
 
-    def renewed(row: Row, condition: Condition | Budget) -> Condition | Budget:
+    def limited(row: Row, condition: Condition | Budget) -> Condition | Budget:
         if id(condition) in image:
             return image[id(condition)]
-        # an input between its points: its limits are the leg's bounds
-        leg = problem.legs[program.mesh.intervals[row.members[0]].leg]
-        low, high = leg.bounds[condition.label]
-        return replace(condition, low=low, high=high)
+        assert isinstance(condition, Condition)  # looked at between the points
+        interval = intervals[row.members[0]]
+        return between_points(condition, problem.legs[interval.leg], dict(interval.watched))
 
     return tuple(
-        replace(row, conditions=tuple(renewed(row, c) for c in row.conditions))
+        replace(row, conditions=tuple(limited(row, c) for c in row.conditions))
         for row in program.rows
     )

@@ -163,6 +163,11 @@ class _Check:
         return np.repeat(np.arange(len(counts)), counts)
 
     @cached_property
+    def _last(self) -> NDArray[np.bool_]:
+        """(gaps,) whether a gap is the last of its interval."""
+        return np.append(np.diff(self._interval) > 0, True)
+
+    @cached_property
     def _gaps(self) -> tuple[Array, Array, Array]:
         """Times (gaps, places), states (nx, gaps, places) and inputs (nu, gaps, places): each gap
         from its start to its end, the states by cubic Hermite polynomials.
@@ -176,9 +181,14 @@ class _Check:
         u = np.einsum("gsj,gji->igs", since, inputs.coefficients[k])
         ends = np.concatenate([self.x[:, :-1], self.x[:, 1:]], axis=1)
         driven = np.concatenate([u[..., 0], u[..., -1]], axis=1)
-        slopes = np.asarray(
-            self.plant.function(ends, driven, self.plant.vector("parameter"))[0], float
-        )
+        gaps = len(h)
+        own = np.append(np.ones(gaps, bool), self._last)  # a gap's end is the next one's start
+        p = self.plant.vector("parameter")
+        known = np.asarray(self.plant.function(ends[:, own], driven[:, own], p)[0], float)
+        slopes = np.empty_like(ends)
+        slopes[:, own] = known
+        inside = np.flatnonzero(~self._last)
+        slopes[:, gaps + inside] = slopes[:, inside + 1]
         left, right = (side[..., None] for side in np.split(ends, 2, axis=1))
         rising, falling = (h * side[..., None] for side in np.split(slopes, 2, axis=1))
         x = (
@@ -200,13 +210,13 @@ class _Check:
         """(leg, interval of each point, times, states, inputs)."""
         t, x, u = self._gaps
         of_leg = np.array([interval.leg for interval in self.mesh.intervals])[self._interval]
+        once = np.ones(t.shape, bool)
+        once[~self._last, -1] = False  # the next gap's start
         for i, leg in enumerate(self.problem.legs):
-            own = of_leg == i
+            own = once & (of_leg == i)[:, None]
             if own.any():
-                columns = (
-                    part[:, own].reshape(len(part), own.sum() * t.shape[1]) for part in (x, u)
-                )
-                yield leg, np.repeat(self._interval[own], t.shape[1]), t[own].ravel(), *columns
+                of = np.broadcast_to(self._interval[:, None], t.shape)
+                yield leg, of[own], t[own], x[:, own], u[:, own]
 
     def along(self) -> tuple[dict[str, float], ...]:
         """For each interval {bound or path condition: by how much it is exceeded} in nominals."""
@@ -222,12 +232,14 @@ class _Check:
                 function = self.problem.conditions("path", leg.path)
                 path = np.asarray(function(*self._arguments(t, x, u)), float)
                 values = np.vstack([values, path])
-            for label, row, (low, high) in zip(labels, values, pairs, strict=True):
-                excess = _excess(row, low, high)
-                for k in np.unique(of[excess > 0]):
-                    worst = float(np.max(excess[of == k]))
-                    # two conditions may bear one name
-                    found[k][label] = max(worst, found[k].get(label, 0.0))
+            low, high = (np.array(side)[:, None] for side in zip(*pairs, strict=True))
+            excesses = _excess(values, low, high)
+            first = np.flatnonzero(np.diff(of, prepend=-1))  # of each interval
+            worsts = np.maximum.reduceat(excesses, first, axis=1)
+            for row, place in np.argwhere(worsts > 0):
+                label, k, worst = labels[row], of[first[place]], float(worsts[row, place])
+                # two conditions may bear one name
+                found[k][label] = max(worst, found[k].get(label, 0.0))
         return tuple(found)
 
     def _node(self, i: int) -> tuple[Array, ...]:
@@ -314,7 +326,7 @@ class _Check:
         return total
 
 
-def _excess(values: Array, low: float, high: float) -> Array:
+def _excess(values: Array, low: Array | float, high: Array | float) -> Array:
     """By how much values are outside; infinite where they are no numbers."""
     beyond = np.maximum(np.maximum(low - values, values - high), 0.0)
     return np.where(np.isnan(beyond), np.inf, beyond)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -16,12 +16,13 @@ from ..core.shown import shown
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
+from .arcs import Arc
 from .problem.problem import Problem
 from .problem.problem_data import data_of, problem_of
 from .replay import Replay
 from .solvers import duals
 from .solvers.diagnosis import Conflict
-from .solvers.solver import Outcome
+from .solvers.solver import Ipopt, Outcome
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.transcription import Program
@@ -43,6 +44,11 @@ class Solved:
     program: Program
     outcome: Outcome
     solution: Solution
+
+    @property
+    def multiplied(self) -> bool:
+        """Whether its multipliers are known: those of a plan by arcs are not."""
+        return bool(np.isfinite(self.outcome.lam_g).all())
 
 
 @shown
@@ -151,6 +157,15 @@ class Plan:
         """What the solver left, whether it is a solution or not."""
         return self._samples
 
+    @cached_property
+    def arcs(self) -> tuple[Arc, ...]:
+        """What leads each input when: arcs along one of its limits, or "interior"; input by input.
+
+        Exact to the plan's tolerance where :class:`pam_ocp.Arcs` planned it, else to the mesh.
+        """
+        self.trajectory  # noqa: B018 - raises for a plan that failed
+        return courtesy.arcs_along(self)
+
     # ---- duals --------------------------------------------------------------------------------
     def _duals(self) -> Solved:
         if not self.solved or self._solved is None:
@@ -159,7 +174,26 @@ class Plan:
                 "anew",
                 self,
             )
-        return self._solved
+        return self._multiplied
+
+    @cached_property
+    def _multiplied(self) -> Solved:
+        """The solution with multipliers: those of a plan by arcs are found when asked for, on its
+        mesh.
+        """
+        solved = self._solved
+        assert solved is not None
+        if solved.multiplied:
+            return solved
+        program = solved.program
+        outcome = Ipopt(program)(program, solved.outcome.w, "near")
+        if not outcome.success:
+            raise PlanError(
+                f"no multipliers were found for this plan ({outcome.status}); plan it with "
+                "method=Collocation()",
+                self,
+            )
+        return replace(solved, outcome=outcome)
 
     @cached_property
     def costates(self) -> Trajectory:
@@ -205,7 +239,8 @@ class Plan:
     def __getstate__(self) -> dict[str, Any]:
         """Symbols do not travel between processes: the problem goes as data, a copy there knows no
         multipliers."""
-        lost = ("_problem", "_solved", "_coarse", "costates", "sensitivities", "stop_sensitivities")
+        figures = ("costates", "sensitivities", "stop_sensitivities")
+        lost = ("_problem", "_solved", "_coarse", "_multiplied", *figures)
         kept = {k: v for k, v in self.__dict__.items() if k not in lost}
         try:
             said = data_of(self._problem) if self._problem else None

@@ -18,6 +18,7 @@ from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import Ipopt, Outcome, Start
 from .starts import Ends, tasks
 from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
+from .transcription.leading import by_leading
 from .transcription.mesh import merged
 from .transcription.solution import unpack
 from .transcription.transcription import Program, transcribe
@@ -73,6 +74,21 @@ class Run:
             outcome = self.solver(program, guess)
         return self._solution(outcome, program)
 
+    def narrowed(self, wide: Sequence[Solved]) -> Solved:
+        """From solutions with the widest roundings, the first that leads to one of the plant's
+        own; else the last failure.
+        """
+        return self._solution(self._narrowed([each.outcome for each in wide])[0])
+
+    def led_widely(self) -> Solved | None:
+        """With the widest roundings from a motion led along the stops; None where that leads to
+        nothing.
+        """
+        program = widened(self.program) if has_kinks(self.program.problem) else self.program
+        guess = by_leading(program.problem, program.mesh)
+        outcome = self.solver(program, guess, "near")
+        return self._solution(outcome, program) if outcome.ended else None
+
     def several(self, starts: int, wide: bool = False) -> tuple[list[Solved], Ends]:
         """(solutions from different starts, the best first; where all of them ended); ``wide``:
         with the widest roundings.
@@ -118,10 +134,15 @@ class Run:
         """After a start that failed: coarser meshes, another guess, the elastic re-solve's; then
         failure.
         """
-        again = self._from_coarser()
-        if again is not None:
-            return again
         problem, mesh = self.program.problem, self.program.mesh
+        wide = self.led_widely()
+        if wide is not None:
+            again = self.narrowed([wide]) if has_kinks(problem) else wide
+            if again.outcome.ended:
+                return again
+        rough = self._from_coarser()
+        if rough is not None:
+            return rough
         again = self.from_guess(by_stops(problem, mesh, balanced=True), "adaptive")
         if again.outcome.ended:
             return again

@@ -18,9 +18,10 @@ from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import evaluated
+from .correction import CORRECTABLE, left_as
 from .problem.problem import Problem
 from .problem.problem_data import data_of, problem_of
-from .replay import explained, replayed
+from .replay import chosen_plant, explained, interval_errors, replayed
 from .result import Plan
 from .transcription.mesh import Form, Interval, Mesh
 from .transcription.solution import Solution, pack
@@ -128,6 +129,8 @@ def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant
         if meta["design"][name] != meta["parameters"][name]:
             raise _contradiction(path, f"design and parameters differ in {name}")
     program = transcribe(problem, mesh)
+    if meta["statistics"].get("corrected"):
+        program = _corrected(path, program, solution)
     objective = _require_solution(path, program, solution, float(meta["objective"]))
     samples = evaluated(plant, solution.t, solution.states, solution.inputs)
     tolerance = float(meta["tolerance"])
@@ -221,6 +224,18 @@ def _require_grid(path: str, problem: Problem, mesh: Mesh, solution: Solution) -
     missed = (solution.t - t, inputs.breaks - breaks)
     if max(float(np.max(np.abs(miss))) for miss in missed) > allowed:
         raise _contradiction(path, "its times are not those of its durations")
+
+
+def _corrected(path: str, program: Program, solution: Solution) -> Program:
+    """The program of a motion whose mesh's defects were corrected: its intervals run as the plant
+    does, its collocation equations hold but for what they leave.
+    """
+    plant = chosen_plant(program.problem, solution)
+    errors = interval_errors(plant, program.mesh, solution)
+    if not max(errors) <= CORRECTABLE:
+        words = f"its states do not follow from its inputs (by {max(errors):.2g} of nominal)"
+        raise _contradiction(path, words)
+    return left_as(program, solution)
 
 
 def _require_solution(path: str, program: Program, solution: Solution, objective: float) -> float:

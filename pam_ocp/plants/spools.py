@@ -10,6 +10,7 @@ import casadi as ca
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
 from .kinds import SPOOLS
+from .slip import Limits
 
 __all__ = ["FirstOrderSpool", "SecondOrderSpool", "Spool"]
 
@@ -17,6 +18,10 @@ FARTHEST = 1.5
 """Bound of a spool's position, as part of its travel: a second-order one may overshoot."""
 EDGE = 0.05
 """Over this last part before it is dragged along, a spool with play begins to slide."""
+REST_RATE = 1e-3
+"""Rate of a spool [1/s] at which its absolute value is rounded off: a travel in a quarter hour."""
+WIDEST_RATE = 3.0
+"""The same where planning a motion begins [1/s]."""
 
 
 class Spool(Protocol):
@@ -138,7 +143,8 @@ def _position_state(plant: Declares, name: str) -> ca.SX:
 def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) -> ca.SX:
     """s less the play's half width times z, |z| <= 1: z follows s until it is dragged along.
 
-    z' = s'/half but where it would leave -1 .. 1; its last ``EDGE`` is smooth, as in MaxwellSlip.
+    z' = s'/half but where it would leave -1 .. 1; its last ``play_edge`` is smooth, and so is the
+    turn of s' within ``play_rest_rate``, as in MaxwellSlip: plans narrow both from wide ones.
     """
     if not width:
         return s
@@ -149,15 +155,24 @@ def _with_play(plant: Declares, name: str, s: ca.SX, rate: ca.SX, width: float) 
         memory="held",
         description=f"where in its play the spool of {name} is: -1 going down, 1 going up",
     )
-    whole = plant.parameter(
-        f"{name}.valve.hysteresis",
-        width,
-        min=1e-6,
-        max=0.5,
-        nominal=0.01,
-        description=f"hysteresis of the spool of {name}, part of its travel",
+    whole, edge, turn = (
+        plant.parameter(
+            f"{name}.valve.{key}",
+            value,
+            unit=unit,
+            min=1e-6,
+            max=largest,
+            nominal=nominal,
+            widest=widest,
+            description=f"{words} of the spool of {name}",
+        )
+        for key, value, unit, largest, nominal, widest, words in (
+            ("hysteresis", width, "1", 0.5, 0.01, 0.0, "hysteresis, part of the travel,"),
+            ("play_edge", EDGE, "1", 1.0, 0.1, 1.0, "passage to being dragged along"),
+            ("play_rest_rate", REST_RATE, "1/s", ca.inf, 1e-2, WIDEST_RATE, "rate at rest"),
+        )
     )
-    left = ca.fmin(ca.fmax((1 - ca.sign(rate) * z) / EDGE, 0.0), 1.0)
-    free = 1 - (1 - left) ** 3
-    plant.der(z, 2 * rate / whole * free)
+    one = ca.SX(1)
+    passing = Limits(one, one).passing(z, rate, ca.sqrt(rate**2 + turn**2), edge)
+    plant.der(z, 2 * passing / whole)
     return ca.SX(s - whole / 2 * z)

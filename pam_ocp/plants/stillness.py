@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import cached_property
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -49,7 +50,7 @@ class _Rates:
 
     plant: System
 
-    @property
+    @cached_property
     def scale(self) -> tuple[Array, Array]:
         """(nominals of states, those of the inputs that a controller chooses)."""
         plant = self.plant
@@ -57,18 +58,44 @@ class _Rates:
         u = plant.vector("input", attribute="nominal")
         return plant.vector("state", attribute="nominal"), np.where(chosen, u, 0.0)
 
+    @cached_property
+    def _evaluated(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+        """(x, u) -> (rates, slopes by states, slopes by inputs), by a call that converts nothing:
+        Newton's method takes some fifty.
+        """
+        plant, p = self.plant, self.plant.vector("parameter")
+        nx, nu = len(plant.states), len(plant.inputs)
+
+        def build() -> ca.Function:
+            arguments = [plant.x, plant.u, plant.p]
+            slopes = plant.jacobians(*arguments)[:2]
+            rates = plant.function(*arguments)[0]
+            dense = [ca.densify(each) for each in (rates, *slopes)]
+            return ca.Function("rates_and_slopes", arguments, dense)
+
+        function = plant.cached("rates and slopes", build)
+        holder, call = function.buffer()
+        given = np.zeros(nx), np.zeros(nu), np.array(p, float)
+        found = np.zeros(nx), np.zeros((nx, nx), order="F"), np.zeros((nx, nu), order="F")
+        for i, array in enumerate(given):
+            holder.set_arg(i, memoryview(array))  # type: ignore[arg-type]
+        for i, array in enumerate(found):
+            holder.set_res(i, memoryview(array.ravel(order="K")))  # type: ignore[arg-type]
+
+        def evaluated(
+            x: Array, u: Array, _alive: tuple[Any, ...] = (function, holder)
+        ) -> tuple[Array, Array, Array]:
+            given[0][:], given[1][:] = x, u
+            call()
+            return found
+
+        return evaluated
+
     def at(self, x: Array, u: Array) -> tuple[Array, Array]:
         """(rates (nx,), slopes (nx, nx + nu)) in nominals per second."""
-        p = self.plant.vector("parameter")
-        a, b = self.plant.jacobians(x, u, p)[:2]
+        rates, a, b = self._evaluated(x, u)
         nominal, inputs = self.scale
-        slopes = np.hstack(
-            [
-                np.asarray(a) * nominal,
-                np.asarray(b).reshape(len(x), len(self.plant.inputs)) * inputs,
-            ]
-        )
-        rates = np.asarray(self.plant.function(x, u, p)[0], float).ravel()
+        slopes = np.hstack([a * nominal, b * inputs])
         return rates / nominal, slopes / nominal[:, None]
 
     def still(self, chosen: list[int], seed: int) -> tuple[Array, Array, Array]:
@@ -126,7 +153,8 @@ def resting(plant: System, named: Collection[str] = ()) -> tuple[Position, ...]:
 
 def _resting(plant: System, named: Collection[str]) -> tuple[Position, ...]:
     names = [v.name for v in plant.states]
-    neutral, slopes = _neutral(plant)
+    key = ("neutral", tuple(plant.vector("parameter")))
+    neutral, slopes = plant.cached(key, lambda: _neutral(plant))
     nx = len(names)
     controls = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
     driven = {
@@ -257,6 +285,12 @@ def _independent(plant: System, slopes: ca.Function, nominal: Array) -> set[int]
 
 def _structure(plant: System) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:
     """(states, what each rate depends on: states, inputs that are chosen)."""
+    found = plant.cached("what rates depend on", lambda: _dependencies(plant))
+    names, a, b = found
+    return list(names), a.copy(), b.copy()
+
+
+def _dependencies(plant: System) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:
     names = [v.name for v in plant.states]
     xdot = plant.function(plant.x, plant.u, plant.p)[0]
     a = np.array(ca.DM(ca.jacobian(xdot, plant.x).sparsity(), 1)).astype(bool)

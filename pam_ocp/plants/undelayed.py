@@ -11,7 +11,7 @@ from ..core.errors import InputError
 from ..core.variables import Variable
 from .plant import Plant, require_plant
 
-__all__ = ["without_dead_times"]
+__all__ = ["attributes_of", "without_dead_times"]
 
 
 def without_dead_times(plant: Plant) -> Plant:
@@ -46,7 +46,7 @@ def _rebuilt(plant: Plant) -> Plant:
     for v in plant.variables:
         if v.causality in ("output", "constraint") or v.name in inner:
             continue
-        attributes = _attributes(v)
+        attributes = attributes_of(v)
         if v.causality == "parameter":
             symbols[v.name] = made.parameter(v.name, attributes.pop("start"), **attributes)
         else:
@@ -69,11 +69,12 @@ def _rebuilt(plant: Plant) -> Plant:
     for v, rate in zip(made.states, ca.vertsplit(found), strict=False):
         made.der(symbols[v.name], rate)
     for v, value in zip(defined, ca.vertsplit(found)[len(made.states) :], strict=True):
-        attributes = {n: a for n, a in _attributes(v).items() if n != "start"}
+        attributes = {n: a for n, a in attributes_of(v).items() if n != "start"}
         (made.output if v.causality == "output" else made.constraint)(v.name, value, **attributes)
     return made
 
 
-def _attributes(variable: Variable) -> dict[str, Any]:
+def attributes_of(variable: Variable) -> dict[str, Any]:
+    """What declares the variable once more, but its name and causality."""
     names = [f.name for f in fields(variable) if f.name not in ("name", "causality")]
     return {n: getattr(variable, n) for n in names}

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import courtesy
 from ..core.errors import InputError
 from ..core.signals import PiecewisePolynomial, merged
 from ..numerics.solvers import Native, integrator
 from ..plants.plant import Plant
+
+if TYPE_CHECKING:
+    from ..courtesy import MachinePlant
 
 __all__ = ["METHODS", "Integration", "Method"]
 
 Array: TypeAlias = NDArray[np.float64]
 Method: TypeAlias = Literal["rosenbrock", "cvodes", "rk4"]
 METHODS = ("rosenbrock", "cvodes", "rk4")
+COMPILED_PART = 1.0
+"""Of the tolerance, allowed as the error of a step of the compiled solver, which is of order 4."""
+LEAST_COMPILED = 1e-12
+"""Below, that solver's steps become too many."""
+JUMP = 1e-8
+"""A smaller change of an input at once, in units of its nominal, is a kink at most."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +37,10 @@ class Integration:
     """x' = f(x, u(t), p) from ``x0`` over ``grid``, the breaks of ``u`` among its times.
 
     method : "rosenbrock" (CasADi's, order 5, L-stable, adaptive, or equal steps of at most
-        ``step``), "cvodes" (SUNDIALS BDF, started anew at each break), "rk4" (explicit, steps of
+        ``step``), "cvodes" (SUNDIALS BDF, started anew at each jump), "rk4" (explicit, steps of
         ``step``).
+    compiled : by machine code in place of CasADi's integrator: where it is there (None), built if
+        need be (True), never (False). Where it gives up, CasADi's is asked.
     States are scaled by nominals, so tolerances are relative to them too.
     """
 
@@ -40,6 +52,7 @@ class Integration:
     rtol: float = 1e-10
     step: float | None = None
     max_steps: int = 100_000
+    compiled: bool | None = False
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -48,6 +61,11 @@ class Integration:
             raise InputError("method = 'rk4' needs a step (seconds), such as step=1e-3")
         if self.method == "cvodes" and self.step is not None:
             raise InputError("method = 'cvodes' chooses its steps; leave out step")
+        if self.compiled and (self.method != "rosenbrock" or self.step is not None):
+            raise InputError(
+                "compiled = True is for method = 'rosenbrock' with steps of its own; leave out "
+                "compiled, or method and step"
+            )
 
     @classmethod
     def over(
@@ -65,7 +83,11 @@ class Integration:
         if k == 0:
             return self.x0[None, :]
         try:
-            states = self._by_group(k) if self.method == "cvodes" else self._at_once(k)
+            if self.method == "cvodes":
+                states = self._by_legs(k)
+            else:
+                found = self._by_machine(k)
+                states = self._at_once(k) if found is None else found
         except RuntimeError:
             return None
         return states if np.all(np.isfinite(states)) else None
@@ -82,6 +104,19 @@ class Integration:
             middle = (done + beyond) // 2
             done, beyond = (middle, beyond) if self(middle) is not None else (done, middle)
         return done
+
+    @property
+    def machine(self) -> MachinePlant | None:
+        """The plant as machine code, where this integration uses it."""
+        own = self.method == "rosenbrock" and self.step is None and self.compiled is not False
+        if not own or self.rtol < LEAST_COMPILED:
+            return None
+        return courtesy.machine_plant(self.plant, build=bool(self.compiled))
+
+    @staticmethod
+    def built(plant: Plant) -> MachinePlant | None:
+        """The plant's machine code, compiled if need be. Raises InputError where it cannot be."""
+        return courtesy.machine_plant(plant, build=True)
 
     # ---- the integrators ---------------------------------------------------------------------
     @property
@@ -109,6 +144,21 @@ class Integration:
         )
         return self.plant.cached(full, build)  # type: ignore[no-any-return]
 
+    def _by_machine(self, k: int) -> Array | None:
+        machine = self.machine
+        if machine is None:
+            return None
+        states = machine.motion(
+            self.u,
+            self.grid[: k + 1],
+            self.x0,
+            self.plant.vector("parameter"),
+            self._nominal,
+            COMPILED_PART * self.rtol,
+            self.max_steps,
+        )
+        return states if states is not None and np.all(np.isfinite(states)) else None
+
     def _at_once(self, k: int) -> Array:
         size, control = self._groups(k)
         if self.method == "rk4":
@@ -130,20 +180,40 @@ class Integration:
         result = motion(x0=self.x0 / self._nominal, p=self.plant.vector("parameter"), u=control)
         return np.vstack([self.x0, np.asarray(result["xf"]).T * self._nominal])
 
-    def _by_group(self, k: int) -> Array:
-        """CVODES keeps a history that a jump of the inputs makes wrong: one call for each piece."""
+    def _by_legs(self, k: int) -> Array:
+        """CVODES keeps a history, which a jump of the inputs makes wrong and a kink does not: one
+        call from jump to jump.
+        """
         size, control = self._groups(k)
-        options = {"reltol": self.rtol, "abstol": self.rtol, "max_num_steps": self.max_steps}
-        p, nominal = self.plant.vector("parameter"), self._nominal
-        rows, begin = [self.x0[None, :]], 0
-        for n, column in zip(size, control.T, strict=True):
-            times = self.grid[begin : begin + n + 1]
-            motion = self._built((self.rtol, self.max_steps), float(times[0]), times[1:], options)
-            u = np.repeat(column[:, None], n, axis=1)
-            result = motion(x0=rows[-1][-1] / nominal, p=p, u=u)
-            rows.append(np.asarray(result["xf"]).T * nominal)
-            begin += n
+        columns, first = np.repeat(control, size, axis=1), np.cumsum(size) - size
+        rows = [self.x0[None, :]]
+        for leg in np.split(np.arange(len(size)), self._jumps(len(size))):
+            begin, end = first[leg[0]], first[leg[-1]] + size[leg[-1]]
+            try:
+                rows.append(self._leg(begin, end, rows[-1][-1], columns[:, begin:end]))
+            except RuntimeError:  # a kink that was too much for it
+                if len(leg) == 1:
+                    raise
+                for begin, n in zip(first[leg], size[leg], strict=True):
+                    part = columns[:, begin : begin + n]
+                    rows.append(self._leg(begin, begin + n, rows[-1][-1], part))
         return np.vstack(rows)
+
+    def _jumps(self, count: int) -> NDArray[np.intp]:
+        """The first so many pieces of the inputs: those before which an input jumps."""
+        pieces, breaks = self.u.coefficients[:count], self.u.breaks[:count]
+        powers = np.diff(breaks)[:, None] ** np.arange(self.u.degree + 1)
+        ends = np.einsum("kj,kji->ki", powers, pieces[:-1])
+        least = JUMP * self.plant.vector("input", attribute="nominal")
+        return np.flatnonzero((np.abs(pieces[1:, 0] - ends) > least).any(axis=1)) + 1
+
+    def _leg(self, begin: int, end: int, x: Array, control: Array) -> Array:
+        """States behind ``x`` at the times of the grid from ``begin`` on, to ``end``."""
+        start, times = self.grid[begin], self.grid[begin + 1 : end + 1]
+        span = times[-1] - start
+        # rounded, so that equal grids share an integrator
+        taus = (*np.round((times[:-1] - start) / span, 13).tolist(), 1.0)
+        return self._over_unit(taus, float(start), float(span), x, control)
 
     def advance(self, start: float, x: Array, end: float) -> Array:
         """The state at ``end`` from ``x`` at ``start``, no break of the inputs between them."""
@@ -152,27 +222,34 @@ class Integration:
     def between(self, start: float, x: Array, end: float, taus: tuple[float, ...]) -> Array:
         """States (n, nx) at the rising fractions ``taus`` of the way; see :meth:`advance`.
 
-        One integrator over a stretched unit interval serves all calls. Raises RuntimeError when it
-        gives up.
+        Raises RuntimeError when the integrator gives up.
+        """
+        piece = self.u.shifted(np.array([start, end])).coefficients[0]
+        control = np.append(start, piece.ravel())[:, None]
+        run = self if self.method == "rosenbrock" else replace(self, method="rosenbrock", step=None)
+        return run._over_unit(taus, start, end - start, x, np.repeat(control, len(taus), axis=1))
+
+    def _over_unit(
+        self, taus: tuple[float, ...], start: float, span: float, x: Array, control: Array
+    ) -> Array:
+        """States at fractions of a time span; one integrator over a stretched unit interval serves
+        all spans.
         """
         nominal = self._nominal
 
         def build() -> Native:
             dae = self._dae(nominal)
-            span, begin = ca.SX.sym("span"), ca.SX.sym("begin")
-            stretched = ca.substitute(dae["ode"], dae["t"], begin + dae["t"] * span)
-            p = ca.vertcat(dae["p"], dae["u"], begin, span)
-            unit = {"t": dae["t"], "x": dae["x"], "p": p, "ode": span * stretched}
+            length, begin = ca.SX.sym("span"), ca.SX.sym("begin")
+            ode = length * ca.substitute(dae["ode"], dae["t"], begin + dae["t"] * length)
+            unit = {**dae, "p": ca.vertcat(dae["p"], begin, length), "ode": ode}
             options = {"reltol": self.rtol, "abstol": self.rtol, "max_num_steps": self.max_steps}
-            return integrator("between", "rosenbrock", unit, 0.0, list(taus), options)
+            return integrator("leg", self.method, unit, 0.0, list(taus), options)
 
-        key = ("between", taus, self.u.degree, nominal.tobytes(), self.rtol, self.max_steps)
-        piece = self.u.shifted(np.array([start, end])).coefficients[0]
-        p = np.concatenate(
-            [self.plant.vector("parameter"), [start], piece.ravel(), [start, end - start]]
-        )
-        found = self.plant.cached(key, build)(x0=x / nominal, p=p)["xf"]
-        return np.asarray(np.asarray(found, float).T * nominal)
+        fixed = (taus, self.u.degree, nominal.tobytes(), self.rtol, self.max_steps)
+        motion = self.plant.cached(("leg", self.method, *fixed), build)
+        p = np.append(self.plant.vector("parameter"), [start, span])
+        found = np.asarray(motion(x0=x / nominal, p=p, u=control)["xf"], float)
+        return np.asarray(found.T * nominal)
 
     def _dae(self, nominal: Array) -> dict[str, ca.SX]:
         """The plant in scaled states, inputs as polynomials of the time since their break."""

@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
-from concurrent.futures import Executor
-from contextlib import closing
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 
-from ..core.errors import InputError, require_count
+from ..core.cases import Loop, Place, ending
+from ..core.errors import InputError, SimulationError, require_count
+from ..core.executors import placed
 from ..core.interrupts import interruptible
-from ..core.progress import Bar, working
 from ..core.shown import shown
+from ..core.stop import require_known_keywords
 from ..core.trajectory import Trajectory
-from ..plants.plant import Plant
-from .running import CASE_KEYS, Case, Run, split
+from ..plants.plant import Plant, require_plant
+from .integrate import Integration
+from .running import CASE_KEYS, Case, Simulation
+from .simulator import simulate
 from .stored import StoredSimulations, store
 
 __all__ = ["ManySimulations", "draws", "simulate_many", "sweep"]
+
+COMPILED = 500
+"""From so many cases on the plant is compiled beforehand: it takes seconds, and saves them."""
 
 
 @shown
@@ -113,7 +120,7 @@ def simulate_many(
     plant: Plant,
     cases: Iterable[Case],
     *,
-    executor: Executor | None = ...,
+    executor: Place = ...,
     workers: int | None = ...,
     chunk: int | None = ...,
     progress: Callable[[int, int | None], None] | None = ...,
@@ -125,7 +132,7 @@ def simulate_many(
     plant: Plant,
     cases: Iterable[Case],
     *,
-    executor: Executor | None = ...,
+    executor: Place = ...,
     workers: int | None = ...,
     chunk: int | None = ...,
     progress: Callable[[int, int | None], None] | None = ...,
@@ -136,7 +143,7 @@ def simulate_many(
     plant: Plant,
     cases: Iterable[Case],
     *,
-    executor: Executor | None = None,
+    executor: Place = None,
     workers: int | None = None,
     chunk: int | None = None,
     progress: Callable[[int, int | None], None] | None = None,
@@ -149,26 +156,25 @@ def simulate_many(
     ----------
     cases : mappings with any of "parameters", "start", "inputs", as :func:`simulate` takes them; a
         generator is read as far as there are workers for it.
-    executor : any ``concurrent.futures.Executor`` (processes, threads, Dask's
-        ``client.get_executor()``, MPI's); None runs in this process. Take processes for speed:
-        threads take turns. Functions of time among the inputs travel only if they can be pickled.
-        When a process of the standard library's pool is killed, the cases that are left run in
-        workers of our own, as many.
-        When this is interrupted, a pool of processes is ended with what runs in it (make a new
-        one); threads end after their present case; what other executors have begun is theirs.
-    workers : so many processes of our own in place of an executor. A case that kills its worker is
-        tried once more in a fresh one, then counts as failed; the others are not touched. They end
-        with this process, however it ends.
-    chunk : cases per task; by default so that there are about 40 tasks, 100 with ``into``.
+    executor : where, as for :func:`pam_ocp.each`: all processors where it pays (None), a number of
+        processes (0: this one alone), any ``concurrent.futures.Executor``, a client of Dask. Take
+        processes for speed: threads take turns. Functions of time among the inputs travel only if
+        they can be pickled; cases that do not are simulated here. A case that takes two workers
+        with it has failed; the others are not touched.
+    workers : the same as a number given as ``executor``.
+    chunk : cases per task; by default so that there are some fifty tasks for each worker, 100 cases
+        with ``into``.
     progress : called as progress(done, all) after each finished task; all is None for a generator.
-    into : a folder for the results, in place of memory: one Parquet file per task. Needs pyarrow.
-        Run again with the same arguments, only what is not there is computed.
+    into : a folder for the results, in place of memory: one Parquet file per task, which the
+        workers make. Needs pyarrow. Run again with the same arguments, only what is not there is
+        computed.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,
         ``rtol``, ...); what a case names wins (parameters and start are merged by name).
-        ``time_limit`` is that of each case, which fails when it is over.
+        ``time_limit`` is that of each case, which fails when it is over. From 500 cases on the
+        plant is compiled first where a compiler is there, unless ``compiled`` says otherwise.
 
-    Raises InputError when a case or a common argument is not one of those, and for a folder that
-    holds something else.
+    Raises InputError when a case is not one of those, and for a folder that holds something else;
+    TypeError for a common argument that simulate does not know.
 
     Examples
     --------
@@ -183,34 +189,40 @@ def simulate_many(
         require_count("workers", workers)
         if executor is not None:
             raise InputError("give executor or workers, not both")
+        executor = workers
+    require_known_keywords("simulate", inspect.signature(simulate), common)
     count = len(cases) if isinstance(cases, Sized) else None
+    require_plant(plant)
     # no turns: threads of an executor want theirs
-    with interruptible(), working("simulations", count) as bar:
-        run = Run(plant, executor, workers, common, _counted(progress, count, bar))
+    with interruptible():
+        if (count or 0) >= COMPILED and not {"compiled", "method", "step"} & set(common):
+            with suppress(InputError):
+                Integration.built(plant)
+                common["compiled"] = None
+        work = Simulation(plant, common)
         if into is not None:
-            return store(run, _checked(cases), Path(into), chunk)
-        cases = tuple(_checked(cases))
-        results: list[Any] = [None] * len(cases)
-        size = chunk or max(1, -(-len(cases) // 40))
-        with closing(run(split(iter(cases), size))) as ended:
-            for task, values in ended:
-                results[task.first : task.first + len(values)] = values
-        return ManySimulations(cases, tuple(results))
+            run = Loop(work, placed(executor), count, lost=SimulationError)
+            return store(run, _checked(cases), Path(into), chunk, progress)
+        kept: list[Case] = []
+        found = dict(
+            ending(
+                work,
+                _noted(_checked(cases), kept),
+                executor=executor,
+                chunk=chunk,
+                progress=progress,
+                what="simulations",
+                count=count,
+                lost=SimulationError,
+            )
+        )
+        return ManySimulations(tuple(kept), tuple(found[i] for i in range(len(kept))))
 
 
-def _counted(
-    progress: Callable[[int, int | None], None] | None, count: int | None, bar: Bar
-) -> Callable[[int], None]:
-    done = 0
-
-    def report(more: int) -> None:
-        nonlocal done
-        done += more
-        bar.step(more)
-        if progress is not None:
-            progress(done, count)
-
-    return report
+def _noted(cases: Iterable[Case], kept: list[Case]) -> Iterator[Case]:
+    for case in cases:
+        kept.append(case)
+        yield case
 
 
 def _checked(cases: Iterable[Case]) -> Iterator[Case]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,9 @@ from ..plants.plant import Given, Plant, Values, by_name, require_plant
 from .dead_times import exactly_delayed
 from .events import integrate_with_events
 from .integrate import Integration, Method
+
+if TYPE_CHECKING:
+    from ..courtesy import MachinePlant
 
 __all__ = ["evaluated", "simulate"]
 
@@ -47,6 +50,7 @@ def simulate(
     events: str | Sequence[str] = (),
     max_steps: int = 100_000,
     dead_times: Literal["line", "exact"] = "line",
+    compiled: bool | None = False,
     time_limit: float | None = None,
 ) -> Trajectory:
     """Integrate x' = f(x, u(t), p) and return states, inputs and outputs over time.
@@ -76,6 +80,10 @@ def simulate(
     dead_times : of feeds that have them (see :class:`pam_ocp.feeds.DeadTime`): by their delay
         "line", which is the model of plans, fits and FMUs; or "exact", by shifting the commands,
         which before the start stood at the start values of the line.
+    compiled : by machine code of the plant (the C solver of the FMUs: order 4, L-stable), many
+        times as quick. True: built if need be, some seconds for each structure of plants, once;
+        kept in the cache. None: where it is there. False: never, so that equal calls give equal
+        bits, whatever was compiled before. Results differ within ``rtol``.
 
     Jumps of the inputs are met exactly: no step crosses one.
     time_limit : [s]; OutOfTime when it is over before there is a result.
@@ -113,7 +121,15 @@ def simulate(
     if dead_times == "exact" and plant.delay_lines:
         moved, driven, begin, whole = exactly_delayed(plant, u, times, x0)
     run = Integration.over(
-        moved, driven, times, begin, method=method, rtol=rtol, step=step, max_steps=max_steps
+        moved,
+        driven,
+        times,
+        begin,
+        method=method,
+        rtol=rtol,
+        step=step,
+        max_steps=max_steps,
+        compiled=compiled,
     )
     found: tuple[Event, ...] = ()
     if events:
@@ -124,7 +140,8 @@ def simulate(
         part = run(done or run.longest)
         assert part is not None
         raise _failure(moved, run, part)
-    return evaluated(plant, times, whole(run.at(times, states)), u, found)
+    machine = run.machine if moved is plant else None
+    return evaluated(plant, times, whole(run.at(times, states)), u, found, machine)
 
 
 def evaluated(
@@ -133,15 +150,23 @@ def evaluated(
     states: Array,
     inputs: PiecewisePolynomial,
     events: tuple[Event, ...] = (),
+    machine: MachinePlant | None = None,
 ) -> Trajectory:
-    """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed."""
+    """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed.
+
+    machine : of the plant, to compute them.
+    """
     u = inputs(t)
     p = plant.vector("parameter")
-    outputs = [  # CasADi's working memory grows with the columns of a call
-        np.asarray(plant.function(states[i : i + COLUMNS].T, u[i : i + COLUMNS].T, p)[1]).T
-        for i in range(0, len(t), COLUMNS)
-    ]
-    parts = {"state": states, "input": u, "output": np.concatenate(outputs)}
+    if machine is not None:
+        outputs = machine.outputs(states, u, p)
+    else:
+        parts_of = [  # CasADi's working memory grows with the columns of a call
+            np.asarray(plant.function(states[i : i + COLUMNS].T, u[i : i + COLUMNS].T, p)[1]).T
+            for i in range(0, len(t), COLUMNS)
+        ]
+        outputs = np.concatenate(parts_of)
+    parts = {"state": states, "input": u, "output": outputs}
     variables = (*plant.states, *plant.inputs, *plant.outputs)
     data = np.concatenate([parts[c].reshape(len(t), -1) for c in parts], axis=1)
     columns = {v.name: data[:, i] for i, v in enumerate(variables)}

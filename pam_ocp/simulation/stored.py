@@ -10,9 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
@@ -20,12 +20,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core import exceptions
+from ..core.cases import Loop
 from ..core.errors import InputError, PamError
 from ..core.files import atomic_path, read_json, write_json
+from ..core.progress import working
 from ..core.shown import shown
+from ..core.tasks import Task, split
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
-from .running import Case, Result, Run, Task, split
+from .running import Case, Result, Simulation
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,30 +37,58 @@ __all__ = ["StoredSimulations", "store"]
 
 FORMAT = "pam_ocp simulations 1"
 STUDY = "study.json"
+FILES = "cases"
 CHUNK = 100
 """Cases per file."""
+BLOCK = 1000
+"""Files per folder."""
 REMEDY = "give an empty folder, or one that simulate_many(into=...) wrote"
 
 
-def store(run: Run, cases: Iterable[Case], folder: Path, chunk: int | None) -> StoredSimulations:
+def store(
+    run: Loop,
+    cases: Iterable[Case],
+    folder: Path,
+    chunk: int | None,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> StoredSimulations:
     """Run the cases that ``folder`` does not hold yet. See :func:`simulate_many`."""
     _arrow()
-    arguments = _digest([run.plant.__getstate__(), run.common])
+    work = run.work
+    assert isinstance(work, Simulation)
+    plant = work.plant
+    arguments = _digest([plant.__getstate__(), dict(work.common)])
     chunk = _opened(folder, arguments, chunk)
-    parts = 0
+    columns = [v.name for v in (*plant.states, *plant.inputs, *plant.outputs)]
+    run = replace(run, finish=_Encoded(arguments, columns))
+    parts = done = 0
+
+    def report(more: int) -> None:
+        nonlocal done
+        done += more
+        bar.step(more)
+        if progress is not None:
+            progress(done, run.count)
 
     def missing() -> Iterator[Task]:
         nonlocal parts
         for task in split(iter(cases), chunk):
             parts = task.index + 1
-            if _held(_part(folder, task.index)) == _of_task(arguments, task):
-                run.report(len(task.cases))
+            held = _held(_part(folder, task.index))
+            if held is not None and held == _of_task(arguments, task):
+                report(len(task.cases))
             else:
                 yield task
 
-    with closing(run(missing())) as ended:
-        for task, results in ended:
-            _write(_part(folder, task.index), task, results, _of_task(arguments, task))
+    with working("simulations", run.count) as bar, closing(run(missing())) as ended:
+        for task, content in ended:
+            if isinstance(content, Exception):
+                raise content
+            path = _part(folder, task.index)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_path(path) as temporary:
+                temporary.write_bytes(content)
+            report(len(task.cases))
     _write_study(folder, arguments, chunk, parts)
     return StoredSimulations(folder)
 
@@ -70,6 +101,9 @@ class StoredSimulations:
     Iteration gives (number of the case, Trajectory | error) in the order of the cases. Failures
     that are read back have the class and the sentence of the error, not what else it held.
     A run that was broken off can be read too: what is there.
+
+    ``files`` is what others read: ``pandas.read_parquet``, ``polars.scan_parquet`` and
+    ``dask.dataframe.read_parquet`` take that folder as one table of case, time and all variables.
     """
 
     folder: Path
@@ -79,11 +113,16 @@ class StoredSimulations:
         _study(self.folder)
 
     @property
+    def files(self) -> Path:
+        """The folder that holds Parquet files alone."""
+        return _within(self.folder)
+
+    @property
     def parts(self) -> tuple[Path, ...]:
         """The files, in the order of their cases."""
         count = _study(self.folder)["parts"]
         if count is None:
-            return tuple(sorted(self.folder.glob("part-*.parquet")))
+            return tuple(sorted(_within(self.folder).rglob("part-*.parquet")))
         return tuple(_part(self.folder, i) for i in range(count))
 
     def __len__(self) -> int:
@@ -139,8 +178,16 @@ class StoredSimulations:
 
 
 # ---- the folder ---------------------------------------------------------------------------------
+def _within(folder: Path) -> Path:
+    """Where the Parquet files are: alone, as readers want them (once they lay beside the study)."""
+    apart = folder / FILES
+    return apart if apart.is_dir() else folder
+
+
 def _part(folder: Path, index: int) -> Path:
-    return folder / f"part-{index:06d}.parquet"
+    files = _within(folder)
+    name = f"part-{index:06d}.parquet"
+    return files / name if files == folder else files / f"block-{index // BLOCK:04d}" / name
 
 
 def _study(folder: Path) -> dict[str, Any]:
@@ -157,6 +204,7 @@ def _opened(folder: Path, arguments: str, chunk: int | None) -> int:
             raise InputError(f"into = {folder}: {error.strerror}; {REMEDY}") from None
         if not empty:
             raise InputError(f"into = {folder} holds other files; {REMEDY}")
+        (folder / FILES).mkdir()
         _write_study(folder, arguments, chunk or CHUNK, None)
         return chunk or CHUNK
     study = _study(folder)
@@ -186,31 +234,41 @@ def _arrow() -> Any:
     return pyarrow.parquet
 
 
-def _write(path: Path, task: Task, results: Sequence[Result], digest: str) -> None:
-    import pyarrow as pa
+@dataclass(frozen=True)
+class _Encoded:
+    """Makes a file of a task's results, in the worker: what travels is small, and only written.
 
-    done = [(task.first + i, r) for i, r in enumerate(results) if isinstance(r, Trajectory)]
-    lengths = [len(t.t) for _, t in done]
-    columns = {"case": np.repeat(np.array([i for i, _ in done], dtype=np.int64), lengths)}
-    columns["time"] = _stacked([t.t for _, t in done])
-    variables = done[0][1].variables if done else ()
-    columns |= {v.name: _stacked([t[v.name] for _, t in done]) for v in variables}
-    about = {
-        "digest": digest,
-        "first": task.first,
-        "count": len(task.cases),
-        "failures": {
-            str(task.first + i): [type(r).__name__, str(r)]
-            for i, r in enumerate(results)
-            if isinstance(r, Exception)
-        },
-        "parameters": [_plain(case.get("parameters")) for case in task.cases],
-        "variables": [asdict(v) for v in variables],
-        "interpolation": done[0][1].interpolation if done else "previous",
-    }
-    table = pa.table(columns).replace_schema_metadata({b"pam_ocp": json.dumps(about).encode()})
-    with atomic_path(path) as temporary:
-        _arrow().write_table(table, temporary)
+    columns : names of a simulation's variables, which a file without any has too.
+    """
+
+    arguments: str
+    columns: Sequence[str]
+
+    def __call__(self, task: Task, results: Sequence[Result]) -> bytes:
+        import pyarrow as pa
+
+        done = [(task.first + i, r) for i, r in enumerate(results) if isinstance(r, Trajectory)]
+        lengths = [len(t.t) for _, t in done]
+        data = {"case": np.repeat(np.array([i for i, _ in done], dtype=np.int64), lengths)}
+        data["time"] = _stacked([t.t for _, t in done])
+        data |= {n: _stacked([t[n] for _, t in done]) for n in self.columns}
+        about = {
+            "digest": _of_task(self.arguments, task),
+            "first": task.first,
+            "count": len(task.cases),
+            "failures": {
+                str(task.first + i): [type(r).__name__, str(r)]
+                for i, r in enumerate(results)
+                if isinstance(r, Exception)
+            },
+            "parameters": [_plain(case.get("parameters")) for case in task.cases],
+            "variables": [asdict(v) for v in done[0][1].variables] if done else [],
+            "interpolation": done[0][1].interpolation if done else "previous",
+        }
+        table = pa.table(data).replace_schema_metadata({b"pam_ocp": json.dumps(about).encode()})
+        content = pa.BufferOutputStream()
+        _arrow().write_table(table, content)
+        return bytes(content.getvalue())
 
 
 def _stacked(columns: Sequence[Any]) -> Any:

@@ -17,9 +17,11 @@ from ..plants.plant import Plant
 if TYPE_CHECKING:
     from ..control.estimators.extended_kalman import Estimator
     from ..control.loop import ClosedLoop
+    from ..operating.linear import OperatingPoint
 
 __all__ = [
     "DEFAULTS",
+    "controller_of",
     "guarded",
     "loop_settings",
     "loop_text",
@@ -88,7 +90,6 @@ def guarded(study: Mapping[str, Any]) -> AbstractContextManager[None]:
 def set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:
     """(controller, its model, further arguments of closed_loop)."""
     from ..control.controller import Tracking
-    from ..control.kinds import CONTROLLERS
     from ..control.references import source
 
     plant = _plant(study)
@@ -100,28 +101,31 @@ def set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:
     begin = {v.name: rest[v.name] for v in (*plant.states, *plant.inputs) if not v.disturbance}
     model = plant.with_values(begin)
     controls = [v.name for v in model.inputs if not v.disturbance]
-    usual = {
-        "sample_time": 0.005,
-        "horizon": 40,
-        "delay": 1,
-        "track": {n: 1.0 if n == position else 0.05 for n in sources},
-        "rate": dict.fromkeys(controls, 0.05),
-    }
-    given = {"kind": "mpc", **study["controller"]}
-    kind = CONTROLLERS.name("controller.kind", given.pop("kind"))
-    settings = {n: v for n, v in usual.items() if n in CONTROLLERS.arguments(kind)} | given
-    controller = _made("controller", CONTROLLERS[kind], model, settings)
-    sample_time = settings.get("sample_time", usual["sample_time"])
+    controller, sample_time = study["controller"], 0.005
+    if isinstance(controller, Mapping):
+        sample_time = controller.get("sample_time", sample_time)
+        usual = {
+            "sample_time": sample_time,
+            "horizon": 40,
+            "delay": 1,
+            "track": {n: 1.0 if n == position else 0.05 for n in sources},
+            "rate": dict.fromkeys(controls, 0.05),
+        }
+        controller = controller_of(model, rest, controller, usual)
+    sample_time = getattr(controller, "sample_time", sample_time)  # one's own may have none
     estimator = _estimator(model, position, {"sample_time": sample_time, **study["estimator"]})
+    against = study["against"]
+    side = against if isinstance(against, Plant) else model
     disturbances = {
-        n: source(f"disturbances.{n}", v, model.variable(n).unit, before=0.0)
+        n: source(f"disturbances.{n}", v, side.variable(n).unit, before=0.0)
         for n, v in study["disturbances"].items()
     }
+    untold = isinstance(controller, Tracking) and not callable(controller)
     return (
         controller,
         model,
         {
-            "reference": sources if study["reference"] or isinstance(controller, Tracking) else {},
+            "reference": sources if study["reference"] or untold else {},
             "estimator": estimator,
             "disturbances": disturbances,
             "noise": _values("noise", plant, study["noise"]) or None,
@@ -131,6 +135,20 @@ def set_up(study: Mapping[str, Any]) -> tuple[Any, Plant, dict[str, Any]]:
             "seed": study["seed"],
         },
     )
+
+
+def controller_of(
+    model: Plant, rest: OperatingPoint | None, said: Mapping[str, Any], usual: Mapping[str, Any]
+) -> Any:
+    """The controller that a table with its ``kind`` describes. usual : arguments that it may leave
+    out, of kinds that are not about a point; those that are get ``rest`` for it."""
+    from ..control.kinds import CONTROLLERS
+
+    given = {"kind": "mpc", **said}
+    kind = CONTROLLERS.name("controller.kind", given.pop("kind"))
+    known = CONTROLLERS.arguments(kind)
+    settings = {n: v for n, v in usual.items() if n in known} if "at" not in known else {"at": rest}
+    return _made("controller", CONTROLLERS[kind], model, {**settings, **given})
 
 
 def _sensors(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,7 +235,9 @@ def _made(where: str, kind: Callable[..., Any], model: Plant, settings: Mapping[
     return kind(model, **settings)
 
 
-def _real(against: str, model: Plant, folder: Path) -> Plant | Path:
+def _real(against: str | Plant, model: Plant, folder: Path) -> Plant | Path:
+    if isinstance(against, Plant):
+        return against
     if against == "plant":
         return model
     if against == "fmu":

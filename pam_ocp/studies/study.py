@@ -14,13 +14,15 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
+from ..core.cases import results_of
 from ..core.errors import InputError, PamError, require_count
+from ..core.executors import Place, end_pool, placed
 from ..core.files import atomic_path, make_folder, read_json, reading, write_json
 from ..core.interrupts import interruptible
 from ..core.progress import Bar, working
@@ -44,7 +46,7 @@ def run_study(
     out: str | os.PathLike[str] | None = None,
     *,
     workers: int = 1,
-    executor: Executor | None = None,
+    executor: Place = None,
     allow_code: bool = False,
     fresh: bool = False,
     cache: str | os.PathLike[str] | None = None,
@@ -60,8 +62,9 @@ def run_study(
         file, in the working folder. A file of an earlier run that no step writes any more is
         removed, unless it was changed.
     workers : processes for steps that do not stand on each other; 1 runs all in this one.
-    executor : any ``concurrent.futures.Executor`` instead, such as Dask's
-        ``client.get_executor()``; its workers see the study's folder under the same name.
+    executor : any ``concurrent.futures.Executor`` instead, or a client of Dask; its workers see
+        the study's folder under the same name. A number means as many ``workers``. A step whose
+        worker is lost is done once more, in a process of its own.
     allow_code : the study may run code: a plant named FILE.py:NAME, an FMU that it names.
     fresh : do all of it anew. cache : folder for kept results (by default the user's own). They are
         Python's pickles: name none that others can write to.
@@ -87,12 +90,15 @@ def run_study(
     require_count("workers", workers, 1)
     if executor is not None and workers != 1:
         raise InputError("give executor or workers, not both")
+    where = placed(executor)
+    workers = max(1, where) if isinstance(where, int) else workers
+    where = None if isinstance(where, int) else where
     study = read_study(Path(path))
     target = make_folder(Path(study.path.stem) if out is None else out)
     with (
         interruptible(),
         limited(time_limit),
-        _pool(executor, workers) as pool,
+        _pool(where, workers) as pool,
         working("study", len(study.entries)) as bar,
     ):
         run = _Run(study, target, Kept(cache), allow_code, fresh, progress, bar)
@@ -107,7 +113,7 @@ def _pool(executor: Executor | None, workers: int) -> Iterator[Executor | None]:
     if executor is not None or workers == 1:
         yield executor
         return
-    from ..simulation.running import end_pool, end_with_parent
+    from ..core.workers import end_with_parent
 
     pool = ProcessPoolExecutor(workers, initializer=end_with_parent)
     try:
@@ -177,7 +183,7 @@ class _Run:
         """All steps, each when what it stands on has ended."""
         graph = TopologicalSorter({n: e.above for n, e in self.study.entries.items()})
         graph.prepare()
-        pending: dict[Any, str] = {}
+        pending: dict[Any, tuple[str, tuple[Any, ...]]] = {}
         try:
             while graph.is_active():
                 for name in graph.get_ready():
@@ -189,10 +195,15 @@ class _Run:
                         self._ended(name, partial(work, *job))
                         graph.done(name)
                     else:
-                        pending[pool.submit(work, *job)] = name
+                        with suppress(BrokenExecutor):
+                            pending[pool.submit(work, *job)] = name, job
+                            continue
+                        self._ended(name, partial(_alone, job))
+                        graph.done(name)
                 for future in _first(pending):
-                    name = pending.pop(future)
-                    self._ended(name, future.result)
+                    name, job = pending.pop(future)
+                    lost = _lost(future)
+                    self._ended(name, partial(_alone, job) if lost else future.result)
                     graph.done(name)
         finally:
             for future in pending:
@@ -230,10 +241,6 @@ class _Run:
             found = result()
         except PamError as error:
             self._tell(StudyStep(name, entry.kind, "failed", str(error), False))
-            return
-        except BrokenExecutor:
-            said = "its process was ended from outside (too little memory?); run the study again"
-            self._tell(StudyStep(name, entry.kind, "failed", said, False))
             return
         self.kept.put(self.keys[name], found)
         self._done(entry, "done", found)
@@ -300,7 +307,27 @@ class _Run:
         write_json(place, content)
 
 
-def _first(pending: Mapping[Any, str]) -> list[Any]:
+def _lost(future: Any) -> bool:
+    """Whether the worker was lost: steps themselves end in errors of ours."""
+    error = future.exception()
+    return error is not None and not isinstance(error, PamError)
+
+
+def _alone(job: tuple[Any, ...]) -> dict[str, Any]:
+    """A step whose worker was lost, once more: nothing is beside it, and nothing it can harm."""
+    (found,) = results_of(_Work(), [job], executor=1, what=job[0].name)
+    made: dict[str, Any] = found
+    return made
+
+
+class _Work:
+    """``work`` for one argument."""
+
+    def __call__(self, job: tuple[Any, ...]) -> dict[str, Any]:
+        return work(*job)
+
+
+def _first(pending: Mapping[Any, Any]) -> list[Any]:
     """Those of the futures that have ended, waiting for one."""
     if not pending:
         return []

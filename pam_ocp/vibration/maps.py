@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
+from ..core.cases import Place, ending
 from ..core.errors import InputError, PamError, VibrationError, require_count
 from ..core.shown import shown
 from ..core.stop import TimeIsUp, deadline, verb
@@ -224,7 +224,7 @@ def amplitude_map(
     push: Mapping[str, float] | None = None,
     periods: int = 400,
     memory: Memory = "virgin",
-    executor: Executor | None = None,
+    executor: Place = None,
     time_limit: float | None = None,
     **more: float,
 ) -> AmplitudeMap:
@@ -241,7 +241,7 @@ def amplitude_map(
     push : {state: change} [its unit]. By default a small one along the least damped mode: what then
         vibrates does so by itself. A large one finds vibration that stands beside a stable rest.
     periods : of the least damped mode, simulated at most.
-    executor : any ``concurrent.futures.Executor``; None: here, one after the other.
+    executor : where, as for :func:`pam_ocp.each`.
     time_limit : [s]; points that were not reached when it is over are unknown.
 
     Raises InputError for axes and names; what fails at a point stands in ``reasons``.
@@ -265,15 +265,18 @@ def amplitude_map(
     task = partial(_cell, plant, given, (one, two), variable.name, pushed, periods, memory)
     table = np.full((5, len(places)), np.nan)
     reasons: dict[tuple[float, float], str] = {}
-    answers = executor.map(task, places) if executor is not None else map(task, places)
-    done = -1
+    reached: set[int] = set()
     try:
-        for done, (place, (figures, reason)) in enumerate(zip(places, answers, strict=True)):
-            table[:, done] = figures
+        for i, answer in ending(task, places, executor=executor, chunk=1, what="places"):
+            if isinstance(answer, Exception):
+                raise answer
+            reached.add(i)
+            table[:, i], reason = answer
             if reason:
-                reasons[place] = reason
+                reasons[places[i]] = reason
     except TimeIsUp:
-        reasons |= dict.fromkeys(places[done + 1 :], f"{deadline()} was over")
+        late = [place for i, place in enumerate(places) if i not in reached]
+        reasons |= dict.fromkeys(late, f"{deadline()} was over")
     amplitude, frequency, growth, closed, outside = table.reshape(5, len(first), len(second))
     return AmplitudeMap(
         plant, variable.name, grid, amplitude, frequency, growth, closed == 1, outside == 1, reasons

@@ -143,7 +143,7 @@ def test_a_study_says_the_plan_as_the_script_does(state, motion, tmp_path):
     motion["stops"][1] |= {"rest": False}
     motion |= {"durations": [0.05], "bounds": [{"name": "v", "low": None, "high": 1.5}]}
     path = tmp_path / "session.toml"
-    path.write_text(study.study_of({**state, "motions": [motion]}), "utf-8")
+    path.write_text(study.study_of(tmp_path, {**state, "motions": [motion]}), "utf-8")
     assert list(read_study(path).entries) == ["muscle", "plant", "linear", "motions1"]
     steps = read_toml(path)["steps"]
     assert steps["plant"]["muscle"] == "muscle"

@@ -150,7 +150,12 @@ def test_words_of_a_user_stay_words(tmp_path):
     )
     text = script_of([data_lines(state), muscle_lines(state), plant_lines(state)])
     imported = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Import)]
-    assert {a.name for n in imported for a in n.names} <= {"pam_ocp", "numpy", "dataclasses"}
+    assert {a.name for n in imported for a in n.names} <= {
+        "pam_ocp",
+        "numpy",
+        "dataclasses",
+        "runpy",
+    }
 
 
 def test_nothing_chosen_is_a_script_that_does_nothing():

@@ -14,6 +14,7 @@ from pam_ocp.control import (
     KalmanFilter,
     OffsetFree,
     OpenLoop,
+    PointPid,
     PositionController,
     PressureLoop,
     block,
@@ -64,6 +65,21 @@ def test_lqi_as_a_block_gives_the_same_commands(kind, request):
     plant = request.getfixturevalue(kind)
     feedback = lqr(plant, REST, integral={"x": 80.0, "stiffness": 5.0}, sample_time=STEP)
     same_commands(feedback, plant, lambda t: {"wanted.x": step_of(t)}, reference={"x": step_of})
+
+
+@pytest.mark.parametrize("kind", ["slide", "valved"])
+def test_pid_about_a_point_as_a_block_gives_the_same_commands(kind, request):
+    """Until inputs meet their ends, and back from there."""
+    plant = request.getfixturevalue(kind)
+    gains = (2e7, 4e8, 1e5) if kind == "slide" else (10.0, 20.0, 0.02)
+    law = PointPid(plant, plant.equilibrium(REST), *gains, sample_time=STEP)
+
+    def far(t):
+        return 0.002 + 0.15 * (0.05 < t < 0.1)
+
+    same_commands(law, plant, lambda t: {"wanted.x": far(t)}, reference={"x": far})
+    ran = pam.closed_loop(law, plant, {"x": far}, duration=0.15, noise={})
+    assert max(np.ptp(ran[v.name]) for v in plant.inputs) > 0.9 * plant.inputs[0].max
 
 
 def test_offset_free_feedback_as_a_block_gives_the_same_commands(valved):
@@ -183,6 +199,7 @@ def test_there_is_a_block_of_every_kind_of_controller():
     kinds = {"StateFeedback", "OffsetFree", "WithEstimate", "StationaryFilter", "KalmanFilter"}
     kinds |= {"ScheduledFeedback", "TrajectoryFeedback", "OpenLoop", "PositionController"}
     kinds |= {"PressureLoop", "InverseDynamics", "HysteresisCompensation", "PID", "Trajectory"}
+    kinds |= {"PointPid"}
     assert kinds <= set(BLOCKS)
 
 

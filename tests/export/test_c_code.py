@@ -8,12 +8,20 @@ import json
 import re
 import shutil
 import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from c_program import COMPILER, Program, needs_compiler, run, selftest
+from c_program import (
+    COMPILER,
+    ZIG,
+    Program,
+    bits_of,
+    needs_compiler,
+    on_aarch64,
+    on_cortex_m7,
+    run,
+    selftest,
+)
 
 import pam_ocp as pam
 from pam_ocp.control import (
@@ -35,7 +43,6 @@ from pam_ocp.core.exceptions import WriteError
 MUSCLE = pam.muscle("DMSP-20-300")
 REST = {"x": 0.002, "stiffness": 2.2e4}
 STEP = 2e-3
-ZIG = [sys.executable, "-m", "ziglang", "cc"]
 CLANG = shutil.which("clang")
 
 
@@ -179,57 +186,13 @@ def test_cmake_builds_and_tests_it(tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
 
 
-def bits_of(printed):
-    return re.search(r"bits ([0-9a-f]{8})", printed).group(1)
-
-
-WARN = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
-BARE = Path(__file__).parent / "cortex"
-"""A start-up file, a linker script and the few headers that a bare Cortex-M7 wants."""
-
-
-def needs(program):
-    found = shutil.which(program) or shutil.which(f"{program}-static")
-    if found is None:
-        pytest.skip(f"needs {program}")
-    return found
-
-
 @pytest.mark.slow
 @needs_compiler
 @pytest.mark.parametrize("made", ["estimating", "extended"])
-def test_aarch64_gives_the_same_bits(made, request, tmp_path):
-    emulator = needs("qemu-aarch64")
+@pytest.mark.parametrize("there", [on_aarch64, on_cortex_m7])
+def test_other_processors_give_the_same_bits(there, made, request, tmp_path):
     folder = pam.export_c(request.getfixturevalue(made), tmp_path / "c")
-    here = selftest(folder, "chain")
-    sources = ["chain.c", "chain_selftest.c", "-static", "-o", "elsewhere"]
-    run(*ZIG, "-target", "aarch64-linux-musl", *WARN, *sources, cwd=folder)
-    there = run(emulator, folder / "elsewhere")
-    assert "passed" in there
-    assert bits_of(there) == bits_of(here)
-
-
-@pytest.mark.slow
-@needs_compiler
-@pytest.mark.parametrize("made", ["estimating", "extended"])
-def test_a_bare_cortex_m7_gives_the_same_bits(made, request, tmp_path):
-    """The self-test runs on qemu's mps2-an500, without an operating system or a C library."""
-    emulator = needs("qemu-system-arm")
-    folder = pam.export_c(request.getfixturevalue(made), tmp_path / "c")
-    here = selftest(folder, "chain")
-    cpu = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m7+fp_armv8d16+fp64")
-    plain = ("-ffreestanding", "-fno-math-errno", "-fno-sanitize=all", "-fno-unwind-tables")
-    sources = [BARE / "startup.c", "chain.c", "chain_selftest.c", f"-Wl,-T,{BARE / 'mps2.ld'}"]
-    headers = ("-I", BARE / "include")
-    run(*ZIG, *cpu, *plain, *WARN, *headers, *sources, "-o", "bare.elf", cwd=folder)
-    semihosting = ("-semihosting-config", "enable=on,target=native")
-    machine = ("-M", "mps2-an500", "-nographic", *semihosting)
-    command = [emulator, *machine, "-kernel", str(folder / "bare.elf")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0
-    there = done.stdout + done.stderr  # semihosting writes to the latter
-    assert "passed" in there
-    assert bits_of(there) == bits_of(here)
+    assert bits_of(there(folder, "chain")) == bits_of(selftest(folder, "chain"))
 
 
 @pytest.mark.slow

@@ -1,11 +1,16 @@
 """Fits of holds, against equilibria that SciPy finds of balances written by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.optimize import brentq
 
 import pam_ocp as pam
 from pam_ocp.fitting import fit_holds
+from pam_ocp.fitting.static.holds_fit import HoldsFit
+from pam_ocp.fitting.statistics import Linearisation
 
 LAW = pam.muscle("DMSP-20-300").law
 REST_LENGTH, GRAVITY = 0.300, 9.80665
@@ -149,3 +154,34 @@ def test_a_fit_of_holds_is_told_and_saved(spring, tmp_path):
     )
     assert "25 come to from below, 24 come to from above" in fit.report()
     assert '"band.x"' in fit.save(tmp_path / "holds.json").read_text("utf-8")
+
+
+def test_what_hangs_on_one_hold_has_the_interval_of_the_others():
+    """A row of 100 times the slope of the others, as where a muscle goes slack."""
+    random = np.random.default_rng(3)
+    rows = np.column_stack([np.ones(30), random.uniform(-1, 1, 30), random.uniform(-1, 1, 30)])
+    rows[7] = [1.0, 100.0, 0.3]
+    linear = Linearisation(("a", "b", "c"), np.zeros(3), ("1",) * 3, rows, 0.2, 27)
+    zeros = np.zeros(30)
+    fit = HoldsFit(
+        pam.SpringOverMuscle("DMSP-20-300"),
+        linear,
+        {"x": zeros},
+        {"x": zeros},
+        {},
+        zeros,
+        np.ones((30, 1)),
+        "squares",
+    )
+    others = np.delete(rows, 7, axis=0)
+    errors = 0.2 * np.sqrt(np.diag(np.linalg.inv(others.T @ others)))
+    assert set(fit.hanging) == {"b"}
+    assert fit.interval("b")[1] == pytest.approx(stats.t.ppf(0.975, 27) * errors[1])
+    assert fit.interval("c")[1] == pytest.approx(stats.t.ppf(0.975, 27) * errors[2], rel=0.05)
+    assert "b hang on them" in " ".join(fit.warnings)
+    rows[:, 1] = 0.0
+    rows[7, 1] = 1.0  # the others know nothing of b
+    assert fit.plant is not None
+    open_fit = replace(fit, linearisation=replace(linear, jacobian=rows))
+    assert np.isinf(open_fit.interval("b")[1])
+    assert "hangs on few holds" in open_fit.report()

@@ -138,6 +138,25 @@ def test_the_truth_lies_within_the_intervals(ladder: Ladder) -> None:
         assert found.stderr < 0.02 * true, name
 
 
+def test_errors_that_follow_each_other_widen_the_intervals() -> None:
+    """Beside white noise of the same size: by sqrt((1 + a)/(1 - a)) for a mean."""
+    from pam_ocp.fitting.dynamic.run_statistics import widened
+
+    random, n, a, blocks = np.random.default_rng(8), 4000, 0.8, 40
+    ratios = {0.0: [], a: []}  # type: ignore[var-annotated]
+    for follows, found in ratios.items():
+        for _ in range(40):
+            e = random.standard_normal(n)
+            for k in range(1, n):
+                e[k] = follows * e[k - 1] + np.sqrt(1 - follows**2) * e[k]
+            covariance, _ = widened(
+                np.array([[1 / n]]), e.reshape(blocks, -1).sum(axis=1)[:, None], float(e @ e) / n
+            )
+            found.append(float(covariance[0, 0]) * n)
+    assert np.mean(ratios[0.0]) == pytest.approx(1.0, rel=0.1)
+    assert np.mean(ratios[a]) == pytest.approx((1 + a) / (1 - a), rel=0.15)
+
+
 def test_the_report_marks_it_and_says_what_it_costs(ladder: Ladder) -> None:
     text = ladder.report()
     marked = [line for line in text.splitlines() if line.startswith("    * +")]
@@ -174,7 +193,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
     from pam_ocp.core.stop import TimeIsUp
     from pam_ocp.fitting.dynamic import ladder as module
 
-    whole, seen = module._climbed, []
+    whole, seen = module.climbed, []
 
     def twice(*arguments: Any) -> Any:
         seen.append(1)
@@ -182,7 +201,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
             raise TimeIsUp
         return whole(*arguments)
 
-    monkeypatch.setattr(module, "_climbed", twice)
+    monkeypatch.setattr(module, "climbed", twice)
     found = climbed(record)
     assert found.unclimbed == ("+ lag", "+ dead time")
     assert "no time left" in found.report()

@@ -83,11 +83,12 @@ SAMPLED_WIRES = {
 
 def write_systems(folder: Path, model: pam.Plant) -> None:
     """A PID that follows a motion (system), an LQI that goes to a goal (feedback), the same LQI as
-    a sampled block (sampled), and a predictive controller behind a Kalman filter (predictive).
+    a sampled block (sampled), and predictive controllers behind Kalman filters, of a slide and of a
+    joint (predictive, turning).
     """
-    valves = valve_plant()
-    export_fmu(valves, folder / "valves2.fmu", fmi="2.0")
-    write_system(folder / "predictive", valves, predictive_wires(valves), predictive_parts(valves))
+    for name, valves in {"predictive": valve_plant(), "turning": valve_plant("joint")}.items():
+        export_fmu(valves, folder / f"{name}2.fmu", fmi="2.0", platforms="native")
+        write_system(folder / name, valves, predictive_wires(valves), predictive_parts(valves))
     write_system(folder / "sampled", model, SAMPLED_WIRES, sampled_parts(model))
     write_system(folder / "system", model, WIRES, pid_parts(model))
     write_system(folder / "feedback", model, FEEDBACK_WIRES, feedback_parts(model))
@@ -124,39 +125,46 @@ def sampled_parts(model: pam.Plant) -> dict[str, Any]:
     }
 
 
-def valve_plant() -> pam.Plant:
-    """A slide with spool valves, their dead zone and hysteresis, from rest."""
+GOALS = {"x": 0.004, "theta": 0.05}
+"""Where the predictive controllers go."""
+
+
+def valve_plant(kind: str = "slide") -> pam.Plant:
+    """A slide or joint with spool valves, their dead zone and hysteresis, from rest."""
     valves = pam.feeds.SpoolValve(overlap=0.05)
     muscle, memory = pam.muscle("DMSP-20-200N"), pam.losses.BoucWen()
-    model = pam.AntagonisticSlide(muscle, losses=memory, feed=valves)
-    point = model.equilibrium({"x": 0.0, "muscle1.pressure": 3 * BAR})
+    made = pam.AntagonisticSlide if kind == "slide" else pam.AntagonisticJoint
+    model = made(muscle, losses=memory, feed=valves)
+    point = model.equilibrium({model.states[0].name: 0.0, "muscle1.pressure": 3 * BAR})
     return model.with_values(dict(zip((v.name for v in model.states), point.x, strict=True)))
 
 
 def predictive_parts(model: pam.Plant) -> dict[str, Any]:
-    measured = {"x": 1e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
+    place = model.states[0]
+    measured = {place.name: 1e-5, "muscle1.pressure": 500.0, "muscle2.pressure": 500.0}
     weights = {v.name: 3.0 for v in model.inputs}
     mpc = pam.control.Mpc(
-        model, horizon=15, sample_time=STEP, track={"x": 1.0}, rate=weights, iterations=1
+        model, horizon=15, sample_time=STEP, track={place.name: 1.0}, rate=weights, iterations=1
     )
     estimator = pam.control.KalmanFilter(model, sample_time=STEP, measured=measured)
     law = pam.control.chain([estimator, pam.control.mpc_block(mpc)])
     on = Variable("on", "output", description="the controller acts")
     t = np.array([0.0, STEPS * STEP])
-    columns = {"x": np.full(2, 0.004), "on": np.ones(2)}
+    columns = {place.name: np.full(2, GOALS[place.name]), "on": np.ones(2)}
     return {
-        "goal": pam.Trajectory(t, columns, [model.variable("x"), on]),
+        "goal": pam.Trajectory(t, columns, [place, on]),
         "mpc": block(law, plant=model),
         "plant": model,
     }
 
 
 def predictive_wires(model: pam.Plant) -> dict[str, str]:
-    seen = ("x", "muscle1.pressure", "muscle2.pressure")
+    place = model.states[0].name
+    seen = (place, "muscle1.pressure", "muscle2.pressure")
     return {
         **{f"plant.{v.name}": f"mpc.{v.name}" for v in model.inputs},
         **{f"mpc.{n}": f"plant.{n}" for n in seen},
-        "mpc.wanted.x": "goal.x",
+        f"mpc.wanted.{place}": f"goal.{place}",
         "mpc.enable": "goal.on",
     }
 
@@ -176,19 +184,30 @@ def pid_parts(model: pam.Plant) -> dict[str, Any]:
 def write_system(
     target: Path, model: pam.Plant, wires: dict[str, str], parts: dict[str, Any]
 ) -> None:
-    """Plant, controller and motion as an SSP, and what the system does as a table beside it."""
-    path = export_ssp(parts, wires, target.with_suffix(".ssp"), stop_time=STEPS * STEP)
+    """Plant, controller and motion as an SSP, and what the system does as tables beside it: read
+    behind each step (NAME.csv), and once inputs are handed over (NAME_handed.csv).
+    """
+    path = export_ssp(
+        parts, wires, target.with_suffix(".ssp"), stop_time=STEPS * STEP, platforms="native"
+    )
     names = [v.name for v in (*model.states, *model.outputs)]
     t = np.arange(STEPS + 1) * STEP
-    table = np.column_stack([t, _coupled(path, wires, list(parts), names)])
+    stepped, handed = _coupled(path, wires, list(parts), names)
     header = ",".join(["time", *names])
-    file = target.with_suffix(".csv")
-    np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    for rows, ending in ((stepped, ".csv"), (handed, "_handed.csv")):
+        file = target.with_name(target.name + ending)
+        table = np.column_stack([t, rows])
+        np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
 
 
-def _coupled(path: Path, wires: dict[str, str], parts: list[str], names: list[str]) -> Any:
+def _coupled(
+    path: Path, wires: dict[str, str], parts: list[str], names: list[str]
+) -> tuple[Any, Any]:
     """The plant's values at each time when all parts step, and then all hand over. Before, values
     are handed over while all are initialized, until the last part knows them.
+
+    Returns them read before, and behind, the plant is given what was handed over: states are the
+    same, outputs that depend on inputs without delay (a valve's flow) are not.
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -216,16 +235,21 @@ def _coupled(path: Path, wires: dict[str, str], parts: list[str], names: list[st
             for key, runner in runners.items():
                 runner.initialize(given(key), 0.0, None)
             hand_over()
-        rows = [runners["plant"].get(names)]
+        rows, handed = [runners["plant"].get(names)], []
+        for key, runner in runners.items():
+            runner.set(given(key))
+        handed.append(runners["plant"].get(names))
         for k in range(STEPS):
             for key, runner in runners.items():
                 runner.set(given(key))
                 runner.step(k * STEP, STEP)
             rows.append(runners["plant"].get(names))
             hand_over()
+            runners["plant"].set(given("plant"))
+            handed.append(runners["plant"].get(names))
         for runner in runners.values():
             runner.__exit__(None, None, None)
-    return np.array(rows)
+    return np.array(rows), np.array(handed)
 
 
 PARAMETER = "fade_time"
@@ -256,6 +280,12 @@ def write_controller(path: Path, controller: Block) -> dict[str, Any]:
     }
 
 
+def facts_of(model: pam.Plant) -> dict[str, Any]:
+    """What a system's results are measured by."""
+    nominals = {v.name: v.nominal for v in (*model.states, *model.outputs)}
+    return {"start": {}, "inputs": [], "states": [], "nominals": nominals}
+
+
 def build(folder: Path) -> None:
     """Everything the tests of the importers read."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -271,14 +301,9 @@ def build(folder: Path) -> None:
     write_motion(folder / "constant.csv", model, CONSTANT, START)
     write_systems(folder, model)
     results = (*model.states, *model.outputs)
-    valves = valve_plant()
+    valved = {"predictive": valve_plant(), "turning": valve_plant("joint")}
     facts = {
-        "predictive": {
-            "start": {},
-            "inputs": [],
-            "states": [],
-            "nominals": {v.name: v.nominal for v in (*valves.states, *valves.outputs)},
-        },
+        **{name: facts_of(valves) for name, valves in valved.items()},
         "start": START,
         "step": STEP,
         "inputs": [v.name for v in model.inputs],

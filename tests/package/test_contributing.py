@@ -512,7 +512,7 @@ def test_a_controller_is_one_class(tmp_path, capsys):
     capsys.readouterr()
     assert main(["mpc", str(file)]) == 2
     said = capsys.readouterr().err
-    assert "unknown controller.kind 'relay': known: hysteresis-compensation, mpc" in said
+    assert "unknown controller.kind 'relay': known: hysteresis-compensation, lqr, mpc" in said
 
 
 def test_an_estimator_is_one_class(capsys):

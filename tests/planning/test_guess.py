@@ -1,5 +1,6 @@
 """Where a plan's solver starts: minimum-jerk paths, inputs that drive them, other solutions."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -8,13 +9,16 @@ from pam_ocp import Collocation, InputError, Shooting
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.planning.problem.formulation import formulate
 from pam_ocp.planning.problem.statement import Statement
+from pam_ocp.planning.solvers.narrowing import widened
 from pam_ocp.planning.transcription.guess import (
+    by_rests,
     by_stops,
     from_solution,
     rest_point,
     wants_balance,
 )
-from pam_ocp.planning.transcription.solution import Solution
+from pam_ocp.planning.transcription.leading import by_leading
+from pam_ocp.planning.transcription.solution import Solution, unpack
 
 
 def geared(limit=30.0):
@@ -158,3 +162,37 @@ def test_balance_is_wanted_where_positions_are_open_or_inputs_idle():
     closed.der(v, u**3)
     assert wanted(closed, [{"x": 0.1}, {"x": 0.5}])
     assert not wanted(closed.with_values(u=0.5), [{"x": 0.1}, {"x": 0.5}])
+
+
+def test_a_led_motion_keeps_the_plants_equations_along_the_stops():
+    """Points between the stops are in balance at rest only; hysteresis needs what went before."""
+    muscle = pam.muscle("DMSP-20-300")
+    plant = pam.SeriesLoad(
+        muscle, 11.0, 1e5, feed=pam.feeds.Regulator(0.1), losses=(pam.losses.BoucWen(15.0, 0.005),)
+    )
+    stops = [{"x": 0.017}, {"x": 0.002}]
+    planner = pam.Planner(plant, stops, duration=2.0, minimise="effort")
+    program = widened(planner._program)
+    problem, mesh, nlp = program.problem, program.mesh, program.nlp
+    function = ca.Function("g", [nlp["x"], nlp["p"]], [nlp["g"]])
+
+    def defect(guess):
+        g = np.asarray(function(guess, program.parameters())).ravel()
+        return max(
+            np.abs(g[s.first_row : s.first_row + s.rows * len(s.members)]).max()
+            for s in program.groups
+        )
+
+    led = by_leading(problem, mesh)
+    assert defect(led) < 0.2 * min(defect(by_rests(problem, mesh)), defect(by_stops(problem, mesh)))
+    solution = unpack(problem, mesh, led)
+    t, states = solution.t, solution.states
+    x = states[:, [v.name for v in plant.states].index("x")]
+    assert x[0] == pytest.approx(0.017, abs=1e-6)
+    assert x[-1] == pytest.approx(0.002, abs=5e-4)
+    s = t / t[-1]
+    path = 0.017 - 0.015 * s**3 * (10 - 15 * s + 6 * s**2)
+    assert np.abs(x - path).max() < 1.5e-3
+    memory = states[:, [v.name for v in plant.states].index("muscle.hysteresis")]
+    assert np.abs(memory).max() <= 1.0 + 1e-9
+    assert np.ptp(memory) > 0.5

@@ -6,7 +6,7 @@ from numpy.polynomial import Polynomial, legendre
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
-from pam_ocp.planning.refine import checked
+from pam_ocp.planning.checked import checked
 from pam_ocp.planning.run import Run
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh, halved, held, refined, watched
 from pam_ocp.planning.transcription.transcription import transcribe

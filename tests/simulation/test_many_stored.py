@@ -123,6 +123,73 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A study with a part in which no case has a simulation."""
+    cases = [*rates(5), *({"parameters": {"speed": 1.0}} for _ in range(3)), *rates(2)]
+    into = tmp_path_factory.mktemp("stored") / "runs"
+    stored = pam.simulate_many(quick(), cases, into=into, chunk=3, executor=0, **SHORT)
+    assert list(stored.failures) == [5, 6, 7]
+    return stored
+
+
+@pytest.mark.parametrize("reader", ["pandas", "polars", "dask.dataframe"])
+def test_others_read_the_folder_as_one_table(folder, reader):
+    library = pytest.importorskip(reader)
+    if reader == "polars":
+        frame = library.scan_parquet(folder.files).collect()
+        found = frame.select("case", "time", "x", "u").rows()
+    else:
+        frame = library.read_parquet(folder.files)
+        frame = frame.compute() if hasattr(frame, "compute") else frame
+        found = list(frame[["case", "time", "x", "u"]].itertuples(index=False, name=None))
+    expected = [
+        (number, time, x, 0.0)
+        for number, run in folder
+        if not isinstance(run, Exception)
+        for time, x in zip(run.t.tolist(), run["x"].tolist(), strict=True)
+    ]
+    assert sorted(found) == expected
+    assert len(found) == 21
+
+
+def test_a_run_that_was_killed_goes_on_where_it_stood(tmp_path):
+    script = tmp_path / "run.py"
+    script.write_text(KILLED)
+    into = tmp_path / "runs"
+    run = [sys.executable, str(script), str(into)]
+    assert subprocess.run([*run, "30"]).returncode == -signal.SIGKILL
+    there = {p: p.stat().st_mtime_ns for p in into.rglob("part-*.parquet")}
+    assert 1 <= len(there) < 10
+    assert len(StoredSimulations(into)) == 5 * len(there)  # what is there can be read
+    assert subprocess.run([*run, "0"]).returncode == 0
+    stored = StoredSimulations(into)
+    assert [n for n, _ in stored] == list(range(50))
+    assert all(p.stat().st_mtime_ns == time for p, time in there.items())
+    assert dict(stored)[49]["x"][-1] == pytest.approx(exact(5.0), rel=1e-5)
+
+
+KILLED = """
+import os, signal, sys
+import numpy as np
+import pam_ocp as pam
+
+plant = pam.Plant("decay", "x' = u - rate x")
+x, u, rate = plant.state("x", start=1.0), plant.input("u"), plant.parameter("rate", 1.0)
+plant.der(x, u - rate * x)
+
+def progress(done, count):
+    if done == int(sys.argv[2]):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+cases = ({"parameters": {"rate": 0.1 * (i + 1)}} for i in range(50))
+times = np.linspace(0.0, 0.02, 3)
+pam.simulate_many(
+    plant, cases, executor=2, into=sys.argv[1], chunk=5, progress=progress, t=times, rtol=1e-6
+)
+"""
+
+
 def test_failures_are_kept_with_their_sentence(tmp_path, hanging):
     cases = [{}, {"parameters": {"mass": -1.0}}]
     arguments = {"inputs": {"muscle.command": 4 * BAR}, "duration": 0.01}

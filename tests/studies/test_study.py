@@ -1,6 +1,8 @@
 """Studies: what runs, what is kept, what is refused before anything runs."""
 
 import csv
+import math
+import os
 import re
 import shutil
 import signal
@@ -9,12 +11,14 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
+from fmpy.ssp.simulation import simulate_ssp
 
 import pam_ocp as pam
 from pam_ocp.cli.main import main
-from pam_ocp.studies import run_study
+from pam_ocp.studies import run_study, working
 
 STUDY = """
 title = "A load on a muscle"
@@ -179,6 +183,25 @@ def test_workers_and_executors_give_the_same_bits(place):
         run(place, workers=2, executor=ThreadPoolExecutor(2))
 
 
+def once_lethal(*job):
+    """A step's work, but for the first worker that comes to one of them."""
+    mark = Path(os.environ["PAM_ONCE"])
+    if job[0].name == "lifted" and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return working.work(*job)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="workers are forked there")
+def test_a_step_whose_worker_is_lost_is_done_once_more(place, tmp_path, monkeypatch):
+    monkeypatch.setenv("PAM_ONCE", str(tmp_path / "once"))
+    monkeypatch.setattr("pam_ocp.studies.study.work", once_lethal)
+    result = run(place, fresh=True, executor=2)
+    assert (tmp_path / "once").exists()
+    assert set(states(result).values()) == {"done"}
+
+
 def test_a_step_that_fails_ends_what_stands_on_it_and_nothing_else(place):
     changed(place, '"muscle.pressure" = "1 bar"', 'x = "290 mm"')  # no pressure holds it there
     result = run(place)
@@ -325,6 +348,146 @@ def test_what_cannot_be_meant_is_one_sentence_before_anything_runs(fresh, capsys
     assert said.err.count("\n") == 1
     assert said.out == ""
     assert not [p for p in (place / "out").rglob("*") if p.is_file()]
+
+
+CONTROLLED = """
+[steps.load]
+kind = "plant"
+arrangement = "HangingLoad"
+muscle = "DMSP-20-300"
+mass = "10 kg"
+
+[steps.pushed]
+kind = "plant"
+arrangement = "HangingLoad"
+muscle = "DMSP-20-300"
+mass = "10 kg"
+loads = [{ kind = "ExternalForce", name = "push" }]
+
+[steps.law]
+kind = "controller"
+plant = "load"
+rest = { x = "40 mm" }
+controller = { kind = "lqr", effort = 2.0, sample_time = "2 ms", integral = { x = 50.0 } }
+
+[steps.ran]
+kind = "loop"
+plant = "load"
+controller = "law"
+against = "pushed"
+start = { x = "40 mm" }
+reference = { x = "43 mm" }
+disturbances = { push = ["20 N", "100 ms"] }
+duration = "0.2 s"
+estimator = { kind = "none" }
+
+[steps.inline]
+kind = "loop"
+plant = "load"
+controller = { kind = "pid", proportional = 5e5, integral = 1e7, derivative = 1e4 }
+start = { x = "40 mm" }
+reference = { x = "41 mm" }
+duration = "1.5 s"
+
+[steps.source]
+kind = "export-c"
+controller = "law"
+precision = "single"
+
+[steps.unit]
+kind = "export"
+controller = "law"
+fmi = "3.0"
+platforms = ["native"]
+
+[steps.system]
+kind = "export-ssp"
+plant = "load"
+controller = "law"
+platforms = ["native"]
+connections = { "plant.muscle.command" = "controller.muscle.command", "controller.x" = "plant.x", \
+"controller.v" = "plant.v", "controller.muscle.pressure" = "plant.muscle.pressure" }
+hold = { "controller.wanted.x" = "43 mm", "controller.enable" = 1.0 }
+"""
+
+
+def controlled(tmp_path, old="", new=""):
+    assert old in CONTROLLED
+    path = tmp_path / "study.toml"
+    path.write_text(CONTROLLED.replace(old, new, 1) if old else CONTROLLED, "utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_controllers_run_and_leave_as_c_unit_and_system(tmp_path):
+    result = run_study(controlled(tmp_path), tmp_path / "out", cache=tmp_path / "cache")
+    assert result.ok, result
+    muscle = pam.muscle("DMSP-20-300")
+    plant = pam.HangingLoad(muscle, mass=10.0)
+    pushed = pam.HangingLoad(muscle, mass=10.0, loads=[pam.loads.ExternalForce(name="push")])
+    point = plant.equilibrium({"x": 0.04})
+    law = pam.lqr(plant, point, effort=2.0, sample_time=2e-3, integral={"x": 50.0})
+    start = {v.name: point[v.name] for v in (*plant.states, *plant.inputs)}
+    told = {"reference": {"x": 0.043}, "disturbances": {"push": (20.0, 0.1)}, "start": start}
+    own = pam.closed_loop(law, pushed, duration=0.2, **told)
+    for kind, value in (("last", own["x"][-1]), ("max", own["x"].max())):
+        assert result["ran"].numbers[f"x.{kind}"][0] == pytest.approx(value, rel=1e-9)
+    pid = pam.control.PointPid(plant, point, 5e5, 1e7, 1e4)
+    assert max(p.real for p in pid.poles) < -1.9
+    # what is left of the step of 1 mm behind the slowest pole
+    assert abs(result["inline"].numbers["x.last"][0] - 0.041) < 1.2e-3 * math.exp(-1.9 * 1.5)
+    out = tmp_path / "out"
+    assert "float" in next((out / "source" / "c").glob("*.h")).read_text()
+    assert (out / "unit" / "plant.fmu").stat().st_size > 1000
+    played = simulate_ssp(str(out / "system" / "system.ssp"), stop_time=3.0, step_size=2e-3)
+    assert abs(played["plant.x"][-1] - 0.043) < 1e-6  # nothing but its integral gets it there
+    # other gains are another controller to all that stands on it, and to nothing else
+    changed = controlled(tmp_path, "effort = 2.0", "effort = 3.0")
+    again = run_study(changed, out, cache=tmp_path / "cache")
+    fresh = {n for n, s in again.steps.items() if s.state == "done"}
+    assert fresh == {"law", "ran", "source", "unit", "system"}
+
+
+WRONG_CONTROL = {
+    "a kind": ('kind = "lqr"', 'kind = "lqg"', "unknown controller.kind 'lqg'"),
+    "an argument": ("effort = 2.0", "efort = 2.0", "did you mean 'effort'"),
+    "no rest": ('rest = { x = "40 mm" }', "", "rest is missing"),
+    "an unknown state": ('rest = { x = "40 mm" }', 'rest = { y = "40 mm" }', "'y'"),
+    "a push that the plant does not know": ('against = "pushed"', "", "'push'"),
+    "against what": ('against = "pushed"', 'against = "psuhed"', "give 'plant', 'fmu', or"),
+    "a motion as a controller": (
+        'controller = "law"\nagainst',
+        'controller = "inline"\nagainst',
+        "law",
+    ),
+    "a precision": ('"single"', '"half"', "give 'double' or 'single'"),
+    "both": ('controller = "law"\nfmi', 'plant = "load"\ncontroller = "law"\nfmi', "one of them"),
+    "none": ('controller = "law"\nfmi', "fmi", "give plant or controller"),
+    "outputs of a controller": ('fmi = "3.0"', 'fmi = "3.0"\noutputs = ["x"]', "is its own"),
+    "no wires": ("connections = {", "# {", "connections is missing"),
+    "a foreign component": ('"controller.x" = "plant.x"', '"controller.x" = "plnt.x"', "plnt.x"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_CONTROL)
+def test_controllers_that_cannot_be_meant_are_told_before_anything_runs(tmp_path, name):
+    old, new, sentence = WRONG_CONTROL[name]
+    path = controlled(tmp_path, old, new)
+    with pytest.raises(pam.InputError, match="study") as told:
+        run_study(path, tmp_path / "out", cache=tmp_path / "cache")
+    assert sentence in str(told.value)
+
+
+@pytest.mark.parametrize("cell", ["200", "-1", "true", '"a"', "1.5"])
+def test_cells_that_are_not_there_cannot_be_left_out(fresh, cell):
+    place = fresh
+    path = place / "study.toml"
+    text = path.read_text("utf-8").replace(
+        'rest_length = "300 mm"', f'rest_length = "300 mm"\nwithout = [{cell}]', 1
+    )
+    path.write_text(text, "utf-8")
+    with pytest.raises(pam.InputError, match="is no cell of the table; give whole numbers from 0"):
+        run_study(path, place / "out", cache=place / "cache")
 
 
 def test_the_command_tells_the_same_as_json_and_judges_by_its_exit_code(place, capsys):

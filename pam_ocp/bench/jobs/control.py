@@ -26,14 +26,14 @@ from ...control.loop import ClosedLoop, closed_loop
 from ...control.mpc.mpc import Mpc
 from ...control.point_pid import PointPid
 from ...control.sides import PlantSide, Side, side_of
-from ...core.errors import InputError, PamError
+from ...core.errors import InputError
 from ...export.package import export_fmu
 from ...figures.scene import scene_of
 from ...operating.linear import OperatingPoint, equilibrium
 from ...plants.plant import Plant
 from ..look import numbers
 from ..made import plant_of
-from ..script import PUSH
+from ..script import PUSH, can_be_pushed, is_followed
 from ..work import Say
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "live",
     "loop_figures",
     "loop_of",
+    "lqr_arguments",
     "mpc_arguments",
     "side_state",
 ]
@@ -143,10 +144,8 @@ def side_state(state: Mapping[str, Any]) -> dict[str, Any]:
 
 def _side(folder: Path, state: Mapping[str, Any], allow_code: bool) -> Plant:
     """The plant that can be pushed; where it takes no loads, as it is."""
-    try:
-        return plant_of(folder, side_state(state), allow_code=allow_code)
-    except PamError:
-        return plant_of(folder, state, allow_code=allow_code)
+    pushed = side_state(state) if can_be_pushed(state["plant"]) else state
+    return plant_of(folder, pushed, allow_code=allow_code)
 
 
 def _point(plant: Plant, state: Mapping[str, Any]) -> OperatingPoint:
@@ -309,13 +308,12 @@ def _loop(folder: str, content: str) -> ClosedLoop:
     made = controller_of(plant, point, said)
     position = next(iter(plant.positions))
     study = said["study"]
-    followed = said["kind"] != "lqr" or said["gains"]["integral"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return closed_loop(
             made,
             side,
-            {position: point[position] + study["step"]} if followed else None,
+            {position: point[position] + study["step"]} if is_followed(said) else None,
             duration=study["duration"],
             start={n: point[n] for n in _shown(plant)},
             disturbances=_disturbances(side, study),

@@ -168,6 +168,8 @@ def workbook(
 def levels_of(pressure: Any) -> list[float]:
     """Pressures at which curves are drawn: measured ones, spread over the range."""
     known = sorted({float(f"{p:.2g}") if p else 0.0 for p in np.asarray(pressure, float)})
+    if len(known) > MOST_LEVELS and known[0] == 0.0:  # a muscle without pressure hardly pulls
+        known = known[1:]
     if len(known) <= MOST_LEVELS:
         return known
     wanted = np.linspace(known[0], known[-1], MOST_LEVELS)

@@ -121,11 +121,9 @@ class Export(Tab):
             el.button("Export SSP", lambda: self._start("ssp"))
 
     def _c_fields(self) -> None:
-        # a PID about a point has no block (pam.control.block)
-        known = [c for c in self.state["controllers"] if c["kind"] != "pid"]
-        controllers = {c["id"]: c["name"] for c in known}
+        controllers = {c["id"]: c["name"] for c in self.state["controllers"]}
         if not controllers or not self.state["point"]:
-            el.note("Design an LQR or MPC in the tab Control first.")
+            el.note("Design a controller in the tab Control first.")
         else:
             self._controller = next(reversed(controllers))
 
@@ -209,7 +207,8 @@ class Export(Tab):
 
     # ---- script and study -----------------------------------------------------------------------
     def _study_text(self) -> str:
-        return study.study_of(self.state, self.bench.session.title)
+        bench = self.bench
+        return study.study_of(bench.folder, self.state, bench.session.title, bench.allow_code)
 
     def _download_script(self) -> None:
         with self.bench.shown_errors():

@@ -425,7 +425,7 @@ class MuscleTab(Tab):
             "xaxis": {**axis, "title": {"text": "contraction [%]"}},
             "yaxis": {**axis, "title": {"text": "pressure [bar]"}},
             "zaxis": {**axis, "title": {"text": "force [N]"}},
-            "camera": {"eye": {"x": 1.5, "y": 1.5, "z": 0.8}},
+            "camera": {"eye": {"x": 1.9, "y": 1.9, "z": 0.9}, "center": {"z": -0.15}},
         }
         margin = {"l": 0, "r": 0, "t": 0, "b": 0}
         self._surface.draw(look.figure(data, height=300, scene=scene, margin=margin))

@@ -18,9 +18,10 @@ from .. import elements as el
 from .. import look
 from ..form import argument_fields
 from ..jobs import plant as jobs
-from ..made import muscle_of
+from ..made import muscle_of, own_plants
 from ..script import plant_lines
 from ..tab import Tab
+from .plant_own import own_plant_upload
 
 __all__ = ["PlantTab"]
 
@@ -106,11 +107,15 @@ class PlantTab(Tab):
                 el.note("No muscle yet: fit or choose one in the tab Muscle.", "bench-bad")
             else:
                 el.note(f"muscle: {muscle.get('name', '')}")
+            own = own_plants(self.bench.folder) if self.bench.allow_code else {}
+            known = {**{n: n for n in PLANTS}, **own}
+            el.choice("Arrangement", {name: name, **known}, name, self._arranged)
+            if self.bench.allow_code:
+                own_plant_upload(self.bench, self._arranged)
             if name not in PLANTS:
-                el.note(f"{name}: a plant of your own")
+                self._words.set_text("A plant of your own")
                 return
             self._words.set_text(PLANTS.words(name))
-            el.choice("Arrangement", list(PLANTS), name, self._arranged)
             with self.bench.shown_errors():
                 argument_fields(PLANTS, name, said, self._said, turning=name in TURNING)
             if "muscle2" in PLANTS.arguments(name):
@@ -124,7 +129,7 @@ class PlantTab(Tab):
 
     def _arranged(self, name: str) -> None:
         with self.bench.shown_errors():
-            known = PLANTS.arguments(name)
+            known = PLANTS.arguments(name) if name in PLANTS else {}
             kept = {k: v for k, v in self.state["plant"].items() if k in known and k != "set"}
             # what belongs to the other kind of motion would be in a unit of its own
             if (name in TURNING) != (self._arrangement in TURNING):

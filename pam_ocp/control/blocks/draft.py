@@ -266,14 +266,14 @@ def per(unit: str, *others: str) -> str:
     below: list[str] = []
     for text, ends in ((unit, (above, below)), *((o, (below, above)) for o in others)):
         for part, end in zip(text.split("/"), ends, strict=False):
-            end += [p for p in part.split(".") if p != "1"]
+            end += [p for p in part.strip("()").split(".") if p != "1"]
     for p in [p for p in above if p in below]:
         if p in below:
             above.remove(p)
             below.remove(p)
-    if len(below) > 1:
-        return "1"
-    name = "/".join([".".join(above) or "1", *below])
+    under = ".".join(below)
+    divided = [f"({under})" if len(below) > 1 else under] if below else []
+    name = "/".join([".".join(above) or "1", *divided])
     try:
         units.unit(name)
     except InputError:

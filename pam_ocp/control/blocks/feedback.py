@@ -12,7 +12,7 @@ from ..linear_quadratic import StateFeedback
 from .draft import Draft, Symbol, compensated, least_norm, opened_by
 from .kinds import BLOCKS
 
-__all__ = ["Integrating", "state_feedback"]
+__all__ = ["Integrating", "acting", "at_rest", "state_feedback"]
 
 
 class Integrating:
@@ -82,8 +82,8 @@ def state_feedback(controller: StateFeedback, name: str = "state_feedback") -> B
     x = draft.column(plant.states)
     k = draft.matrix("K", controller.K, chosen, plant.states)
     ki = draft.matrix("Ki", controller.Ki, chosen, integrated, "s")
-    x0 = _parameters(draft, "x0", plant.states, point.x)
-    u0 = _parameters(draft, "u0", chosen, point.u[controller._columns])
+    x0 = at_rest(draft, "x0", plant.states, point.x)
+    u0 = at_rest(draft, "u0", chosen, point.u[controller._columns])
     v = u0 - ca.mtimes(k, x - x0)
     integrals = Integrating(draft, controller.integrated)
     if integrated:
@@ -116,9 +116,10 @@ def acting(draft: Draft, inversion: Inversion | None, chosen: list[Variable]) ->
     return ca.vertcat(*(found[v.name] for v in chosen))
 
 
-def _parameters(
+def at_rest(
     draft: Draft, name: str, variables: tuple[Variable, ...] | list[Variable], values: np.ndarray
 ) -> Symbol:
+    """Values at a point of rest, each a parameter ``name.VARIABLE``."""
     return ca.vertcat(
         *(
             draft.parameter(

@@ -15,7 +15,13 @@ from .chain import chain
 from .draft import Draft, Symbol, opened_by
 from .kinds import BLOCKS, LARGEST, law_of
 
-__all__ = ["extended_filter", "stationary_filter", "with_estimate"]
+__all__ = [
+    "extended_filter",
+    "kept_variables",
+    "noise_of_step",
+    "stationary_filter",
+    "with_estimate",
+]
 
 
 def _acting(draft: Draft, given: dict[str, Symbol], inputs: Iterable[Variable]) -> list[Symbol]:
@@ -83,7 +89,7 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
     step; outputs ``estimate.NAME`` and ``deviation.NAME``.
     """
     draft = Draft(name, filter.sample_time, "extended Kalman filter")
-    kept, n = _kept(filter), len(filter.names)
+    kept, n = kept_variables(filter), len(filter.names)
     start_z, start_p = filter._first
     begin = zip(kept, start_z, strict=True)
     z = ca.vertcat(*(draft.memory(f"scaled.{v.name}", float(s)) for v, s in begin))
@@ -96,7 +102,7 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
     sent = draft.sent(filter.given.controls)
     q = ca.DM(filter.given.vector())
     moved, a, half = filter._predict(z, sent, q)
-    noise = _noise(filter, a, half)
+    noise = noise_of_step(filter, a, half)
     p_moved = ca.mtimes(ca.mtimes(a, p), a.T) + noise
     z = _chosen(started, moved, z)
     p = _chosen(started, p_moved, p)
@@ -116,7 +122,7 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
     return draft.block()
 
 
-def _kept(filter: Estimator) -> list[Variable]:
+def kept_variables(filter: Estimator) -> list[Variable]:
     """Variables of states and unknowns; that of an offset der(STATE) is offset.STATE."""
     found = []
     for name, scale in zip(filter.names, filter._scale, strict=True):
@@ -127,7 +133,7 @@ def _kept(filter: Estimator) -> list[Variable]:
     return found
 
 
-def _noise(filter: Estimator, a: Symbol, half: Symbol) -> Symbol:
+def noise_of_step(filter: Estimator, a: Symbol, half: Symbol) -> Symbol:
     """Covariance that the noise adds in a step; see :meth:`Estimator._step_noise`."""
     density = ca.DM(filter._density)
     noise = ca.mtimes([a, density, a.T]) + 4 * ca.mtimes([half, density, half.T])

@@ -7,6 +7,7 @@ step.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -17,11 +18,13 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.stop import locked
+from ...export.machine import quick
+from ...numerics.buffered import Buffered
 from ...plants.plant import Plant, Values, require_plant
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
 from ..step import Givens, Step, StepMethod
-from .correction import corrected
+from .correction import taken_in
 
 __all__ = ["Estimate", "Estimator", "KalmanFilter"]
 
@@ -51,10 +54,12 @@ class Estimator(ABC):
         uncertainty: Mapping[str, float] | None = None,
         method: StepMethod = "rk4",
         substeps: int = 2,
+        compiled: bool | None = False,
     ) -> None:
         require_plant(plant)
         self.plant, self.given, how = plant, Givens(plant), Step(sample_time, method, substeps)
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
+        self._control_names = [v.name for v in self.given.controls]
         if not measured:
             raise InputError("measured is empty: name at least one state or output and its noise")
         self.measured = [plant.variable(n) for n in measured]
@@ -90,6 +95,7 @@ class Estimator(ABC):
         low, high = self.given.low[self._at], self.given.high[self._at]
         self._low = np.concatenate([np.full(nx, -np.inf), low]) / self._scale
         self._high = np.concatenate([np.full(nx, np.inf), high]) / self._scale
+        self._compiled = compiled
         self._functions(how)
 
     def _functions(self, how: Step) -> None:
@@ -119,9 +125,44 @@ class Estimator(ABC):
             [x * self._scale[:nx], inputs, p],
         )
         value = ca.vertcat(*seen) / nominal
-        self._measure = ca.Function(
-            "measure", [z, u, rest], [value, ca.densify(ca.jacobian(value, z))]
+        slope = ca.densify(ca.jacobian(value, z))
+        self._measure = ca.Function("measure", [z, u, rest], [value, slope])
+        self._carrying((z, u, rest), (whole, *jacobians), (value, slope))
+
+    def _carrying(
+        self, point: tuple[ca.SX, ...], step: tuple[ca.SX, ...], seen: tuple[ca.SX, ca.SX]
+    ) -> None:
+        """Prediction and correction with the covariance, each on fixed memory."""
+        n, count = len(self.names), len(self.measured)
+        mean, covariance = ca.SX.sym("mean", n), ca.SX.sym("covariance", n, n)
+        whole, a, half = step
+        noise = self._simpson(a, half, ca.DM(self._density), a.T, half.T)
+        spread = ca.densify(a @ covariance @ a.T + noise)
+        self._going = self._buffered("going", [*point, covariance], [whole, spread, a])
+        measured, weight = ca.SX.sym("measured", count), ca.SX.sym("weight", count)
+        found = taken_in(
+            (mean, covariance), point[0], seen, measured, self._noise**2, ca.vertsplit(weight)
         )
+        arguments = [*point, mean, covariance, measured, weight]
+        self._taking = self._buffered("taking", arguments, [ca.densify(e) for e in found])
+
+    def _buffered(self, name: str, arguments: list[ca.SX], results: list[ca.SX]) -> Buffered:
+        function = ca.Function(name, arguments, results, {"cse": True})
+        return Buffered(quick(function, self._compiled))
+
+    def _after(self, z: Array, u: Array, q: Array, covariance: Array) -> tuple[Array, Array]:
+        """State and covariance a step on."""
+        found, spread, _ = self._going(z, u, q, covariance.ravel())  # symmetric
+        return found[:, 0].copy(), spread.copy()
+
+    def _with(
+        self, at: tuple[Array, Array, Array], known: tuple[Array, Array], seen: Array, weight: Array
+    ) -> tuple[Array, Array]:
+        """Mean and covariance with measured values, the plant linearised about (z, u, q)."""
+        mean, covariance = known
+        values = np.where(weight > 0, seen, 0.0)
+        found, spread = self._taking(*at, mean, covariance.ravel(), values, weight)
+        return found[:, 0].copy(), spread.copy()
 
     # ---- using it -------------------------------------------------------------------------------
     @property
@@ -138,13 +179,12 @@ class Estimator(ABC):
     def estimate(self) -> Estimate:
         """The present knowledge."""
         nx = len(self.plant.states)
-        values = self._z * self._scale
-        deviation = np.sqrt(np.diag(self.covariance)) * self._scale
-        named = dict(zip(self.names, (float(v) for v in values), strict=True))
+        values = (self._z * self._scale).tolist()
+        deviation = (np.sqrt(self.covariance.diagonal()) * self._scale).tolist()
         return Estimate(
-            {n: named[n] for n in self.names[:nx]},
-            {n: named[n] for n in self.names[nx:]},
-            dict(zip(self.names, (float(d) for d in deviation), strict=True)),
+            dict(zip(self.names[:nx], values[:nx], strict=True)),
+            dict(zip(self.names[nx:], values[nx:], strict=True)),
+            dict(zip(self.names, deviation, strict=True)),
         )
 
     @abstractmethod
@@ -159,29 +199,53 @@ class Estimator(ABC):
 
     def _seen(self, measurement: Values) -> Array:
         """Measured values in units of nominal; NaN for those not in the measurement."""
-        given = {self.plant.variable(n).name: require_finite(n, v) for n, v in measurement.items()}
-        for name in given:
-            if name not in {v.name for v in self.measured}:
-                raise UnknownNameError("measured variable", name, [v.name for v in self.measured])
-        return np.array([given.get(v.name, np.nan) / v.nominal for v in self.measured])
+        known = {v.name: i for i, v in enumerate(self.measured)}
+        seen = np.full(len(known), np.nan)
+        for given, value in measurement.items():
+            name = given if given in known else self.plant.variable(given).name
+            if name not in known:
+                raise UnknownNameError("measured variable", name, [*known])
+            seen[known[name]] = require_finite(given, value) / self.measured[known[name]].nominal
+        return seen
 
     def _step_noise(self, a: Array, half: Array) -> Array:
         """Covariance that the noise adds in a step,
         from the Jacobians over the step and its half.
         """
-        # Simpson's rule for the integral of exp(A s) Q exp(A s)' over the step
         turned = np.swapaxes(a, -1, -2), np.swapaxes(half, -1, -2)
-        noise: Array = a @ self._density @ turned[0] + 4 * half @ self._density @ turned[1]
-        return self.sample_time / 6 * (noise + self._density)
+        noise: Array = self._simpson(a, half, self._density, *turned)
+        return noise
+
+    def _simpson(self, a: Any, half: Any, density: Any, a_turned: Any, half_turned: Any) -> Any:
+        """Simpson's rule for the integral of exp(A s) Q exp(A s)' over the step."""
+        noise = a @ density @ a_turned + 4 * half @ density @ half_turned
+        return self.sample_time / 6 * (noise + density)
 
     def _inputs(self, inputs: Values | None) -> Array:
         """Controls [SI]; disturbances named among the inputs are taken as known."""
+        if inputs is not None and self._only_controls(inputs):
+            return np.array([inputs[n] for n in self._control_names])
         everything = self.plant.vector("input", inputs)
         values = {v.name: everything[i] for i, v in enumerate(self.plant.inputs)}
         for variable in self.given.disturbances:
             if variable.name not in self.unknown:
                 self._q[self.given.names.index(variable.name)] = values[variable.name]
         return np.array([values[v.name] for v in self.given.controls])
+
+    def _only_controls(self, inputs: Values) -> bool:
+        """Whether these are all the plant's inputs, under their full names, floats in their ranges:
+        then nothing is to be looked up, and nothing to be said.
+        """
+        if len(inputs) != len(self._control_names) or len(self.given.disturbances):
+            return False
+        for variable in self.given.controls:
+            value = inputs.get(variable.name)
+            if not (isinstance(value, float) and variable.min <= value <= variable.max):
+                return False
+            if not abs(value) < math.inf:
+                return False
+            variable.doubt(value)
+        return True
 
 
 @locked
@@ -201,6 +265,8 @@ class KalmanFilter(Estimator):
     start : initial states by name (start values by default); the unknowns start at the plant's.
     uncertainty : {state: initial standard deviation}; by default its nominal.
     method, substeps : of the integration over a step, see Step.
+    compiled : the steps as machine code. True: built if need be, some seconds for each structure,
+        once; kept in the cache. None: where it is there. False: never.
 
     ``correct(measurement)`` takes the measurement in, ``predict(inputs)`` goes one step on. Without
     an unknown the filter is the linear Kalman filter when the plant is linear.
@@ -217,21 +283,14 @@ class KalmanFilter(Estimator):
 
     def correct(self, measurement: Values, inputs: Values | None = None) -> Estimate:
         seen = self._seen(measurement)
-        present = np.flatnonzero(np.isfinite(seen))
-        value, jacobian = (
-            np.asarray(m) for m in self._measure(self._z, self._inputs(inputs), self._q)
-        )
-        gain, self.covariance = corrected(
-            self.covariance, jacobian[present], self._noise[present] ** 2
-        )
-        self._z = self._z + gain @ (seen - value.ravel())[present]
-        self._z = np.clip(self._z, self._low, self._high)
+        at, known = (self._z, self._inputs(inputs), self._q), (self._z, self.covariance)
+        mean, self.covariance = self._with(at, known, seen, np.isfinite(seen).astype(float))
+        self._z = np.clip(mean, self._low, self._high)
         return self.estimate
 
     def predict(self, inputs: Values | None = None) -> Estimate:
-        z, a, half = (np.asarray(m) for m in self._predict(self._z, self._inputs(inputs), self._q))
-        self._z = z.ravel()
-        self.covariance = a @ self.covariance @ a.T + self._step_noise(a, half)
+        u = self._inputs(inputs)
+        self._z, self.covariance = self._after(self._z, u, self._q, self.covariance)
         return self.estimate
 
 

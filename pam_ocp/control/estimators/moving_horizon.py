@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_count, require_finite, require_positive
 from ...core.stop import locked
+from ...export.machine import quick
+from ...numerics.buffered import Buffered
 from ...numerics.solvers import Native, conic
 from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
-from .correction import corrected
 from .extended_kalman import Estimator
 
 __all__ = ["MovingHorizonEstimator"]
@@ -48,8 +49,8 @@ class MovingHorizonEstimator(Estimator):
     robust : residuals beyond so many standard deviations count linearly, not squared (Huber, Ann.
         Math. Statist. 35, 1964; 1.345 is usual): outliers lose their pull. None: all squared.
     iterations : at most so many Gauss-Newton steps per measurement.
-    plant, sample_time, measured, process, unknown, start, uncertainty, method, substeps : see
-        KalmanFilter.
+    plant, sample_time, measured, process, unknown, start, uncertainty, method, substeps,
+        compiled : see KalmanFilter.
 
     On a linear plant, without active bounds and with ``robust=None``, it is the Kalman filter.
     Measuring the same variable twice before the next :meth:`predict` replaces its value.
@@ -81,6 +82,7 @@ class MovingHorizonEstimator(Estimator):
         uncertainty: Mapping[str, float] | None = None,
         method: StepMethod = "rk4",
         substeps: int = 2,
+        compiled: bool | None = False,
     ) -> None:
         require_count("horizon", horizon)
         require_count("iterations", iterations)
@@ -94,13 +96,15 @@ class MovingHorizonEstimator(Estimator):
             uncertainty=uncertainty,
             method=method,
             substeps=substeps,
+            compiled=compiled,
         )
         self.horizon, self.iterations = horizon, iterations
         self.robust = math.inf if robust is None else require_positive("robust", robust)
         self._narrow(bounds or {})
         self._empty()
-        self._steps = self._predict.map(horizon)
-        self._looks = self._measure.map(horizon + 1)
+        self._steps = Buffered(quick(self._predict, compiled).map(horizon))
+        look = quick(self._measure, compiled)
+        self._look, self._looks = Buffered(look), Buffered(look.map(horizon + 1))
         self._bounded = np.flatnonzero(np.isfinite(self._low) | np.isfinite(self._high))
         self._qp: Native | None = None
 
@@ -160,18 +164,15 @@ class MovingHorizonEstimator(Estimator):
         """Go one step on, under inputs; the window moves when it is full."""
         k = self._last
         self._controls[1, :, k], self._givens[1, :, k] = self._inputs(inputs), self._q
-        z, a, half = (
-            np.asarray(e)
-            for e in self._predict(self._nodes[:, k], self._controls[1, :, k], self._q)
-        )
-        self.covariance = a @ self.covariance @ a.T + self._step_noise(a, half)
+        u = self._controls[1, :, k]
+        z, self.covariance = self._after(self._nodes[:, k], u, self._q, self.covariance)
         if k == self.horizon:
             self._arrive()
             for array in (self._nodes, self._controls, self._givens):
                 array[..., :-1] = array[..., 1:]
             self._values[:-1] = self._values[1:]
         self._last = k = min(k + 1, self.horizon)
-        self._nodes[:, k] = self._z = np.clip(z.ravel(), self._low, self._high)
+        self._nodes[:, k] = self._z = np.clip(z, self._low, self._high)
         self._values[k] = np.nan
         return self.estimate
 
@@ -193,24 +194,22 @@ class MovingHorizonEstimator(Estimator):
         jacobian = (slope @ spread).reshape(error.size, -1)
         hessian = np.eye(jacobian.shape[1]) + jacobian.T @ jacobian
         gradient = jacobian.T @ error.ravel()
-        factor = cho_factor(hessian)
-        unknowns = -cho_solve(factor, gradient)
+        factor = cho_factor(hessian, check_finite=False)
+        unknowns = -cho_solve(factor, gradient, check_finite=False)
         change = offset + spread @ unknowns
         if self._outside(change):
             unknowns = self._constrained(hessian, gradient, offset, spread, unknowns)
             change = offset + spread @ unknowns
         fitted = self._nodes[:, : last + 1] + change.T
         self._nodes[:, : last + 1] = np.clip(fitted.T, self._low, self._high).T  # rounding
-        self.covariance = spread[last] @ cho_solve(factor, spread[last].T)
+        self.covariance = spread[last] @ cho_solve(factor, spread[last].T, check_finite=False)
         return float(np.max(np.abs(change), initial=0.0))
 
     def _condensed(self) -> tuple[Array, Array]:
         """Each node's change as offset + spread @ (start, noise), all unknowns of unit variance."""
         last, n, nodes = self._last, len(self._z), self._nodes
-        z, jacobians, halves = (
-            np.asarray(e)
-            for e in self._steps(nodes[:, :-1], self._controls[1, :, :-1], self._givens[1, :, :-1])
-        )
+        at = (nodes[:, :-1], self._controls[1, :, :-1], self._givens[1, :, :-1])
+        z, jacobians, halves = self._steps(*(e.T.ravel() for e in at))
         a, half = (
             e.reshape(n, self.horizon, n).transpose(1, 0, 2)[:last] for e in (jacobians, halves)
         )
@@ -227,9 +226,8 @@ class MovingHorizonEstimator(Estimator):
     def _residuals(self) -> tuple[Array, Array]:
         """(model - measured) over standard deviations, weighted, and its Jacobian, of each node."""
         last, n = self._last, len(self._z)
-        value, jacobian = (
-            np.asarray(e) for e in self._looks(self._nodes, self._controls[0], self._givens[0])
-        )
+        at = (self._nodes, self._controls[0], self._givens[0])
+        value, jacobian = self._looks(*(e.T.ravel() for e in at))
         slope = jacobian.reshape(len(self.measured), self.horizon + 1, n).transpose(1, 0, 2)
         residual = (value.T - self._values) / self._noise
         weight = np.sqrt(self._weights(residual))
@@ -247,19 +245,12 @@ class MovingHorizonEstimator(Estimator):
     def _arrive(self) -> None:
         """Carry what is known of the window's first node on to its second."""
         z, u, q = self._nodes[:, 0], self._controls[:, :, 0], self._givens[:, :, 0]
-        value, c = (np.asarray(e) for e in self._measure(z, u[0], q[0]))
-        residual = (value.ravel() - self._values[0]) / self._noise
-        weight = self._weights(residual)
-        present = np.flatnonzero(weight)
-        covariance, mean = self._prior_covariance, self._prior
-        if len(present):
-            c, noise = c[present], self._noise[present] ** 2 / weight[present]
-            gain, covariance = corrected(covariance, c, noise)
-            expected = value.ravel()[present] + c @ (mean - z)
-            mean = mean + gain @ (self._values[0][present] - expected)
-        following, a, half = (np.asarray(e) for e in self._predict(z, u[1], q[1]))
-        self._prior = following.ravel() + a @ (mean - z)
-        self._prior_covariance = a @ covariance @ a.T + self._step_noise(a, half)
+        value, _ = self._look(z, u[0], q[0])
+        weight = self._weights((value.ravel() - self._values[0]) / self._noise)
+        known = (self._prior, self._prior_covariance)
+        mean, covariance = self._with((z, u[0], q[0]), known, self._values[0], weight)
+        following, self._prior_covariance = self._after(z, u[1], q[1], covariance)
+        self._prior = following + self._going.results[2] @ (mean - z)
 
     # ---- bounds ---------------------------------------------------------------------------------
     def _limits(self) -> tuple[Array, Array]:

@@ -28,6 +28,7 @@ from ...core.signals import PiecewisePolynomial
 from ...core.stop import locked
 from ...core.trajectory import Trajectory
 from ...core.variables import Variable
+from ...numerics.buffered import Buffered
 from ...planning.solvers.narrowing import rounded
 from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 __all__ = ["Mpc", "MpcStatistics", "MpcStep"]
 
 Array: TypeAlias = NDArray[np.float64]
+Index: TypeAlias = NDArray[np.intp]
 
 FIRST_ITERATIONS = 30
 """Of the first solve, which has no solution to start from."""
@@ -98,6 +100,8 @@ class Mpc:
         "riccati": each call is the one Function that runs as C code and FMU, too (see
         ``pam.control.block``), to the last bit, slower in Python than HPIPM by ten times.
     tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
+    compiled : the model's steps and their derivatives as machine code. True: built if need be, some
+        seconds for each structure, once; kept in the cache. None: where it is there. False: never.
 
     Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
     When the SQP fails, IPOPT is asked (with "riccati" the plan before is followed);
@@ -137,6 +141,7 @@ class Mpc:
         substeps: int = 2,
         solver: QpSolver | Literal["ipopt", "riccati"] = "hpipm",
         tolerance: float = 1e-3,
+        compiled: bool | None = False,
     ) -> None:
         counts = [("horizon", horizon, 1), ("iterations", iterations, 1)]
         if work is not None:
@@ -148,6 +153,7 @@ class Mpc:
         require_positive("penalty", penalty)
         require_positive("tolerance", tolerance)
         self.plant, self.horizon, self.delay = plant, horizon, delay
+        self._states = [v.name for v in plant.states]
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self.iterations, self.work = iterations, math.inf if work is None else work
         self.inversion = inversion = Inversion(plant)
@@ -174,11 +180,13 @@ class Mpc:
         )
         self._only_ipopt = solver == "ipopt"
         other = solver in ("ipopt", "riccati")
-        self._sqp = Sqp(self.program, "hpipm" if other else solver, tolerance)
+        self._sqp = Sqp(self.program, "hpipm" if other else solver, tolerance, compiled)
         self._ipopt: TrackingIpopt | None = None
         self._cores: dict[tuple[int, int], RealTimeIteration] = {}
         self._calls = RealTimeCalls(self.real_time()) if solver == "riccati" else None
         self._how, self._advance = how, self._predictor(how)
+        self._going = Buffered(self._advance)
+        self._one_on = _one_on(self.program)
         self._fine: ca.Function | None = None
         self.reset()
 
@@ -345,7 +353,7 @@ class Mpc:
     def _by_sqp(self, x: Array, q: Array) -> tuple[SqpOutcome, bool, bool]:
         """The program solved from a scaled state: (outcome, IPOPT was asked, it failed too)."""
         if self.delay:
-            x = np.asarray(self._advance(x, self._applied, q)).ravel()
+            x = self._going(x, self._applied, q)[0][:, 0].copy()
         point = self._sqp.point
         self._guess(x)
         if not self._steps:
@@ -390,13 +398,15 @@ class Mpc:
         return self._ipopt.solve(self._sqp.point)
 
     def _state(self, state: Values | Sequence[float] | Array) -> Array:
-        names = [v.name for v in self.plant.states]
-        if isinstance(state, Mapping):
+        names = self._states
+        if isinstance(state, Mapping) and not all(n in state for n in names):
             given = {self.plant.variable(n).name: v for n, v in state.items()}
             missing = [n for n in names if n not in given]
             if missing:
                 raise InputError(f"state: {missing[0]} is missing; give all of {', '.join(names)}")
-            state = [given[n] for n in names]
+            state = given
+        if isinstance(state, Mapping):
+            state = [state[n] for n in names]
         values = np.asarray(state, dtype=float)
         if values.shape != (len(names),) or not np.all(np.isfinite(values)):
             raise InputError(
@@ -425,14 +435,10 @@ class Mpc:
         p, point = self.program, self._sqp.point
         states = p.nx + len(p.rated)
         if self._warm:
-            nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
-            nodes[:, :-1] = nodes[:, 1:]
-            nodes[: p.nx, -1] = end[: p.nx]
-            nodes[p.nx : states, -1] = nodes[states : states + p.nu, -1][p.rated]
-            end[: p.nx] = np.asarray(
-                self._advance(end[: p.nx], nodes[states : states + p.nu, -1], point.given)
-            ).ravel()
-            point.unknowns[p.at], point.unknowns[p.at_last] = nodes, end
+            point.unknowns[self._one_on[0]] = point.unknowns[self._one_on[1]]
+            end, inputs = p.at_last[: p.nx], p.at[states : states + p.nu, -1]
+            last = self._going(point.unknowns[end], point.unknowns[inputs], point.given)
+            point.unknowns[end] = last[0][:, 0]
         else:
             node = np.zeros(p.y_size)
             node[: p.nx], node[p.nx : states] = x, self._applied[p.rated]
@@ -494,6 +500,17 @@ class TrackingMpc:
 
 
 # ---- checking the arguments ---------------------------------------------------------------------
+
+
+def _one_on(p: TrackingProgram) -> tuple[Index, Index]:
+    """(where, whence): the unknowns of each node from those of the next one, the last's inputs
+    again.
+    """
+    states, source = p.nx + len(p.rated), p.at.copy()
+    source[:, :-1] = p.at[:, 1:]
+    source[: p.nx, -1] = p.at_last[: p.nx]
+    source[p.nx : states, -1] = p.at[states : states + p.nu, -1][p.rated]
+    return p.at.ravel(), source.ravel()
 
 
 def _weights(

@@ -16,8 +16,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...numerics.bounded_loop import inlined, repeated
 from ...numerics.portable import portable
-from .riccati import ITERATIONS, RiccatiQp, Side, inlined, repeated
+from .riccati import ITERATIONS, RiccatiQp, Side
 from .shooting import NodeLimit, TrackingPoint, TrackingProgram
 from .sqp import DAMPING, MISS, SqpOutcome
 

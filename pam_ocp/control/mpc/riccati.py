@@ -11,15 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from ...numerics.bounded_loop import inlined, repeated
 from ...numerics.portable import portable
 from .shooting import TrackingProgram
 
-__all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side", "inlined", "repeated"]
+__all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side"]
 
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
@@ -34,8 +34,6 @@ FIRST = 1.0
 """Complementarity at the start, where nothing is known of the multipliers."""
 SMALLEST = 1e-14
 """A pivot of a factorisation, as a share of its diagonal, below which it is rounding."""
-FLAT = 20
-"""Calls in a row that are written one after another."""
 LARGEST = 1e30
 """A sum beyond it is no number."""
 ROOM = 0.1
@@ -466,39 +464,6 @@ class RiccatiQp:
         largest = ca.mmax(slacks) if i.ns else ca.MX(0.0)
         told = ca.vertcat(found[8][:3], miss, active, largest)
         return ca.Function("qp", [data, data_end], [_backwards(found[0]), found[4], told])
-
-
-def repeated(
-    body: ca.Function, carried: int, count: int, wanted: ca.MX, symbols: Sequence[ca.MX]
-) -> ca.Function:
-    """At most ``count`` calls of ``body`` (carried..., constants...) -> carried..., each only while
-    ``wanted`` (of ``symbols``, the carried) holds. Many calls are nested, so that C code stays
-    short; each level takes memory for what it hands on.
-    """
-    arguments = [ca.MX.sym(f"a{k}", body.sparsity_in(k)) for k in range(body.n_in())]
-    still = ca.Function("still", list(symbols), [wanted])
-    stay = ca.Function("stay", arguments, arguments[:carried])
-
-    def chain(part: ca.Function, times: int, now: list[ca.MX]) -> list[ca.MX]:
-        """So many calls in turn, each only while wanted."""
-        either = ca.Function.if_else("while", part, stay)
-        for _ in range(times):
-            now = [*either.call([still(*now[:carried]), *now]), *now[carried:]]
-        return now
-
-    full, rest = divmod(count, FLAT)
-    now = arguments
-    if full > 1:
-        part = ca.Function("chain", arguments, chain(body, FLAT, arguments)[:carried])
-        now = chain(part, full, now)
-    elif full:
-        rest += FLAT
-    return ca.Function("chain", arguments, chain(body, rest, now)[:carried])
-
-
-def inlined(function: ca.Function, arguments: Sequence[Any]) -> list[ca.MX]:
-    """The results of a call written out where it stands, which takes no memory of its own."""
-    return list(function.call(list(arguments), True, False))
 
 
 def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:

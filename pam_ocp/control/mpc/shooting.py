@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.variables import Variable
+from ...export.machine import quick
 from ..step import Givens, Step
 
 __all__ = ["NodeLimit", "Penalty", "TrackingPoint", "TrackingProgram"]
@@ -358,7 +359,8 @@ class TrackingPoint:
     rows and of the variables, ready to be handed to a QP solver.
     """
 
-    def __init__(self, program: TrackingProgram) -> None:
+    def __init__(self, program: TrackingProgram, compiled: bool | None = False) -> None:
+        """compiled : the nodes' functions as machine code (None: where it is there)."""
         self.program = p = program
         n, inner, last = p.horizon, p.inner, p.last
         self.unknowns = np.zeros(p.size + p.nx + len(p.rated) + 1)
@@ -371,7 +373,7 @@ class TrackingPoint:
         self._calls = []
         split = inner.size * n
         for function, y, k, out in (
-            (inner.function.map(n), self._y, slice(0, n), self._results[:split]),
+            (quick(inner.function, compiled).map(n), self._y, slice(0, n), self._results[:split]),
             (last.function, self._y_last, slice(n, n + 1), self._results[split:-3]),
         ):
             buffer, call = function.buffer()

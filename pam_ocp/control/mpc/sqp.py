@@ -93,12 +93,18 @@ class Sqp:
     cycle, damping is added, which slows them down and does not move the solution.
     """
 
-    def __init__(self, program: TrackingProgram, solver: QpSolver, tolerance: float) -> None:
+    def __init__(
+        self,
+        program: TrackingProgram,
+        solver: QpSolver,
+        tolerance: float,
+        compiled: bool | None = False,
+    ) -> None:
         if solver not in QP_SOLVERS:
             names = ", ".join(repr(name) for name in QP_SOLVERS)
             raise InputError(f"solver = {solver!r}: choose {names}, 'riccati' or 'ipopt'")
         self.program, self.tolerance = program, tolerance
-        self.point = TrackingPoint(program)
+        self.point = TrackingPoint(program, compiled)
         self.direction = np.zeros(program.size)
         self._diagonal = _diagonal(program)
         self._stages: StageQp | None = None

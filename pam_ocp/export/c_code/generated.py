@@ -135,30 +135,28 @@ def _computing(raw: str) -> str:
 
 
 def _used(text: str) -> str:
-    """The text without constants and functions that nothing calls."""
-    while True:
-        pieces = re.split(r"(?m)^(?=static )", text)
-        roots = [p for p in pieces if not p.startswith("static ")]
-        defined = [p for p in pieces if p.startswith("static ")]
-        last = defined[-1] if defined else ""
-        names = {p: _defined(p) for p in defined}
-        kept = [
-            p
-            for p in defined
-            if p is last or any(_mentions(q, names[p]) for q in defined if q is not p)
-        ]
-        if len(kept) == len(defined):
-            return text
-        text = "".join([*roots, *kept])
+    """The text without constants and functions that the last function does not lead to."""
+    pieces = re.split(r"(?m)^(?=static )", text)
+    defined = [k for k, p in enumerate(pieces) if p.startswith("static ")]
+    places: dict[str, list[int]] = {}
+    for k in defined:
+        places.setdefault(_defined(pieces[k]), []).append(k)
+    kept = set(range(len(pieces))) - set(defined)
+    ahead = defined[-1:]
+    while ahead:
+        k = ahead.pop()
+        if k not in kept:
+            kept.add(k)
+            ahead += [at for word in set(_WORD.findall(pieces[k])) for at in places.get(word, ())]
+    return "".join(p for k, p in enumerate(pieces) if k in kept)
+
+
+_WORD = re.compile(r"\w+")
 
 
 def _defined(piece: str) -> str:
     found = re.match(r"static (?:const )?\w+ \*?(\w+)", piece)
     return found.group(1) if found else ""
-
-
-def _mentions(piece: str, name: str) -> bool:
-    return bool(name) and re.search(rf"\b{name}\b", piece) is not None
 
 
 def _spelt(text: str, precision: Precision, used: tuple[str, ...]) -> str:
@@ -167,7 +165,7 @@ def _spelt(text: str, precision: Precision, used: tuple[str, ...]) -> str:
     text = re.sub(r"\bcasadi_int\b", "int", text)
     text = re.sub(r"\bcasadi_inf\b", "((real)INFINITY)", text)
     text = re.sub(r"\bcasadi_nan\b", "((real)NAN)", text)
-    atom = r"(\w+|\(?\*\w+(?:\+\+)?\)?)"
+    atom = r"(\w+(?:\[\w+\])?|\(?\*\w+(?:\+\+)?\)?)"
     text = re.sub(rf"\({atom}\?{atom}:0\)", r"(\1!=0?\2:0)", text)  # a number is no condition
     text = re.sub(rf"\(! *{atom} *\)", r"(\1==0)", text)
     text = re.sub(rf"\({atom}(&&|\|\|){atom}\)", r"(\1!=0\2\3!=0)", text)

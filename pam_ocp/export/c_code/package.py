@@ -31,6 +31,8 @@ MARK = "pam_ocp_export.json"
 """Tells a folder that export_c wrote."""
 TOLERANCE = {"double": 1e-12, "single": 1e-4}
 """Least tolerance of a self-test."""
+STEPS, STEPS_WITH_LOOPS = 200, 50
+"""Of the test vectors."""
 MARGIN = 10.0
 """How much more than the effect of rounding a self-test allows."""
 USELESS = {"double": 1e-6, "single": 0.05}
@@ -45,7 +47,7 @@ def export_c(
     *,
     precision: Literal["double", "single"] = "double",
     name: str | None = None,
-    steps: int = 200,
+    steps: int | None = None,
     inputs: ArrayLike | None = None,
     tolerance: float | None = None,
     seed: int = 0,
@@ -63,7 +65,8 @@ def export_c(
     controller : a Block, or what ``pam_ocp.control.block`` makes one of, with its ``options``.
     precision : of all numbers. The self-test compares with Python's double in either.
     name : prefix of all names in C; by default the block's.
-    steps, seed : of the test vectors; or inputs (n, inputs) [SI] in the block's order.
+    steps, seed : of the test vectors, by default 200, or 50 of a block with loops (an Mpc), whose
+        steps take long; or inputs (n, inputs) [SI] in the block's order.
     tolerance : of the self-test, relative; by default 1e-12 (double) or 1e-4 (single), or ten times
         what rounding makes of the outputs, where that is more.
 
@@ -133,8 +136,10 @@ def _require_finite(block: Block, precision: Precision) -> None:
                 )
 
 
-def _inputs(block: Block, steps: int, inputs: ArrayLike | None, seed: int) -> Array:
+def _inputs(block: Block, steps: int | None, inputs: ArrayLike | None, seed: int) -> Array:
     if inputs is None:
+        if steps is None:
+            steps = STEPS_WITH_LOOPS if block.loops else STEPS
         return inputs_of(block, require_count("steps", steps), seed)
     given = np.asarray(inputs, dtype=float)
     if given.ndim != 2 or given.shape[1] != len(block.inputs) or not len(given):

@@ -101,7 +101,8 @@ def _program(step: ca.Function) -> list[tuple[Any, ...]] | None:
         code = step.instruction_id(k)
         reads, writes = step.instruction_input(k), step.instruction_output(k)
         if code == ca.OP_CONST:
-            found.append(("constant", _F(step.instruction_constant(k)), (), writes))
+            with np.errstate(over="ignore"):  # what is too large for it is infinite
+                found.append(("constant", _F(step.instruction_constant(k)), (), writes))
         elif code == ca.OP_INPUT:
             found.append(("input", None, reads, writes))
         elif code == ca.OP_OUTPUT:

@@ -25,6 +25,7 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .between import decided
 from .descent import Descent, descend
+from .disturbances import Disturbances, disturbed
 from .experiment import groups, measured_names
 from .free_run_result import FreeRunFit, ran
 from .progress import Progress, reporter
@@ -117,6 +118,7 @@ def fit_free_run(
     offsets: Sequence[str] = (),
     starts: Mapping[str, str] | Sequence[str] = (),
     correct: Mapping[str, Sequence[str]] | bool = False,
+    disturbance: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     begin_short: bool | None = None,
     evaluations: int = 60,
@@ -138,6 +140,9 @@ def fit_free_run(
         start for all runs), or {name: "all" or "record"}.
     correct : True to estimate how much of its error a run takes up at each sample of ``warm_up``
         (measured states and their velocities), and {other state: [measured variables]} for those.
+    disturbance : states whose rate is pushed by what is not modelled (a velocity by a force).
+        Each gets a state that the observer finds along ``warm_up`` and that is forgotten with a
+        fitted rate; ``fit.plant`` has it.
     bounds : {free parameter: (low, high)}, within those of its variable.
     begin_short : whether horizons grow; by default where runs of more than 16 samples go astray at
         the plant's values.
@@ -160,6 +165,13 @@ def fit_free_run(
     True
     """
     began = time.perf_counter()
+    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    pushed = Disturbances(plant)
+    if disturbance:
+        groups(plant, free, dict(bounds or {}))  # refused in terms of the plant that was given
+        names = [disturbance] if isinstance(disturbance, str) else list(disturbance)
+        pushed = disturbed(plant, names, measured_names(plant, chosen, outputs))
+        plant, free, correct = pushed.plant, [*free, *pushed.rates], correct or True
     wanted = groups(plant, free, dict(bounds or {}))
     options: dict[str, Any] = {
         "horizon": horizon,
@@ -170,9 +182,9 @@ def fit_free_run(
         "warm_up": warm_up,
     }
     runs = runs_of(plant, records, **options)  # wrong arguments are refused before all else
-    chosen = [records] if isinstance(records, Trajectory) else list(records)
     if correct and not runs.warm:
-        raise InputError("correct needs warm_up=...: seconds before each start to correct in")
+        argument = "disturbance" if disturbance else "correct"
+        raise InputError(f"{argument} needs warm_up=...: seconds before each start to correct in")
     unknowns, rig = unknowns_of(
         plant,
         wanted,
@@ -184,6 +196,7 @@ def fit_free_run(
         offsets=offsets,
         starts=starts,
         correct=correct,
+        pushed=pushed.by,
     )
     if not unknowns.names:
         raise InputError("free is empty: name at least one parameter of the plant")

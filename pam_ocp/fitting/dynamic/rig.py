@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...core.errors import InputError, require_finite, require_positive
 from ...plants.plant import Plant
 from ..statistics import Array
+from .disturbances import GAIN
 from .experiment import ParameterGroup
 
 __all__ = ["Delay", "Rig", "RunUnknowns", "known_rig", "unknowns_of"]
@@ -134,8 +135,12 @@ def unknowns_of(
     offsets: Sequence[str] = (),
     starts: Mapping[str, str] | Sequence[str] = (),
     correct: Mapping[str, Sequence[str]] | bool = False,
+    pushed: Mapping[str, tuple[str, int]] | None = None,
 ) -> tuple[RunUnknowns, Rig]:
-    """What is sought, and the rig where the search begins."""
+    """What is sought, and the rig where the search begins.
+
+    pushed : {disturbance: (measured name that corrects it, power of 1/s in its gain)}.
+    """
     order = [v.name for v in plant.states]
     inputs = [v.name for v in plant.inputs]
     rows: list[tuple[str, str, float, float, float, float]] = [
@@ -165,7 +170,7 @@ def unknowns_of(
     common, own = _starts(plant, starts, measured)
     begin = [_start_row(plant, s) for s in common]
     rows += begin
-    pulls, values = _corrections(plant, correct, measured, sampling)
+    pulls, values = _corrections(plant, correct, measured, sampling, pushed or {})
     rows += values
     for r in range(records):
         rows += [(f"{n[:-1]}, record {r + 1})", *rest) for n, *rest in map(_of(plant), own)]
@@ -290,6 +295,7 @@ def _corrections(
     given: Mapping[str, Sequence[str]] | bool,
     measured: Sequence[str],
     sampling: float,
+    pushed: Mapping[str, tuple[str, int]],
 ) -> tuple[list[tuple[int, int]], list[tuple[str, str, float, float, float, float]]]:
     """Positions (state, measured name) of gains that are sought, and their rows.
 
@@ -306,6 +312,7 @@ def _corrections(
         }
     elif not given:
         own = {}
+    own |= {state: [name] for state, (name, _) in pushed.items()}
     places, rows = [], []
     for state, seen in own.items():
         for name in seen:
@@ -317,6 +324,8 @@ def _corrections(
                 rows.append((label, unit, 0.9, 1.0, 0.0, 1.0))
             elif velocities.get(state) == name:
                 rows.append((label, unit, 0.4, 1 / sampling, 0.0, 1.0))
+            elif state in pushed:
+                rows.append((label, unit, GAIN, sampling ** -pushed[state][1], 0.0, 1.0))
             else:
                 rows.append((label, unit, 0.0, x.nominal / y.nominal, -np.inf, np.inf))
     return places, rows

@@ -19,7 +19,7 @@ from .rig import RunUnknowns
 from .rollout import Rollout
 from .runs import Runs
 
-__all__ = ["Spread", "spread_of"]
+__all__ = ["BLOCKS", "Spread", "spread_of", "widened"]
 
 BLOCKS = 24
 ENOUGH = 3
@@ -58,17 +58,11 @@ def spread_of(
     samples *= len(runs.names)
     free = ~edge & (np.diag(square) > UNSEEN * np.diag(square).max(initial=0.0))
     covariance = np.full((len(z), len(z)), np.nan)
-    inverse = np.linalg.pinv(square[np.ix_(free, free)], rcond=1e-13, hermitian=True)
-    blocks, seen = len(scores), scores[:, free]
-    meat = seen.T @ seen * blocks / max(blocks - 1, 1)
-    robust = inverse @ meat @ inverse
-    usual = inverse * cost / max(samples - free.sum(), 1.0)
-    ratio = (
-        np.trace(meat @ inverse)
-        / max(free.sum(), 1)
-        / max(cost / max(samples - free.sum(), 1.0), 1e-300)
+    inverse: Array = np.asarray(
+        np.linalg.pinv(square[np.ix_(free, free)], rcond=1e-13, hermitian=True), dtype=np.float64
     )
-    inner = robust if blocks >= ENOUGH * free.sum() else usual * max(ratio, 1.0)
+    noise = cost / max(samples - free.sum(), 1.0)
+    inner, ratio = widened(inverse, scores[:, free], noise)
     covariance[np.ix_(free, free)] = inner * np.outer(u.scale[free], u.scale[free])
     errors_ = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     values = z * u.scale
@@ -79,7 +73,25 @@ def spread_of(
             : u.shared
         ]
     }
-    return Spread(coefficients, covariance, max(blocks - 1, 1), float(np.sqrt(max(ratio, 0.0))))
+    return Spread(
+        coefficients, covariance, max(len(scores) - 1, 1), float(np.sqrt(max(ratio, 0.0)))
+    )
+
+
+def widened(inverse: Array, scores: Array, noise: float) -> tuple[Array, float]:
+    """(covariance (k, k) of least squares whose errors follow each other, its mean widening, a
+    variance ratio).
+
+    inverse : of the normal matrix J^T J. scores : J^T r of each block (blocks, k). noise : mean
+    square of the errors r. Where there are few
+    blocks to an unknown, only their mean widening counts, and no narrowing.
+    """
+    blocks, k = len(scores), max(len(inverse), 1)
+    meat = scores.T @ scores * blocks / max(blocks - 1, 1)
+    ratio = float(np.trace(meat @ inverse)) / k / max(noise, 1e-300)
+    if blocks >= ENOUGH * k:
+        return np.asarray(inverse @ meat @ inverse), ratio
+    return np.asarray(inverse * noise * max(ratio, 1.0)), ratio
 
 
 def _blocks(runs: Runs) -> NDArray[np.intp]:

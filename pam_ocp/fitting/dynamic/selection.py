@@ -12,164 +12,26 @@ not K^2.
 from __future__ import annotations
 
 import itertools
-import pickle
 import secrets
 import time
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from ...core.cases import Place, ending
 from ...core.errors import FitError, InputError, PamError, require_count, require_instance
-from ...core.progress import counted
-from ...core.stop import check, limited
+from ...core.stop import limited
 from ...core.trajectory import Trajectory
 from ..statistics import Array, student_t
+from .choice import Choice, Rule, Structure, Tried
+from .cross_validation import mean_loss, paired
 
-__all__ = ["Choice", "Structure", "Tried", "choose"]
+__all__ = ["choose"]
 
-Rule: TypeAlias = Literal["simplest", "best"]
 RULES = ("simplest", "best")
-WATCH = 0.2
-"""How often a time limit and Ctrl-C are looked at while others work [s]."""
-
-
-@runtime_checkable
-class Structure(Protocol):
-    """What can be chosen: a model's form, with the way in which its parameters are found.
-
-    With a process pool it travels by pickle: a dataclass of a module, no lambda.
-
-    Examples
-    --------
-    >>> names = ["x"], ["muscle.command"]
-    >>> yardstick = pam.fitting.ArxStructure(*names, order=2, horizon=[0.1], every=0.2)
-    >>> isinstance(yardstick, pam.fitting.Structure)
-    True
-    """
-
-    @property
-    def complexity(self) -> float:
-        """What a user pays for it: by habit the number of free parameters."""
-        ...
-
-    def fit(self, records: Sequence[Trajectory], /) -> Any:
-        """The fitted model; PamError where these records allow none."""
-        ...
-
-    def losses(self, model: Any, records: Sequence[Trajectory], /) -> ArrayLike:
-        """Mean squared error of each record (n,), or of each by several criteria, such as horizons
-        or outputs (n, m); NaN where a record is too short to be judged.
-        """
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """What came of one structure in the (outer) cross-validation over all records.
-
-    loss : mean over the records, by criterion (m,). score : mean of the criteria, each in parts of
-    the best structure's. behind : mean lead of the best, in its score, and ``error``, its standard
-    error, from differences record by record. chosen : in how many inner loops it was taken.
-
-    Examples
-    --------
-    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> orders = {
-    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
-    ...     for n in (1, 2)
-    ... }
-    >>> choice = pam.fitting.choose(orders, runs, folds=3, seed=1)
-    >>> [tried.name for tried in choice.tried]  # the simplest first
-    ['order 1', 'order 2']
-    """
-
-    name: str
-    complexity: float
-    loss: Array
-    score: float
-    behind: float
-    error: float
-    chosen: int
-    seconds: float
-    """Processor time of its fit to one training set, on average."""
-    failures: tuple[str, ...] = ()
-    losses: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
-    """Of every record, by a fit without its fold (n, m)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """The chosen structure, and what its choice is worth.
-
-    name, model : chosen by cross-validation over all records, and fitted to all of them (None with
-    ``refit=False``). tried : every structure, the simplest first. nested : loss of *choosing* (n,
-    m): each record is judged by what was chosen and fitted without its fold; its mean is the honest
-    figure, ``tried[...].loss`` of the winner is too good. chosen : the name in each fold. folds :
-    the fold of each record. seed : that made them.
-
-    Examples
-    --------
-    >>> runs = [pam.simulate(plant, {"muscle.command": u}, duration=1.0) for u in (2e5, 3e5, 4e5)]
-    >>> ways = {"horizon": [0.1], "every": 0.1}
-    >>> orders = {
-    ...     f"order {n}": pam.fitting.ArxStructure(["x"], ["muscle.command"], n, **ways)
-    ...     for n in (1, 2)
-    ... }
-    >>> choice = pam.fitting.choose(orders, runs, folds=3, seed=1)
-    >>> choice.name in orders, choice.nested.shape
-    (True, (3, 1))
-    """
-
-    name: str
-    model: Any = field(repr=False)
-    tried: tuple[Tried, ...] = field(repr=False)
-    nested: Array = field(repr=False)
-    chosen: tuple[str, ...]
-    folds: NDArray[np.intp] = field(repr=False)
-    seed: int
-    criteria: tuple[str, ...]
-    rule: Rule
-    seconds: float
-
-    def __getitem__(self, name: str) -> Tried:
-        return next(t for t in self.tried if t.name == name)
-
-    @property
-    def rmse(self) -> dict[str, float]:
-        """Root of the nested loss by criterion: what to expect of the choice on new records."""
-        return dict(zip(self.criteria, np.sqrt(_mean(self.nested)).tolist(), strict=True))
-
-    def table(self) -> str:
-        """What was tried, as text: the RMSE of each structure by criterion, its price, its fate."""
-        width = max(12, *(len(t.name) + 2 for t in self.tried))
-        wide = max(11, *(len(c) + 2 for c in self.criteria))
-        head = "".join(f"{c:>{wide}}" for c in self.criteria)
-        lines = [
-            f"{len(self.folds)} records in {int(self.folds.max()) + 1} folds (seed {self.seed}), "
-            f"nested cross-validation, {self.seconds:.1f} s",
-            f"  {'structure':<{width}}{'size':>6}{head}{'behind the best':>22}{'chosen':>8}"
-            f"{'fit [s]':>9}",
-        ]
-        for t in self.tried:
-            row = "".join(f"{x:>{wide}.4g}" for x in np.sqrt(t.loss))
-            behind = "failed" if not np.isfinite(t.score) else f"{t.behind:.3f} ± {t.error:.3f}"
-            lines.append(
-                f"{'>' if t.name == self.name else ' '} {t.name:<{width}}{t.complexity:>6g}{row}"
-                f"{behind:>22}{t.chosen:>8}{t.seconds:>9.2f}"
-            )
-            lines += [f"      failed: {text}" for text in sorted(set(t.failures))]
-        row = "".join(f"{x:>{wide}.4g}" for x in self.rmse.values())
-        lines.append(
-            f"  {'the choice':<{width}}{'':>6}{row}   (nested: what new records will show)"
-        )
-        return "\n".join(lines)
-
-    __str__ = table
 
 
 def choose(
@@ -182,7 +44,7 @@ def choose(
     level: float = 0.95,
     criteria: Sequence[str] = (),
     seed: int | None = None,
-    executor: Executor | None = None,
+    executor: Place = None,
     refit: bool = True,
     progress: Callable[[int, int], None] | None = None,
     time_limit: float | None = None,
@@ -201,8 +63,8 @@ def choose(
         ``level``, from paired differences over the records), or "best".
     criteria : names of the columns that ``losses`` gives.
     seed : of the folds; drawn where none is given, and told by the result.
-    executor : any ``concurrent.futures.Executor``; None works here. Take processes: in threads
-        CasADi's objects take turns.
+    executor : where, as for :func:`pam_ocp.each`. Take processes: in threads CasADi's objects take
+        turns.
     refit : whether the chosen one is fitted to all records in the end.
     progress : called as progress(done, all) after each fit.
     time_limit : [s]; OutOfTime when it is over before there is a result.
@@ -369,7 +231,7 @@ def _fits(
     structures: Mapping[str, Structure],
     records: Sequence[Trajectory],
     fold: NDArray[np.intp],
-    executor: Executor | None,
+    executor: Place,
     progress: Callable[[int, int], None] | None,
 ) -> dict[str, dict[tuple[int, ...], _Fitted]]:
     """Every structure without every fold, and without every pair of folds (sorted)."""
@@ -381,51 +243,33 @@ def _fits(
     tasks = [(n, out) for n in structures for out in left_out]
     tasks.sort(key=lambda task: -structures[task[0]].complexity)
 
-    def arguments(task: tuple[str, tuple[int, ...]]) -> tuple[Any, ...]:
-        name, out = task
-        training = [r for r, k in zip(records, fold, strict=True) if k not in out]
-        tests = {i: [r for r, k in zip(records, fold, strict=True) if k == i] for i in out}
-        return structures[name], training, tests
-
+    work = _Without(structures, records, fold)
     found: dict[str, dict[tuple[int, ...], _Fitted]] = {n: {} for n in structures}
-    work = (
-        ((task, _fitted(*arguments(task))) for task in tasks)
-        if executor is None
-        else _elsewhere(executor, tasks, arguments)
-    )
-    heard = counted(work, "fits", len(tasks))
-    for done, ((name, out), fitted) in enumerate(heard, start=1):
+    fits = ending(work, tasks, executor=executor, chunk=1, what="fits")
+    for done, (i, fitted) in enumerate(fits, start=1):
+        if isinstance(fitted, Exception):
+            raise fitted
+        name, out = tasks[i]
         found[name][out] = fitted
         if progress is not None:
             progress(done, len(tasks))
-        check()
     return found
 
 
-def _elsewhere(
-    executor: Executor,
-    tasks: Sequence[tuple[str, tuple[int, ...]]],
-    arguments: Callable[[tuple[str, tuple[int, ...]]], tuple[Any, ...]],
-) -> Iterator[tuple[tuple[str, tuple[int, ...]], _Fitted]]:
-    """The tasks as they end; what waits is called off when this ends early."""
-    futures: dict[Future[_Fitted], tuple[str, tuple[int, ...]]] = {}
-    try:
-        for task in tasks:
-            futures[executor.submit(_fitted, *arguments(task))] = task
-        waiting = set(futures)
-        while waiting:
-            ended, waiting = wait(waiting, WATCH, FIRST_COMPLETED)
-            check()
-            for future in ended:
-                yield futures[future], future.result()
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise InputError(
-            f"structures do not travel to the executor's processes ({error}); make them of "
-            "dataclasses and functions of a module, without lambdas"
-        ) from None
-    finally:
-        for future in futures:
-            future.cancel()
+@dataclass(frozen=True, eq=False)
+class _Without:
+    """Structures and records; called with a structure's name and the folds that are left out."""
+
+    structures: Mapping[str, Structure]
+    records: Sequence[Trajectory]
+    fold: NDArray[np.intp]
+
+    def __call__(self, task: tuple[str, tuple[int, ...]]) -> _Fitted:
+        name, out = task
+        placed = list(zip(self.records, self.fold, strict=True))
+        training = [r for r, k in placed if k not in out]
+        tests = {i: [r for r, k in placed if k == i] for i in out}
+        return _fitted(self.structures[name], training, tests)
 
 
 def _gathered(
@@ -448,13 +292,6 @@ def _gathered(
 
 
 # ---- the choice ---------------------------------------------------------------------------------
-def _mean(losses: Array) -> Array:
-    """By criterion, over the records that can be judged by it."""
-    seen = ~np.isnan(losses)
-    total = np.where(seen, losses, 0.0).sum(axis=0)
-    return np.asarray(np.where(seen.any(axis=0), total / np.maximum(seen.sum(axis=0), 1), np.nan))
-
-
 def _pick(
     prices: Mapping[str, float], losses: Mapping[str, Array], rule: Rule, level: float
 ) -> tuple[str, dict[str, tuple[float, float, float]]]:
@@ -463,7 +300,7 @@ def _pick(
     The criteria weigh alike: each is counted in parts of the least mean loss that any structure has
     by it.
     """
-    means = {n: _mean(x) for n, x in losses.items()}
+    means = {n: mean_loss(x) for n, x in losses.items()}
     usable = [n for n, m in means.items() if np.all(np.isfinite(m))]
     if not usable:
         raise FitError("no structure could be fitted to every fold and judged by every criterion")
@@ -479,10 +316,10 @@ def _pick(
         # a record that only short horizons can judge counts with those
         shares = gaps / np.maximum((~np.isnan(gaps)).sum(axis=0), 1)
         rows = np.nansum(shares, axis=1) / len(least)
-        behind, error = float(rows.sum()), float(np.sqrt(len(rows)) * rows.std(ddof=1))
-        found[n] = (scores[n], behind, error)
         # one-sided: only those that are behind have something to prove
-        if behind <= student_t(2 * level - 1, len(rows) - 1) * error or n == best:
+        behind, error, half = paired(len(rows) * rows, 2 * level - 1)
+        found[n] = (scores[n], behind, error)
+        if behind <= half or n == best:
             close.append(n)
     winner = best if rule == "best" else min(close, key=lambda n: (prices[n], scores[n]))
     return winner, found
@@ -500,7 +337,7 @@ def _tried(
     return Tried(
         name,
         price,
-        _mean(losses),
+        mean_loss(losses),
         score,
         behind,
         error,

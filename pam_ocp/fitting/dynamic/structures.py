@@ -47,8 +47,10 @@ class FreeRunStructure:
 
     @property
     def complexity(self) -> float:
-        """Number of unknowns."""
-        return float(len(groups(self.plant, self.free, {})))
+        """Number of unknowns; of a disturbance its rate and its gain."""
+        pushed = self.options.get("disturbance", ())
+        count = 1 if isinstance(pushed, str) else len(pushed)
+        return float(len(groups(self.plant, self.free, {})) + 2 * count)
 
     def fit(self, records: Sequence[Trajectory], /) -> FreeRunFit:
         """See :func:`fit_free_run`."""

@@ -7,8 +7,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from ...core.cases import Place, ending
 from ...core.errors import FitError, InputError, UnknownNameError, require_count
-from ...core.progress import counted
 from ...core.stop import TimeIsUp, deadline, verb
 from ..statistics import Array
 from .correlation import drawn_errors, scaled_errors, sequences
@@ -68,6 +68,7 @@ def bootstrap(
     seed: int,
     method: Resampling,
     *,
+    executor: Place = None,
     time_limit: float | None = None,
 ) -> Bootstrap:
     """See :meth:`ForceFit.bootstrap`."""
@@ -80,24 +81,37 @@ def bootstrap(
     problem, failed, ended = fit.problem, 0, ""
     values = np.array([float(v) for v in fit.law.values.values()])
     start = values[None, list(problem.nonlinear)] if problem.nonlinear else None
-    samples: list[Array] = []
-    for _ in counted(range(n), "bootstrap"):
-        try:
-            found = minimise(
-                _resampled(fit, problem, random, method), start, near=True
-            ).coefficients
-        except FitError:
-            failed += 1
-            continue
-        except TimeIsUp:
-            if len(samples) < 2:
-                raise
-            ended = f"{deadline()} was over behind {len(samples)} of {n} tables"
-            break
-        samples.append(found[list(problem.free)])
+    found: dict[int, Array] = {}
+    tables = (_resampled(fit, problem, random, method) for _ in range(n))
+    try:
+        for i, result in ending(
+            _Refit(start), tables, executor=executor, what="bootstrap", count=n
+        ):
+            if isinstance(result, FitError):
+                failed += 1
+            elif isinstance(result, Exception):
+                raise result
+            else:
+                found[i] = result
+    except TimeIsUp:
+        if len(found) < 2:
+            raise
+        ended = f"{deadline()} was over behind {len(found)} of {n} tables"
+    samples = [found[i] for i in sorted(found)]
     if len(samples) < 2:
         raise FitError(f"{failed} of {n} resampled tables gave no fit; the data are too few")
     return Bootstrap(fit.free, np.array(samples), failed, ended)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refit:
+    """Fits a resampled table, from the fit to the measured one."""
+
+    start: Array | None
+
+    def __call__(self, problem: LeastSquares) -> Array:
+        coefficients = minimise(problem, self.start, near=True).coefficients
+        return np.asarray(coefficients[list(problem.free)])
 
 
 def _resampled(

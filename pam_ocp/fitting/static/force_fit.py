@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ... import courtesy
+from ...core.cases import Place
 from ...core.errors import InputError, UnknownNameError
 from ...core.shown import shown
 from ...muscles.law import ForceLaw
@@ -220,6 +221,7 @@ class ForceFit(Optimum):
         seed: int = 0,
         *,
         method: Resampling = "residuals",
+        executor: Place = None,
         time_limit: float | None = None,
     ) -> Bootstrap:
         """Refit ``n`` resampled tables: intervals without the assumptions of a linearisation.
@@ -228,9 +230,10 @@ class ForceFit(Optimum):
         draws the cells themselves, also right where the scatter is not the same everywhere. Where
         errors follow each other (``serial``), what is drawn does so, too; with "cases" it is
         as large from place to place as the residuals there.
+        executor : where, as for :func:`pam_ocp.each`; the samples are the same everywhere.
         time_limit : [s]; what was refitted until then is returned, and ``ended`` says so.
         """
-        return bootstrap(self, n, seed, method, time_limit=time_limit)
+        return bootstrap(self, n, seed, method, executor=executor, time_limit=time_limit)
 
     def lack_of_fit(self) -> LackOfFit:
         """F-test of the law against the scatter of repeats; see :func:`branches.lack_of_fit`."""

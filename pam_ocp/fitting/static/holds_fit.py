@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import UnknownNameError
 from ...core.files import write_json
@@ -22,6 +23,10 @@ __all__ = ["HoldsFit"]
 
 DECIDING = 0.45
 """Leverage from which a hold nearly decides alone; half of it where there are two alike."""
+HANGING = 2.0
+"""A standard error that grows by more than this without such holds hangs on them."""
+LOST = 1e-8
+"""Singular values below this part of the largest count as zero (columns of unit length)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +99,42 @@ class HoldsFit:
         """{variable: (n,)} as the fitted plant has it, zeros and bands included."""
         return {n: y - self.residuals[n] for n, y in self.measured.items()}
 
+    @cached_property
+    def _alone(self) -> NDArray[np.intp]:
+        """Holds that nearly decide alone, where there are enough others."""
+        enough = self.n > 5 * len(self.linearisation.names)
+        return np.nonzero(enough & (self.leverage > DECIDING))[0]
+
+    @cached_property
+    def hanging(self) -> dict[str, float]:
+        """{estimate: factor by which its interval is wider than ± t standard errors}, of those that
+        hang on few holds.
+
+        Beside a muscle that goes slack, or a rest that is about to vanish, a position moves far for
+        little: the linear model that gives such a hold its weight holds nowhere else, so its
+        information does not count for the interval. Infinite where the others tell nothing.
+        """
+        if not self._alone.size:
+            return {}
+        linear = self.linearisation
+        kept = np.ones(self.n, dtype=bool)
+        kept[self._alone] = False
+        rows = linear.jacobian.reshape(self.n, -1, len(linear.names))
+        size = np.linalg.norm(linear.jacobian, axis=0)
+        size = np.where(size > 0, size, 1.0)
+        wide = _variances(rows[kept].reshape(-1, len(linear.names)) / size)
+        usual = _variances(linear.jacobian / size)
+        factor = np.sqrt(wide / usual)
+        return {n: float(f) for n, f in zip(linear.names, factor, strict=True) if not f <= HANGING}
+
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of an estimate [its unit], value ± t standard errors."""
+        """Confidence interval of an estimate [its unit], value ± t standard errors; wider where it
+        hangs on few holds (see ``hanging``).
+        """
         if name not in self.coefficients:
             raise UnknownNameError("estimate", name, self.coefficients)
         c = self.coefficients[name]
-        half = self.linearisation.reach(level) * c.stderr
+        half = self.linearisation.reach(level) * c.stderr * self.hanging.get(name, 1.0)
         return c.value - half, c.value + half
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
@@ -120,13 +155,17 @@ class HoldsFit:
                 f"the fitted plant finds no rest at {len(self.unreached)} of {self.n} holds (row "
                 f"{shown}): the linear model stands in there"
             )
-        alone = np.nonzero(self.leverage > DECIDING)[0]
-        if alone.size and self.n > 5 * len(self.linearisation.names):
-            shown = ", ".join(str(i + 1) for i in alone[:5])
+        if self._alone.size:
+            shown = ", ".join(str(i + 1) for i in self._alone[:5])
             found.append(
-                f"the estimates hang on few holds (row {shown}), as where a muscle goes slack or a "
-                "rest is about to vanish: the intervals are too short; leave these holds out, or "
-                "give bounds"
+                f"few holds nearly decide (row {shown}), as where a muscle goes slack or a rest is "
+                "about to vanish"
+                + (
+                    f": {', '.join(self.hanging)} hang on them, and their intervals are those of "
+                    "the other holds; leave these holds out, or measure more like them"
+                    if self.hanging
+                    else "; the others tell nearly as much"
+                )
             )
         ignored = int(np.sum(self.weights.min(axis=1) < 0.1))
         if ignored:
@@ -152,12 +191,18 @@ class HoldsFit:
             f"    loss {self.loss}, {self.dof} degrees of freedom, condition "
             f"{linear.condition:.3g}",
             f"[[Estimates]] ± standard error (relative), {100 * level:g} % interval; SI",
-            *(coefficient_line(c, self.interval(n, level)) for n, c in self.coefficients.items()),
+            *(
+                coefficient_line(c, self.interval(n, level), self._reason(n))
+                for n, c in self.coefficients.items()
+            ),
             *correlation_lines(linear),
         ]
         if self.warnings:
             lines += ["[[Warnings]]", *(f"    {text}" for text in self.warnings)]
         return "\n".join(lines)
+
+    def _reason(self, name: str) -> str:
+        return "hangs on few holds" if name in self.hanging else ""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write estimates with intervals, holds and residuals as JSON."""
@@ -179,3 +224,12 @@ class HoldsFit:
             "warnings": list(self.warnings),
         }
         return write_json(path, content)
+
+
+def _variances(jacobian: Array) -> Array:
+    """Diagonal of (J^T J)^-1; infinite where a direction has no information."""
+    _, s, vt = np.linalg.svd(jacobian, full_matrices=False)
+    lost = s <= LOST * s[0]
+    parts = (vt.T / np.where(lost, 1.0, s)) ** 2
+    found = parts[:, ~lost].sum(axis=1)
+    return np.asarray(np.where((parts[:, lost] > LOST).any(axis=1), np.inf, found))

@@ -7,13 +7,14 @@ little. Leaving one level out asks what a user asks: the force at a length that 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from ...core.cases import Place, ending
 from ...core.errors import FitError, InputError, UnknownNameError
-from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...muscles.law import LAWS, ForceLaw
@@ -137,6 +138,7 @@ def compare_laws(
     *,
     fixed: Mapping[str, float] | None = None,
     errors: Literal["as found", "independent"] = "as found",
+    executor: Place = None,
     time_limit: float | None = None,
 ) -> LawComparison:
     """Fit several laws to one table and leave each interior contraction level out in turn.
@@ -148,6 +150,7 @@ def compare_laws(
     fixed : known constants [SI] for the laws that have them, as ``{"radius": 0.010,
         "rest_diameter": 0.020, "max_contraction_ratio": 0.25}``.
     errors : as for :func:`fit_force`; of the fits, and of AIC and BIC.
+    executor : where the laws are fitted, as for :func:`pam_ocp.each`.
     time_limit : [s]; laws that are not reached are listed with it as the reason.
 
     Returns
@@ -177,13 +180,33 @@ def compare_laws(
         if name not in constants:
             raise UnknownNameError("constant in fixed of any of these laws", name, constants)
     independent(errors)
-    found = [_compared(table, kind, fixed or {}, errors) for kind in counted(kinds, "laws")]
+    work = _Compared(table, fixed or {}, errors)
+    ended: dict[int, ComparedLaw] = {}
+    with suppress(TimeIsUp):
+        for i, law in ending(work, kinds, executor=executor, chunk=1, what="laws"):
+            if isinstance(law, Exception):
+                raise law
+            ended[i] = law
+    late = f"{deadline()} was over"
+    found = [ended.get(i, ComparedLaw(k.name, None, {}, late)) for i, k in enumerate(kinds)]
 
     def rank(law: ComparedLaw) -> tuple[bool, float, float]:
         doubt = np.inf if np.isnan(law.left_out_rmse) else law.left_out_rmse
         return law.fit is None, doubt, law.rmse
 
     return LawComparison(tuple(sorted(found, key=rank)), table.source)
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """A table, by which laws are compared."""
+
+    table: ForceTable
+    fixed: Mapping[str, float]
+    errors: Literal["as found", "independent"]
+
+    def __call__(self, kind: type[ForceLaw]) -> ComparedLaw:
+        return _compared(self.table, kind, self.fixed, self.errors)
 
 
 def _compared(

@@ -31,6 +31,7 @@ def force_report(fit: ForceFit, level: float) -> str:
         f"{fit.dof} degrees of freedom",
         f"    largest residual {fit.residuals[worst]:+.3g} N at {place}",
         f"    condition {fit.condition:.3g}, rank {fit.rank} of {len(fit.free)}",
+        *_weight_lines(fit),
         "    errors taken as independent"
         if fit.serial is None
         else f"    errors follow each other {fit.serial.order} with probability "
@@ -50,6 +51,13 @@ def force_report(fit: ForceFit, level: float) -> str:
     if fit.warnings:
         lines += ["[[Warnings]]", *(f"    {text}" for text in fit.warnings)]
     return "\n".join(lines)
+
+
+def _weight_lines(fit: ForceFit) -> list[str]:
+    if fit.weights is None:
+        return []
+    low, high = fit.weights.min(), fit.weights.max()
+    return [f"    cells are weighted, from {low:.3g} to {high:.3g}"]
 
 
 def coefficient_line(c: Coefficient, interval: tuple[float, float], reason: str = "") -> str:

@@ -35,6 +35,8 @@ __all__ = [
 ]
 
 LOG = logging.getLogger(__name__)
+SMALLEST_ERROR = 0.3
+"""Of a cell, in parts of the usual one: below that it is luck of few rows, and counts as this."""
 
 
 @verb
@@ -44,7 +46,7 @@ def fit_force(
     *,
     start: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
-    weights: ArrayLike | None = None,
+    weights: ArrayLike | Literal["equal"] | None = None,
     loss: Loss = "squares",
     censored: bool = False,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -63,7 +65,8 @@ def fit_force(
     fixed : coefficients to hold [SI], ``{"a3": -40.0}``. Known constants of a law (a radius, say)
         belong here too; its ``rest_length`` is taken from the table.
     weights : per cell, 1/(standard deviation) up to a common factor; multiplies the residual.
-        As long as the table (values at slack cells are ignored).
+        As long as the table (values at slack cells are ignored). None: from ``table.error`` where
+        the table carries it (a ramp binned to cells), else "equal".
     loss : "squares"; another where some cells are far off (a slipped clamp, a wrong digit).
         "bisquare" is the one to take: an MM-estimate, which cells beyond 4.685 standard deviations
         do not move at all, wherever they lie (V. Yohai, Ann. Stat. 15 (1987) 642-656). "huber" goes
@@ -116,7 +119,7 @@ def fit_force(
         law=kind(**dict(zip(problem.names, optimum.coefficients.tolist(), strict=True))),
         table=table,
         held=tuple(n for n in problem.names if n in held),
-        weights=None if weights is None else problem.weights,
+        weights=None if _are_equal(weights, table) else problem.weights,
         solver=replace(optimum.solver, seconds=time.perf_counter() - began),
         terms=problem.terms,
     )
@@ -157,9 +160,15 @@ def held_coefficients(
     return {n: float(v) for n, v in constants.items() if v is not None}
 
 
-def cell_weights(weights: ArrayLike | None, table: ForceTable) -> Array:
-    if weights is None:
+def cell_weights(weights: ArrayLike | Literal["equal"] | None, table: ForceTable) -> Array:
+    """Of the taut cells."""
+    if _are_equal(weights, table):
         return np.ones(len(table.taut))
+    if weights is None:
+        error = table.taut.error
+        assert error is not None
+        usual = float(np.median(error))
+        return np.asarray(usual / np.maximum(error, SMALLEST_ERROR * usual))
     array = np.asarray(weights, dtype=float)
     if array.shape != (len(table),):
         raise InputError(
@@ -174,6 +183,17 @@ def cell_weights(weights: ArrayLike | None, table: ForceTable) -> Array:
             "(take a cell out with table.subset(...))"
         )
     return chosen
+
+
+def _are_equal(weights: Any, table: ForceTable) -> bool:
+    """Whether all cells count alike: as wished, or for want of known errors."""
+    if isinstance(weights, str):
+        if weights != "equal":
+            raise InputError(f"weights = {weights!r}: give one for each cell, or 'equal'")
+        return True
+    error = table.taut.error
+    known = error is not None and error.size and np.all(np.isfinite(error) & (error > 0))
+    return weights is None and not known
 
 
 def _loss(loss: Any) -> Loss:

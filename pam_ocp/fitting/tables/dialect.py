@@ -17,6 +17,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import require_size
+from .cell_units import parted
 from .cells import is_empty, is_number, is_stamp
 
 __all__ = ["Grid", "Unsaid", "grid_of_text"]
@@ -138,6 +139,14 @@ def _sense(rows: Sequence[Sequence[str]], sign: str) -> tuple[float, int]:
     total = 0.0
     for row in kept:
         if len(row) == width:
-            sound = sum(is_number(c, sign) or is_stamp(c) or 0.5 * is_empty(c) for c in row)
+            sound = sum(
+                is_number(c, sign) or is_stamp(c) or _with_unit(c, sign) or 0.5 * is_empty(c)
+                for c in row
+            )
             total += sound / max(1, len(row))
     return (total / len(kept) if width > 1 else 0.3 * total / len(kept)), width
+
+
+def _with_unit(cell: str, sign: str) -> bool:
+    two = parted(cell)
+    return two is not None and is_number(two[0], sign)

@@ -13,6 +13,7 @@ from typing import Any
 
 from ...core.errors import InputError
 from ...core.files import MOST_NAME, require_size
+from .cell_units import parted, without_units
 from .cells import is_empty, is_number, is_stamp
 from .dialect import Grid, Unsaid
 from .headers import is_unit
@@ -38,6 +39,7 @@ def tabulated(
     Raises InputError.
     """
     grid = _trimmed(grid)
+    grid, in_cells = _bare(grid, names)
     numeric = _numeric(grid)
     start = _start(grid, numeric)
     head = start - 1
@@ -58,10 +60,12 @@ def tabulated(
         for i in kept
         if i < len(stated) and not is_empty(stated[i])
     }
+    units |= {found[i]: text for i, text in in_cells.items() if found[i]}
     named = (head if names is None and head >= 0 else start) if start else 0
     said = [*grid.dialect]
     said += [f"names in line {grid.lines[head]}"] if names is None and 0 <= head < start else []
     said += [f"units in line {grid.lines[start - 1]}"] if len(stated) else []
+    said += ["units in the cells"] if in_cells else []
     said += [f"{named} title rows"] if named else []
     return RawTable(
         grid.label,
@@ -102,6 +106,30 @@ def _trimmed(grid: Grid) -> Grid:
         rows = [[row[i] for i in kept if i < len(row)] for row in rows]
     lines = [line for line, keep in zip(grid.lines, filled, strict=True) if keep]
     return replace(grid, rows=rows, lines=lines)
+
+
+def _bare(grid: Grid, names: Sequence[str | None] | None) -> tuple[Grid, dict[int, str]]:
+    """The grid with plain numbers where cells name their units, and these by column."""
+    lower = grid.rows[len(grid.rows) // 2 :][-LOOKED_AT:]
+    suspect = {i for row in lower for i, c in enumerate(row) if parted(c) is not None}
+    if not suspect:
+        return grid, {}
+    begin = next(
+        i for i, row in enumerate(grid.rows) if any(parted(row[k]) for k in suspect if k < len(row))
+    )
+    rows, lines = [list(row) for row in grid.rows], grid.lines[begin:]
+    made: list[Sequence[Any]] = [*rows]
+    columns = {
+        i: [row[i] if i < len(row) else None for row in rows[begin:]] for i in sorted(suspect)
+    }
+    head = names if names is not None else rows[begin - 1] if begin else ()
+    headers = {i: str(head[i]) for i in suspect if i < len(head) and head[i]}
+    plain, units, decimal = without_units(grid.label, columns, lines, headers)
+    for i, cells in plain.items():
+        for row, cell in zip(rows[begin:], cells, strict=True):
+            if i < len(row):
+                row[i] = cell
+    return replace(grid, rows=made, decimal=decimal or grid.decimal), units
 
 
 def _numeric(grid: Grid) -> list[bool]:

@@ -26,6 +26,7 @@ from ...core.foreign import (
     read_mat,
     read_sheets,
 )
+from .cell_units import parted, without_units
 from .cells import decimal_of, is_empty
 from .dialect import Grid, Unsaid, grid_of_text
 from .headers import NAMES, parse_header
@@ -149,13 +150,29 @@ def naming(source: Any) -> AbstractContextManager[None]:
 
 # ---- mappings and frames -------------------------------------------------------------------------
 def _from_mapping(columns: Mapping[Any, Any], label: str) -> RawTable:
-    return RawTable(label, {str(n): np.ravel(v).tolist() for n, v in columns.items()})
+    return _bare(RawTable(label, {str(n): np.ravel(v).tolist() for n, v in columns.items()}))
 
 
 def _from_frame(frame: Any, label: str) -> RawTable:
     names = [str(c) for c in frame.columns]
     require_distinct(names, label)
-    return RawTable(label, {n: frame.iloc[:, i].tolist() for i, n in enumerate(names)})
+    return _bare(RawTable(label, {n: frame.iloc[:, i].tolist() for i, n in enumerate(names)}))
+
+
+def _bare(raw: RawTable) -> RawTable:
+    """The table with plain numbers where cells name their units."""
+    names = list(raw.columns)
+    texts = {i: c for i, c in enumerate(raw.columns.values()) if any(map(parted, c[:50]))}
+    if not texts:
+        return raw
+    rows = range(1, len(raw) + 1)
+    plain, units, decimal = without_units(raw.label, texts, rows, dict(enumerate(names)))
+    return replace(
+        raw,
+        columns={n: plain.get(i, c) for i, (n, c) in enumerate(raw.columns.items())},
+        stated={**raw.stated, **{names[i]: text for i, text in units.items()}},
+        decimal=raw.decimal or decimal,
+    )
 
 
 def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
@@ -174,7 +191,8 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
             )
         found = {n: found[old] for n, old in zip(how.columns, names, strict=True) if n}
     require_distinct(list(found), label)
-    return RawTable(label, {n: list(c)[how.skip :] for n, c in found.items()}, dialect=said)
+    columns = {n: list(c)[how.skip :] for n, c in found.items()}
+    return _bare(RawTable(label, columns, dialect=said))
 
 
 # ---- files ---------------------------------------------------------------------------------------

@@ -133,6 +133,8 @@ class Problem:
         aims. ``m`` are further unknowns, in units of nominal: largest values along the motion,
         inputs that would hold the plant at a stop.
     auxiliaries : unknowns of costs and budgets, wherever these are evaluated.
+    typical : of each leg [s], where a program was built with other numbers; it knows no others.
+        Of other legs than these it says nothing.
     """
 
     plant: Plant
@@ -149,6 +151,7 @@ class Problem:
     q: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     m: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     auxiliaries: tuple[Auxiliary, ...] = ()
+    typical: tuple[float, ...] | None = None
 
     def function(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
         """CasADi function (x, u, p, time, r, q, m) -> one column of the expressions."""
@@ -185,7 +188,9 @@ class Problem:
 
     @property
     def time_nominals(self) -> Array:
-        """A typical duration of each leg [s]."""
+        """A typical duration of each leg [s]: the unit of durations in a program."""
+        if self.typical is not None and len(self.typical) == len(self.legs):
+            return np.array(self.typical)
         return np.array([np.sqrt(leg.duration[0] * leg.duration[1]) for leg in self.legs])
 
     @property

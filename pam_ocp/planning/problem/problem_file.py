@@ -15,6 +15,7 @@ from ...core.files import read_toml, reading
 from ...core.quantities import known_keys, pair, quantity, table
 from ...plants.plant import Plant
 from ...plants.plant_file import plant_of, require_allowed
+from ..arcs import Arcs
 from ..transcription.mesh import Collocation, Shooting
 from .expression_text import expression_of
 from .objective import budget
@@ -23,7 +24,7 @@ from .wording import Avoid, Constraint, Phase, Stop, subject
 
 __all__ = ["load_problem", "plan_arguments"]
 
-_METHODS = {kind.__name__: kind for kind in (Collocation, Shooting)}
+_METHODS = {kind.__name__: kind for kind in (Collocation, Shooting, Arcs)}
 _STOP = ("rest", "dwell", "within")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -22,6 +22,8 @@ SolverName: TypeAlias = 'Literal["ipopt", "fatrop"] | str'
 
 RESIDUAL = 1e-6
 """Of the optimality conditions of fatrop's solution: beyond it IPOPT goes on from there."""
+KEPT = 8
+"""Solvers that are kept at a time."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,11 @@ class Backend:
     compiled: bool = False
     options: Mapping[str, Any] | None = None
     progress: Progress = False
+    keeps: bool = False
+    """Whether the solvers built last are kept: neighbours are solved on one finer mesh many times.
+    """
+    kept: dict[int, tuple[Program, Solver]] = field(default_factory=dict, repr=False, compare=False)
+    """These with their programs, by the identity of the expressions."""
 
     def __post_init__(self) -> None:
         if self.name not in SOLVERS:
@@ -48,13 +55,27 @@ class Backend:
         return self.options if self.name == "ipopt" else None
 
     def near(self) -> Backend:
-        """What solves a finer mesh once: IPOPT, not compiled; not every solver can start near."""
-        return replace(self, name="ipopt", compiled=False, options=self.ipopt_options)
+        """What solves a finer mesh: IPOPT, not compiled; not every solver can start near."""
+        near = replace(self, name="ipopt", compiled=False, options=self.ipopt_options)
+        return replace(near, keeps=True)
 
     def build(self, program: Program) -> Solver:
         """A solver for this program, and for others of the same expressions."""
+        key = id(program.nlp)
+        if self.keeps and key in self.kept:
+            return self.kept[key][1]
         compiled = {"compiled": True} if self.compiled else {}
-        return SOLVERS[self.name](program, self.options, self.progress, **compiled)
+        solver = SOLVERS[self.name](program, self.options, self.progress, **compiled)
+        if self.keeps:
+            while len(self.kept) >= KEPT:
+                del self.kept[next(iter(self.kept))]
+            self.kept[key] = program, solver
+        return solver
+
+    @property
+    def programs(self) -> tuple[Program, ...]:
+        """Those whose solvers are kept."""
+        return tuple(program for program, _ in self.kept.values())
 
 
 @SOLVERS.register("fatrop")

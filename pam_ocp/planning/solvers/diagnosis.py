@@ -149,5 +149,5 @@ def explanation(
     return (
         opening
         + f"The most violated constraint is {conflicts[0]}; relax it, or allow more time or "
-        f"pressure.{also}"
+        f"pressure.{also} So says a local search, which is no proof that there is no plan."
     )

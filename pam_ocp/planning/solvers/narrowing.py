@@ -78,7 +78,7 @@ def narrowing(
 
     here = 0.0
     if start == "near":
-        direct = solved(1.0, guess, "step")
+        direct = solved(1.0, guess, "dash")
         if direct.ended:
             return total(direct)
         here = LATE
@@ -87,7 +87,7 @@ def narrowing(
     failed = last
     while last.success and here < 1.0:
         there = min(1.0, here + step)
-        outcome = solved(there, last.w, "step")
+        outcome = solved(there, last.w, "dash")
         if outcome.success:
             last, here, step = outcome, there, 1.5 * step
             continue

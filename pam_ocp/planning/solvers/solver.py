@@ -63,7 +63,7 @@ SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
 """Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes.
 Where the linear algebra gets stuck in fill-in another start is the better use of time.
 """
-PATIENCE = 6.0
+PATIENCE = 3.0
 """Times as much for all but the first start."""
 
 
@@ -98,12 +98,16 @@ STEP: dict[str, Any] = {**NEAR, "max_iter": 250}
 many steps were broken off that end in 130 to 210, and shorter ones take no less.
 """
 
-Start: TypeAlias = Literal["cold", "adaptive", "near", "step", "warm"]
+DASH: dict[str, Any] = {**NEAR, "max_iter": 150}
+"""To the end of a path at once, where going along it is the better use of more."""
+
+Start: TypeAlias = Literal["cold", "adaptive", "near", "step", "dash", "warm"]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": {},
     "adaptive": ADAPTIVE,
     "near": NEAR,
     "step": STEP,
+    "dash": DASH,
     "warm": WARM,
 }
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
+from ...core.cases import Place
 from ...core.errors import (
     InputError,
     PamError,
@@ -72,6 +73,7 @@ def robust_plan(
     seed: int = 0,
     all_within: bool = True,
     start: Start = "rest",
+    executor: Place = None,
     **arguments: Unpack[SolveKeywords],
 ) -> RobustPlan:
     """One input for a set of plants, so that named variables spread little at the stops.
@@ -112,6 +114,7 @@ def robust_plan(
         where it rests under the pressures there (if the first stop is at rest); "same" in the very
         same state, as held by a latch. A cyclic motion has no start: every plant closes its own
         cycle.
+    executor : where the plants of a sample are simulated, as for :func:`pam_ocp.each`.
 
     ``robust.verdict`` says whether it is verified, or which figure failed: then a PlanWarning is
     given, and the plan is the one with the largest share that was found. Raises InputError for what
@@ -137,7 +140,7 @@ def robust_plan(
     samples = None if sampler is None else _Samples(plant, sampler, seed)
     members = samples(begin) if callable(draws) and samples else drawn(plant, _listed(draws))
     given = None if callable(unseen) or not unseen else drawn(plant, unseen)
-    task = _Task(plant, stops, spread, all_within, start, dict(arguments))
+    task = _Task(plant, stops, spread, all_within, start, executor, dict(arguments))
     if samples is None or share is None:
         tried = given if samples is None else samples(fresh)
         try:
@@ -274,8 +277,10 @@ class _Task:
         spread: Any,
         all_within: bool,
         start: Start,
+        executor: Place,
         arguments: dict[str, Any],
     ) -> None:
+        self.executor = executor
         self.plant, self.stops, self.all_within = plant, stops, all_within
         self.arguments = arguments
         cyclic = arguments.get("cyclic", False)
@@ -332,7 +337,8 @@ class _Task:
         """The plants under the inputs of a plan."""
         own = self.plant.with_values(of.design)
         at = [sample for sample, _, _ in _bounded_stops(of, self.allowed)]
-        return spread_of(own, motion, draws, at, cyclic=self.cyclic, rest=self.rest)
+        ways: dict[str, Any] = {"cyclic": self.cyclic, "rest": self.rest}
+        return spread_of(own, motion, draws, at, executor=self.executor, **ways)
 
     def tried(
         self,

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.cases import Place, ending
 from ...core.errors import InputError, PamError, SimulationError
 from ...core.trajectory import Trajectory
 from ...numerics.newton import NewtonError, casadi_equations, iterate, newton
@@ -124,25 +125,38 @@ def spread_of(
     *,
     cyclic: bool = False,
     rest: bool = True,
+    executor: Place = None,
 ) -> Spread:
     """Simulate each draw of a plant under the inputs of a motion.
 
     stops : samples of the motion at which a stop is.
     cyclic : each plant runs in its own steady cycle; else it starts in the motion's first state,
         with (``rest``) its positions where it rests under that state's pressures.
+    executor : where, as for :func:`pam_ocp.each`.
     """
-    found: list[Trajectory | PamError] = []
-    closing = _Closing(plant, motion) if cyclic else None
-    for draw in draws:
-        try:
-            own = plant.with_values(draw)
-            if closing is not None:
-                found.append(closing(own))
-            else:
-                found.append(simulate(own, motion, start=_begin(own, motion, rest)))
-        except (InputError, SimulationError) as error:
-            found.append(error)
-    return Spread(plant, motion, tuple(draws), tuple(found), tuple(stops))
+    work = _Driven(plant, motion, _Closing(plant, motion) if cyclic else None, rest)
+    found = dict(ending(work, draws, executor=executor, what="draws", lost=SimulationError))
+    for result in found.values():
+        if isinstance(result, Exception) and not isinstance(result, InputError | SimulationError):
+            raise result
+    motions = tuple(found[i] for i in range(len(draws)))
+    return Spread(plant, motion, tuple(draws), motions, tuple(stops))
+
+
+@dataclass(frozen=True, eq=False)
+class _Driven:
+    """A motion's inputs; called with a draw it gives the motion of a plant with that under them."""
+
+    plant: Plant
+    motion: Trajectory
+    closing: _Closing | None
+    rest: bool
+
+    def __call__(self, draw: Draw) -> Trajectory:
+        own = self.plant.with_values(draw)
+        if self.closing is not None:
+            return self.closing(own)
+        return simulate(own, self.motion, start=_begin(own, self.motion, self.rest))
 
 
 def _begin(plant: Plant, motion: Trajectory, rest: bool) -> dict[str, float]:

@@ -8,6 +8,7 @@ its own unknowns, evaluated over the intervals, and its entries are added where 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import TypeAlias
 
 import casadi as ca
@@ -58,6 +59,18 @@ class _Local:
     rows: ca.SX
     cost: ca.SX
 
+    @cached_property
+    def slopes(self) -> ca.SX:
+        """Of the rows."""
+        return ca.jacobian(self.rows, self.given[0])
+
+    @cached_property
+    def curvature(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """(factor of the cost, multipliers of the rows, upper half of the Lagrangian's Hessian)."""
+        factor, multipliers = ca.SX.sym("lam_f"), ca.SX.sym("lam", self.rows.numel())
+        lagrangian = factor * self.cost + ca.dot(multipliers, self.rows)
+        return factor, multipliers, ca.triu(ca.hessian(lagrangian, self.given[0])[0])
+
     @classmethod
     def of(cls, stage: Stage) -> _Local:
         problem, form, d = stage.problem, stage.form, stage.degree
@@ -90,6 +103,9 @@ class _Local:
         )
         y = ca.vertcat(*parts.values())
         return cls([y, lengths, starts, p, q], ca.veccat(defects, path, budgets), cost)
+
+
+_local = lru_cache(maxsize=32)(_Local.of)
 
 
 @dataclass(frozen=True)
@@ -146,9 +162,7 @@ def _blocks(program: Program) -> list[_Block]:
             rows.append(np.concatenate([defects, path, budgets]))
         members = list(group.members)
         weights = lengths[members].T, starts[members].T
-        found.append(
-            _Block(_Local.of(group.stage), np.array(unknowns).T, np.array(rows).T, weights)
-        )
+        found.append(_Block(_local(group.stage), np.array(unknowns).T, np.array(rows).T, weights))
     return found
 
 
@@ -224,7 +238,7 @@ def _jacobian(
     values, entries = _Entries((size, 1), [], [], []), _Entries((size, w.numel()), [], [], [])
     for block in blocks:
         local, given = block.local, block.given(program.problem, w, p)
-        jacobian = ca.jacobian(local.rows, local.given[0])
+        jacobian = local.slopes
         n, rows = block.unknowns.shape[1], local.rows.numel()
         stored = jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)
         both = block.over("rows", ca.densify(ca.vertcat(local.rows, stored)), [], given)
@@ -249,9 +263,7 @@ def _hessian(
     entries = _Entries((w.numel(), w.numel()), [], [], [])
     for block in blocks:
         local, given = block.local, block.given(program.problem, w, p)
-        factor, multipliers = ca.SX.sym("lam_f"), ca.SX.sym("lam", local.rows.numel())
-        lagrangian = factor * local.cost + ca.dot(multipliers, local.rows)
-        hessian = ca.triu(ca.hessian(lagrangian, local.given[0])[0])
+        factor, multipliers, hessian = local.curvature
         i, j = (
             block.unknowns[np.array(e, dtype=np.intp)].T.ravel()
             for e in hessian.sparsity().get_triplet()

@@ -23,7 +23,16 @@ from .mesh import Mesh
 from .solution import Solution
 from .stage import nominals
 
-__all__ = ["by_rests", "by_stops", "from_solution", "rest_point", "wants_balance"]
+__all__ = [
+    "Path",
+    "by_rests",
+    "by_stops",
+    "from_solution",
+    "path_of_rests",
+    "rest_point",
+    "sampled_along",
+    "wants_balance",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 Signal: TypeAlias = Callable[[Array], Array]
@@ -66,17 +75,9 @@ def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: floa
     """
     shortest, longest = np.array([leg.duration for leg in problem.legs]).T
     durations = np.clip(stretch * problem.time_nominals, shortest, longest)
-    path = _Path(problem, [_node(problem, stop, balanced) for stop in problem.stops], durations)
+    path = Path(problem, [_node(problem, stop, balanced) for stop in problem.stops], durations)
     inputs = path.driving_inputs() if balanced else path.inputs
-    return _sampled(
-        problem,
-        mesh,
-        durations,
-        path.states,
-        inputs,
-        _design(problem),
-        np.ones(problem.m.numel()),
-    )
+    return sampled_along(problem, mesh, durations, path.states, inputs)
 
 
 def by_rests(problem: Problem, mesh: Mesh) -> Array:
@@ -86,16 +87,21 @@ def by_rests(problem: Problem, mesh: Mesh) -> Array:
     would meet large forces instead.
     """
     durations = problem.time_nominals
-    path = _Path(problem, _rests(problem), durations, PLACES)
-    return _sampled(
-        problem,
-        mesh,
-        durations,
-        path.states,
-        path.driving_inputs(),
-        _design(problem),
-        np.ones(problem.m.numel()),
-    )
+    path = path_of_rests(problem, durations)
+    return sampled_along(problem, mesh, durations, path.states, path.driving_inputs())
+
+
+def path_of_rests(problem: Problem, durations: Array) -> Path:
+    """A minimum-jerk motion along points of rest between the stops."""
+    return Path(problem, _rests(problem), durations, PLACES)
+
+
+def sampled_along(
+    problem: Problem, mesh: Mesh, durations: Array, states: Signal, inputs: Signal
+) -> Array:
+    """Scaled unknowns of signals, design and peaks at their usual values."""
+    peaks = np.ones(problem.m.numel())
+    return _sampled(problem, mesh, durations, states, inputs, _design(problem), peaks)
 
 
 def _rests(problem: Problem) -> list[tuple[Array, Array]]:
@@ -157,7 +163,7 @@ def _idle_inputs(plant: Plant) -> bool:
 
 
 @dataclass(frozen=True)
-class _Path:
+class Path:
     """Minimum-jerk motion between nodes (states, inputs), ``parts`` of them from stop to stop."""
 
     problem: Problem

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import groupby
 from typing import Literal, TypeAlias
 
@@ -93,9 +94,7 @@ class Form:
 
     def state_taus(self, degree: int) -> Array:
         """Where states are unknowns; the last is the interval's end, tau = 1."""
-        if self.scheme == "radau":
-            return self.collocated(degree)
-        return np.append(self.collocated(degree), 1.0)
+        return _points(self, degree)
 
     def profile_taus(self, degree: int) -> Array:
         """Where functions of time are evaluated; the first is tau = 0."""
@@ -137,7 +136,26 @@ class Form:
 
     def input_powers(self, degree: int) -> Array:
         """(columns, columns) matrix from the values to coefficients of powers of tau."""
-        return np.asarray(np.linalg.inv(np.vander(self.input_taus(degree), increasing=True)))
+        return _powers(self, degree)
+
+
+@cache
+def _powers(form: Form, degree: int) -> Array:
+    """See :meth:`Form.input_powers`; not to be written to."""
+    found: Array = np.asarray(np.linalg.inv(np.vander(form.input_taus(degree), increasing=True)))
+    found.setflags(write=False)
+    return found
+
+
+@cache
+def _points(form: Form, degree: int) -> Array:
+    """See :meth:`Form.state_taus`; not to be written to."""
+    if form.scheme == "radau":
+        found = np.array(form.collocated(degree))
+    else:
+        found = np.append(form.collocated(degree), 1.0)
+    found.setflags(write=False)
+    return found
 
 
 @dataclass(frozen=True)

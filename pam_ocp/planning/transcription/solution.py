@@ -42,31 +42,38 @@ def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
     legs, designed, peaks = len(problem.legs), len(problem.design), problem.m.numel()
     tail = w[len(w) - legs - designed - peaks :]
     durations = tail[:legs] * problem.time_nominals
-    t, states = [0.0], [w[:nx]]
-    pieces: list[Array] = []
-    breaks, at, begin = [0.0], nx, 0.0
-    for interval in mesh.intervals:
-        h = float(durations[interval.leg] * interval.fraction)
-        taus = mesh.form.state_taus(interval.degree)
-        points = w[at : at + nx * len(taus)].reshape(len(taus), nx)
-        at += points.size
-        columns = len(mesh.form.input_taus(interval.degree))
-        values = w[at : at + nu * columns].reshape(columns, nu) * u_nominal
-        at += values.size + len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
-        t += list(begin + h * taus)
-        states += list(points)
-        powers = mesh.form.input_powers(interval.degree)
-        piece = powers @ values / h ** np.arange(columns)[:, None]
-        pieces.append(pieces[-1] if interval.joined else piece)
-        begin += h
-        breaks.append(begin)
-    coefficients = np.zeros((len(pieces), max(len(p) for p in pieces), nu))
-    for k, piece in enumerate(pieces):
-        coefficients[k, : len(piece)] = piece
+    lengths = np.array([durations[i.leg] * i.fraction for i in mesh.intervals])
+    breaks = np.concatenate([[0.0], np.cumsum(lengths)])
+    degrees = np.array([i.degree for i in mesh.intervals])
+    form, a = mesh.form, len(problem.auxiliaries)
+    own = {  # numbers of points, of values of the inputs, of unknowns
+        d: (len(form.state_taus(d)), len(form.input_taus(d)), a * form.cost_points(d))
+        for d in map(int, np.unique(degrees))
+    }
+    points = np.array([own[int(d)][0] for d in degrees])
+    sizes = np.array([nx * n + nu * m + rest for n, m, rest in (own[int(d)] for d in degrees)])
+    starts = nx + np.concatenate([[0], np.cumsum(sizes[:-1])])
+    rows = 1 + np.concatenate([[0], np.cumsum(points[:-1])])
+    t, states = np.zeros(1 + points.sum()), np.zeros((1 + points.sum(), nx))
+    states[0] = w[:nx]
+    pieces = np.zeros((len(lengths), max(m for _, m, _ in own.values()), nu))
+    for d, (n, columns, _) in own.items():  # intervals of one degree at once
+        those = np.flatnonzero(degrees == d)
+        to = rows[those, None] + np.arange(n)
+        t[to] = breaks[those, None] + lengths[those, None] * form.state_taus(d)
+        at = starts[those, None] + np.arange(nx * n)
+        states[to] = w[at].reshape(len(those), n, nx)
+        at = starts[those, None] + nx * n + np.arange(nu * columns)
+        values = w[at].reshape(len(those), columns, nu) * u_nominal
+        powers = lengths[those, None] ** np.arange(columns)
+        pieces[those, :columns] = (form.input_powers(d) @ values) / powers[..., None]
+    first = np.maximum.accumulate(
+        np.where([i.joined for i in mesh.intervals], 0, np.arange(len(lengths)))
+    )
     return Solution(
-        np.array(t),
-        np.array(states) * x_nominal,
-        PiecewisePolynomial(np.array(breaks), coefficients),
+        t,
+        states * x_nominal,
+        PiecewisePolynomial(breaks, pieces[first]),
         durations,
         tail[legs : legs + designed] * problem.design_nominals,
         tail[legs + designed :],

@@ -7,6 +7,7 @@ States, inputs and defects are in units of nominal.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
@@ -21,7 +22,7 @@ from ...numerics.runge_kutta import rk4
 from ..problem.problem import Condition, Leg, Problem
 from .mesh import Form
 
-__all__ = ["Stage", "nominals"]
+__all__ = ["Stage", "between_points", "nominals"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -42,6 +43,17 @@ def _held_back(condition: Condition, margin: float) -> Condition:
     """With limits narrower by a margin [nominals], as far as there is room."""
     by = min(margin * condition.nominal, (condition.high - condition.low) / 4)
     return replace(condition, low=condition.low + by, high=condition.high - by)
+
+
+def between_points(condition: Condition, leg: Leg, margins: Mapping[str, float]) -> Condition:
+    """What a stage checks between its points with the limits of another leg of the same form.
+
+    margins : of what is watched, in nominals, by label.
+    """
+    path = {c.label: (c.low, c.high) for c in leg.path}
+    label = condition.label
+    low, high = leg.bounds[label] if label in leg.bounds else path[label]
+    return _held_back(replace(condition, low=low, high=high), margins.get(label, 0.0))
 
 
 class _Costs:
@@ -93,7 +105,7 @@ class Stage:
         """
         points = len(self.form.state_taus(self.degree))
         between = (c for conditions, taus in self._between for c in conditions * len(taus))
-        jumping = self.problem.depends_on_inputs(self.leg)
+        jumping = self._jumping
         auxiliary = self._auxiliary * self.form.cost_points(self.degree)
         return (*self.leg.path * points, *jumping, *between, *auxiliary)
 
@@ -120,6 +132,16 @@ class Stage:
             (smooth, taus[1:]),  # the start is a point itself
         ]
         return [(conditions, taus) for conditions, taus in found if conditions and len(taus)]
+
+    @property
+    def _jumping(self) -> tuple[Condition, ...]:
+        """What is checked at the start too, where an input may jump. A polynomial input has as many
+        values as points: an equality at these gives them all, one more would be one too many.
+        """
+        found = self.problem.depends_on_inputs(self.leg)
+        if self.form.control != "polynomial":
+            return found
+        return tuple(c for c in found if c.low < c.high)
 
     @property
     def guarded(self) -> tuple[Condition, ...]:
@@ -192,7 +214,7 @@ class Stage:
             for j, tau in enumerate(f.state_taus(d))
         ]
         # an input may jump at the start of the interval: what depends on it is checked there too
-        jumping = problem.conditions("jumping", problem.depends_on_inputs(self.leg))
+        jumping = problem.conditions("jumping", self._jumping)
         values.append(jumping(*point(0.0, start, 0)))
         through = ca.horzcat(start, states)
         profile = len(f.profile_taus(d))

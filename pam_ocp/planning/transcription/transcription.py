@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Literal, TypeAlias, TypeVar
 
@@ -18,7 +19,7 @@ from ..problem.problem import Budget, Condition, Problem, limits
 from .mesh import Interval, Mesh
 from .stage import Stage, nominals
 
-__all__ = ["Group", "Program", "Row", "sampled", "transcribe", "with_design"]
+__all__ = ["Group", "Program", "Row", "later", "sampled", "transcribe", "with_design"]
 
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
@@ -88,6 +89,10 @@ class Program:
     """(w, p) -> the auxiliary unknowns' values; None where there are none."""
     auxiliary: Index
     """Where these stand among the unknowns."""
+
+    def exact(self) -> Program:
+        """The program whose equations hold as they stand."""
+        return self
 
     def limits(self) -> tuple[Array, Array]:
         """(low, high) of all constraints."""
@@ -214,6 +219,26 @@ def transcribe(problem: Problem, mesh: Mesh) -> Program:
     return Program(problem, mesh, nlp, rows, tuple(made.groups), other, completing, auxiliary)
 
 
+class _Later(Program):
+    """A program that is stated when somebody asks for more than its problem and its mesh."""
+
+    def __init__(self, problem: Problem, mesh: Mesh) -> None:
+        self.__dict__.update(problem=problem, mesh=mesh)
+
+    def __getattr__(self, name: str) -> object:
+        if name.startswith("__") or "mesh" not in self.__dict__:
+            raise AttributeError(name)
+        self.__dict__.update(transcribe(self.problem, self.mesh).__dict__)
+        return self.__dict__[name]
+
+
+def later(problem: Problem, mesh: Mesh) -> Program:
+    """The program of :func:`transcribe`, made at its first use: a motion that came from another
+    program needs its own for multipliers only.
+    """
+    return _Later(problem, mesh)
+
+
 def _auxiliary(problem: Problem, mesh: Mesh) -> Index:
     """Where the auxiliary unknowns stand among all."""
     form, at = mesh.form, len(problem.plant.states)
@@ -293,6 +318,10 @@ def _stages(
     return made
 
 
+_stage = lru_cache(maxsize=32)(Stage)
+"""Programs of one problem on several meshes share their stages, and what was derived of them."""
+
+
 def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
     """Intervals of equal degree and checks on legs with equal path conditions (and bounds)."""
     found: list[tuple[Stage, list[int]]] = []
@@ -307,7 +336,7 @@ def _alike(problem: Problem, mesh: Mesh) -> list[tuple[Stage, list[int]]]:
                 members.append(k)
                 break
         else:
-            found.append((Stage(problem, leg, mesh.form, interval.degree, interval.watched), [k]))
+            found.append((_stage(problem, leg, mesh.form, interval.degree, interval.watched), [k]))
     return found
 
 

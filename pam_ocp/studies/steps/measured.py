@@ -27,7 +27,7 @@ class TableStep(Step):
 
     stage = "measured"
     needs = ("file",)
-    keys = ("file", "rest_length", "ambient_pressure", *_WORDS, "ramp")
+    keys = ("file", "rest_length", "ambient_pressure", *_WORDS, "ramp", "without")
     offers: ClassVar[Mapping[str, str]] = {"table": "table.csv"}
     whole = True
 
@@ -46,7 +46,8 @@ class TableStep(Step):
         for key, unit in (("rest_length", "m"), ("ambient_pressure", "Pa")):
             if key in job.said:
                 given[key] = job.si(key, unit)
-        return read_table(str(beside) if beside.exists() else name, **given)
+        found = read_table(str(beside) if beside.exists() else name, **given)
+        return _without(found, job.listed("without"))
 
     @classmethod
     def work(cls, job: Job) -> Made:
@@ -61,6 +62,17 @@ class TableStep(Step):
         (job.out / "table.csv").write_text(csv_text([*columns, *labels], rows), "utf-8")
         numbers = {"cells": (float(len(found)), "1")}
         return Made(found, f"{len(found)} cells read", numbers=numbers, sure=found.notes)
+
+
+def _without(measured: ForceTable, cells: list[Any]) -> ForceTable:
+    """The table less these cells, which count from 0 in the order that they were read in."""
+    for cell in cells:
+        if isinstance(cell, bool) or not isinstance(cell, int) or not 0 <= cell < len(measured):
+            raise InputError(
+                f"without: {cell!r} is no cell of the table; give whole numbers from 0 to "
+                f"{len(measured) - 1}"
+            )
+    return measured.subset([i not in set(cells) for i in range(len(measured))])
 
 
 @STEPS.register("fit")

@@ -1,4 +1,4 @@
-"""Steps that move a plant: planned, simulated, controlled; and the comparison of two motions."""
+"""Steps that move a plant: planned, simulated; and the comparison of two motions."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...core.errors import InputError, PlanError, PlanWarning, UnknownNameError, require_count
-from ...core.quantities import known_keys, quantity, table
-from ..loop_problem import DEFAULTS, loop_settings, loop_text, require_spans, run_loop
+from ...core.quantities import quantity
 from .step import STEPS, Job, Made, Step, csv_text, ends, seconds, values
 
 if TYPE_CHECKING:
     from ...core.trajectory import Trajectory
 
-__all__ = ["CompareStep", "LoopStep", "PlanStep", "SimulateStep"]
+__all__ = ["CompareStep", "Moves", "PlanStep", "SimulateStep", "write_motion"]
 
 _PLANNING = (
     *("stops", "cyclic", "duration", "minimise", "bounds", "rest", "memory", "phases"),
@@ -23,7 +22,7 @@ _PLANNING = (
 MOTION = "motion.npz"
 
 
-class _Moves(Step):
+class Moves(Step):
     """What offers a motion."""
 
     offers: ClassVar[Mapping[str, str]] = {"motion": MOTION}
@@ -36,13 +35,14 @@ class _Moves(Step):
         return Trajectory.load(job.out / MOTION)
 
 
-def _write(motion: Trajectory, job: Job) -> None:
+def write_motion(motion: Trajectory, job: Job) -> None:
+    """Where :class:`Moves` reads it, and as a table."""
     motion.save(job.out / MOTION)
     motion.save(job.out / "motion.csv")
 
 
 @STEPS.register("plan")
-class PlanStep(_Moves):
+class PlanStep(Moves):
     """An optimal motion of a plant, checked by an independent integration."""
 
     needs = ("plant", "stops")
@@ -73,7 +73,7 @@ class PlanStep(_Moves):
             raise PlanError(f"no plan was found: {found.status}", found)
         found.save(job.out / "plan.npz")
         found.to_excel(job.out / "plan.xlsx")
-        _write(found.trajectory, job)
+        write_motion(found.trajectory, job)
         job.save(found.plot())
         numbers = {"duration": (found.duration, "s"), "objective": (found.objective, "1")}
         numbers |= {n: (v, found.plant.variable(n).unit) for n, v in found.design.items()}
@@ -89,7 +89,7 @@ class PlanStep(_Moves):
 
 
 @STEPS.register("simulate")
-class SimulateStep(_Moves):
+class SimulateStep(Moves):
     """The motion of a plant under inputs: constant, or those of another motion."""
 
     parts: ClassVar[Mapping[str, str]] = {"plant": "plant", "inputs": "motion"}
@@ -132,66 +132,10 @@ class SimulateStep(_Moves):
             plant = plant.with_values(arguments.pop("parameters"))
             arguments["start"] = plant.equilibrium(values("rest", plant, job.said["rest"]))
         motion = simulate(plant, **arguments)
-        _write(motion, job)
+        write_motion(motion, job)
         motion.to_excel(job.out / "motion.xlsx")
         job.save(motion.plot())
         return Made(motion, f"{motion.duration:g} s simulated", numbers=ends(motion))
-
-
-@STEPS.register("loop")
-class LoopStep(_Moves):
-    """A controller in closed loop, with an estimator if there is one, against the plant."""
-
-    stage = "verified"
-    needs = ("plant",)
-    keys = tuple(n for n in DEFAULTS if n not in ("plant", "muscle", "set"))
-
-    @classmethod
-    def _settings(cls, job: Job) -> dict[str, Any]:
-        said = {n: v for n, v in job.said.items() if n != "plant"}
-        settings = loop_settings("the loop", said)
-        settings["plant"] = job.parts["plant"]
-        against = settings["against"]
-        if against not in ("plant", "fmu"):
-            raise InputError(f"against = {against!r}: give 'plant' or 'fmu'")
-        require_spans(settings)
-        return settings
-
-    @classmethod
-    def check(cls, job: Job) -> dict[str, Any]:
-        from ...control.kinds import CONTROLLERS, ESTIMATORS
-
-        settings, plant = cls._settings(job), job.parts["plant"]
-        for name, kinds in (("controller", CONTROLLERS), ("estimator", ESTIMATORS)):
-            said = dict(table(name, settings[name]))
-            kind = said.pop("kind", {"controller": "mpc", "estimator": "kalman"}[name])
-            if kind != "none":
-                known = kinds.name(f"{name}.kind", kind, *(["none"] * (name == "estimator")))
-                known_keys(f"{name} ({known})", said, [*kinds.arguments(known), "kind"])
-        for name in ("start", "real", "noise"):
-            values(name, plant, settings[name])
-        for name in ("reference", "disturbances", "sensors"):
-            for variable in table(name, settings[name]):
-                plant.variable(variable)
-        return {}
-
-    @classmethod
-    def work(cls, job: Job) -> Made:
-        settings = cls._settings(job)
-        loop = run_loop(settings)
-        _write(loop.trajectory, job)
-        loop.save(job.out / "loop.npz")
-        job.save(loop.plot())
-        failures = loop.statistics.failures if loop.statistics else 0
-        window = min(float(settings["window"]), float(settings["duration"]))
-        numbers = ends(loop.trajectory)
-        for name in loop.reference.names if loop.reference else ():
-            error = loop.steady_error(name, window)
-            numbers[f"steady_error.{name}"] = error, loop.trajectory.variable(name).unit
-        text = loop_text({**settings, "plant": job.said["plant"]}, loop)
-        verdict = f"{failures} steps without a solution" if failures else "every step was solved"
-        sure = [line for line in text.splitlines()[1:] if not line.startswith("controller")]
-        return Made(loop, verdict, not failures, numbers, sure, text)
 
 
 @STEPS.register("compare")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ...fitting.dynamic.plant_fit import PlantFit
     from ...plants.plant import Plant
 
-__all__ = ["FitPlantStep", "PlantStep"]
+__all__ = ["FitPlantStep", "PlantStep", "copy_plant", "plant_in"]
 
 FILE = "plant.toml"
 _MUSCLES = ("muscle", "muscle2")
@@ -132,15 +132,19 @@ class FitPlantStep(Step):
 
 def _write_plant(fit: PlantFit, job: Job) -> None:
     """The plant's own file with the fitted values, and what lies beside it."""
-    source = job.sources["plant"]
-    for path in sorted(source.iterdir()):
-        if path.name != FILE and path.suffix in (".toml", ".py"):
-            (job.out / path.name).write_bytes(path.read_bytes())
-    content = dict(read_toml(source / FILE)["plant"])
+    content = dict(read_toml(copy_plant(job))["plant"])
     before = {v.name: v.start for v in job.parts["plant"].parameters}
     fitted = {v.name: v.start for v in fit.plant.parameters if v.start != before[v.name]}
     content["set"] = {**content.get("set", {}), **fitted}
     (job.out / FILE).write_text(tomli_w.dumps({"plant": content}), "utf-8")
+
+
+def copy_plant(job: Job) -> Path:
+    """The plant's own file, and what lies beside it, among those of a step that stands on it."""
+    for path in sorted(job.sources["plant"].iterdir()):
+        if path.suffix in (".toml", ".py"):
+            (job.out / path.name).write_bytes(path.read_bytes())
+    return job.out / FILE
 
 
 def _write_values(fit: PlantFit, path: Path) -> None:

@@ -1,0 +1,415 @@
+"""What run.py measures: groups of figures, each run in a process of its own, again and again.
+
+    python benchmarks/measured.py GROUP [--quick]
+
+prints one group as JSON. A group is a function of ``quick`` (smaller sizes) that returns {figure:
+number}. Seconds are those of the processor, unless a figure says "wall". A figure named NAME@SIZE
+belongs to a curve over sizes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from time import perf_counter, process_time, thread_time
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+GROUPS: dict[str, Callable[[bool], dict[str, float]]] = {}
+BAR = 1e5
+STOPS = [{"x": -0.015}, {"x": 0.015}]
+
+
+def group(function: Callable[[bool], dict[str, float]]) -> Callable[[bool], dict[str, float]]:
+    """A function that measures figures."""
+    GROUPS[function.__name__] = function
+    return function
+
+
+def spent(*command: str) -> float:
+    """Processor seconds of a whole process and its children; RuntimeError when it fails."""
+    import resource
+
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=HERE)
+    if done.returncode:
+        raise RuntimeError(done.stderr.strip()[-500:])
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def timed(work: Callable[[], Any], repeats: int = 3) -> float:
+    """Median processor seconds of a call, after one for warming up."""
+    work()
+    seconds = []
+    for _ in range(repeats):
+        begin = process_time()
+        work()
+        seconds.append(process_time() - begin)
+    return median(seconds)
+
+
+def slide(case: str = "a") -> Any:
+    """The plant of PAM-2DIR."""
+    sys.path.insert(0, str(HERE))
+    if case == "a":
+        import plan
+
+        return plan.slide()
+    import resolve
+
+    return resolve.commanded()
+
+
+def wish(case: str) -> dict[str, Any]:
+    """What is asked of it."""
+    if case == "a":
+        return {"cyclic": "mirrored"}
+    return {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}}
+
+
+# ---- starting -----------------------------------------------------------------------------------
+@group
+def start(quick: bool) -> dict[str, float]:
+    """Imports, and the tour with warm caches."""
+    casadi, ours = spent("-c", "import casadi"), spent("-c", "import pam_ocp")
+    found = {
+        "import beyond CasADi [s]": ours - casadi,
+        "import and a plant beyond CasADi [s]": spent(
+            "-c", "import pam_ocp as pam; pam.HangingLoad('DMSP-20-400N')"
+        )
+        - casadi,
+    }
+    if not quick:
+        with tempfile.TemporaryDirectory() as folder:
+            tour = ("-m", "pam_ocp", "tour", "--out", folder)
+            spent(*tour)
+            found["tour, warm caches [s]"] = spent(*tour)
+    return found
+
+
+FIRST = """
+import sys
+from time import process_time
+begin = process_time()
+sys.path.insert(0, {here!r})
+import pam_ocp as pam
+import measured
+plant = measured.slide({case!r})
+ready = process_time()
+plan = pam.plan(plant, measured.STOPS, method=pam.Collocation(50, 3), **measured.wish({case!r}))
+assert plan.verified
+print(process_time() - ready, plan.statistics["iterations"])
+"""
+
+
+@group
+def first_plan(quick: bool) -> dict[str, float]:
+    """PAM-2DIR as a whole process, and the first plan after import, to plain CasADi."""
+    found: dict[str, float] = {}
+    for case in "ab":
+        plain_whole = spent("plain.py", case)
+        plain = json.loads(
+            subprocess.run(
+                [sys.executable, "plain.py", case], capture_output=True, text=True, cwd=HERE
+            ).stdout
+        )
+        script = FIRST.format(here=str(HERE), case=case)
+        whole = spent("-c", script)
+        said = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True
+        ).stdout.split()
+        found[f"({case}) whole process / plain"] = whole / plain_whole
+        found[f"({case}) first plan / plain"] = float(said[0]) / plain["first"]
+        found[f"({case}) plain, whole [s]"] = plain_whole
+    return found
+
+
+# ---- planning -----------------------------------------------------------------------------------
+@group
+def again(quick: bool) -> dict[str, float]:
+    """A planner's whole call from a neighbour's solution, to plain CasADi, cold."""
+    import plain
+
+    import pam_ocp as pam
+
+    found = {}
+    for case in "ab":
+        bare = plain.Plain(case)
+        bare()
+        cold = median(bare()["seconds"] for _ in range(3))
+        planner = pam.Planner(slide(case), STOPS, method=pam.Collocation(50, 3), **wish(case))
+        near = planner()
+        loads = iter([2.02, 2.2, 2.1, 1.9, 2.05, 1.95, 2.15, 2.08, 1.98])
+        seconds = timed(lambda p=planner, n=near, m=loads: p({"mass": next(m)}, guess=n), 7)
+        found[f"({case}) re-solve, whole call / plain cold"] = seconds / cold
+    return found
+
+
+@group
+def accurate(quick: bool) -> dict[str, float]:
+    """(a) to an error of 1e-6."""
+    import pam_ocp as pam
+
+    plant, made = slide(), []
+    seconds = timed(
+        lambda: made.append(pam.plan(plant, STOPS, cyclic="mirrored", tolerance=1e-6)), 1
+    )
+    plan = made[-1]
+    return {
+        "(a) to 1e-6 [s]": seconds,
+        "(a) to 1e-6, intervals": float(plan.statistics["intervals"]),
+        "(a) to 1e-6, error": plan.replay_error,
+    }
+
+
+@group
+def intervals(quick: bool) -> dict[str, float]:
+    """Growth with the number of intervals, beside plain CasADi."""
+    import plain
+
+    import pam_ocp as pam
+
+    plant, found = slide(), {}
+    for n in (25, 50, 100) if quick else (25, 50, 100, 200, 400, 800):
+        planner = pam.Planner(plant, STOPS, cyclic="mirrored", method=pam.Collocation(n, 3))
+        begin = process_time()
+        plan = planner(tolerance=None)
+        found[f"plan [s]@{n}"] = process_time() - begin
+        found[f"iterations@{n}"] = float(plan.statistics["iterations"])
+        bare = plain.Plain("a", n)()
+        found[f"plan, plain CasADi [s]@{n}"] = bare["seconds"]
+        found[f"iterations, plain CasADi@{n}"] = bare["iterations"]
+    return found
+
+
+# ---- control ------------------------------------------------------------------------------------
+@group
+def mpc_step(quick: bool) -> dict[str, float]:
+    """Mpc on the slide, and its growth with the horizon [ms]."""
+    sys.path.insert(0, str(HERE))
+    import mpc
+    import numpy as np
+
+    plant, found = mpc.benchmark_plant(), {}
+    steps = 200 if quick else 2000
+    for horizon in (10, 50) if quick else (10, 25, 50, 100, 200):
+        for name, options in (
+            ("one iteration", {"iterations": 1}),
+            ("converged", {"iterations": 30}),
+        ):
+            few = steps if horizon == 50 else 200
+            _, seconds = mpc.run(plant, horizon, False, few, **options)
+            middle = 1e3 * float(np.median(seconds))
+            found[f"Mpc, {name} [ms]@{horizon}"] = middle
+            if horizon == 50:
+                found[f"Mpc 50, {name} [ms]"] = middle
+                found[f"Mpc 50, {name}, worst / median"] = 1e3 * float(seconds.max()) / middle
+    return found
+
+
+@group
+def estimators(quick: bool) -> dict[str, float]:
+    """A Kalman filter's step, and that of a moving horizon of 10 [ms]."""
+    import mpc
+
+    import pam_ocp as pam
+
+    plant = mpc.benchmark_plant()
+    rest = plant.equilibrium(x=-0.01, stiffness=2e4)
+    inputs = {n: rest[n] for n in mpc.COMMANDS}
+    common = {"sample_time": 0.005, "measured": {"x": 1e-5}, "start": rest}
+    found = {}
+    for name, estimator in (
+        ("Kalman filter", pam.KalmanFilter(plant, **common)),
+        ("moving horizon", pam.control.MovingHorizonEstimator(plant, horizon=10, **common)),
+    ):
+        seconds = []
+        for k in range(120 if quick else 600):
+            begin = thread_time()
+            estimator.correct({"x": rest["x"] + 1e-5 * (k % 7 - 3)})
+            estimator.predict(inputs)
+            seconds.append(thread_time() - begin)
+        found[f"{name} [ms]"] = 1e3 * median(seconds[20:])
+    return found
+
+
+# ---- fitting ------------------------------------------------------------------------------------
+@group
+def fit_cells(quick: bool) -> dict[str, float]:
+    """fit_force with intervals, and SciPy's Levenberg-Marquardt, over the number of cells."""
+    import numpy as np
+    from scipy.optimize import curve_fit
+
+    import pam_ocp as pam
+
+    law, found = pam.muscle("DMSP-20-200N").force, {}
+    random = np.random.default_rng(20)
+
+    def formula(at: Any, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float) -> Any:
+        p, kappa = at
+        return (a1 * p + a2) * np.exp(a3 * kappa) + a4 * kappa * p + a5 * p + a6
+
+    begin = list(law.published) if hasattr(law, "published") else [-4.0, 292, -33, -934, 294, -280]
+    for count in (60, 1000) if quick else (60, 1000, 10_000, 50_000):
+        p, kappa = random.uniform(0.5, 6, count) * BAR, random.uniform(0, 0.2, count)
+        force = np.asarray(law(p, kappa)).ravel() + random.normal(0, 5.0, count)
+        table = pam.fitting.ForceTable(p, kappa, force, rest_length=0.3).taut
+        once = process_time()
+        pam.fit_force(table).intervals()
+        once = process_time() - once
+        work = lambda t=table: pam.fit_force(t).intervals()  # noqa: E731
+        found[f"fit_force with intervals [s]@{count}"] = timed(work, 1) if once < 5 else once
+        at = np.array([table.pressure / BAR, table.contraction])
+        begin[2] = -20.0
+        lm = lambda a=at, t=table: curve_fit(formula, a, t.force, begin, maxfev=20000)  # noqa: E731
+        found[f"SciPy LM [s]@{count}"] = timed(lm, 1)
+    return found
+
+
+@group
+def compare(quick: bool) -> dict[str, float]:
+    """compare_laws, ten laws on 100 cells."""
+    import numpy as np
+
+    import pam_ocp as pam
+
+    law = pam.muscle("DMSP-20-200N").force
+    p, kappa = np.meshgrid(np.linspace(0.5, 6, 10) * BAR, np.linspace(0, 0.2, 10))
+    force = np.asarray(law(p.ravel(), kappa.ravel())).ravel()
+    force = force + np.random.default_rng(7).normal(0, 3.0, 100)
+    table = pam.fitting.ForceTable(p.ravel(), kappa.ravel(), force, rest_length=0.3)
+    fixed = {"radius": 0.010, "rest_diameter": 0.020, "max_contraction_ratio": 0.28}
+    begin, wall = process_time(), perf_counter()
+    found = pam.compare_laws(table, fixed=fixed, executor=0)
+    seconds = process_time() - begin
+    return {
+        "compare_laws, 100 cells [s]": seconds,
+        "compare_laws, 100 cells, wall [s]": perf_counter() - wall,
+        "laws that were fitted": float(sum(entry.fit is not None for entry in found.laws)),
+    }
+
+
+# ---- simulating ---------------------------------------------------------------------------------
+@group
+def simulation(quick: bool) -> dict[str, float]:
+    """One second of four states to 1e-8: ours, SciPy's and python-control's."""
+    import control
+    import numpy as np
+    from scipy.integrate import solve_ivp
+
+    import pam_ocp as pam
+
+    plant = slide()
+    names = [v.name for v in plant.inputs]
+    t = np.linspace(0.0, 1.0, 101)
+    wave = 3 * BAR + BAR * np.array([np.sin(7 * t), np.cos(9 * t)])
+    inputs = dict(zip(names, wave, strict=True))
+    common: dict[str, Any] = {"t": t, "rtol": 1e-8, "interpolation": "linear"}
+    ours = timed(lambda: pam.simulate(plant, inputs, **common), 5)
+    p, scale = plant.vector("parameter"), plant.vector("state", attribute="nominal")
+    x0 = plant.vector("state") / scale
+
+    def slope(time: float, z: Any) -> Any:
+        u = [np.interp(time, t, row) for row in wave]
+        return np.asarray(plant.function(z * scale, u, p)[0]).ravel() / scale
+
+    def scipy(method: str) -> float:
+        return timed(
+            lambda: solve_ivp(slope, (0, 1), x0, method, t_eval=t, rtol=1e-8, atol=1e-8), 1
+        )
+
+    system = control.NonlinearIOSystem(
+        lambda time, z, u, _: np.asarray(plant.function(z * scale, u, p)[0]).ravel() / scale,
+        None,
+        inputs=2,
+        states=4,
+        outputs=4,
+    )
+    settings = {"solve_ivp_kwargs": {"rtol": 1e-8, "atol": 1e-8}, "solve_ivp_method": "LSODA"}
+    found = {
+        "simulate 1 s [s]": ours,
+        "SciPy LSODA / simulate": scipy("LSODA") / ours,
+        "SciPy Radau / simulate": scipy("Radau") / ours,
+        "python-control / simulate": timed(
+            lambda: control.input_output_response(system, t, wave, x0, **settings), 1
+        )
+        / ours,
+    }
+    linear = lambda: pam.simulate(plant, inputs, method="cvodes", **common)  # noqa: E731
+    found["cvodes / simulate"] = timed(linear, 1) / ours
+    waves = [lambda s: 3 * BAR + BAR * np.sin(7 * s), lambda s: 3 * BAR + BAR * np.cos(9 * s)]
+    functions = dict(zip(names, waves, strict=True))
+    common.pop("interpolation")
+    timed_functions = timed(lambda: pam.simulate(plant, functions, **common), 1)
+    found["simulate, functions of time [ms]"] = 1e3 * timed_functions
+    return found
+
+
+def chain(count: int) -> Any:
+    """``count`` masses in a row between springs and dampers, pushed at one end: 2 count states."""
+    import pam_ocp as pam
+
+    plant = pam.Plant("chain", "masses between springs")
+    q = [plant.state(f"q{i}", nominal=0.01) for i in range(count)]
+    v = [plant.state(f"v{i}", nominal=0.1) for i in range(count)]
+    push = plant.input("push", start=1.0)
+    for i in range(count):
+        left = q[i - 1] if i else 0
+        right = q[i + 1] if i + 1 < count else 0
+        force = 400 * (left - 2 * q[i] + right) - 3 * v[i] - 1e4 * q[i] ** 3
+        plant.der(q[i], v[i])
+        plant.der(v[i], force + (push if i == 0 else 0))
+    return plant
+
+
+@group
+def states(quick: bool) -> dict[str, float]:
+    """Growth of a simulation with the number of states."""
+    import numpy as np
+
+    import pam_ocp as pam
+
+    found, t = {}, np.linspace(0.0, 1.0, 101)
+    for count in (2, 8) if quick else (2, 4, 8, 12, 18):
+        plant, push = chain(count), {"push": np.sin(20 * t)}
+        run = lambda p=plant, u=push: pam.simulate(p, u, t=t, rtol=1e-8)  # noqa: E731
+        found[f"simulate [s]@{2 * count}"] = timed(run, 3)
+    return found
+
+
+@group
+def fmu_step(quick: bool) -> dict[str, float]:
+    """A communication step of an FMU, in units of six right-hand sides and a Jacobian."""
+    if quick:
+        return {}
+    sys.path.insert(0, str(HERE))
+    import fmu_step as script
+
+    return {f"FMU, {name} [units]": value for name, value in script.figures(quick).items()}
+
+
+@group
+def cases(quick: bool) -> dict[str, float]:
+    """What the loop over cases adds to a plain loop, and what two processes gain (wall)."""
+    sys.path.insert(0, str(HERE))
+    import many
+
+    return many.figures(quick)
+
+
+def main() -> None:
+    name, *options = sys.argv[1:]
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    print("FIGURES " + json.dumps(GROUPS[name]("--quick" in options)))
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(HERE))
+    main()

@@ -1,0 +1,252 @@
+"""All benchmarks by one command: figures, their growth, peers; a file, a page, and a comparison.
+
+    python benchmarks/run.py [--quick] [--out FILE] [--against FILE] [--page] [--only GROUP ...]
+
+Every group of measured.py runs in a process of its own, ``--repeats`` times (five; three with
+--quick); medians are kept, with the machine, the versions, the load and the commit, in a JSON
+file. ``--against`` names such a file of earlier: figures that are more than 20 % slower are
+listed, and the exit code is 1. Peers (peers/run.py; yapss, rockit, do-mpc, lmfit and others) get
+environments of their own in a folder of caches, once, with ``--install``; ``--peers`` runs them.
+``--page`` writes the plots (light and dark) and the table of docs/benchmarks.md.
+
+Measure on a quiet machine: ``uptime`` below 0.5. The load at the start is written down.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from measured import GROUPS, HERE
+
+LIMIT = {True: 120.0, False: 900.0}
+"""Seconds that a process may take; quick, and in full."""
+SLOWER = 1.2
+MORE_IS_BETTER = ("SciPy", "python-control", "scaling")
+"""Beginnings or parts of figures that had better be large."""
+NO_SPEED = ("laws that", "plain", "error", "wall", "worst")
+"""Parts of figures that say nothing of our own speed, or scatter too much to be compared."""
+NOISE = 5e-4
+"""What is less than this in both is not compared [s, ms, or a ratio]."""
+PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib", "pyarrow", "distributed")
+WANTED: dict[str, tuple[str, float]] = {
+    "(a) whole process / plain": ("<=", 1.0),
+    "(b) whole process / plain": ("<=", 1.0),
+    "(a) first plan / plain": ("<=", 0.5),
+    "(b) first plan / plain": ("<=", 0.5),
+    "(a) re-solve, whole call / plain cold": ("<=", 0.07),
+    "(b) re-solve, whole call / plain cold": ("<=", 0.15),
+    "(a) to 1e-6 [s]": ("<=", 0.3),
+    "(a) to 1e-6, intervals": ("<=", 20),
+    "Mpc 50, one iteration [ms]": ("<=", 0.5),
+    "Mpc 50, converged [ms]": ("<=", 1.0),
+    "Mpc 50, one iteration, worst / median": ("<=", 2.5),
+    "Mpc 50, converged, worst / median": ("<=", 2.5),
+    "Kalman filter [ms]": ("<=", 0.1),
+    "moving horizon [ms]": ("<=", 0.5),
+    "fit_force with intervals [s]@60": ("<=", 0.010),
+    "fit_force with intervals [s]@10000": ("<=", 0.1),
+    "fit_force with intervals [s]@50000": ("<=", 0.5),
+    "SciPy LSODA / simulate": (">=", 20),
+    "python-control / simulate": (">=", 40),
+    "SciPy Radau / simulate": (">=", 80),
+    "cvodes / simulate": ("<=", 1.5),
+    "simulate, functions of time [ms]": ("<=", 15),
+    "FMU, at rest [units]": ("<=", 2.5),
+    "FMU, jumps in each step [units]": ("<=", 2.5),
+    "import beyond CasADi [s]": ("<=", 0.05),
+    "tour, warm caches [s]": ("<=", 3.0),
+    "compare_laws, 100 cells [s]": ("<=", 1.0),
+    "simulations, cost of a case / plain loop": ("<=", 1.05),
+    "plans, cost of a case / plain loop": ("<=", 1.05),
+    "simulations, scaling on two processes (wall)": (">=", 1.9),
+    "plans, scaling on two processes (wall)": (">=", 1.9),
+    **{f"iterations@{n}": ("<=", 60) for n in (25, 50, 100, 200, 400, 800)},
+}
+
+
+def environment() -> dict[str, str]:
+    """One thread each, and this tree's package."""
+    tree = str(HERE.parent)
+    paths = [tree, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    return {**os.environ, **single, "PYTHONPATH": os.pathsep.join(p for p in paths if p)}
+
+
+def once(name: str, quick: bool) -> dict[str, float] | str:
+    """The figures of a group, or why there are none."""
+    command = [sys.executable, str(HERE / "measured.py"), name, *(["--quick"] if quick else [])]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=LIMIT[quick], env=environment()
+        )
+    except subprocess.TimeoutExpired:
+        return f"no end in {LIMIT[quick]:.0f} s"
+    line = next((li for li in done.stdout.splitlines() if li.startswith("FIGURES ")), None)
+    if done.returncode or line is None:
+        return (done.stderr.strip().splitlines() or ["it printed nothing"])[-1]
+    found: dict[str, float] = json.loads(line[len("FIGURES ") :])
+    return found
+
+
+def about() -> dict[str, Any]:
+    """The machine, what is installed, the load, the commit."""
+
+    def installed(package: str) -> str:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            return ""
+
+    git = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
+    processor = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").exists():
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        processor = next((li.split(": ")[1] for li in lines if "model name" in li), processor)
+    return {
+        "time": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "commit": subprocess.run(git, capture_output=True, text=True).stdout.strip(),
+        "machine": {"processor": processor, "processors": os.cpu_count()},
+        "system": platform.platform(terse=True),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "versions": {"python": platform.python_version()}
+        | {p: installed(p) for p in PACKAGES if installed(p)},
+    }
+
+
+def measure(names: list[str], quick: bool, repeats: int) -> dict[str, Any]:
+    """All of it; groups take turns, so that a busy minute does not hit one of them alone."""
+    result: dict[str, Any] = {**about(), "quick": quick, "repeats": repeats}
+    runs: dict[str, list[dict[str, float]]] = {n: [] for n in names}
+    missing: dict[str, str] = {}
+    for turn in range(repeats):
+        for name in names:
+            if name in missing:
+                continue
+            begin = time.perf_counter()
+            found = once(name, quick)
+            if isinstance(found, str):
+                missing[name] = found
+            else:
+                runs[name].append(found)
+            said = found if isinstance(found, str) else ""
+            print(f"{turn + 1}/{repeats} {name:<12}{time.perf_counter() - begin:7.1f} s {said}")
+            sys.stdout.flush()
+    figures: dict[str, dict[str, Any]] = {}
+    for done in runs.values():
+        for name in dict.fromkeys(n for run in done for n in run):
+            values = [run[name] for run in done if name in run]
+            figures[name] = {"median": median(values), "values": values}
+    return {**result, "figures": figures, "missing": missing}
+
+
+def reached(name: str, value: float) -> bool | None:
+    """Whether a figure is what is wanted of it; None where nothing is."""
+    if name not in WANTED:
+        return None
+    sign, wanted = WANTED[name]
+    return value <= wanted if sign == "<=" else value >= wanted
+
+
+def show(result: dict[str, Any]) -> None:
+    """The figures as a table."""
+    for name, figure in result["figures"].items():
+        said = reached(name, figure["median"])
+        goal = "" if said is None else "{} {:g}".format(*WANTED[name])
+        mark = "" if said is None else "reached" if said else "MISSED"
+        low, high = min(figure["values"]), max(figure["values"])
+        print(f"{name:<54}{figure['median']:>10.4g}  {low:.3g} .. {high:.3g}  {goal:>9} {mark}")
+    for name, why in result["missing"].items():
+        print(f"{name}: not measured: {why}")
+
+
+def slower(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """What has become more than 20 % slower, in words; best values are compared."""
+    found = []
+    for name, figure in after["figures"].items():
+        old = before["figures"].get(name)
+        if old is None or any(part in name for part in NO_SPEED):
+            continue
+        if any(part in name for part in MORE_IS_BETTER):
+            ratio = max(old["values"]) / max(max(figure["values"]), 1e-12)
+        else:
+            least = min(old["values"])
+            if max(least, min(figure["values"])) < NOISE or least <= 0:
+                continue
+            ratio = min(figure["values"]) / least
+        if ratio > SLOWER:
+            medians = f"median {old['median']:.4g} -> {figure['median']:.4g}"
+            found.append(f"{name}: {100 * (ratio - 1):.0f} % slower ({medians})")
+    for name, why in after["missing"].items():
+        if name not in before["missing"]:
+            found.append(f"{name}: not measured any more: {why}")
+    return found
+
+
+def peers(tools: bool, repeats: int) -> dict[str, Any]:
+    """Other tools on PAM-2DIR, by peers/run.py; those that do not install are listed as such."""
+    command = [sys.executable, str(HERE / "peers" / "run.py"), "--json", "--repeat", str(repeats)]
+    done = subprocess.run(
+        [*command, *(["--install"] if tools else [])],
+        capture_output=True,
+        text=True,
+        env=environment(),
+    )
+    line = next((li for li in done.stdout.splitlines() if li.startswith("PEERS ")), None)
+    if line is None:
+        return {"failed": (done.stderr.strip().splitlines() or ["nothing was printed"])[-1]}
+    found: dict[str, Any] = json.loads(line[len("PEERS ") :])
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="small sizes; below 5 minutes")
+    parser.add_argument("--repeats", type=int, help="of each group (5; 3 with --quick)")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks.json"), metavar="FILE")
+    parser.add_argument("--against", type=Path, metavar="FILE", help="of an earlier run")
+    parser.add_argument("--only", nargs="+", choices=list(GROUPS), metavar="GROUP")
+    parser.add_argument("--peers", action="store_true", help="other tools, too")
+    parser.add_argument("--install", action="store_true", help="make the peers' environments first")
+    parser.add_argument("--page", action="store_true", help="plots and table of docs/benchmarks.md")
+    parser.add_argument("--read", type=Path, metavar="FILE", help="measure nothing; take this file")
+    options = parser.parse_args()
+    before = json.loads(options.against.read_text()) if options.against else None
+    if options.read:
+        result = json.loads(options.read.read_text())
+    else:
+        repeats = options.repeats or (3 if options.quick else 5)
+        result = measure(options.only or list(GROUPS), options.quick, repeats)
+        if options.peers or options.install:
+            result["peers"] = peers(options.install, 3)
+        options.out.write_text(json.dumps(result, indent=1) + "\n")
+    show(result)
+    for tool, said in result.get("peers", {}).items():
+        print(f"{tool}: {said}")
+    if (result["load"] or 0) > 0.5:
+        print(f"the load was {result['load']:.1f} at the start: seconds are not to be trusted")
+    if options.page:
+        from page import write_page
+
+        print("-> " + ", ".join(str(p) for p in write_page(result)))
+    if before is None:
+        return 0
+    found = slower(before, result)
+    print("\n".join(found) if found else "nothing is more than 20 % slower")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

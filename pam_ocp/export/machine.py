@@ -1,0 +1,272 @@
+"""A plant as machine code for simulations: the C solver of the FMUs, loaded into this process.
+
+Built once per structure (its parameters are arguments), kept by the digest of its equations, and
+compared with CasADi when it is loaded. fmu/src/simulate.c is what is compiled.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import ExportError, InputError
+from ..core.plausible import outside
+from ..core.signals import PiecewisePolynomial
+from ..core.stop import check
+from ..plants.plant import Plant
+from .cache import cache_folder, digest, keep, kept, usable_folder
+from .compile import compile_library, native
+from .runtime import c_text
+from .source import plant_code
+
+__all__ = ["MachinePlant", "machine_function", "machine_plant", "quick"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+NAME = "pam_ocp_plant"
+MAIN = "simulate.c"
+OWN = (MAIN, "solver.c", "solver.h", "generated.c", "elementary.h")
+BUDGET = 1e6
+"""Interrupts and time limits are asked for after so many steps, divided by the states' third power
+(some milliseconds of work)."""
+ALIKE = 1e-9
+"""What the library and CasADi may differ by, in units of nominal and of the value: rounding."""
+
+
+class _Simulation(ctypes.Structure):
+    """As fmu/src/simulate.c has it; behind its last member stand the states."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("parameters", "nominal", "times", "breaks")),
+        *((name, ctypes.c_void_p) for name in ("coefficients", "states")),
+        ("tolerance", ctypes.c_double),
+        *((name, ctypes.c_longlong) for name in ("intervals", "pieces", "degree", "max_steps")),
+        *((name, ctypes.c_longlong) for name in ("interval", "piece", "steps")),
+        ("offset", ctypes.c_double),
+        ("step", ctypes.c_double),
+    )
+
+
+class MachinePlant:
+    """The library of one structure of plants. Raises OSError where it cannot be loaded."""
+
+    def __init__(self, path: Path, states: int, outputs: int) -> None:
+        self._library = ctypes.CDLL(str(path))
+        self._outputs = self._library.outputs
+        self._outputs.argtypes = (*[ctypes.c_void_p] * 5, ctypes.c_longlong)
+        self._outputs.restype = None
+        self._nx, self._ny = states, outputs
+        members = {"_fields_": [("x", ctypes.c_double * states)]}
+        self._structure: Any = type("Simulation", (_Simulation,), members)
+        self._simulate = self._library.simulate
+        self._simulate.argtypes = (ctypes.POINTER(self._structure), ctypes.c_longlong)
+        self._budget = max(20, int(BUDGET / (states + 2) ** 3))
+
+    def motion(
+        self,
+        u: PiecewisePolynomial,
+        grid: Array,
+        x0: Array,
+        p: Array,
+        nominal: Array,
+        tolerance: float,
+        max_steps: int,
+    ) -> Array | None:
+        """States (times, nx) over ``grid`` from ``x0``; None where the solver gave up.
+
+        u : with pieces for the whole grid. tolerance : of a step, in units of ``nominal``.
+        Signals and time limits end it.
+        """
+        states = np.empty((len(grid), self._nx))
+        states[0] = x0
+        arrays = [p, nominal, grid, u.breaks, u.coefficients]
+        arrays = [np.ascontiguousarray(a, dtype=float) for a in arrays]
+        run = self._structure(
+            *(a.ctypes.data for a in (*arrays, states)),
+            tolerance,
+            len(grid) - 1,
+            len(u.breaks) - 1,
+            u.degree,
+            max_steps,
+        )
+        run.x[:] = states[0].tolist()
+        goes_on = 1
+        while goes_on == 1:
+            check()
+            goes_on = self._simulate(ctypes.byref(run), self._budget)
+        return states if goes_on == 0 else None
+
+    def outputs(self, x: Array, u: Array, p: Array, xdot: Array | None = None) -> Array:
+        """Outputs (rows, ny) at rows of states and inputs; ``xdot`` takes the derivatives."""
+        y = np.empty((len(x), self._ny))
+        x, u, p = (np.ascontiguousarray(a, dtype=float) for a in (x, u, p))
+        into = None if xdot is None else xdot.ctypes.data
+        self._outputs(x.ctypes.data, u.ctypes.data, p.ctypes.data, into, y.ctypes.data, len(x))
+        return y
+
+
+# ---- where it is kept ---------------------------------------------------------------------------
+
+
+class _Known:
+    """What was found for a structure in this process."""
+
+    machine: MachinePlant | None = None
+    looked = False
+
+
+def machine_plant(plant: Plant, build: bool) -> MachinePlant | None:
+    """The plant's library where it is there, or where ``build`` asks for it; else None.
+
+    Raises InputError where it is to be built and cannot be.
+    """
+    known: _Known = plant.cached(("machine",), _Known)
+    if known.machine is None and (build or not known.looked):
+        known.looked = True
+        try:
+            known.machine = _machine(plant, build)
+        except ExportError as error:
+            if build:
+                raise InputError(f"compiled = True: {error}; or leave compiled out") from None
+    return known.machine
+
+
+def _place(part: str, name: str, build: bool) -> Path | None:
+    """Where a library is kept, or is to be; None where only looking shows none, which touches
+    nothing.
+    """
+    file = f"{name}{native().suffix}"
+    if not build and not (cache_folder() / part / file).is_file():
+        return None
+    return usable_folder(part) / file
+
+
+def _machine(plant: Plant, build: bool) -> MachinePlant | None:
+    stored = _place("plant", _digest(plant), build)
+    if stored is None:
+        return None
+    if kept(stored) is None:
+        if not build:
+            return None
+        sources = _sources(plant)
+        keep(stored, compile_library(sources, MAIN, native(), NAME))
+    try:
+        machine = MachinePlant(stored, len(plant.states), len(plant.outputs))
+    except OSError as error:
+        if build:
+            raise ExportError(f"{stored} cannot be loaded ({error})") from None
+        return None
+    if _alike(plant, machine):
+        return machine
+    stored.unlink(missing_ok=True)
+    warnings.warn(
+        f"the compiled code of {plant.name} does not agree with CasADi and is not used",
+        stacklevel=outside(),
+    )
+    return None
+
+
+@cache
+def _own() -> dict[str, str]:
+    return {name: c_text(name) for name in OWN}
+
+
+def _digest(plant: Plant) -> str:
+    """Of the plant's equations, and of what makes a library of them."""
+    parts = (plant.function.serialize(), ca.CasadiMeta.version(), native().name, *_own().values())
+    return digest("\0".join(parts).encode())
+
+
+def _sources(plant: Plant) -> dict[str, str]:
+    x, u, p = plant.x, plant.u, plant.p
+    xdot, y = (ca.densify(e) for e in plant.function(x, u, p)[:2])
+    rise = ca.SX.sym("rise", u.size1())
+    rows = {
+        "plant_rhs": ([x, u, p], [xdot]),
+        "plant_outputs": ([x, u, p], [y]),
+        "plant_linearize": ([x, u, p], [xdot, ca.densify(ca.jacobian(xdot, x))]),
+        "plant_slope": ([x, u, p, rise], [ca.densify(ca.jtimes(xdot, u, rise))]),
+    }
+    functions = [ca.Function(name, *row, {"cse": True}) for name, row in rows.items()]
+    defines = {
+        "SOLVER_N": x.size1(),
+        "NU": u.size1(),
+        "NY": y.size1(),
+        "PLANT_ARG": max(f.sz_arg() for f in functions),
+        "PLANT_RES": max(f.sz_res() for f in functions),
+        "PLANT_IW": max(1, *(f.sz_iw() for f in functions)),
+        "PLANT_W": max(1, *(f.sz_w() for f in functions)),
+    }
+    data = "\n".join(f"#define {name} {value}" for name, value in defines.items())
+    return {**_own(), "simulate_data.h": f"{data}\n", "plant.c": plant_code(functions)}
+
+
+def _alike(plant: Plant, machine: MachinePlant) -> bool:
+    """Whether derivatives and outputs at the start values are CasADi's."""
+    x, u, p = (plant.vector(kind) for kind in ("state", "input", "parameter"))
+    rates = np.empty((1, len(x)))
+    y = machine.outputs(x[None, :], u[None, :], p, rates)
+    expected = [np.asarray(e, float).ravel() for e in plant.function(x, u, p)[:2]]
+    sizes = [plant.vector(kind, attribute="nominal") for kind in ("state", "output")]
+    for value, known, size in zip((rates[0], y[0]), expected, sizes, strict=True):
+        wrong = np.abs(value - known) > ALIKE * (size + np.abs(known))
+        if np.any(wrong & np.isfinite(known)):
+            return False
+    return True
+
+
+# ---- single functions ---------------------------------------------------------------------------
+
+_HEAD = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
+
+
+def quick(function: ca.Function, compiled: bool | None) -> ca.Function:
+    """The function as machine code (None: where it is there; True: built if need be), or itself."""
+    machine = None if compiled is False else machine_function(function, build=bool(compiled))
+    return function if machine is None else machine
+
+
+def machine_function(function: ca.Function, build: bool) -> ca.Function | None:
+    """A function as machine code, where that is there or where ``build`` asks for it; else None.
+
+    Raises InputError where it is to be built and cannot be.
+    """
+    try:
+        return _machine_function(function, build)
+    except ExportError as error:
+        if build:
+            raise InputError(f"compiled = True: {error}; or leave compiled out") from None
+        return None
+
+
+def _machine_function(function: ca.Function, build: bool) -> ca.Function | None:
+    parts = (function.serialize(), ca.CasadiMeta.version(), native().name)
+    stored = _place("function", digest(chr(0).join(parts).encode()), build)
+    if stored is None:
+        return None
+    if kept(stored) is None:
+        if not build:
+            return None
+        generator = ca.CodeGenerator("function.c")
+        generator.add(function)
+        source = {"function.c": _HEAD + generator.dump()}
+        keep(stored, compile_library(source, "function.c", native(), function.name()))
+    try:
+        found = ca.external(function.name(), str(stored))
+    except RuntimeError as error:
+        if build:
+            raise ExportError(f"{stored} cannot be loaded ({error})") from None
+        return None
+    point = [ca.DM(function.sparsity_in(i), 0.1) for i in range(function.n_in())]
+    same = all(
+        np.allclose(np.asarray(a), np.asarray(b), rtol=ALIKE, atol=ALIKE, equal_nan=True)
+        for a, b in zip(found.call(point), function.call(point), strict=True)
+    )
+    return found if same else None

@@ -1,0 +1,124 @@
+"""Motions that are exact on meshes that are not: iterated defect correction.
+
+Integrated tightly from its start, an interval leaves a defect in the collocation equations: what
+the mesh does not resolve there. A program that asks for this defect instead of none has the
+integrated motion as its solution (Frank & Ueberhuber, BIT 17, 1977). The defect hardly changes
+with the unknowns, so two or three warm re-solves do what a mesh of several times the size would:
+memories have kinks, which no polynomial follows, and meshes resolve them slowly.
+
+The optimum stays that of the mesh, to its error; the motion is the plant's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..simulation.integrate import Integration
+from .replay import TOLERANCE, chosen_plant
+from .transcription.solution import Solution, pack
+from .transcription.stage import nominals
+from .transcription.transcription import Program
+
+__all__ = ["CORRECTABLE", "Corrected", "corrected", "left_as"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+CORRECTABLE = 0.1
+"""Replay error in units of nominal up to which a mesh's defects are corrected: an optimum that owes
+more to them would be another on a finer mesh.
+"""
+
+
+@dataclass(frozen=True)
+class Corrected(Program):
+    """A program whose collocation equations hold but for what the mesh does not resolve."""
+
+    shift: Array
+    """Of the limits of all constraints: zero but for the defects."""
+
+    def exact(self) -> Program:
+        """See :class:`Program`: defects of a motion say nothing of another one."""
+        return Program(**{f.name: getattr(self, f.name) for f in fields(Program)})
+
+    def limits(self) -> tuple[Array, Array]:
+        """(low, high) of all constraints."""
+        low, high = super().limits()
+        return low + self.shift, high + self.shift
+
+
+def corrected(program: Program, solution: Solution) -> Corrected | None:
+    """The program that a motion would solve if each of its intervals ran as the plant does.
+
+    ``solution`` stands on the program's mesh. None where an interval cannot be integrated.
+    """
+    try:
+        shift = _defects(program, solution)
+    except RuntimeError:
+        return None
+    return _shifted(program, shift) if np.all(np.isfinite(shift)) else None
+
+
+def left_as(program: Program, solution: Solution) -> Corrected:
+    """The program whose collocation equations hold along a motion, whatever that leaves in them."""
+    w = program.completed(pack(program.problem, program.mesh, solution))
+    function = ca.Function("defects", [program.nlp["x"], program.nlp["p"]], [program.nlp["g"]])
+    values = np.asarray(function(w, program.parameters()), float).ravel()
+    shift = np.zeros(len(values))
+    for group in program.groups:
+        own = slice(group.first_row, group.first_row + group.rows * len(group.members))
+        shift[own] = values[own]
+    return _shifted(program, shift)
+
+
+def _shifted(program: Program, shift: Array) -> Corrected:
+    own = {f.name: getattr(program, f.name) for f in fields(Program)}
+    return Corrected(**own, shift=shift)
+
+
+def _defects(program: Program, solution: Solution) -> Array:
+    """What a tight integration of each interval leaves in the constraints."""
+    problem, mesh = program.problem, program.mesh
+    plant, form = chosen_plant(problem, solution), mesh.form
+    x_nominal, u_nominal = nominals(problem)
+    states, breaks = solution.states, solution.inputs.breaks
+    run = Integration(plant, solution.inputs, breaks, states[0], rtol=TOLERANCE)
+    starts, ends, inputs, at = [], [], [], 0
+    for k, (interval, (begin, end)) in enumerate(
+        zip(mesh.intervals, pairwise(breaks), strict=True)
+    ):
+        taus = form.state_taus(interval.degree)
+        starts.append(states[at] / x_nominal)
+        ends.append((run.between(begin, states[at], end, tuple(taus.tolist())) / x_nominal).ravel())
+        since = (end - begin) * form.input_taus(interval.degree)
+        powers = since[:, None] ** np.arange(solution.inputs.degree + 1)
+        inputs.append((powers @ solution.inputs.coefficients[k] / u_nominal).ravel())
+        at += len(taus)
+    lengths, parameters = np.diff(breaks), plant.vector("parameter")
+    rows = sum(row.size for row in program.rows)
+    found = np.zeros(rows)
+    for group in program.groups:
+        function = group.stage.function.map(len(group.members))
+
+        def of(each: list[Array], members: tuple[int, ...] = group.members) -> Array:
+            return np.column_stack([each[k] for k in members])
+
+        # defects know no profiles, aims, peaks and auxiliaries
+        unknown = [np.zeros(function.size_in(name)) for name in ("r", "q", "m", "a")]
+        defects = function(
+            of(starts),
+            of(ends),
+            of(inputs),
+            lengths[list(group.members)][None],
+            breaks[list(group.members)][None],
+            parameters,
+            *unknown,
+        )[0]
+        size = group.rows * len(group.members)
+        found[group.first_row : group.first_row + size] = np.asarray(defects, float).ravel("F")
+    return found

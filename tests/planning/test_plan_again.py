@@ -1,0 +1,121 @@
+"""Planning again for other numbers, and on many intervals: what is carried over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp import Collocation
+from pam_ocp.planning.renewal import on_mesh
+from pam_ocp.planning.transcription.solution import unpack
+from pam_ocp.planning.transcription.transcription import transcribe
+
+FAR = [{"x": 0.0}, {"x": 0.3}]
+
+
+@pytest.fixture(scope="module")
+def cart() -> pam.Plant:
+    """x'' = u / mass: everything about its motions is known."""
+    plant = pam.Plant("cart")
+    x = plant.state("x", unit="m")
+    v = plant.state("v", unit="m/s")
+    u = plant.input("u", unit="N", min=-2.0, max=2.0)
+    mass = plant.parameter("mass", 1.0, unit="kg", min=0.1, max=10.0)
+    plant.der(x, v)
+    plant.der(v, u / mass)
+    return plant
+
+
+def test_a_fixed_duration_may_change_and_the_mesh_stays(cart):
+    """The least integral of u^2 is 12 d^2 / T^3 on free inputs; a motion of another duration is
+    that of a plan that was built for it.
+    """
+    task = {"minimise": "effort", "method": Collocation(12, 3)}
+    planner = pam.Planner(cart, FAR, duration=1.0, **task)
+    first = planner()
+    again = planner(duration=1.6, guess=first)
+    built = pam.plan(cart, FAR, duration=1.6, **task)
+    assert again.verified
+    assert again.duration == pytest.approx(1.6)
+    assert [len(m.intervals) for m in again.meshes] == [12]
+    assert again.objective == pytest.approx(built.objective, rel=1e-7)
+    assert again.objective == pytest.approx(12 * 0.3**2 / 1.6**3, rel=0.02)
+
+
+def test_many_intervals_are_solved_from_few_and_are_those_asked_for(cart):
+    """Minimum time from rest to rest: 2 sqrt(d m / u)."""
+    plan = pam.plan(cart, FAR, method=Collocation(200, 2))
+    assert plan.verified
+    assert [len(m.intervals) for m in plan.meshes] == [200]
+    assert plan.duration == pytest.approx(2 * np.sqrt(0.3 / 2.0), rel=1e-6)
+    assert len(plan.log) - 1 < plan.statistics["iterations"]  # the coarse mesh's count
+
+
+def test_a_finer_mesh_is_that_of_the_next_plan_too():
+    """Degree 1 leaves too much: the first plan is refined, its neighbour begins there."""
+    plant = pam.Plant("pendulum")
+    x = plant.state("x", unit="rad")
+    v = plant.state("v", unit="rad/s", nominal=5.0)
+    u = plant.input("u", unit="N.m", min=-60.0, max=60.0, nominal=10.0)
+    inertia = plant.parameter("inertia", 1.0, unit="kg.m2", min=0.1, max=10.0)
+    plant.der(x, v)
+    plant.der(v, (u - 40.0 * ca.sin(x)) / inertia)
+    stops = [{"x": 0.0}, {"x": 1.0}]
+    planner = pam.Planner(plant, stops, method=Collocation(20, 1), duration=1.0, minimise="effort")
+    first = planner()
+    assert first.verified
+    assert first.meshes[-1] != first.meshes[0]
+    near = planner(values={"inertia": 1.001}, guess=first)
+    assert near.verified
+    assert near.meshes == (first.meshes[0], first.meshes[-1])
+    assert near._solved.program.nlp is first._solved.program.nlp
+    cold = planner(values={"inertia": 1.001})
+    assert near.statistics["iterations"] < cold.statistics["iterations"]
+    assert near.objective == pytest.approx(cold.objective, rel=1e-3)
+
+
+def test_meshes_that_differ_by_margins_share_expressions_and_keep_their_own_limits(cart):
+    planner = pam.Planner(cart, FAR, method=Collocation(5, 4, "polynomial", guarded=False))
+    problem, mesh = planner._program.problem, planner._program.mesh
+
+    def watching(margin: float):
+        each = (replace(i, watched=(("u", margin),)) for i in mesh.intervals)
+        return replace(mesh, intervals=tuple(each))
+
+    known = transcribe(problem, watching(0.0))
+    shared = on_mesh(problem, watching(0.1), [known])
+    own = transcribe(problem, watching(0.1))
+    assert shared.nlp is known.nlp
+    for ours, theirs in zip(shared.limits(), own.limits(), strict=True):
+        assert np.array_equal(ours, theirs)
+    assert not np.array_equal(known.limits()[1], own.limits()[1])
+    assert on_mesh(problem, mesh, [known]).nlp is not known.nlp
+
+
+def test_unknowns_are_unpacked_interval_by_interval(cart):
+    """Against a loop over the intervals, of several degrees, some joined."""
+    planner = pam.Planner(cart, FAR, method=Collocation(4, 2))
+    problem, mesh = planner._program.problem, planner._program.mesh
+    kinds = [(3, False), (2, False), (2, True), (5, True)]
+    parts = tuple(
+        replace(i, degree=d, joined=j) for i, (d, j) in zip(mesh.intervals, kinds, strict=True)
+    )
+    mesh = replace(mesh, intervals=parts)
+    w = np.random.default_rng(3).uniform(0.5, 1.0, transcribe(problem, mesh).nlp["x"].numel())
+    found = unpack(problem, mesh, w)
+    duration = float(w[-1 - problem.m.numel()] * problem.time_nominals[0])
+    states, inputs, times, at = [w[:2]], [], [0.0], 2
+    for k, (degree, joined) in enumerate(kinds):
+        for tau in mesh.form.state_taus(degree):
+            states.append(w[at : at + 2])
+            times.append(duration * (k + tau) / 4)
+            at += 2
+        inputs.append(inputs[-1] if joined else w[at])
+        at += 1
+    assert found.states == pytest.approx(np.array(states))
+    assert found.t == pytest.approx(np.array(times))
+    assert found.inputs.coefficients[:, 0, 0] == pytest.approx(np.array(inputs))
