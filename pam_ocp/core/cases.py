@@ -15,7 +15,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .errors import PamError, require_count
+from .errors import InputError, PamError, require_count, require_instance
 from .executors import Place, on_executor, placed
 from .interrupts import interruptible
 from .progress import working
@@ -178,6 +178,9 @@ def each(
     >>> pam.each(math.sqrt, [1.0, 4.0, 9.0])
     [1.0, 2.0, 3.0]
     """
+    if not callable(work):
+        raise InputError(f"work = {work!r} cannot be called: give a function of one case")
+    require_instance("cases", cases, Iterable, "give a list of cases, or a generator")
     if chunk is not None:
         require_count("chunk", chunk)
     with interruptible():

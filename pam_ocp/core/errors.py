@@ -6,6 +6,7 @@ Each message names the argument, the value seen, the range allowed and the remed
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from numbers import Integral
 from typing import Any
 
@@ -38,7 +39,9 @@ __all__ = [
     "WriteError",
     "require_count",
     "require_finite",
+    "require_flag",
     "require_instance",
+    "require_names",
     "require_positive",
     "require_tolerance",
 ]
@@ -63,6 +66,25 @@ def require_count(argument: str, value: Any, least: int = 1, most: int | None = 
         allowed = f">= {least}" if most is None else f"from {least} to {most}"
         raise InputError(f"{argument} = {value!r}: give a whole number {allowed}")
     return int(value)
+
+
+def require_flag(argument: str, value: Any, none: str = "") -> bool | None:
+    """``value``, or an InputError when it is neither True nor False (with ``none``, which says
+    what that means: nor None).
+    """
+    if isinstance(value, bool) or (none and value is None):
+        return value
+    allowed = f"True, False or None ({none})" if none else "True or False"
+    raise InputError(f"{argument} = {value!r}: give {allowed}")
+
+
+def require_names(argument: str, value: Any) -> list[str]:
+    """One name or several as a list, or an InputError for what holds no names."""
+    given = [value] if isinstance(value, str) else value
+    names = list(given) if isinstance(given, Iterable) else [given]
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"{argument} = {value!r}: give a name in quotes, or a list of them")
+    return names
 
 
 def require_tolerance(argument: str, value: Any) -> float:

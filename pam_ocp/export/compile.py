@@ -18,7 +18,7 @@ from functools import cache
 from importlib import metadata, util
 from pathlib import Path
 
-from ..core.errors import ExportError, UnknownNameError
+from ..core.errors import ExportError, UnknownNameError, require_names
 from .cache import cache_folder, home_folder, keep, kept, usable_folder
 from .runtime import c_text
 
@@ -87,7 +87,7 @@ def platforms_named(names: Iterable[str] | None) -> tuple[Platform, ...]:
     """
     if names is None:
         return tuple(p for p in PLATFORMS.values() if not p.on_request)
-    chosen = [names] if isinstance(names, str) else list(names)
+    chosen = require_names("platforms", names)
     for name in chosen:
         if name != "native" and name not in PLATFORMS:
             raise UnknownNameError("platform", name, ["native", *PLATFORMS])

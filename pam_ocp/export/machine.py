@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import ExportError, InputError
+from ..core.errors import ExportError, InputError, require_flag
 from ..core.plausible import outside
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import check
@@ -229,6 +229,7 @@ _HEAD = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
 
 def quick(function: ca.Function, compiled: bool | None) -> ca.Function:
     """The function as machine code (None: where it is there; True: built if need be), or itself."""
+    require_flag("compiled", compiled, "where it is in the cache")
     machine = None if compiled is False else machine_function(function, build=bool(compiled))
     return function if machine is None else machine
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import InputError
+from ..core.errors import InputError, require_names
 from ..core.files import atomic_path, require_ending
 from ..core.variables import Variable
 from ..muscles.pneumatic_muscle import Muscle
@@ -72,7 +72,7 @@ def write_muscle_ssv(
 
     Raises InputError for names that cannot be meant.
     """
-    chosen = [names] if isinstance(names, str) else list(names)
+    chosen = require_names("names", names)
     if not chosen:
         raise InputError("muscles is empty; name those of the plant, such as 'muscle1'")
     constants: list[str] = []

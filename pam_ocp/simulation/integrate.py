@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError
+from ..core.errors import InputError, require_flag
 from ..core.signals import PiecewisePolynomial, merged
 from ..numerics.solvers import Native, integrator
 from ..plants.plant import Plant
@@ -61,6 +61,7 @@ class Integration:
             raise InputError("method = 'rk4' needs a step (seconds), such as step=1e-3")
         if self.method == "cvodes" and self.step is not None:
             raise InputError("method = 'cvodes' chooses its steps; leave out step")
+        require_flag("compiled", self.compiled, "where it is in the cache")
         if self.compiled and (self.method != "rosenbrock" or self.step is not None):
             raise InputError(
                 "compiled = True is for method = 'rosenbrock' with steps of its own; leave out "

@@ -12,6 +12,7 @@ from ..core.errors import (
     InputError,
     SimulationError,
     require_count,
+    require_names,
     require_positive,
     require_tolerance,
 )
@@ -111,7 +112,7 @@ def simulate(
         plant = plant.with_values(by_name("start", start, "input"))
     times = _times(inputs, duration, t)
     step = _check_numerics(rtol, step, max_steps)
-    events = (events,) if isinstance(events, str) else tuple(events)
+    events = tuple(require_names("events", events))
     x0 = plant.vector("state", _start(plant, inputs, start))
     u = signals(plant, inputs, times, interpolation)
     if dead_times not in ("line", "exact"):

@@ -144,7 +144,9 @@ class _Run:
         self.keys: dict[str, str] = {}
         self.found: dict[str, dict[str, Any]] = {}
         """Of the steps that were kept: their results."""
-        self.inputs = {p: file_digest(p) for e in study.entries.values() for p in study.files(e)}
+        self.files = {name: study.files(entry) for name, entry in study.entries.items()}
+        """What each names: looked up once, for files may come and go while it runs."""
+        self.inputs = {p: file_digest(p) for files in self.files.values() for p in files}
 
     # ---- before anything runs -----------------------------------------------------------------
     def prepare(self) -> None:
@@ -164,7 +166,7 @@ class _Run:
         parts = {key: self._identity(n) for key, n in entry.parts.items()}
         cases = [digest_of(self._result(n)["numbers"]) for n in entry.cases]
         said = {n: v for n, v in entry.said.items() if n not in entry.parts}
-        files = [(p.name, self.inputs[p]) for p in self.study.files(entry)]
+        files = [(p.name, self.inputs[p]) for p in self.files[entry.name]]
         made_by = [versions(), own_digest()]
         return digest_of([entry.kind, said, parts, cases, files, made_by, self.allow_code])
 

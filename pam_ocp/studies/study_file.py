@@ -58,9 +58,10 @@ class Study:
     entries: Mapping[str, Entry]
 
     def files(self, entry: Entry) -> list[Path]:
-        """The files beside the study that a step names."""
+        """The files beside the study that a step names; what names a step is no file."""
+        steps = {*entry.parts, *(["of"] if entry.kind == "sweep" else [])}
         found = set()
-        for text in _texts(entry.said):
+        for text in _texts({key: value for key, value in entry.said.items() if key not in steps}):
             place = self.path.parent / text.partition(".py:")[0]
             place = place.with_name(place.name + ".py") if ".py:" in text else place
             try:

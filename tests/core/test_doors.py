@@ -17,6 +17,7 @@ import pam_ocp as pam
 from pam_ocp.core.plausible import meant
 
 MUSCLE = pam.muscle("DMSP-20-400N")
+MOTION = pam.simulate(pam.HangingLoad(MUSCLE), {"muscle.command": 3 * BAR}, duration=0.3)
 REFUSALS = {"InputError", "UnknownNameError", "EquilibriumError"}
 
 
@@ -324,6 +325,36 @@ def test_per_mass_and_efficiency_come_with_every_feed() -> None:
         (
             lambda: pam.control.kalman(pam.HangingLoad(MUSCLE), {"x": 0.02}, measured={}),
             "measured is empty",
+        ),
+        (lambda: pam.each(3, [1.0]), "work = 3 cannot be called"),
+        (lambda: pam.each(abs, 5), "cases is a int: give a list of cases"),
+        (
+            lambda: pam.simulate(pam.HangingLoad(MUSCLE), duration=0.1, compiled="yes"),
+            "compiled = 'yes': give True, False or None",
+        ),
+        (
+            lambda: pam.KalmanFilter(
+                pam.HangingLoad(MUSCLE), sample_time=0.01, measured={"x": 1e-4}, compiled=1
+            ),
+            "compiled = 1: give True, False or None",
+        ),
+        (
+            lambda: pam.plan(pam.HangingLoad(MUSCLE), [{"x": 0.01}, {"x": 0.02}], compiled=None),
+            "compiled = None: give True or False",
+        ),
+        (
+            lambda: pam.simulate(pam.HangingLoad(MUSCLE), duration=0.1, events=5),
+            "events = 5: give a name in quotes",
+        ),
+        (
+            lambda: pam.export_fmu(pam.HangingLoad(MUSCLE), "m.fmu", platforms=[64]),
+            r"platforms = \[64\]: give a name in quotes",
+        ),
+        (
+            lambda: pam.fit_free_run(
+                pam.HangingLoad(MUSCLE), MOTION, ["mass"], horizon=0.2, outputs=["x"], disturbance=5
+            ),
+            "disturbance = 5: give a name in quotes",
         ),
     ],
 )

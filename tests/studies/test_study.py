@@ -490,6 +490,35 @@ def test_cells_that_are_not_there_cannot_be_left_out(fresh, cell):
         run_study(path, place / "out", cache=place / "cache")
 
 
+def test_of_a_table_some_cell_stays(fresh):
+    place = fresh
+    path = place / "study.toml"
+    cells = len(pam.read_table(place / "mine.csv", rest_length=0.3))
+    text = path.read_text("utf-8").replace(
+        'rest_length = "300 mm"', f'rest_length = "300 mm"\nwithout = {list(range(cells))}', 1
+    )
+    path.write_text(text, "utf-8")
+    with pytest.raises(pam.InputError, match=f"without names all {cells} cells"):
+        run_study(path, place / "out", cache=place / "cache")
+
+
+def test_what_is_called_as_a_step_beside_the_study_is_no_part_of_it(fresh):
+    """Nor does it matter that files come while a study runs."""
+    place = fresh
+    (place / "load").mkdir()
+    (place / "load" / "notes.txt").write_text("mine")
+    seen = []
+
+    def another(step, done, of):
+        seen.append(step.name)
+        (place / "load" / f"{step.name}.txt").write_text("came meanwhile")
+
+    first = run_study(place / "study.toml", place / "out", cache=place / "cache", progress=another)
+    assert first.ok and len(seen) == len(first.steps)
+    again = run_study(place / "study.toml", place / "out", cache=place / "cache")
+    assert {s.state for s in again.steps.values()} == {"kept"}
+
+
 def test_the_command_tells_the_same_as_json_and_judges_by_its_exit_code(place, capsys):
     import json
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import FitError, InputError
+from ...core.errors import FitError, InputError, require_names
 from ...core.plausible import outside
 from ...core.stop import spared, verb
 from ...core.trajectory import Trajectory
@@ -169,7 +169,7 @@ def fit_free_run(
     pushed = Disturbances(plant)
     if disturbance:
         groups(plant, free, dict(bounds or {}))  # refused in terms of the plant that was given
-        names = [disturbance] if isinstance(disturbance, str) else list(disturbance)
+        names = require_names("disturbance", disturbance)
         pushed = disturbed(plant, names, measured_names(plant, chosen, outputs))
         plant, free, correct = pushed.plant, [*free, *pushed.rates], correct or True
     wanted = groups(plant, free, dict(bounds or {}))

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError, require_finite, require_positive
+from ...core.errors import InputError, require_finite, require_names, require_positive
 from ...plants.plant import Plant
 from ..statistics import Array
 from .disturbances import GAIN
@@ -159,8 +159,8 @@ def unknowns_of(
             known |= dict.fromkeys(names, middle)
         else:
             known |= dict.fromkeys(names, ends)
-    gained = [_place("gains", n, plant, measured) for n in _listed(gains)]
-    shifted = [_place("offsets", n, plant, measured) for n in _listed(offsets)]
+    gained = [_place("gains", n, plant, measured) for n in require_names("gains", gains)]
+    shifted = [_place("offsets", n, plant, measured) for n in require_names("offsets", offsets)]
     rows += [(f"{measured[i]}.gain", "1", 0.0, 1.0, -0.9, np.inf) for i in gained]
     for i in shifted:
         variable = plant.variable(measured[i])
@@ -201,10 +201,6 @@ def unknowns_of(
 
 
 # ---- arguments ----------------------------------------------------------------------------------
-def _listed(given: Any) -> list[str]:
-    return [given] if isinstance(given, str) else list(given)
-
-
 def _delays(plant: Plant, given: Any) -> list[tuple[list[str], float | tuple[float, float]]]:
     """(inputs, seconds or range) of each entry."""
     inputs = [v.name for v in plant.inputs]
@@ -259,7 +255,11 @@ def _starts(
 ) -> tuple[list[int], list[int]]:
     """Positions of states with one start for all runs, and with one for each record."""
     order = [v.name for v in plant.states]
-    ways = dict(given) if isinstance(given, Mapping) else dict.fromkeys(_listed(given), "all")
+    ways = (
+        dict(given)
+        if isinstance(given, Mapping)
+        else dict.fromkeys(require_names("starts", given), "all")
+    )
     common: list[int] = []
     own: list[int] = []
     for entry, way in ways.items():
@@ -307,7 +307,9 @@ def _corrections(
     own = {n: [n] for n in order if n in measured} | {v: [p] for v, p in velocities.items()}
     if isinstance(given, Mapping):
         own |= {
-            _state("correct", s, plant): [_seen("correct", y, plant, measured) for y in _listed(ys)]
+            _state("correct", s, plant): [
+                _seen("correct", y, plant, measured) for y in require_names("correct", ys)
+            ]
             for s, ys in given.items()
         }
     elif not given:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.errors import FitError, InputError, UnknownNameError, require_positive
+from ...core.errors import FitError, InputError, UnknownNameError, require_names, require_positive
 from ...core.stop import verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant, require_plant
@@ -103,7 +103,7 @@ def fit_holds(
     require_plant(plant)
     if loss not in ("squares", "huber", "bisquare"):
         raise InputError(f"loss = {loss!r}: choose 'squares', 'huber' or 'bisquare'")
-    names = [estimate] if isinstance(estimate, str) else list(estimate)
+    names = require_names("estimate", estimate)
     table, label = _read(plant, holds, columns, units)
     compared = _compared(plant, table, measured)
     given = {n: a for n, a in table.items() if n not in compared and n in _settable(plant)}

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError
+from ...core.errors import InputError, require_flag
 from ..transcription.transcription import Program
 from .fatrop import Fatrop
 from .solver import SOLVERS, Ipopt, Outcome, Progress, Solver, Start
@@ -43,6 +43,7 @@ class Backend:
     def __post_init__(self) -> None:
         if self.name not in SOLVERS:
             raise InputError(f"solver = {self.name!r}: choose one of {', '.join(SOLVERS)}")
+        require_flag("compiled", self.compiled)
         if self.compiled and "compiled" not in SOLVERS.arguments(self.name):
             able = [repr(n) for n in SOLVERS if "compiled" in SOLVERS.arguments(n)]
             raise InputError(

@@ -72,6 +72,8 @@ def _without(measured: ForceTable, cells: list[Any]) -> ForceTable:
                 f"without: {cell!r} is no cell of the table; give whole numbers from 0 to "
                 f"{len(measured) - 1}"
             )
+    if len(set(cells)) == len(measured):
+        raise InputError(f"without names all {len(measured)} cells of the table: leave some")
     return measured.subset([i not in set(cells) for i in range(len(measured))])
 
 
