@@ -514,7 +514,8 @@ def test_what_is_called_as_a_step_beside_the_study_is_no_part_of_it(fresh):
         (place / "load" / f"{step.name}.txt").write_text("came meanwhile")
 
     first = run_study(place / "study.toml", place / "out", cache=place / "cache", progress=another)
-    assert first.ok and len(seen) == len(first.steps)
+    assert first.ok
+    assert len(seen) == len(first.steps)
     again = run_study(place / "study.toml", place / "out", cache=place / "cache")
     assert {s.state for s in again.steps.values()} == {"kept"}
 
