@@ -157,16 +157,15 @@ def accurate(quick: bool) -> dict[str, float]:
     """(a) to an error of 1e-6."""
     import pam_ocp as pam
 
-    plant, made = slide(), []
-    seconds = timed(
-        lambda: made.append(pam.plan(plant, STOPS, cyclic="mirrored", tolerance=1e-6)), 1
-    )
-    plan = made[-1]
-    return {
-        "(a) to 1e-6 [s]": seconds,
-        "(a) to 1e-6, intervals": float(plan.statistics["intervals"]),
-        "(a) to 1e-6, error": plan.replay_error,
-    }
+    plant, found = slide(), {}
+    for name, way in (("", {}), (" by arcs", {"method": pam.Arcs()})):
+        made: list[pam.Plan] = []
+        ask: dict[str, Any] = {"cyclic": "mirrored", "tolerance": 1e-6, **way}
+        seconds = timed(lambda a=ask, m=made: m.append(pam.plan(plant, STOPS, **a)), 1)
+        found[f"(a) to 1e-6{name} [s]"] = seconds
+        found[f"(a) to 1e-6{name}, intervals"] = float(made[-1].statistics["intervals"])
+        found[f"(a) to 1e-6{name}, error"] = made[-1].replay_error
+    return found
 
 
 @group
@@ -224,10 +223,12 @@ def estimators(quick: bool) -> dict[str, float]:
     rest = plant.equilibrium(x=-0.01, stiffness=2e4)
     inputs = {n: rest[n] for n in mpc.COMMANDS}
     common = {"sample_time": 0.005, "measured": {"x": 1e-5}, "start": rest}
-    found = {}
+    found, moving = {}, pam.control.MovingHorizonEstimator
     for name, estimator in (
         ("Kalman filter", pam.KalmanFilter(plant, **common)),
-        ("moving horizon", pam.control.MovingHorizonEstimator(plant, horizon=10, **common)),
+        ("moving horizon", moving(plant, horizon=10, **common)),
+        ("Kalman filter, compiled", pam.KalmanFilter(plant, compiled=True, **common)),
+        ("moving horizon, compiled", moving(plant, horizon=10, compiled=True, **common)),
     ):
         seconds = []
         for k in range(120 if quick else 600):
@@ -332,15 +333,16 @@ def simulation(quick: bool) -> dict[str, float]:
         outputs=4,
     )
     settings = {"solve_ivp_kwargs": {"rtol": 1e-8, "atol": 1e-8}, "solve_ivp_method": "LSODA"}
-    found = {
-        "simulate 1 s [s]": ours,
-        "SciPy LSODA / simulate": scipy("LSODA") / ours,
-        "SciPy Radau / simulate": scipy("Radau") / ours,
-        "python-control / simulate": timed(
-            lambda: control.input_output_response(system, t, wave, x0, **settings), 1
-        )
-        / ours,
-    }
+    machine = timed(lambda: pam.simulate(plant, inputs, compiled=True, **common), 20)
+    found = {"simulate 1 s [s]": ours, "simulate 1 s, compiled [s]": machine}
+    by_control = timed(lambda: control.input_output_response(system, t, wave, x0, **settings), 1)
+    for name, seconds in (
+        ("SciPy LSODA", scipy("LSODA")),
+        ("SciPy Radau", scipy("Radau")),
+        ("python-control", by_control),
+    ):
+        found[f"{name} / simulate"] = seconds / ours
+        found[f"{name} / simulate, compiled"] = seconds / machine
     linear = lambda: pam.simulate(plant, inputs, method="cvodes", **common)  # noqa: E731
     found["cvodes / simulate"] = timed(linear, 1) / ours
     waves = [lambda s: 3 * BAR + BAR * np.sin(7 * s), lambda s: 3 * BAR + BAR * np.cos(9 * s)]
