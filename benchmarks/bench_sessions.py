@@ -99,6 +99,8 @@ def main() -> None:
             begin, round_ = time.monotonic(), 0
             while time.monotonic() - begin < 60 * given.minutes:
                 for window in windows:
+                    if time.monotonic() - begin > 60 * given.minutes:
+                        break
                     driver.switch_to.window(window)
                     late += driver.execute_script(LATE)
                     what = round_ % 3
@@ -128,7 +130,9 @@ def main() -> None:
                     if not seen or now - seen[-1][0] > 15:
                         seen.append((now, *memory(server.process.pid)))
                         print(
-                            f"{now:6.0f} s  page {seen[-1][1]:.0f}, processes {seen[-1][2]:.0f} MiB"
+                            f"{now:6.0f} s  page {seen[-1][1]:.0f}, "
+                            f"processes {seen[-1][2]:.0f} MiB,"
+                            f" {len(late)} moves, {sum(done.values())} turns"
                         )
                 round_ += 1
         finally:

@@ -11,6 +11,7 @@ only. tests/core/test_stop.py runs the same verbs.
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import itertools
 import os
 import random
@@ -25,6 +26,8 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from typing import Any
 
+LONGEST = 60.0
+"""Behind the signal; then the process is killed [s]."""
 VERBS: dict[str, Callable[[Any], Any]] = {}
 
 
@@ -314,6 +317,7 @@ def run(name: str, told: Any) -> None:
         import pam_ocp as pam
 
         warnings.simplefilter("ignore")
+        faulthandler.dump_traceback_later(LONGEST - 10.0)  # where it hangs, if it does
         told.write("go\n")
         told.flush()
         VERBS[name](pam)
@@ -347,7 +351,7 @@ def shot(name: str, after: float, number: int = signal.SIGINT) -> tuple[str, flo
         time.sleep(after)
         sent = time.monotonic()
         os.kill(process, number)
-        killer = threading.Timer(60.0, os.kill, (process, signal.SIGKILL))
+        killer = threading.Timer(LONGEST, os.kill, (process, signal.SIGKILL))
         killer.start()
         out = said.readline() if began else ""
         killer.cancel()
@@ -365,10 +369,10 @@ def interrupted(name: str, after: float, number: int = signal.SIGINT) -> tuple[s
         sent = time.monotonic()
         process.send_signal(number)
         try:
-            out, _ = process.communicate(timeout=60)
+            out, _ = process.communicate(timeout=LONGEST)
         except subprocess.TimeoutExpired:
             process.kill()
-            return "went on for a minute", 60.0
+            return "went on for a minute", LONGEST
     return _how(out, process.returncode, sent)
 
 

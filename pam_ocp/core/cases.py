@@ -114,11 +114,11 @@ def ending(
     if count is None and isinstance(cases, Sized):
         count = len(cases)
     loop = Loop(work, placed(executor), count, lost=lost)
-    size = chunk or usual_size(count, loop.workers)
+    tasks = split(iter(cases), chunk or usual_size(count, loop.workers), None if chunk else 1)
     done = 0
     with (
         working(what, count) as bar,
-        closing(loop(split(iter(cases), size))) as ended,
+        closing(loop(tasks)) as ended,
     ):
         for task, results in ended:
             for i, result in enumerate(results):

@@ -196,10 +196,11 @@ def _work_under_way(frame: FrameType | None) -> tuple[bool, bool]:
 
 def _under_way(error: BaseException) -> bool:
     """Whether the error is being handled: somebody cleans up, and it goes on behind that."""
-    at = sys.exc_info()[1]
-    while at is not None and at is not error:
+    at, seen = sys.exc_info()[1], set()
+    while at is not None and at is not error and id(at) not in seen:
+        seen.add(id(at))  # libraries that set contexts themselves make rings of them
         at = at.__context__
-    return at is not None
+    return at is error
 
 
 INTERRUPTS = Interrupts()

@@ -71,13 +71,18 @@ class Task:
         return [whole[i] for i in range(len(self.cases))]
 
 
-def split(cases: Iterator[Any], size: int) -> Iterator[Task]:
-    """Tasks of ``size`` cases, as they are asked for."""
+def split(cases: Iterator[Any], size: int, first: int | None = None) -> Iterator[Task]:
+    """Tasks of ``size`` cases, as they are asked for; where ``first`` says how many the first one
+    has, each has twice as many as the one before it until they are ``size``, so that what ends
+    early has results.
+    """
+    done, now = 0, size if first is None else min(first, size)
     for index in itertools.count():
-        part = tuple(itertools.islice(cases, size))
+        part = tuple(itertools.islice(cases, now))
         if not part:
             return
-        yield Task(index, index * size, part)
+        yield Task(index, done, part)
+        done, now = done + len(part), min(2 * now, size)
 
 
 def usual_size(count: int | None, workers: int) -> int:
