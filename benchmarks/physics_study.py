@@ -276,15 +276,17 @@ def pair(plant: pam.Plant) -> bool:
 def commands(
     plant: pam.Plant, draw: np.random.Generator, count: int, most: float
 ) -> dict[str, np.ndarray]:
-    """Random levels of all inputs that have some: openings to ``most``, duties, pressures."""
+    """Random levels of inputs: openings to ``most``, duties, pressures, references."""
     levels = {}
     for v in plant.inputs:
         if v.unit == "1":
             levels[v.name] = draw.uniform(most * max(v.min, -1.0), most, count)
-        elif v.min < 0.0:  # a difference of pressures
-            levels[v.name] = draw.uniform(-1.2e5, 1.2e5, count)
         elif v.unit == "Pa":
-            levels[v.name] = draw.uniform(1.2e5, 4.5e5, count)
+            difference = (-1.2e5, 1.2e5)  # of two pressures
+            low, high = difference if v.min < 0.0 else (1.2e5, 4.5e5)
+            levels[v.name] = draw.uniform(low, high, count)
+        elif v.unit == "m":
+            levels[v.name] = draw.uniform(0.02, 0.04, count)
     return levels
 
 
