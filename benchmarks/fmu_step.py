@@ -25,9 +25,17 @@ PROGRAM = Path(__file__).with_name("step_cost.c")
 CASES = ("at rest", "jumps 100 steps apart", "jumps 10 steps apart", "jumps in each step")
 
 
-def built(folder: Path) -> Path:
+PLANTS = {
+    "slide": (None, ()),
+    "valves": (pam.feeds.SpoolValve(), ("-DLOWEST=-0.3", "-DHIGHEST=0.3")),
+}
+"""Feeds of a slide, and the range in which its commands jump where it is not that of pressures."""
+
+
+def built(kind: str, folder: Path) -> Path:
     """step_cost.c together with the sources of the FMU of a slide."""
-    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"))
+    feed, defines = PLANTS[kind]
+    plant = pam.AntagonisticSlide(pam.muscle("DMSP-20-400N"), feed=feed)
     fmu = pam.export_fmu(plant, folder / "slide.fmu", fmi="2.0", platforms="native")
     with zipfile.ZipFile(fmu) as archive:
         archive.extractall(folder / "fmu")
@@ -43,6 +51,7 @@ def built(folder: Path) -> Path:
             "-std=c11",
             "-O2",
             "-ffp-contract=off",
+            *defines,
             "-I",
             str(folder / "fmu" / "sources"),
             str(PROGRAM),
@@ -56,15 +65,19 @@ def built(folder: Path) -> Path:
 
 
 def figures(quick: bool) -> dict[str, float]:
-    """For run.py: {case: units}."""
-    return dict(zip(CASES, least(1 if quick else 3).tolist(), strict=True))
+    """For run.py: {plant, case: units}."""
+    return {
+        f"{kind}, {case}": cost
+        for kind in PLANTS
+        for case, cost in zip(CASES, least(kind, 1 if quick else 3).tolist(), strict=True)
+    }
 
 
-def least(runs: int) -> np.ndarray:
+def least(kind: str, runs: int) -> np.ndarray:
     """The least cost of each case in so many runs [units]."""
     costs = np.full(len(CASES), np.inf)
     with tempfile.TemporaryDirectory() as folder:
-        program = built(Path(folder))
+        program = built(kind, Path(folder))
         for _ in range(runs):
             done = subprocess.run([str(program)], capture_output=True, text=True, check=True)
             found = re.findall(r"= +([\d.]+) units", done.stdout)
@@ -73,8 +86,9 @@ def least(runs: int) -> np.ndarray:
 
 
 def main(runs: int) -> None:
-    for case, cost in zip(CASES, least(runs), strict=True):
-        print(f"{case:<24}{cost:6.2f} units")
+    for kind in PLANTS:
+        for case, cost in zip(CASES, least(kind, runs), strict=True):
+            print(f"{kind + ', ' + case:<32}{cost:6.2f} units")
 
 
 if __name__ == "__main__":

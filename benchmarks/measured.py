@@ -157,16 +157,15 @@ def accurate(quick: bool) -> dict[str, float]:
     """(a) to an error of 1e-6."""
     import pam_ocp as pam
 
-    plant, made = slide(), []
-    seconds = timed(
-        lambda: made.append(pam.plan(plant, STOPS, cyclic="mirrored", tolerance=1e-6)), 1
-    )
-    plan = made[-1]
-    return {
-        "(a) to 1e-6 [s]": seconds,
-        "(a) to 1e-6, intervals": float(plan.statistics["intervals"]),
-        "(a) to 1e-6, error": plan.replay_error,
-    }
+    plant, found = slide(), {}
+    for name, way in (("", {}), (" by arcs", {"method": pam.Arcs()})):
+        made: list[pam.Plan] = []
+        ask: dict[str, Any] = {"cyclic": "mirrored", "tolerance": 1e-6, **way}
+        seconds = timed(lambda a=ask, m=made: m.append(pam.plan(plant, STOPS, **a)), 1)
+        found[f"(a) to 1e-6{name} [s]"] = seconds
+        found[f"(a) to 1e-6{name}, intervals"] = float(made[-1].statistics["intervals"])
+        found[f"(a) to 1e-6{name}, error"] = made[-1].replay_error
+    return found
 
 
 @group
@@ -192,25 +191,24 @@ def intervals(quick: bool) -> dict[str, float]:
 # ---- control ------------------------------------------------------------------------------------
 @group
 def mpc_step(quick: bool) -> dict[str, float]:
-    """Mpc on the slide, and its growth with the horizon [ms]."""
+    """Mpc on the slide, and its growth with the horizon [ms]; worst steps out of 10 000."""
     sys.path.insert(0, str(HERE))
     import mpc
     import numpy as np
 
     plant, found = mpc.benchmark_plant(), {}
-    steps = 200 if quick else 2000
     for horizon in (10, 50) if quick else (10, 25, 50, 100, 200):
-        for name, options in (
-            ("one iteration", {"iterations": 1}),
-            ("converged", {"iterations": 30}),
-        ):
-            few = steps if horizon == 50 else 200
-            _, seconds = mpc.run(plant, horizon, False, few, **options)
-            middle = 1e3 * float(np.median(seconds))
-            found[f"Mpc, {name} [ms]@{horizon}"] = middle
-            if horizon == 50:
-                found[f"Mpc 50, {name} [ms]"] = middle
-                found[f"Mpc 50, {name}, worst / median"] = 1e3 * float(seconds.max()) / middle
+        for how, compiled in (("Mpc", False), ("Mpc compiled", True)):
+            for name, iterations in (("one iteration", 1), ("converged", 30)):
+                steps = 200 if horizon != 50 or quick else 10_000 if compiled else 1000
+                options = {"iterations": iterations, "compiled": compiled}
+                _, seconds = mpc.run(plant, horizon, False, steps, **options)
+                middle = 1e3 * float(np.median(seconds))
+                found[f"{how}, {name} [ms]@{horizon}"] = middle
+                if horizon == 50:
+                    found[f"{how} 50, {name} [ms]"] = middle
+                    worst = 1e3 * float(seconds.max()) / middle
+                    found[f"{how} 50, {name}, worst / median"] = worst
     return found
 
 
@@ -225,10 +223,12 @@ def estimators(quick: bool) -> dict[str, float]:
     rest = plant.equilibrium(x=-0.01, stiffness=2e4)
     inputs = {n: rest[n] for n in mpc.COMMANDS}
     common = {"sample_time": 0.005, "measured": {"x": 1e-5}, "start": rest}
-    found = {}
+    found, moving = {}, pam.control.MovingHorizonEstimator
     for name, estimator in (
         ("Kalman filter", pam.KalmanFilter(plant, **common)),
-        ("moving horizon", pam.control.MovingHorizonEstimator(plant, horizon=10, **common)),
+        ("moving horizon", moving(plant, horizon=10, **common)),
+        ("Kalman filter, compiled", pam.KalmanFilter(plant, compiled=True, **common)),
+        ("moving horizon, compiled", moving(plant, horizon=10, compiled=True, **common)),
     ):
         seconds = []
         for k in range(120 if quick else 600):
@@ -333,15 +333,16 @@ def simulation(quick: bool) -> dict[str, float]:
         outputs=4,
     )
     settings = {"solve_ivp_kwargs": {"rtol": 1e-8, "atol": 1e-8}, "solve_ivp_method": "LSODA"}
-    found = {
-        "simulate 1 s [s]": ours,
-        "SciPy LSODA / simulate": scipy("LSODA") / ours,
-        "SciPy Radau / simulate": scipy("Radau") / ours,
-        "python-control / simulate": timed(
-            lambda: control.input_output_response(system, t, wave, x0, **settings), 1
-        )
-        / ours,
-    }
+    machine = timed(lambda: pam.simulate(plant, inputs, compiled=True, **common), 20)
+    found = {"simulate 1 s [s]": ours, "simulate 1 s, compiled [s]": machine}
+    by_control = timed(lambda: control.input_output_response(system, t, wave, x0, **settings), 1)
+    for name, seconds in (
+        ("SciPy LSODA", scipy("LSODA")),
+        ("SciPy Radau", scipy("Radau")),
+        ("python-control", by_control),
+    ):
+        found[f"{name} / simulate"] = seconds / ours
+        found[f"{name} / simulate, compiled"] = seconds / machine
     linear = lambda: pam.simulate(plant, inputs, method="cvodes", **common)  # noqa: E731
     found["cvodes / simulate"] = timed(linear, 1) / ours
     waves = [lambda s: 3 * BAR + BAR * np.sin(7 * s), lambda s: 3 * BAR + BAR * np.cos(9 * s)]

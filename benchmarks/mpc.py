@@ -25,9 +25,9 @@ METHODS = (
     ("ipopt", {"solver": "ipopt"}, 60),
     ("piqp, one iteration", {"solver": "piqp", "iterations": 1, "compiled": False}, 400),
     ("hpipm, one iteration", {"iterations": 1, "compiled": False}, 400),
-    ("hpipm, one iteration, compiled", {"iterations": 1, "compiled": True}, 400),
+    ("one iteration, compiled", {"iterations": 1, "compiled": True}, 400),
     ("hpipm, converged, work bounded", {"iterations": 30, "compiled": False}, 400),
-    ("the same, compiled", {"iterations": 30, "compiled": True}, 400),
+    ("converged, work bounded, compiled", {"iterations": 30, "compiled": True}, 400),
     ("hpipm, converged", {"iterations": 30, "work": None, "compiled": False}, 400),
 )
 

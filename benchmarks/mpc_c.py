@@ -257,6 +257,7 @@ class Riccati:
         subprocess.run([*build, "-fPIC", "-o", library, str(folder / "qp.c"), "-lm"], check=True)
         self.buffer, self.call = ca.external("qp", library).buffer()
         self.data = [np.zeros(qp.solve.nnz_in(k)) for k in range(2)]
+        self.data.append(np.array([float(qp.iterations)]))
         self.results = [np.zeros(qp.solve.nnz_out(k)) for k in range(3)]
         for k, a in enumerate(self.data):
             self.buffer.set_arg(k, memoryview(a))
@@ -270,7 +271,7 @@ class Riccati:
         size = p.nx + len(p.rated) + p.nu
         bounds = np.array([b.value for b in self.core.bounds]) / self.core._nominal
         arguments = (nodes[:size], end[: p.nx], point.references.T, point.given, bounds, 0)
-        for kept, new in zip(self.data, self.core.qp.write(*arguments), strict=True):
+        for kept, new in zip(self.data[:2], self.core.qp.write(*arguments), strict=True):
             kept[:] = np.asarray(new).ravel(order="F")
         _, spent = timed(self.call)
         found = np.zeros(p.size + p.nx + len(p.rated) + 1)

@@ -14,7 +14,7 @@ BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 CURVES = {
     "intervals": ("plan", "intervals", ("plan [s]", "plan, plain CasADi [s]")),
     "iterations": ("IPOPT", "intervals", ("iterations", "iterations, plain CasADi")),
-    "horizon": ("Mpc", "horizon", ("Mpc, one iteration [ms]", "Mpc, converged [ms]")),
+    "horizon": ("Mpc", "horizon", ("Mpc, converged [ms]", "Mpc compiled, converged [ms]")),
     "cells": ("fit", "cells", ("fit_force with intervals [s]", "SciPy LM [s]")),
     "states": ("simulation", "states", ("simulate [s]",)),
     "cases": ("many", "cases", ("simulate_many, two processes, a case, wall [ms]",)),

@@ -21,6 +21,12 @@ static void quiet(fmi2ComponentEnvironment e, fmi2String n, fmi2Status s, fmi2St
         printf("%s\n", m);
 }
 
+/* Between these commands jump [Pa, or openings]. */
+#ifndef LOWEST
+#define LOWEST 1e5
+#define HIGHEST 5e5
+#endif
+
 /* Commands that jump now and then, as in a planned tour. */
 static void command(fmi2Component c, int i, int every) {
     static unsigned long long random = 88172645463325252ull;
@@ -28,7 +34,7 @@ static void command(fmi2Component c, int i, int every) {
     for (unsigned k = 0; k < NU; k++) {
         random ^= random << 13, random ^= random >> 7, random ^= random << 17;
         const unsigned vr = VR_U + k;
-        const double value = 1e5 + 4e5 * (double)(random >> 11) / 9007199254740992.0;
+        const double value = LOWEST + (HIGHEST - (LOWEST)) * (double)(random >> 11) / 9007199254740992.0;
         fmi2SetReal(c, &vr, 1, &value);
     }
 }

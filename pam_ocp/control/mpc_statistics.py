@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TypeAlias
+from array import array
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.shown import shown
 
-__all__ = ["MpcStatistics", "MpcStep"]
+__all__ = ["MpcStatistics", "MpcStep", "record", "steps_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -34,6 +35,28 @@ class MpcStep:
     """The SQP failed and IPOPT was asked."""
     failed: bool
     """IPOPT failed too: the inputs are those of the plan before, one step on."""
+
+
+_COLUMNS = [field.name for field in fields(MpcStep)]
+_COUNTS, _FLAGS = ("iterations", "work"), ("converged", "fallback", "failed")
+
+
+def record(columns: array[float], *values: float) -> None:
+    """Append a call's values, in the order of MpcStep: numbers in a row, no objects for the
+    collector of garbage to visit while a loop is to be on time.
+    """
+    columns.extend(values)
+
+
+def steps_of(columns: array[float]) -> tuple[MpcStep, ...]:
+    """What :func:`record` kept."""
+    kinds: dict[str, Any] = dict.fromkeys(_COUNTS, int) | dict.fromkeys(_FLAGS, bool)
+    size = len(_COLUMNS)
+    rows = (columns[k : k + size] for k in range(0, len(columns), size))
+    return tuple(
+        MpcStep(**{n: kinds.get(n, float)(v) for n, v in zip(_COLUMNS, row, strict=True)})
+        for row in rows
+    )
 
 
 @shown

@@ -20,7 +20,8 @@ class Buffered:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._call = function.buffer()
+        self._buffer, self.call = function.buffer()
+        """Evaluates at what stands in ``arguments``."""
         self.arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
         self._memory = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         for i, array in enumerate(self.arguments):
@@ -36,5 +37,5 @@ class Buffered:
         """The results for these arguments (vectors, or matrices column by column)."""
         for own, given in zip(self.arguments, arguments, strict=True):
             own[:] = given
-        self._call()
+        self.call()
         return self.results

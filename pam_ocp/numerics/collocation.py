@@ -43,8 +43,11 @@ def collocation_matrices(taus: Array) -> tuple[Array, Array, Array]:
     end : (d + 1,), values @ end is the polynomial at 1.
     weights : (d,), of the quadrature over 0 .. 1 by values at ``taus``.
     """
-    slopes, end, weights = (np.asarray(m) for m in ca.collocation_coeff(list(map(float, taus))))
-    return slopes, end.ravel(), weights.ravel()
+    slopes, end, _ = (np.asarray(m) for m in ca.collocation_coeff(list(map(float, taus))))
+    # CasADi's own go through 0 too, and leave out its weight: half a weight for one Radau point
+    places, shares = np.polynomial.legendre.leggauss(len(taus))
+    weights = [shares @ values / 2 for values in lagrange(taus.tolist(), (places + 1) / 2)]
+    return slopes, end.ravel(), np.array(weights)
 
 
 def lagrange(nodes: Sequence[float], at: Any, order: int = 0) -> list[Any]:

@@ -17,6 +17,8 @@ from .verdict import TOLERANCE
 
 __all__ = ["assembled", "trust"]
 
+BETWEEN = "costs are counted at the points of the mesh, so plan on a finer one"
+
 
 def assembled(
     found: Solved,
@@ -72,9 +74,13 @@ def trust(refinement: Refinement, climb: Climb, tolerance: float | None) -> dict
     figures: dict[str, Any] = {}
     words = [refinement.warning]
     if climb.rungs and tolerance is not None:
-        gap = climb.above(refinement.best.found)
+        best = refinement.best
+        gap, replayed = climb.above(best.found), best.replay.objective
         figures |= {"objective_change": climb.change, "objective_gap": gap}
+        figures["objective_replayed"] = replayed
         words += [] if gap <= tolerance else [_unsettled(gap, tolerance)]
+        if not climb.inexact(best.found, replayed) <= tolerance:
+            words.append(f"along the replay the objective is {replayed:.3g}: {BETWEEN}")
     if isinstance(refinement.best.found.program, Corrected):
         figures["corrected"] = True
     if any(words):

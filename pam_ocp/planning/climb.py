@@ -20,6 +20,7 @@ from .result import Solved
 from .run import Run
 from .sharpen import gains, sharpened
 from .solvers.backend import Backend
+from .solvers.narrowing import has_kinks
 from .transcription.mesh import Mesh, coarsened, doubled
 from .transcription.transcription import transcribe
 
@@ -66,18 +67,32 @@ def ladder(mesh: Mesh) -> list[Mesh]:
 
 
 def _nothing(problem: Problem) -> bool:
-    """Whether no motion has an objective below 0: it counts positive work, say, and no more."""
+    """Whether no motion has an objective below 0: it counts positive work and squares, say, and no
+    more.
+    """
     goal = problem.objective
     if any(goal.peaks) or not goal.final.is_zero():  # all other weights are >= 0
         return False
     counted = ca.vertcat(*(a.symbol for a in problem.auxiliaries if a.low >= 0))
-    parts = ca.Function("parts", [counted], [goal.integrand], {"allow_free": True})
-    if not counted.numel() or parts.has_free():
+    if not counted.numel():
         return False
     slopes = ca.jacobian(goal.integrand, counted)
     alone = ca.substitute(goal.integrand, counted, ca.DM.zeros(counted.shape))
-    every = ca.vertcat(ca.vec(slopes), alone)
-    return every.is_constant() and bool(np.all(np.asarray(ca.DM(every)) >= 0))
+    if not slopes.is_constant() or not np.all(np.asarray(ca.DM(slopes)) >= 0):
+        return False
+    return _square(alone)
+
+
+def _square(expression: ca.SX) -> bool:
+    """Whether an expression is a constant >= 0 and a sum of squares of its symbols."""
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))
+    curvature, slope = ca.hessian(expression, symbols)
+    if not curvature.is_constant():
+        return False
+    origin = ca.DM.zeros(symbols.shape)
+    least, slopes = (ca.DM(ca.substitute(e, symbols, origin)) for e in (expression, slope))
+    still = not np.any(np.asarray(slopes)) and float(least) >= 0
+    return still and bool(np.all(np.linalg.eigvalsh(np.asarray(ca.DM(curvature))) >= 0))
 
 
 def _legs(mesh: Mesh) -> int:
@@ -100,6 +115,10 @@ class Climb:
     change: float = float("nan")
     gap: float = float("nan")
     rungs: list[Solved] = field(default_factory=list)
+    directly: bool = False
+    """Whether kinks stay as they are from a mesh to the next: to lead each solution along the path
+    of their roundings takes more than the whole climb.
+    """
     _best: dict[int, float] = field(default_factory=dict)
     """The least objective by the number of intervals."""
     _pace: float = float("nan")
@@ -144,6 +163,8 @@ class Climb:
     def settled(self, found: Solved, tolerance: float) -> Solved:
         """The solution on finer and finer meshes, until they can gain no more than this."""
         self.rungs = [found]
+        self.gap = self.change = self._pace = float("nan")
+        self.directly = has_kinks(found.program.problem)
         before, bounded = float("nan"), _nothing(found.program.problem)
         while not self.gap <= tolerance and not found.outcome.stopped:
             gained = gains(found)
@@ -169,6 +190,12 @@ class Climb:
         may gain, and by the best that was found.
         """
         return self.gap + max(self.worse(found), 0.0)
+
+    def inexact(self, found: Solved, replayed: float) -> float:
+        """What the replayed motion's objective differs from a solution's, as a part of it: costs
+        are counted at the points of the mesh, and may be others between them.
+        """
+        return self._part(abs(replayed - found.outcome.objective), found)
 
     def worse(self, found: Solved) -> float:
         """By how much a solution lies above the finest, as a part of the objective."""
@@ -218,7 +245,7 @@ class Climb:
         """The solution on a finer mesh; None when it was not found."""
         if coarse.outcome.stopped:
             return None
-        found = run.refined(coarse, again=False)
+        found = run.directly(coarse) if self.directly else run.refined(coarse, again=False)
         self.iterations += found.outcome.iterations
         self.effort += found.outcome.iterations * len(found.outcome.w)
         return found if found.outcome.success else None

@@ -44,9 +44,10 @@ from .run import Run
 from .shortcuts import by_coarser, carried
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import explanation
+from .solvers.narrowing import has_kinks, widened
 from .solvers.solver import Progress
 from .starts import MOST, Ends, number_of_starts
-from .transcription.mesh import Collocation, Method, Shooting
+from .transcription.mesh import Collocation, Mesh, Method, Shooting
 from .transcription.transcription import Program, transcribe
 from .verdict import TOLERANCE
 
@@ -299,7 +300,7 @@ class Planner:
             if finer is not None:
                 return self._result(finer, climb, figures, begin, tolerance)
         try:
-            found = self._found(run, guess, starts, figures, climb, partly=tolerance is not None)
+            found = self._found(run, guess, starts, figures, climb, tolerance)
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
@@ -378,14 +379,18 @@ class Planner:
         starts: int | None,
         figures: dict[str, Any],
         climb: Climb,
-        partly: bool,
+        tolerance: float | None,
     ) -> list[Solved]:
         """Solutions, the best first, of economical motions by way of coarser meshes.
 
-        partly : a mesh coarser than the one asked for will do where that leads to nothing.
+        With a tolerance, a mesh coarser than the one asked for will do where that leads to nothing.
         """
-        program = run.program
+        program, partly = run.program, tolerance is not None
         meshes = ladder(program.mesh) if program.problem.objective.economical else []
+        if meshes and guess is None and has_kinks(program.problem):
+            found = self._climbed_widely(run, starts, figures, climb, meshes, tolerance)
+            if found:
+                return found
         if meshes and guess is None:
             coarse: list[Solved] = []
 
@@ -402,6 +407,40 @@ class Planner:
             if found:
                 return found
         return self._searched(run, guess, starts, figures, climb, partly)
+
+    def _climbed_widely(
+        self,
+        run: Run,
+        starts: int | None,
+        figures: dict[str, Any],
+        climb: Climb,
+        meshes: list[Mesh],
+        tolerance: float | None,
+    ) -> list[Solved]:
+        """Economical motions with kinks: the climb with wide roundings all the way until it has
+        settled, and from there to the plant's own, once; empty where that is blocked.
+        """
+        problem = widened(run.program).problem
+        top = Run(transcribe(problem, run.program.mesh), self._backend.near())
+
+        def search(first: Run) -> list[Solved]:
+            return self._searched(first, None, starts, figures, climb, False)
+
+        for each in climb.reached(search, top, meshes, False):
+            wide = each if tolerance is None else climb.settled(each, tolerance)
+            reached = self._from_wide(run, wide, climb)
+            if reached is not None:
+                return [reached]
+            if wide.outcome.stopped:
+                return [wide]
+        return []
+
+    def _from_wide(self, run: Run, wide: Solved, climb: Climb) -> Solved | None:
+        """From a solution with wide roundings to the plant's own; None where that is blocked."""
+        approach = Approach(run, wide, self._backend.near())
+        reached = approach.solved()
+        climb.iterations += approach.iterations
+        return reached
 
     def _searched(
         self,
@@ -456,9 +495,7 @@ class Planner:
         if not good and (led := run.led_widely()) is not None:
             good = [led]
         for wide in sorted(good, key=lambda each: each.outcome.objective)[:APPROACHES]:
-            approach = Approach(run, wide, self._backend.near())
-            reached = approach.solved()
-            climb.iterations += approach.iterations
+            reached = self._from_wide(run, wide, climb)
             if reached is not None:
                 return [reached]
         narrow = run.narrowed(good) if good else found[0]

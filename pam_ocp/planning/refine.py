@@ -65,6 +65,8 @@ class Refinement:
         self.best, self.tolerance, self.backend = first, CLOSER * tolerance, backend.near()
         self.first = first.found
         self.kinks = has_kinks(first.found.program.problem)
+        # economical motions have the mesh already on which their objective has settled
+        self.corrects = self.kinks or first.found.program.problem.objective.economical
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
@@ -155,7 +157,8 @@ class Refinement:
         for i in range(1, most + 1):
             if self.met() or self.iterations > iterations:
                 return
-            current = self._corrected(current)
+            if self.corrects:
+                current = self._corrected(current)
             if self.met():
                 return
             following = None
@@ -163,17 +166,18 @@ class Refinement:
                 following = self._solved(finer, current.found, directly)
                 if following is not None:
                     break
+                if self.best.miss <= self.tolerance / CLOSER:  # no more is promised
+                    return
             if following is None:
+                if not self.corrects:
+                    self._corrected(current)
                 return
             current = following
 
     def _corrected(self, current: Checked) -> Checked:
-        """The solution with its mesh's defects corrected where kinks make these large; itself where
-        that does not pay.
-        """
-        while_better = range(CORRECTIONS if self.kinks else 0)
-        for _ in while_better:
-            if not self.tolerance < current.replay.error <= CORRECTABLE:
+        """The solution with its mesh's defects corrected; itself where that does not pay."""
+        for _ in range(CORRECTIONS):
+            if not self.tolerance < _missed(current) <= CORRECTABLE:
                 break
             found = current.found
             program = corrected(found.program, found.solution)
@@ -186,7 +190,7 @@ class Refinement:
             if now is None:
                 break
             current, before = now, current
-            if now.replay.error > LEFT * before.replay.error:
+            if _missed(now) > LEFT * _missed(before):
                 break
         return current
 
@@ -227,7 +231,7 @@ class Refinement:
         """Meshes that may do better, the most promising first."""
         mesh, replay = current.found.program.mesh, current.replay
         by_limits = [watched(mesh, replay.beyond, self.tolerance)] if replay.beyond else []
-        worst, kinks = max(replay.error, replay.missed), self.kinks
+        worst, kinks = _missed(current), self.kinks
         if worst <= self.tolerance:
             # where checks between the points make the program unsolvable, shorter intervals may do
             beyond = [max(each.values(), default=0.0) for each in replay.beyond]
@@ -237,6 +241,13 @@ class Refinement:
         growth = max(1.0, worst / sum(errors)) if np.isfinite(worst) and sum(errors) > 0 else 1.0
         allowed = self.tolerance / len(errors) / growth
         return [refined(mesh, errors, allowed, kinks), *by_limits]
+
+
+def _missed(current: Checked) -> float:
+    """What a motion that is more exact would mend: its replay's error, and what stops, closing and
+    budgets see of it.
+    """
+    return max(current.replay.error, current.replay.missed)
 
 
 def _alike(mesh: Mesh, other: Mesh) -> bool:

@@ -110,7 +110,8 @@ class Plan:
         figures = (r.error, r.state, r.violation, r.constraint) if r else (nan, "", nan, "")
         ended = str(self.statistics.get("ended", ""))
         local = r.local if r else nan
-        return Verdict(self.status, self.solved, *figures, self.tolerance, ended, local)
+        corrected = bool(self.statistics.get("corrected", False))
+        return Verdict(self.status, self.solved, *figures, self.tolerance, ended, local, corrected)
 
     @property
     def verified(self) -> bool:

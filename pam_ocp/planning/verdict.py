@@ -53,6 +53,11 @@ class Verdict:
     """What the replays of all intervals, each from its own planned start, deviate by in all, in
     units of nominal; known where the error exceeds the tolerance.
     """
+    corrected: bool = False
+    """Whether the equations of the mesh hold but for the defects that a tight integration leaves in
+    them (iterated defect correction, where kinks are resolved slowly): then the motion is the
+    plant's, on a mesh that would not resolve it, and is optimal as that mesh knows the plant.
+    """
 
     @property
     def verified(self) -> bool:
@@ -94,9 +99,10 @@ class Verdict:
             return f"not verified: {' and '.join(failed)}"
         if failed:
             return f"not verified: {' and '.join(failed)}, more than {within}{self._growing()}"
+        mesh = "; the mesh's defects were corrected" if self.corrected else ""
         return (
             f"verified: its replay agrees to {self.error:.1e} of nominal and keeps all limits to "
-            f"{self.violation:.1e}, within {within}"
+            f"{self.violation:.1e}, within {within}{mesh}"
         )
 
     def _growing(self) -> str:

@@ -23,6 +23,11 @@ from .slip import Limits, PressureScale, passage, require_scale, rounded_speed
 
 __all__ = ["BoucWen", "Creep", "MaxwellSlip"]
 
+WIDEST_RATE = 0.03
+"""Rate [1/s] below which the speed of a Bouc-Wen state is rounded off where planning a motion
+begins. At rates below it the state follows them as (rate / it)^(1/n): with wider roundings a whole
+motion would run along this root, whose slope at 0 is infinite.
+"""
 EDGE = 0.02
 """Part of the full friction over which BoucWen's |z| <= 1 is kept also in motion below REST_RATE.
 """
@@ -105,7 +110,8 @@ class BoucWen:
         share = z / full
         size = (share**2 + 1e-12) ** (order / 2)  # |z|^n with a finite slope at 0
         signed = share * (share**2 + 1e-12) ** ((order - 1) / 2)  # |z|^(n-1) z
-        rate, fast = motion.rate, rounded_speed(plant, name, "hysteresis", motion.rate)
+        rate = motion.rate
+        fast = rounded_speed(plant, name, "hysteresis", rate, WIDEST_RATE)
         # Both vanish at rest like rate^2, so that a memory keeps; |onward| <= speed: it dissipates.
         # At the edge they are those that keep |z| <= 1 however slow the motion.
         keeps, moving = passage(ca.sqrt(share**2 + 1e-12), EDGE), (rate / fast) ** 2

@@ -31,15 +31,19 @@ LARGEST_SCALE = 1e-4
 """Of a friction's growth with pressure [1/Pa]; above, a unit was mistaken."""
 
 
-def rounded_speed(plant: Declares, name: str, key: str, rate: ca.SX) -> ca.SX:
-    """|rate|, rounded off within the parameter ``<name>.<key>_rest_rate``."""
+def rounded_speed(
+    plant: Declares, name: str, key: str, rate: ca.SX, widest: float = WIDEST_RATE
+) -> ca.SX:
+    """|rate|, rounded off within the parameter ``<name>.<key>_rest_rate``; where planning a motion
+    begins, within ``widest`` [1/s].
+    """
     width = plant.parameter(
         f"{name}.{key}_rest_rate",
         REST_RATE,
         unit="1/s",
         min=1e-9,
         nominal=1e-3,
-        widest=WIDEST_RATE,
+        widest=widest,
         description=f"rate of contraction of {name} at which its absolute value is rounded off",
     )
     # From above, sqrt(rate^2 + w^2) >= |rate|: only so do the elements dissipate in every motion.

@@ -37,6 +37,66 @@ def test_a_compiled_mpc_moves_as_the_other(tmp_path, monkeypatch):
     np.testing.assert_allclose(moves(compiled=True), plain, rtol=1e-6, atol=1e-8)
 
 
+def bounded(**options):
+    """A mass that may not go faster than 0.4 m/s nor be pushed harder than 1 N."""
+    return Mpc(
+        double_integrator(limit=1.0),
+        horizon=12,
+        sample_time=0.1,
+        track={"x": 1.0},
+        rate={"f": 1e-3},
+        bounds={"v": (-0.4, 0.4)},
+        **options,
+    )
+
+
+def test_a_compiled_step_finds_what_ipopt_finds_at_limits_that_hold(tmp_path, monkeypatch):
+    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+    machine_code, ipopt = bounded(iterations=20, compiled=True), bounded(solver="ipopt")
+    state = np.array([0.0, 0.8])  # outside its soft limit: brought back
+    for k in range(25):
+        wanted = {"x": 1.0 if k < 12 else -1.0}
+        given = {"push": 0.1}
+        found = machine_code.control(state, wanted, given)["f"]
+        assert found == pytest.approx(ipopt.control(state, wanted, given)["f"], abs=1e-4)
+        for mpc in (machine_code, ipopt):
+            mpc.reset({"f": found})
+        state = state @ [[1, 0], [0.1, 1]] + (found + 0.1) * np.array([0.005, 0.1])
+
+
+def test_where_a_compiled_program_has_no_solution_ipopt_is_asked(tmp_path, monkeypatch):
+    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+    mpc = bounded(soft=False, compiled=True)
+    assert np.isfinite(mpc.control([0.0, 2.0])["f"])
+    assert mpc.statistics.fallbacks == mpc.statistics.failures == 1
+
+
+def test_a_compiled_call_is_cut_off_after_a_jump_and_completed_later(tmp_path, monkeypatch):
+    """At 1.5 times ``work``, or with its first quadratic program."""
+    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+    mpc = bounded(iterations=20, work=4, compiled=True)
+    free = bounded(iterations=20, work=None, compiled=True)
+    for controller in (mpc, free):
+        state = np.zeros(2)
+        for k in range(40):
+            found = controller.control(state, {"x": 0.0 if k == 0 else 3.0})["f"]
+            state = state @ [[1, 0], [0.1, 1]] + found * np.array([0.005, 0.1])
+        assert controller.statistics.fallbacks == 0
+        assert state[1] == pytest.approx(0.4, abs=1e-4)  # as fast as it may
+    calls = mpc.statistics.steps[1:]
+    assert max(s.work for s in calls) <= max(6, *(s.work for s in calls if s.iterations == 1))
+    assert max(s.work for s in calls) < max(s.work for s in free.statistics.steps[1:])
+    assert calls[-1].converged
+
+
+def test_the_compiled_call_of_real_time_is_that_of_python_to_the_last_bit(tmp_path, monkeypatch):
+    monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
+    plain = moves(solver="riccati", bounds={"v": (-0.5, 0.5)})
+    compiled = moves(solver="riccati", bounds={"v": (-0.5, 0.5)}, compiled=True)
+    assert list(tmp_path.glob("function/*"))
+    np.testing.assert_array_equal(compiled, plain)
+
+
 def test_a_compiled_filter_is_the_linear_kalman_filter(tmp_path, monkeypatch):
     monkeypatch.setenv("PAM_OCP_CACHE", str(tmp_path))
     found = KalmanFilter(

@@ -104,7 +104,7 @@ def test_the_riccati_method_finds_the_optimum_of_the_quadratic_program(goal):
     bounds = np.array([b.value / b.limit.variable.nominal for b in core.bounds])
     nodes, end = point.unknowns[p.at], point.unknowns[p.at_last]
     data = core.qp.write(nodes[:size], end[: p.nx], point.references.T, point.given, bounds, 0)
-    dy, dy_end, told = core.qp.solve(*data)
+    dy, dy_end, told = core.qp.solve(*data, core.qp.iterations)
     here = np.append(wanted, np.zeros(p.nx + len(p.rated) + 1))[p.at[:size]]
     assert np.abs(here).max() > 0.1
     assert np.asarray(dy) == pytest.approx(here, abs=1e-6)

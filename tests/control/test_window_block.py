@@ -63,14 +63,15 @@ def entered(made: Any, seen: dict[str, float], sent: Any) -> np.ndarray:
 CASES: dict[str, tuple[dict[str, Any], float]] = {
     "free": ({}, 1e-10),
     "robust": ({"robust": 1.5}, 1e-10),
-    "bounded": ({"bounds": {"mass": (1.0, 2.2)}}, 2e-6),
+    # with fewer steps one of the two may stop short of where both lead
+    "bounded": ({"bounds": {"mass": (1.0, 2.2)}, "iterations": 5}, 2e-6),
     "one step": ({"horizon": 1}, 1e-10),
 }
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_it_tells_what_the_estimator_tells(case: str) -> None:
-    """Of NumPy's dense factorisations and an active-set method, against smoother and barrier."""
+    """Of a smoother and an active-set method, against a smoother and a barrier."""
     (more, limit), plant = CASES[case], benchmark_slide()
     known = estimator(plant, **more)
     made = block(known, plant=plant, guard=False)
@@ -107,7 +108,7 @@ def test_in_c_it_gives_the_same_bits(case: str, tmp_path: Path) -> None:
         found = program.step(dict(zip((v.name for v in made.inputs), values, strict=True)))
         assert np.array_equal(list(found.values()), told)
     readme = (folder / "README.md").read_text()
-    assert "- Gauss-Newton steps: 3" in readme
+    assert f"- Gauss-Newton steps: {CASES[case][0].get('iterations', 3)}" in readme
     assert all(f"- {what}: {most}" in readme for what, most in made.loops.items())
 
 

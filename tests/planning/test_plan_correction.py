@@ -83,7 +83,8 @@ def plan(slipping):
 
 def test_kinks_are_corrected_where_meshes_resolve_them_slowly(slipping, plan):
     assert plan.verified
-    assert plan.statistics["corrected"]
+    assert plan.verdict.corrected
+    assert "defects were corrected" in str(plan).splitlines()[0]
     assert isinstance(plan._solved.program, Corrected)
     assert plan.statistics["intervals"] < 100
     motion, names = plan.trajectory, [v.name for v in slipping.states]
@@ -102,10 +103,18 @@ def test_kinks_are_corrected_where_meshes_resolve_them_slowly(slipping, plan):
         assert np.abs((x - planned) / nominal).max() < 1e-3
 
 
+def test_a_plan_whose_mesh_resolves_the_motion_says_nothing_of_correction():
+    again = pam.plan(tank(), [{"level": 0.1}, {"level": 0.5}], duration=1.0, rest=False)
+    assert again.verified
+    assert not again.verdict.corrected
+    assert "corrected" not in str(again)
+
+
 def test_a_corrected_plan_is_read_back_and_a_changed_one_is_not(slipping, plan, tmp_path):
     path = plan.save(tmp_path / "plan.npz")
     again = pam.load_plan(path, slipping)
     assert again.verified
+    assert again.verdict.corrected
     assert again.replay_error == pytest.approx(plan.replay_error, rel=1e-3)
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}

@@ -210,6 +210,44 @@ def test_a_motion_that_costs_nothing_has_settled_whatever_its_gradients_say(monk
     assert plan.statistics["intervals"] == 50
 
 
+def test_where_many_motions_cost_nothing_one_of_them_is_found_and_settles():
+    # a load on a tendon is let down: no work is taken from the muscle on any slow way
+    plant = pam.SeriesLoad(MUSCLE, 15.0, 1.4e5)
+    wish = {"duration": 1.4, "minimise": "work"}
+    plan = pam.plan(plant, [{"x": 0.03}, {"x": 0.012}], **wish)
+    assert plan.verified
+    assert positive_work(plant, plan) < 1e-5
+    assert abs(plan.objective) < 1e-5
+    assert plan.statistics["objective_gap"] < 1e-3
+
+
+def test_work_between_the_points_of_a_mesh_is_told():
+    # on so few intervals the tendon rings, and its muscle works between the points
+    plant = pam.SeriesLoad(MUSCLE, 15.0, 1.4e5)
+    wish = {"duration": 1.4, "minimise": "work", "method": pam.Collocation(25, 3)}
+    plan = pam.plan(plant, [{"x": 0.03}, {"x": 0.012}], **wish)
+    work = positive_work(plant, plan)
+    assert work - plan.objective > 1e-3
+    assert plan.statistics["objective_replayed"] == pytest.approx(work, rel=0.05)
+    assert "along the replay the objective is" in str(plan)
+
+
+def test_the_term_that_chooses_among_flat_optima_is_small_whatever_the_units_of_inputs():
+    plant = slider()
+    planner = pam.Planner(plant, [{"x": 0.0}, {"x": 0.1}], duration=0.4, minimise="work")
+    problem = planner._program.problem
+    curvature = ca.DM(ca.hessian(problem.objective.integrand, plant.u)[0])
+    added = float(curvature) / 2 * 50.0**2  # where the input is largest
+    assert 0 < added * 0.4 < 1e-3 * climb.FLOOR
+    assert climb._nothing(problem)
+
+
+def test_what_is_wanted_large_may_fall_below_nothing():
+    minimise = {"work": 1.0, "integral(x)": -1.0}
+    planner = pam.Planner(slider(), [{"x": 0.0}, {"x": 0.1}], duration=0.4, minimise=minimise)
+    assert not climb._nothing(planner._program.problem)
+
+
 def test_one_small_change_between_large_ones_is_no_sign_that_an_objective_has_settled():
     # changes and gradients as a joint with regulators gave them on 100, 106, 114 and 128 intervals
     way, left = climb.Climb(Backend()), (2.9e-2, 1.8e-2, 9.6e-3, 5.2e-3)

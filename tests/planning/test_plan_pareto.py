@@ -53,6 +53,21 @@ def test_time_against_effort_of_the_double_integrator(first, second):
     assert np.all(np.diff(front.values[:, 1]) < 0)
 
 
+def test_points_planned_side_by_side_are_the_front_and_the_same_bits_everywhere():
+    """E = 12 d^2/T^3 between the ends, in this process and in two others."""
+    asked = {"rest": False, "method": METHOD, "points": 5, "until": 0.6}
+    here, there = (pareto(double_integrator(), STOPS, executor=where, **asked) for where in (0, 2))
+    assert not here.failures
+    assert len(here) == 5
+    assert np.array_equal(here.values, there.values)
+    for one, other in zip(here.plans, there.plans, strict=True):
+        assert np.array_equal(one.trajectory["x"], other.trajectory["x"])
+    time, effort = here.values.T
+    free = time > np.sqrt(6 * DISTANCE / LIMIT)
+    assert free.sum() >= 3
+    assert effort[free] * time[free] ** 3 == pytest.approx(12 * DISTANCE**2, rel=1e-6)
+
+
 def test_rate_is_swept_as_the_second():
     """The least of the integral of u'^2 from rest to rest with u = 0 at the ends: 720 d^2/T^5."""
     front = pareto(
@@ -104,6 +119,7 @@ def test_a_users_own_budget_stays(slide):
         ({"tolerance": 1e-6}, "tolerance is not an argument"),
         ({"until": 0.01}, "is not more than the least of time"),
         ({"second": "peak(force)"}, "unknown variable"),
+        ({"executor": "two"}, "executor is a str"),
     ],
 )
 def test_what_cannot_be_swept_is_refused(slide, arguments, message):

@@ -14,7 +14,7 @@ from pam_ocp.planning.run import Run
 from pam_ocp.planning.solvers import narrowing
 from pam_ocp.planning.solvers.backend import Backend
 from pam_ocp.planning.solvers.diagnosis import elastic, explanation
-from pam_ocp.planning.transcription.guess import by_rests, by_stops, rest_point
+from pam_ocp.planning.transcription.guess import by_rests, by_stops, path_of_rests, rest_point
 from pam_ocp.planning.transcription.mesh import Collocation, Shooting, merged
 
 
@@ -65,6 +65,20 @@ def test_a_guess_along_points_of_rest_rests_between_the_stops():
 
     assert unbalanced(by_rests(problem, mesh)) < 0.05
     assert 5 * unbalanced(by_rests(problem, mesh)) < unbalanced(by_stops(problem, mesh, True))
+
+
+def test_the_guess_along_points_of_rest_of_a_pair_that_leaves_its_stiffness_open_rests_too():
+    muscle = pam.muscle("DMSP-20-400N")
+    plant = pam.AntagonisticSlide(muscle, 2.0, feed=pam.feeds.IdealPressure())
+    wish = {"duration": 60.0, "minimise": "effort", "method": Collocation(8)}
+    problem = Planner(plant, [{"x": -0.02}, {"x": 0.025}], **wish)._program.problem
+    path = path_of_rests(problem, problem.time_nominals)
+    assert len(path.nodes) > 5
+    for states, (p1, p2) in path.nodes:
+        kappa = plant.variable("pre_contraction").start + states[0] / 0.4 * np.array([1.0, -1.0])
+        pulls = [float(muscle.tension(p, k)) for p, k in zip((p1, p2), kappa, strict=True)]
+        assert min(pulls) > -1e-3
+        assert pulls[0] == pytest.approx(pulls[1], abs=0.05)
 
 
 def test_a_slack_tendon_in_the_start_values_does_not_hide_the_point_of_rest():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -361,3 +363,26 @@ def test_more_starts_keep_the_best(slide):
 def test_starts_are_a_whole_number(slide, starts):
     with pytest.raises(InputError, match=r"starts = .*from 1 to 12"):
         pam.plan(slide, STOPS, starts=starts)
+
+
+@pytest.mark.parametrize("points", ["radau", "gauss"])
+def test_a_plant_of_one_state_is_planned_by_points_of_the_lowest_degree(points):
+    """x' = (u - x) / tau from 0.1 to 0.5 with least integral of u^2, by the implicit Euler or the
+    midpoint rule: x+ = a x + b u, so that the least norm of u is by hand.
+    """
+    tau, n, first, last = 0.5, 4, 0.1, 0.5
+    plant = pam.Plant("tank")
+    x, u = plant.state("level"), plant.input("u", min=-5.0, max=5.0, nominal=1.0)
+    plant.der(x, (u - x) / tau)
+    asked = {"duration": 1.0, "minimise": "effort", "rest": False, "tolerance": None}
+    stops, method = [{"level": first}, {"level": last}], Collocation(n, 1, points=points)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pam.PlanWarning)  # so few intervals are no plan
+        plan = pam.plan(plant, stops, method=method, **asked)
+    step = 1.0 / n / tau
+    late = 1.0 if points == "radau" else 0.5  # where the rate is met
+    a, b = (1 - (1 - late) * step) / (1 + late * step), step / (1 + late * step)
+    weights = b * a ** np.arange(n)[::-1]
+    least = weights * (last - first * a**n) / (weights @ weights)
+    assert plan.objective == pytest.approx(np.sum(least**2) / n, rel=1e-7)
+    assert plan.trajectory.signals.coefficients[:, 0, 0] == pytest.approx(least, rel=1e-6)

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, PlanWarning
@@ -289,6 +290,28 @@ def test_a_bound_on_a_state_holds_between_the_points_too(points):
     plan = pam.plan(cart(), stops, **asked, method=method, tolerance=1e-5)
     assert plan.verified
     assert plan.replay.trajectory["x"].max() <= 1 / 9 + 1e-5
+
+
+def test_a_joint_of_set_pressures_with_hysteresis_is_planned_without_wandering_off():
+    """Wide roundings of Bouc-Wen's speed would lead z along the root of the rate; SciPy replays."""
+    muscle, loss = pam.muscle("DMSP-20-400N"), pam.losses.BoucWen(6.0, 0.0084)
+    feed = pam.feeds.IdealPressure()
+    plant = pam.AntagonisticJoint(muscle, 0.16, 0.037, feed=feed, losses=(loss,))
+    stops = [{"theta": -0.43}, {"theta": 0.5}]
+    plan = pam.plan(plant, stops, duration=2.0, minimise="effort")
+    assert plan.verified
+    motion, names = plan.trajectory, [v.name for v in plant.states]
+    nominal, p = plant.vector("state", attribute="nominal"), plant.vector("parameter")
+    z = motion.array(names)[0] / nominal
+    inputs = motion.signals
+    for begin, end, u in zip(inputs.breaks, inputs.breaks[1:], inputs.coefficients, strict=False):
+
+        def rate(t, z, u=u[0]):
+            return np.asarray(plant.function(z * nominal, u, p)[0]).ravel() / nominal
+
+        z = solve_ivp(rate, (begin, end), z, "Radau", rtol=1e-8, atol=1e-8).y[:, -1]
+    assert z == pytest.approx(motion.array(names)[-1] / nominal, abs=1e-3)
+    assert z[names.index("theta")] * nominal[0] == pytest.approx(0.5, abs=1e-3)
 
 
 def test_polynomial_inputs_end_verified_too(recwarn):

@@ -10,6 +10,7 @@ import numpy as np
 from ...core.block import Block
 from ...core.variables import Variable
 from ..estimators.extended_kalman import Estimator, KalmanFilter
+from ..estimators.smoother import noise_of_step
 from ..estimators.stationary import StationaryFilter, WithEstimate
 from .chain import chain
 from .draft import Draft, Symbol, opened_by
@@ -18,7 +19,6 @@ from .kinds import BLOCKS, LARGEST, law_of
 __all__ = [
     "extended_filter",
     "kept_variables",
-    "noise_of_step",
     "stationary_filter",
     "with_estimate",
 ]
@@ -131,13 +131,6 @@ def kept_variables(filter: Estimator) -> list[Variable]:
         else:
             found.append(filter.plant.variable(name))
     return found
-
-
-def noise_of_step(filter: Estimator, a: Symbol, half: Symbol) -> Symbol:
-    """Covariance that the noise adds in a step; see :meth:`Estimator._step_noise`."""
-    density = ca.DM(filter._density)
-    noise = ca.mtimes([a, density, a.T]) + 4 * ca.mtimes([half, density, half.T])
-    return filter.sample_time / 6 * (noise + density)
 
 
 def _corrected(

@@ -1,27 +1,23 @@
 """Moving-horizon estimation as a block: Gauss-Newton steps of a fixed window, without heap.
 
-Each step is the smoother of the window linearised about itself: a Kalman filter forwards and the
-adjoint recursion backwards (G. J. Bierman, Automatica 9, 1973), which inverts no matrix, so that
-states without noise are no exception. Measurements enter one number at a time. Where the result
-leaves its bounds, an interior-point method repeats the smoother: the barrier of a bound is one more
+Each step is the smoother of the window linearised about itself (estimators/smoother.py). Where the
+result leaves its bounds, an interior-point method repeats it: the barrier of a bound is one more
 measured number, whose variance falls as the bound comes near. All is written as Functions of one
 node, mapped over the window; the work of a call is bounded.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
 from ...core.block import Block
 from ...core.variables import Variable
-from ...numerics.bounded_loop import inlined, repeated
+from ...numerics.bounded_loop import repeated
 from ...numerics.portable import portable
 from ..estimators.moving_horizon import TOLERANCE, MovingHorizonEstimator
-from .filters import kept_variables, noise_of_step
+from ..estimators.smoother import Side, Smoother
+from .filters import kept_variables
 from .kinds import BLOCKS, LARGEST, SENT
 
 __all__ = ["moving_horizon"]
@@ -40,150 +36,27 @@ CENTRED, LOST = 0.02, 0.5
 """How far the barrier falls after a long step, and after a short one."""
 
 
-@dataclass(frozen=True)
-class _Side:
-    """sign (entry - bound) >= 0, in units of nominal."""
-
-    entry: int
-    sign: float
-    bound: float
-
-
-class _Window:
-    """The Functions of a filter's window; columns are nodes, the last is the present."""
+class _Window(Smoother):
+    """The Functions of a filter's window."""
 
     def __init__(self, filter: MovingHorizonEstimator) -> None:
-        self.filter = filter
-        self.n, self.m = len(filter.names), len(filter.measured)
-        self.nu, self.nodes = len(filter.given.controls), filter.horizon + 1
+        self.window = filter
         self.low, self.high = ca.DM(filter._low), ca.DM(filter._high)
-        self.predict, self.measure = portable(filter._predict), portable(filter._measure)
-        self.q = ca.DM(filter.given.vector())
-        self.sides = [
-            _Side(i, sign, float(bound))
-            for i in range(self.n)
+        self.given = ca.DM(filter.given.vector())
+        sides = [
+            Side(i, sign, float(bound))
+            for i in range(len(filter.names))
             for sign, bound in ((1.0, filter._low[i]), (-1.0, filter._high[i]))
             if np.isfinite(bound)
         ]
-        self.linear = self._linear().map(self.nodes)
-        self.smooth = self._smooth()
-
-    # ---- one node -------------------------------------------------------------------------------
-    def moved(self, z: Any, u: Any) -> tuple[Any, Any, Any]:
-        """(following node, its Jacobian, covariance that the noise adds)."""
-        after, a, half = inlined(self.predict, [z, u, self.q])
-        return after, a, noise_of_step(self.filter, a, half)
-
-    def seen(self, z: Any, u: Any, y: Any, has: Any) -> tuple[Any, Any, Any]:
-        """(Jacobian, measured - expected, variances) of a node; what is missing has no rows."""
-        value, c = inlined(self.measure, [z, u, self.q])
-        sigma = ca.DM(self.filter._noise)
-        error = y - value
-        variance = sigma**2
-        if np.isfinite(self.filter.robust):
-            size = ca.fabs(error) / sigma
-            limit = self.filter.robust
-            variance = variance * ca.if_else(size > limit, size / limit, 1)
-        rows = [ca.if_else(has[i], c[i, :], 0) for i in range(self.m)]
-        return (
-            ca.vertcat(*rows),
-            ca.if_else(has, error, 0),
-            ca.if_else(has, variance, 1),
+        super().__init__(
+            filter,
+            filter.horizon + 1,
+            filter.robust,
+            (portable(filter._predict), portable(filter._measure)),
+            sides,
+            self.given,
         )
-
-    def _linear(self) -> ca.Function:
-        """(z, following z, u, following u, y, has, real) -> (a, gap, noise, c, error, variance)."""
-        n = self.n
-        z, following = ca.SX.sym("z", n), ca.SX.sym("following", n)
-        u, then = ca.SX.sym("u", self.nu), ca.SX.sym("then", self.nu)
-        y, has = ca.SX.sym("y", self.m), ca.SX.sym("has", self.m)
-        real = ca.SX.sym("real")
-        after, a, noise = self.moved(z, then)
-        c, error, variance = self.seen(z, u, y, has)
-        a = ca.if_else(real, a, ca.SX.eye(n))
-        gap = ca.if_else(real, after, z) - following
-        noise = ca.if_else(real, noise, 0)
-        found = [ca.densify(ca.vec(e)) for e in (a, gap, noise, c, error, variance)]
-        return ca.Function("linear", [z, following, u, then, y, has, real], found, {"cse": True})
-
-    # ---- the smoother ----------------------------------------------------------------------------
-    def _forward(self) -> ca.Function:
-        """A node of the filter: takes (change, covariance) expected, gives those of the next node;
-        keeps what the way back needs.
-        """
-        n, rows = self.n, self.m + len(self.sides)
-        d, p = ca.SX.sym("d", n), ca.SX.sym("p", n * n)
-        a, gap, noise = ca.SX.sym("a", n * n), ca.SX.sym("gap", n), ca.SX.sym("noise", n * n)
-        c, error = ca.SX.sym("c", self.m * n), ca.SX.sym("error", self.m)
-        variance = ca.SX.sym("variance", self.m)
-        target, weight = (ca.SX.sym(k, len(self.sides)) for k in ("target", "weight"))
-        lines, square = self._lines(c), ca.reshape(p, n, n)
-        change = d
-        gains, surprises = [], []
-        for i in range(rows):
-            j = i - self.m
-            told = error[i] if j < 0 else target[j]
-            spread = ca.mtimes(square, lines[i].T)
-            along = ca.mtimes(lines[i], spread)
-            if j < 0:
-                size = along + variance[i]
-                gain, surprise = spread / size, (told - ca.mtimes(lines[i], change)) / size
-            else:  # by its weight 1/variance, which may be 0
-                size = 1 + weight[j] * along
-                gain = spread * (weight[j] / size)
-                surprise = weight[j] * (told - ca.mtimes(lines[i], change)) / size
-            change = change + spread * surprise
-            square = square - ca.mtimes(gain, spread.T)
-            gains.append(gain)
-            surprises.append(surprise)
-        square = (square + square.T) / 2
-        jacobian = ca.reshape(a, n, n)
-        following = ca.mtimes(jacobian, change) + gap
-        carried = ca.mtimes([jacobian, square, jacobian.T]) + ca.reshape(noise, n, n)
-        kept = [change, ca.vec(square), ca.vertcat(*gains), ca.vertcat(*surprises)]
-        given = [d, p, a, gap, noise, c, error, variance, target, weight]
-        results = [ca.densify(e) for e in (following, ca.vec(carried), *kept)]
-        return ca.Function("forward", given, results, {"cse": True})
-
-    def _lines(self, c: ca.SX) -> list[ca.SX]:
-        """What is measured of a node, one row each: measurements, then bounded entries."""
-        matrix, eye = ca.reshape(c, self.m, self.n), ca.SX.eye(self.n)
-        return [matrix[i, :] for i in range(self.m)] + [eye[s.entry, :] for s in self.sides]
-
-    def _backward(self) -> ca.Function:
-        """A node of the way back: takes the adjoint from behind, gives that before the node."""
-        n, rows = self.n, self.m + len(self.sides)
-        after = ca.SX.sym("after", n)
-        change, p = ca.SX.sym("change", n), ca.SX.sym("p", n * n)
-        a, c = ca.SX.sym("a", n * n), ca.SX.sym("c", self.m * n)
-        gains, surprises = ca.SX.sym("gains", n * rows), ca.SX.sym("surprises", rows)
-        adjoint = ca.mtimes(ca.reshape(a, n, n).T, after)
-        smoothed = change - ca.mtimes(ca.reshape(p, n, n), adjoint)
-        lines = self._lines(c)
-        for i in reversed(range(rows)):
-            gain = gains[i * n : (i + 1) * n]
-            along = ca.mtimes(gain.T, adjoint)
-            adjoint = adjoint - lines[i].T * (along + surprises[i])
-        given = [after, change, p, a, c, gains, surprises]
-        return ca.Function("backward", given, [adjoint, smoothed], {"cse": True})
-
-    def _smooth(self) -> ca.Function:
-        """(prior's change, its covariance, linear..., targets, weights) -> (changes, covariance of
-        the last node).
-        """
-        n, nodes, rows = self.n, self.nodes, self.m + len(self.sides)
-        sizes = (n * n, n, n * n, self.m * n, self.m, self.m, len(self.sides), len(self.sides))
-        first, p = ca.MX.sym("first", n), ca.MX.sym("p", n * n)
-        given = [ca.MX.sym(f"given{k}", size, nodes) for k, size in enumerate(sizes)]
-        forward = self._forward().mapaccum("forwards", nodes, 2)
-        _, _, change, square, gains, surprises = forward(first, p, *given)
-        order = [nodes - 1 - k for k in range(nodes)]
-        behind = ca.horzcat(given[0][:, : nodes - 1], ca.MX.zeros(n * n, 1))
-        turned = [e[:, order] for e in (change, square, behind, given[3], gains, surprises)]
-        back = self._backward().mapaccum("backwards", nodes, 1)
-        _, smoothed = back(ca.MX.zeros(n, 1), *turned)
-        assert gains.shape == (n * rows, nodes)
-        return ca.Function("smooth", [first, p, *given], [smoothed[:, order], square[:, nodes - 1]])
 
     # ---- bounds ------------------------------------------------------------------------------
     def _bounded(self) -> ca.Function:
@@ -263,7 +136,7 @@ class _Window:
         size = ca.if_else(sound, ca.mmax(ca.fabs(ca.vec(found))), 0)
         constants = [prior, p, u, y, has, real]
         body = ca.Function("gauss", [z, square, change, *constants], [fitted, covariance, size])
-        return repeated(body, 3, self.filter.iterations, change > TOLERANCE, [z, square, change])
+        return repeated(body, 3, self.window.iterations, change > TOLERANCE, [z, square, change])
 
     def arrive(self) -> ca.Function:
         """(prior, its covariance, z, u, following u, y, has) -> the prior one node on."""
@@ -271,14 +144,14 @@ class _Window:
         prior, p = ca.SX.sym("prior", n), ca.SX.sym("p", n * n)
         z, u, then = ca.SX.sym("z", n), ca.SX.sym("u", self.nu), ca.SX.sym("then", self.nu)
         y, has = ca.SX.sym("y", self.m), ca.SX.sym("has", self.m)
-        c, error, variance = self.seen(z, u, y, has)
+        c, error, variance = self.seen(z, u, self.given, y, has)
         mean, square = prior - z, ca.reshape(p, n, n)
         for i in range(self.m):
             spread = ca.mtimes(square, c[i, :].T)
             size = ca.mtimes(c[i, :], spread) + variance[i]
             mean = mean + spread * ((error[i] - ca.mtimes(c[i, :], mean)) / size)
             square = square - ca.mtimes(spread, spread.T) / size
-        after, a, noise = self.moved(z, then)
+        after, a, noise = self.moved(z, then, self.given)
         square = ca.mtimes([a, square, a.T]) + noise
         results = [after + ca.mtimes(a, mean), ca.vec((square + square.T) / 2)]
         return ca.Function("arrive", [prior, p, z, u, then, y, has], results, {"cse": True})
@@ -321,7 +194,7 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
     following, onward = window.arrive()(prior, p, *oldest)
     full = ca.logic_and(started, count >= filter.horizon)
     prior, p = (ca.if_else(full, a, b) for a, b in ((following, prior), (onward, p)))
-    after = window.predict(z[:, nodes - 1], sent, window.q)[0]
+    after = window.predict(z[:, nodes - 1], sent, window.given)[0]
     after = ca.fmax(ca.fmin(after, window.high), window.low)
     z = ca.if_else(started, ca.horzcat(z[:, 1:], after), z)
     y, has, u = (

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -110,12 +111,23 @@ class Estimator(ABC):
         for i, j in enumerate(self._at):
             q[int(j)] = unknown[i] * self._scale[nx + i]
 
-        def after(length: float) -> ca.SX:
+        def after(length: float, substeps: int) -> ca.SX:
             scaled = u / np.array([v.nominal for v in given.controls])
-            return ca.vertcat(how.expression(given, x, scaled, q, length), unknown)
+            part = replace(how, substeps=substeps)
+            return ca.vertcat(part.expression(given, x, scaled, q, length), unknown)
 
-        whole, half = after(self.sample_time), after(self.sample_time / 2)
-        jacobians = [ca.densify(ca.jacobian(e, z)) for e in (whole, half)]
+        # of an even number of substeps the first half is the half step
+        even = how.substeps % 2 == 0
+        half = after(self.sample_time / 2, how.substeps // 2 if even else how.substeps)
+        to_half = ca.densify(ca.jacobian(half, z))
+        if even:
+            again = ca.Function("half", [z, u, rest], [half, to_half])
+            whole, onward = again.call([half, u, rest])
+            to_whole = onward @ to_half
+        else:
+            whole = after(self.sample_time, how.substeps)
+            to_whole = ca.densify(ca.jacobian(whole, z))
+        jacobians = [to_whole, to_half]
         self._predict = ca.Function("predict", [z, u, rest], [whole, *jacobians])
         inputs, p, _ = given.parts(q, u)
         nominal = np.array([v.nominal for v in self.measured])

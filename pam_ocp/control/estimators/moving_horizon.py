@@ -4,13 +4,14 @@ measurements.
 At each measurement the trajectory of the window is the most probable one under the model, the noise
 and the bounds (Rao, Rawlings, Mayne, IEEE Trans. Automat. Control 48, 2003); what came before the
 window enters as an arrival cost carried on by the extended Kalman filter. Solved by Gauss-Newton
-steps on the condensed problem: its unknowns are the window's start and the noise of each step.
+steps, each by a smoother of the linearised window; where that leaves the bounds, by a quadratic
+program in the window's start and the noise of each step.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -27,6 +28,7 @@ from ...simulation.sampled import StepMethod
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
 from .extended_kalman import Estimator
+from .smoother import Smoother
 
 __all__ = ["MovingHorizonEstimator"]
 
@@ -102,9 +104,8 @@ class MovingHorizonEstimator(Estimator):
         self.robust = math.inf if robust is None else require_positive("robust", robust)
         self._narrow(bounds or {})
         self._empty()
-        self._steps = Buffered(quick(self._predict, compiled).map(horizon))
-        look = quick(self._measure, compiled)
-        self._look, self._looks = Buffered(look), Buffered(look.map(horizon + 1))
+        self._fit = Buffered(quick(self._smoothing(), compiled))
+        self._look = Buffered(quick(self._measure, compiled))
         self._bounded = np.flatnonzero(np.isfinite(self._low) | np.isfinite(self._high))
         self._qp: Native | None = None
 
@@ -114,6 +115,8 @@ class MovingHorizonEstimator(Estimator):
         self._prior, self._prior_covariance = self._z.copy(), self.covariance.copy()
         self._last = 0
         """Index of the present node: how many steps the window has."""
+        self._real = np.zeros(nodes)
+        """1 for nodes that have one behind them."""
         self._nodes: Array = np.tile(self._z[:, None], nodes)
         self._values = np.full((nodes, len(self.measured)), np.nan)
         self._controls = np.zeros((2, len(self.given.controls), nodes))
@@ -172,6 +175,7 @@ class MovingHorizonEstimator(Estimator):
                 array[..., :-1] = array[..., 1:]
             self._values[:-1] = self._values[1:]
         self._last = k = min(k + 1, self.horizon)
+        self._real[:k] = 1.0
         self._nodes[:, k] = self._z = np.clip(z, self._low, self._high)
         self._values[k] = np.nan
         return self.estimate
@@ -183,57 +187,57 @@ class MovingHorizonEstimator(Estimator):
         return dict(zip(self.names, rows, strict=True))
 
     # ---- the fit --------------------------------------------------------------------------------
+    def _smoothing(self) -> ca.Function:
+        """(z, u and following u, y, has, real, q and following q, prior, its covariance) ->
+        (changes of the nodes, covariance of the last one, and what the window is linearised to).
+        """
+        n, nodes = len(self.names), self.horizon + 1
+        smoother = Smoother(self, nodes, self.robust, (self._predict, self._measure))
+        sizes = {"z": n, "u": smoother.nu, "then": smoother.nu, "y": smoother.m, "has": smoother.m}
+        sizes |= {"real": 1, "q": smoother.nq, "q_then": smoother.nq}
+        columns = [ca.MX.sym(name, size, nodes) for name, size in sizes.items()]
+        z, *rest = columns
+        prior, p = ca.MX.sym("prior", n), ca.MX.sym("p", n * n)
+        linear = smoother.linear(z, ca.horzcat(z[:, 1:], z[:, nodes - 1]), *rest)
+        no_bounds = ca.MX(0, nodes)
+        found = smoother.smooth(prior - z[:, 0], p, *linear, no_bounds, no_bounds)
+        return ca.Function("smoothing", [*columns, prior, p], [*found, *linear])
+
     def _improve(self) -> float:
         """One Gauss-Newton step of the window's trajectory; returns its largest change."""
-        from scipy.linalg import cho_factor, cho_solve
-
         last = self._last
-        offset, spread = self._condensed()
-        residual, slope = self._residuals()
-        error = residual + np.einsum("kij,kj->ki", slope, offset)
-        jacobian = (slope @ spread).reshape(error.size, -1)
-        hessian = np.eye(jacobian.shape[1]) + jacobian.T @ jacobian
-        gradient = jacobian.T @ error.ravel()
-        factor = cho_factor(hessian, check_finite=False)
-        unknowns = -cho_solve(factor, gradient, check_finite=False)
-        change = offset + spread @ unknowns
+        has = np.isfinite(self._values)
+        u, q = self._controls, self._givens
+        change, covariance, *linear = self._fit(
+            *(e.T.ravel() for e in (self._nodes, u[0], u[1])),
+            np.where(has, self._values, 0.0).ravel(),
+            has.ravel(),
+            self._real,
+            *(e.T.ravel() for e in (q[0], q[1])),
+            self._prior,
+            self._prior_covariance.ravel(),
+        )
+        change = change[:, : last + 1].T
         if self._outside(change):
-            unknowns = self._constrained(hessian, gradient, offset, spread, unknowns)
-            change = offset + spread @ unknowns
+            change = self._constrained(change, linear)
         fitted = self._nodes[:, : last + 1] + change.T
         self._nodes[:, : last + 1] = np.clip(fitted.T, self._low, self._high).T  # rounding
-        self.covariance = spread[last] @ cho_solve(factor, spread[last].T, check_finite=False)
+        self.covariance = covariance.reshape(len(self._z), -1).copy()
         return float(np.max(np.abs(change), initial=0.0))
 
-    def _condensed(self) -> tuple[Array, Array]:
+    def _condensed(self, linear: Sequence[Array]) -> tuple[Array, Array]:
         """Each node's change as offset + spread @ (start, noise), all unknowns of unit variance."""
-        last, n, nodes = self._last, len(self._z), self._nodes
-        at = (nodes[:, :-1], self._controls[1, :, :-1], self._givens[1, :, :-1])
-        z, jacobians, halves = self._steps(*(e.T.ravel() for e in at))
-        a, half = (
-            e.reshape(n, self.horizon, n).transpose(1, 0, 2)[:last] for e in (jacobians, halves)
-        )
-        roots = _root(np.concatenate([self._prior_covariance[None], self._step_noise(a, half)]))
+        last, n = self._last, len(self._z)
+        a, noise = (linear[i].T.reshape(-1, n, n)[:last].transpose(0, 2, 1) for i in (0, 2))
+        roots = _root(np.concatenate([self._prior_covariance[None], noise]))
         offset, spread = np.zeros((last + 1, n)), np.zeros((last + 1, n, n * (last + 1)))
-        offset[0], spread[0, :, :n] = self._prior - nodes[:, 0], roots[0]
+        offset[0], spread[0, :, :n] = self._prior - self._nodes[:, 0], roots[0]
         for k in range(last):
             known = n * (k + 1)
-            offset[k + 1] = z[:, k] - nodes[:, k + 1] + a[k] @ offset[k]
+            offset[k + 1] = linear[1][:, k] + a[k] @ offset[k]
             spread[k + 1, :, :known] = a[k] @ spread[k, :, :known]
             spread[k + 1, :, known : known + n] = roots[k + 1]
         return offset, spread
-
-    def _residuals(self) -> tuple[Array, Array]:
-        """(model - measured) over standard deviations, weighted, and its Jacobian, of each node."""
-        last, n = self._last, len(self._z)
-        at = (self._nodes, self._controls[0], self._givens[0])
-        value, jacobian = self._looks(*(e.T.ravel() for e in at))
-        slope = jacobian.reshape(len(self.measured), self.horizon + 1, n).transpose(1, 0, 2)
-        residual = (value.T - self._values) / self._noise
-        weight = np.sqrt(self._weights(residual))
-        residual = np.where(weight > 0, np.nan_to_num(residual), 0.0) * weight
-        slope = slope * (weight / self._noise)[:, :, None]
-        return residual[: last + 1], slope[: last + 1]
 
     def _weights(self, residual: Array) -> Array:
         """Of squared residuals: 0 where nothing was measured, Huber's beyond the threshold."""
@@ -263,11 +267,20 @@ class MovingHorizonEstimator(Estimator):
         change = change[:, self._bounded]
         return bool(np.any(change < low - TOLERANCE) or np.any(change > high + TOLERANCE))
 
-    def _constrained(
-        self, hessian: Array, gradient: Array, offset: Array, spread: Array, free: Array
-    ) -> Array:
-        """The step that keeps the bounds: a dense quadratic program by an active-set method."""
-        matrix = spread[:, self._bounded].reshape(-1, len(free))
+    def _constrained(self, free: Array, linear: Sequence[Array]) -> Array:
+        """The step that keeps the bounds: a dense quadratic program by an active-set method;
+        ``free`` where there is none.
+        """
+        nodes, n = self._last + 1, len(self._z)
+        offset, spread = self._condensed(linear)
+        error, variance = (linear[i][:, :nodes].T for i in (4, 5))
+        slope = linear[3].T.reshape(-1, n, len(self.measured))[:nodes].transpose(0, 2, 1)
+        slope = -slope / np.sqrt(variance)[:, :, None]
+        residual = error / np.sqrt(variance) + np.einsum("kij,kj->ki", slope, offset)
+        jacobian = (slope @ spread).reshape(residual.size, -1)
+        hessian = np.eye(jacobian.shape[1]) + jacobian.T @ jacobian
+        gradient = jacobian.T @ residual.ravel()
+        matrix = spread[:, self._bounded].reshape(-1, len(gradient))
         start = offset[:, self._bounded].ravel()
         low, high = (e.ravel() - start for e in self._limits())
         if self._qp is None or self._qp.size1_in("a") != len(matrix):
@@ -275,8 +288,10 @@ class MovingHorizonEstimator(Estimator):
             self._qp = conic("window", "daqp", dense, {"error_on_fail": False})
         result = self._qp(h=hessian, g=gradient, a=matrix, lba=low, uba=high)
         found = np.asarray(result["x"]).ravel()
-        solved = self._qp.stats()["success"] and np.all(np.isfinite(found))
-        return found if solved else free
+        if not (self._qp.stats()["success"] and np.all(np.isfinite(found))):
+            return free
+        change: Array = offset + spread @ found
+        return change
 
 
 def _root(covariance: Array) -> Array:

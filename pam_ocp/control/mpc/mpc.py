@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -34,7 +35,7 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant, Values
 from ...simulation.simulator import evaluated
 from ..kinds import CONTROLLERS
-from ..mpc_statistics import MpcStatistics, MpcStep
+from ..mpc_statistics import MpcStatistics, MpcStep, record, steps_of
 from ..references import Source
 from ..step import Givens, Step, StepMethod
 from .real_time import PATIENCE, RealTimeCalls, RealTimeIteration
@@ -98,10 +99,13 @@ class Mpc:
         plants).
     solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program;
         "riccati": each call is the one Function that runs as C code and FMU, too (see
-        ``pam.control.block``), to the last bit, slower in Python than HPIPM by ten times.
+        ``pam.control.block``), to the last bit, slower than HPIPM by ten times where it is not
+        compiled. None: "hpipm"; where ``compiled`` asks for machine code, an SQP step is one
+        function of it, with the interior point of "riccati" inside.
     tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
-    compiled : the model's steps and their derivatives as machine code. True: built if need be, some
-        seconds for each structure, once; kept in the cache. None: where it is there. False: never.
+    compiled : the SQP's steps as machine code (with a ``solver`` that is named: the model's steps
+        and their derivatives), a third of the time. True: built if need be, some seconds for each
+        structure, once; kept in the cache. None: where it is there. False: never.
 
     Solutions are shifted by one step to start the next call: call :meth:`control` once per step.
     When the SQP fails, IPOPT is asked (with "riccati" the plan before is followed);
@@ -139,7 +143,7 @@ class Mpc:
         delay: int = 0,
         method: StepMethod = "rk4",
         substeps: int = 2,
-        solver: QpSolver | Literal["ipopt", "riccati"] = "hpipm",
+        solver: QpSolver | Literal["ipopt", "riccati"] | None = None,
         tolerance: float = 1e-3,
         compiled: bool | None = False,
     ) -> None:
@@ -179,11 +183,13 @@ class Mpc:
             (penalty, penalty),
         )
         self._only_ipopt = solver == "ipopt"
-        other = solver in ("ipopt", "riccati")
-        self._sqp = Sqp(self.program, "hpipm" if other else solver, tolerance, compiled)
+        if solver in ("ipopt", "riccati"):
+            self._sqp = Sqp(self.program, "hpipm", tolerance)
+        else:
+            self._sqp = Sqp(self.program, solver, tolerance, compiled)
         self._ipopt: TrackingIpopt | None = None
         self._cores: dict[tuple[int, int], RealTimeIteration] = {}
-        self._calls = RealTimeCalls(self.real_time()) if solver == "riccati" else None
+        self._calls = RealTimeCalls(self.real_time(), compiled) if solver == "riccati" else None
         self._how, self._advance = how, self._predictor(how)
         self._going = Buffered(self._advance)
         self._one_on = _one_on(self.program)
@@ -200,7 +206,7 @@ class Mpc:
         chosen = [names.index(v.name) for v in self.given.controls]
         self._applied: Array = values[chosen] / self.program.u_nominal
         self._warm = False
-        self._steps: list[MpcStep] = []
+        self._record = array("d")
         if self._calls is not None:
             rest = self.inversion.rows(self.plant.vector("input")[None, :])[0]
             self._calls.reset(self.plant.vector("state"), rest[chosen])
@@ -232,7 +238,7 @@ class Mpc:
     @property
     def statistics(self) -> MpcStatistics:
         """Times and iterations of the calls since the last :meth:`reset`."""
-        return MpcStatistics(tuple(self._steps))
+        return MpcStatistics(steps_of(self._record))
 
     def closed_loop(
         self,
@@ -279,23 +285,22 @@ class Mpc:
         if self._calls is None:
             outcome, fallback, failed = self._by_sqp(now / self.program.x_nominal, q)
         else:
-            if not self._steps:
+            if not self._record:
                 self._warn_of_dead_inputs(now / self.program.x_nominal, q)
             outcome = self._calls(point, now, self._applied * self.program.u_nominal)
             fallback, failed = False, not outcome.usable
         self._warm = not failed
         self._applied = self._first_inputs()
-        self._steps.append(
-            MpcStep(
-                perf_counter() - begin,
-                outcome.qp_seconds,
-                outcome.iterations,
-                outcome.work,
-                outcome.step,
-                outcome.converged,
-                fallback,
-                failed,
-            )
+        record(
+            self._record,
+            perf_counter() - begin,
+            outcome.qp_seconds,
+            outcome.iterations,
+            outcome.work,
+            outcome.step,
+            outcome.converged,
+            fallback,
+            failed,
         )
         si = self._applied * self.program.u_nominal
         chosen = {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
@@ -356,7 +361,7 @@ class Mpc:
             x = self._going(x, self._applied, q)[0][:, 0].copy()
         point = self._sqp.point
         self._guess(x)
-        if not self._steps:
+        if not self._record:
             self._warn_of_dead_inputs(x, q)
         limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
         kept = point.w.copy()

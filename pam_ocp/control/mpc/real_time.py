@@ -8,21 +8,22 @@ carried from call to call is the solution itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from time import perf_counter
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...export.machine import quick
 from ...numerics.bounded_loop import inlined, repeated
+from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
-from .riccati import ITERATIONS, RiccatiQp, Side
-from .shooting import NodeLimit, TrackingPoint, TrackingProgram
+from .limit_sides import bounds_of, sides_of
+from .riccati import ITERATIONS, RiccatiQp
+from .shooting import TrackingPoint, TrackingProgram
 from .sqp import DAMPING, MISS, SqpOutcome
 
-__all__ = ["FACTS", "PATIENCE", "Bound", "RealTimeCalls", "RealTimeIteration"]
+__all__ = ["FACTS", "PATIENCE", "RealTimeCalls", "RealTimeIteration"]
 
 Array = NDArray[np.float64]
 
@@ -43,20 +44,6 @@ FACTS = (
 )
 """What a call tells of itself, see RealTimeIteration."""
 SOLVED, UNFINISHED, SHIFTED, SAFE = range(4)
-
-
-@dataclass(frozen=True)
-class Bound:
-    """A finite end of a limit, as a number that may change [SI]."""
-
-    limit: NodeLimit
-    high: bool
-    place: int
-    """Of the limit among those of the program."""
-
-    @property
-    def value(self) -> float:
-        return self.limit.high if self.high else self.limit.low
 
 
 class RealTimeIteration:
@@ -92,12 +79,10 @@ class RealTimeIteration:
         self.program, self.delay, self.patience = program, delay, patience
         self.iterations, self.work, self.tolerance = iterations, work, tolerance
         p = program
-        self.bounds = _bounds(p)
+        self.bounds = bounds_of(p)
         values = ca.SX.sym("bounds", len(self.bounds))
         self._nominal = np.array([b.limit.variable.nominal for b in self.bounds])
-        sides = _sides(p, self.bounds)
-        at_end = [s for s in sides if not ca.depends_on(s.value, p.u)]
-        self.qp = RiccatiQp(p, values, sides, at_end, qp_iterations)
+        self.qp = RiccatiQp(p, values, *sides_of(p, self.bounds), qp_iterations)
         after = [p.step.expression(p.given, p.x, p.u, p.q)]
         self._advance = portable(ca.Function("advance", [p.x, p.u, p.q], after))
         n, nx, nu = p.horizon, p.nx, p.nu
@@ -205,7 +190,7 @@ class RealTimeIteration:
         rated = ca.horzcat(applied, inputs[:, : n - 1])[p.rated, :] if p.rated else ca.MX(0, n)
         y = ca.vertcat(states[:, :n], rated, inputs)
         data = qp.write(y, states[:, n], references, q, bounds, damping)
-        dy, dy_end, facts = inlined(qp.solve, [*data])
+        dy, dy_end, facts = inlined(qp.solve, [*data, qp.iterations])
         share, miss = facts[0], facts[3]
         size = ca.fmax(ca.mmax(ca.fabs(dy)), ca.mmax(ca.fabs(dy_end)))
         finite = ca.sum1(ca.sum2(ca.fabs(dy))) + ca.sum1(ca.fabs(dy_end)) <= LARGEST
@@ -240,8 +225,9 @@ class RealTimeIteration:
 class RealTimeCalls:
     """Calls of a RealTimeIteration in turn, with the memory between them."""
 
-    def __init__(self, core: RealTimeIteration) -> None:
-        self.core = core
+    def __init__(self, core: RealTimeIteration, compiled: bool | None = False) -> None:
+        """compiled : the call as machine code (None: where it is there)."""
+        self.core, self._step = core, Buffered(quick(core.step, compiled))
         self._bounds = np.array([b.value for b in core.bounds])
         self._places = core.places()
 
@@ -253,11 +239,17 @@ class RealTimeCalls:
         """One call from a state, under inputs [SI]; leaves its solution in ``point``."""
         p = self.core.program
         begin = perf_counter()
-        memory, _, told = self.core.step(
-            self._memory, x, applied, point.references.T, point.given, self._bounds, self._safe
+        memory, _, told = self._step(
+            self._memory,
+            x,
+            applied,
+            point.references.ravel(),
+            point.given,
+            self._bounds,
+            self._safe,
         )
         spent = perf_counter() - begin
-        self._memory = np.asarray(memory).ravel()
+        self._memory = memory[:, 0].copy()
         states, inputs = (
             self._memory[self._places[n]].reshape(-1, size)
             for n, size in (("states", p.nx), ("inputs", p.nu))
@@ -267,7 +259,7 @@ class RealTimeCalls:
             [states[:-1], before, inputs]
         ).T
         point.unknowns[p.at_last[: p.nx]] = states[-1]
-        facts = dict(zip(FACTS, np.asarray(told).ravel().tolist(), strict=True))
+        facts = dict(zip(FACTS, told[:, 0].tolist(), strict=True))
         return SqpOutcome(
             facts["status"] <= UNFINISHED,
             bool(facts["converged"]),
@@ -276,26 +268,6 @@ class RealTimeCalls:
             spent,
             int(facts["work"]),
         )
-
-
-def _bounds(program: TrackingProgram) -> tuple[Bound, ...]:
-    found = []
-    for place, limit in enumerate(program.limits):
-        if math.isfinite(limit.low):
-            found.append(Bound(limit, False, place))
-        if math.isfinite(limit.high):
-            found.append(Bound(limit, True, place))
-    return tuple(found)
-
-
-def _sides(program: TrackingProgram, bounds: Sequence[Bound]) -> list[Side]:
-    found = []
-    for k, bound in enumerate(bounds):
-        value = program.limited[bound.place]
-        sign = -1.0 if bound.high else 1.0
-        given = not ca.depends_on(value, program.u)
-        found.append(Side(value, sign, k, bound.limit.soft, given))
-    return found
 
 
 def _either(condition: ca.MX, yes: ca.MX | float, no: ca.MX | float) -> ca.MX:

@@ -10,16 +10,16 @@ call is bounded by the number of iterations.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from ...numerics.bounded_loop import inlined, repeated
 from ...numerics.portable import portable
+from .limit_sides import Side
 from .shooting import TrackingProgram
 
-__all__ = ["GAP", "ITERATIONS", "RiccatiQp", "Side"]
+__all__ = ["GAP", "ITERATIONS", "RiccatiQp"]
 
 ITERATIONS = 20
 """At most so many of the interior-point method in one quadratic program."""
@@ -38,21 +38,6 @@ LARGEST = 1e30
 """A sum beyond it is no number."""
 ROOM = 0.1
 """Least distance from a limit at the start, in units of nominal."""
-
-
-@dataclass(frozen=True)
-class Side:
-    """One side of a limit of a node: sign (value - bound) + slack >= 0, scaled.
-
-    soft : the node's slack stands in it. given : it says nothing at node 0, whose state is given.
-    """
-
-    value: ca.SX
-    sign: float
-    bound: int
-    """Place of its bound among all bounds."""
-    soft: bool
-    given: bool
 
 
 class _Packed:
@@ -332,8 +317,9 @@ class RiccatiQp:
     """The quadratic program of ``program`` at any point, solved by Functions alone.
 
     write : (y (ny, N), end, references, q, bounds, damping) -> data of inner nodes and of the last.
-    solve : data -> (dy, dy of the last node, facts): the share of the defects that is left, the
-    complementarity, iterations, the largest miss of a limit, limits that hold, the largest slack.
+    solve : (data, most iterations) -> (dy, dy of the last node, facts): the share of the defects
+    that is left, the complementarity, iterations, the largest miss of a limit, limits that hold,
+    the largest slack.
     bounds : those of all sides, symbols of the expressions in ``sides``.
     """
 
@@ -344,7 +330,10 @@ class RiccatiQp:
         sides: Sequence[Side],
         last: Sequence[Side],
         iterations: int = ITERATIONS,
+        gap: float = GAP,
     ) -> None:
+        """gap : mean complementarity that ends it."""
+        self.gap = gap
         self.program, self.n = program, program.horizon
         self.inner = _Stage(program, sides, bounds, last=False)
         self.last = _Stage(program, last, bounds, last=True)
@@ -364,8 +353,10 @@ class RiccatiQp:
         targets = ca.horzcat(y[: inner.nz, 1:], ca.vertcat(end, rated))
         keep = ca.DM.ones(1, n)
         keep[0] = 0
-        written = inner.write.map("write_all", "serial", n, [3, 4, 6], [])(
-            y, targets, references[:, :n], q, bounds, keep, damping
+        # the C code of repeating a column without entries has a number where a pointer belongs
+        shared, limits = ([3, 4, 6], bounds) if self._bounds else ([3, 6], ca.MX(0, n))
+        written = inner.write.map("write_all", "serial", n, shared, [])(
+            y, targets, references[:, :n], q, limits, keep, damping
         )
         at_end = last.write(end, ca.MX(0, 1), references[:, n], q, bounds, 1, 0)
         return ca.Function("written", [y, end, references, q, bounds, damping], [written, at_end])
@@ -436,7 +427,7 @@ class RiccatiQp:
     def _solve(self) -> ca.Function:
         n, i, e = self.n, self.inner, self.last
         _, (data, _, data_end) = self._iterate()
-        back = _backwards(data)
+        back, most = _backwards(data), ca.MX.sym("most")
         t, lam = i.begin.map(n)(back)
         t_end, l_end = e.begin(data_end)
         mu = (ca.dot(t, lam) + ca.dot(t_end, l_end)) / self.sides
@@ -449,11 +440,14 @@ class RiccatiQp:
             ca.MX.ones(e.ns) * ROOM,
             t_end,
             l_end,
-            ca.vertcat(1.0, mu, 0.0, 0.0),
+            ca.vertcat(1.0, mu, self.iterations - most, 0.0),
         ]
         symbols, _ = self._iterate()
         told = symbols[-1]
-        open_ = ca.logic_and(ca.logic_or(told[1] > GAP, told[0] > CLOSED), ca.logic_not(told[3]))
+        open_ = ca.logic_and(
+            ca.logic_or(told[1] > self.gap, told[0] > CLOSED), ca.logic_not(told[3])
+        )
+        open_ = ca.logic_and(open_, told[2] < self.iterations)
         loop = repeated(self._iteration(), len(iterate), self.iterations, open_, symbols)
         found = inlined(loop, [*iterate, back, data[: i.motion, :], data_end])
         seen = i.look.map(n)(back, *found[:4])
@@ -462,8 +456,9 @@ class RiccatiQp:
         active = ca.sum2(seen[1, :]) + seen_end[1]
         slacks = ca.vertcat(ca.vec(found[1]), found[5])
         largest = ca.mmax(slacks) if i.ns else ca.MX(0.0)
-        told = ca.vertcat(found[8][:3], miss, active, largest)
-        return ca.Function("qp", [data, data_end], [_backwards(found[0]), found[4], told])
+        done = found[8][2] - (self.iterations - most)
+        told = ca.vertcat(found[8][:2], done, miss, active, largest)
+        return ca.Function("qp", [data, data_end, most], [_backwards(found[0]), found[4], told])
 
 
 def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
@@ -11,10 +12,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError
+from ...core.errors import InputError, require_flag
 from ...core.registry import Registry
 from ...numerics.solvers import conic as qp_solver
 from ...numerics.solvers import nlpsol
+from .machine_step import MachineStep, machine_step
 from .shooting import UNBOUNDED, TrackingPoint, TrackingProgram
 from .stage_qp import StageQp, available
 
@@ -33,6 +35,8 @@ MISS = 1e-3
 """Largest violation of a QP's rows by its solution, in units of nominal, that still counts as
 solved.
 """
+OVER = 1.5
+"""Times the work of a call after which begun quadratic programs are cut off."""
 DAMPING = (1e-2, 1e-1)
 """Of Levenberg and Marquardt: first and largest; grows by 4 when a step is longer than the one
 before.
@@ -86,6 +90,45 @@ def conic(
     return ca.Function("step", [h, g, a, lba, uba, lbx, ubx], results)
 
 
+class QpStep:
+    """The step from ``point.unknowns`` by evaluating there and solving the quadratic program.
+
+    A call, with the damping added to the Hessian's diagonal, leaves ``direction`` and returns
+    (largest violation of rows by it, in units of nominal: solvers disagree on how they report
+    failure; iterations of the interior point, where known; seconds in the solver). How many of them
+    it may take was settled when the solver was made.
+    """
+
+    def __init__(self, point: TrackingPoint, direction: Array, solver: str) -> None:
+        self._point, self._direction = point, direction
+        self._diagonal = _diagonal(point.program)
+        self._stages: StageQp | None = None
+        if solver == "hpipm" and available():
+            self._stages = self._call = StageQp(point, direction)
+            return
+        self._buffer, self._call = QP_SOLVERS[solver](point.program).buffer()
+        for i, argument in enumerate(
+            (point.h, point.gradient, point.a, point.a_low, point.a_high, point.w_low, point.w_high)
+        ):
+            self._buffer.set_arg(i, memoryview(argument))  # type: ignore
+        self._buffer.set_res(0, memoryview(direction))  # type: ignore
+
+    def __call__(self, damping: float, most: float) -> tuple[float, int, float]:
+        self._point()
+        if damping:
+            self._point.h[self._diagonal] += damping
+        begin = perf_counter()
+        self._call()
+        spent = perf_counter() - begin
+        return self._miss(), self._stages.iterations if self._stages else 0, spent
+
+    def _miss(self) -> float:
+        p, point = self._point.program, self._point
+        rows = np.bincount(p.a_rows, point.a * self._direction[p.a_columns], minlength=len(p.a_low))
+        # np.max of a NaN is one
+        return float(np.maximum(np.max(point.a_low - rows), np.max(rows - point.a_high)))
+
+
 class Sqp:
     """Full Gauss-Newton steps from where ``point`` stands, a QP each, until they are small.
 
@@ -96,44 +139,39 @@ class Sqp:
     def __init__(
         self,
         program: TrackingProgram,
-        solver: QpSolver,
+        solver: QpSolver | None,
         tolerance: float,
         compiled: bool | None = False,
     ) -> None:
-        if solver not in QP_SOLVERS:
+        """solver : None: "hpipm", or the step as one Function of machine code, see ``compiled``."""
+        if solver is not None and solver not in QP_SOLVERS:
             names = ", ".join(repr(name) for name in QP_SOLVERS)
             raise InputError(f"solver = {solver!r}: choose {names}, 'riccati' or 'ipopt'")
-        self.program, self.tolerance = program, tolerance
-        self.point = TrackingPoint(program, compiled)
+        require_flag("compiled", compiled, "where it is in the cache")
+        self.tolerance = tolerance
         self.direction = np.zeros(program.size)
-        self._diagonal = _diagonal(program)
-        self._stages: StageQp | None = None
-        if solver == "hpipm" and available():
-            self._stages = self._call = StageQp(self.point, self.direction)
-            return
-        self._buffer, self._call = QP_SOLVERS[solver](program).buffer()
-        point = self.point
-        for i, argument in enumerate(
-            (point.h, point.gradient, point.a, point.a_low, point.a_high, point.w_low, point.w_high)
-        ):
-            self._buffer.set_arg(i, memoryview(argument))  # type: ignore
-        self._buffer.set_res(0, memoryview(self.direction))  # type: ignore
+        whole = machine_step(program, compiled) if solver is None else None
+        self.point = TrackingPoint(program, compiled if whole is None else False)
+        self._step: Callable[[float, float], tuple[float, int, float]]
+        if whole is None:
+            self._step = QpStep(self.point, self.direction, solver or "hpipm")
+        else:
+            self._step = MachineStep(self.point, self.direction, whole)
 
     def solve(self, iterations: int, work: float = np.inf) -> SqpOutcome:
         """At most so many steps from ``point.unknowns``, which is left at the solution.
 
-        No further step is begun after ``work`` iterations of the interior-point method in all.
+        No further step is begun after ``work`` iterations of the interior-point method in all; one
+        that is cut off at ``OVER`` times that, where it can be, before it was solved is not taken.
         """
         point, spent, before, damping, done = self.point, 0.0, np.inf, 0.0, 0
         for k in range(1, iterations + 1):
-            point()
-            if damping:
-                point.h[self._diagonal] += damping
-            begin = perf_counter()
-            self._call()
-            spent += perf_counter() - begin
-            done += self._stages.iterations if self._stages else 0
-            if not self._solved():
+            miss, count, seconds = self._step(damping, math.inf if k == 1 else OVER * work - done)
+            spent += seconds
+            done += count
+            if not miss <= MISS and k > 1 and done >= OVER * work:
+                return SqpOutcome(True, False, k - 1, before, spent, done)
+            if not miss <= MISS:  # NaN, too
                 return SqpOutcome(False, False, k, np.inf, spent, done)
             point.w += self.direction
             size = float(np.max(np.abs(self.direction)))
@@ -145,15 +183,6 @@ class Sqp:
                 damping = min(max(4 * damping, DAMPING[0]), DAMPING[1])
             before = size
         return SqpOutcome(True, False, k, size, spent, done)
-
-    def _solved(self) -> bool:
-        """Whether the direction meets the QP's rows:
-        solvers disagree on how they report failure.
-        """
-        p, point = self.program, self.point
-        rows = np.bincount(p.a_rows, point.a * self.direction[p.a_columns], minlength=len(p.a_low))
-        miss = max(float(np.max(point.a_low - rows)), float(np.max(rows - point.a_high)))
-        return bool(miss <= MISS)  # False for NaN too
 
 
 def _diagonal(program: TrackingProgram) -> NDArray[np.intp]:

@@ -23,6 +23,11 @@ _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
 
 POWER = 10.0
 """A typical power of a muscle [W]."""
+FLAT = 1e-5
+"""Weight of the squared inputs, in units of their largest values, beside economical terms. These
+are often the same for many motions (a load that is let down takes no work at all): then a solver
+has no way to choose, and wanders. It adds less than 1e-3 of what such objectives are judged by.
+"""
 
 
 @running_cost("time", unit="s")
@@ -136,6 +141,9 @@ def objective(
     for argument, given in (("integrand", integrand), ("final", final)):
         if given is not None:
             require_expression(plant, argument, given)
+    economical = sum(weights.get(name, 0.0) for name in COSTS if COSTS[name].economical)
+    if economical:
+        running += FLAT * economical * _squared_inputs(plant)
     if not (any(weights.values()) or track or integrand is not None or final is not None):
         raise InputError(f"minimise = {weights}: at least one weight must be > 0")
     return Objective(
@@ -144,9 +152,19 @@ def objective(
         running + (0 if integrand is None else integrand),
         last + (0 if final is None else final),
         tuple(weight for weight, _ in symbols.peaks),
-        any(weights.get(name, 0.0) for name in COSTS if COSTS[name].economical),
+        bool(economical),
         _in_words(weights, units, (track, integrand, final)),
     )
+
+
+def _squared_inputs(plant: Plant) -> ca.SX:
+    """Sum of the squared inputs in units of their largest values, where these are known."""
+    sizes = [max(abs(v.min), abs(v.max)) for v in plant.inputs]
+    known = [
+        size if 0 < size < float("inf") else v.nominal
+        for v, size in zip(plant.inputs, sizes, strict=True)
+    ]
+    return ca.sumsqr(plant.u / ca.DM(known))
 
 
 def _counted(variable: Variable) -> str:

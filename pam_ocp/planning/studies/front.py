@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -12,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import courtesy
+from ...core.cases import Place, ending
 from ...core.errors import InputError, PlanError, require_count, require_positive
+from ...core.executors import placed
 from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
@@ -32,6 +36,9 @@ if TYPE_CHECKING:
 __all__ = ["Pareto", "pareto"]
 
 Array: TypeAlias = NDArray[np.float64]
+_Point: TypeAlias = tuple[Plan, float, float]
+_Points: TypeAlias = tuple[list[_Point], list[tuple[float, str]]]
+"""Those found, and (bound of the first objective, message) of those that were not."""
 
 _PEAK = re.compile(r"peak\((.+)\)$")
 _UNBOUNDED = 1e25
@@ -117,6 +124,7 @@ def pareto(
     points: int = 11,
     until: float | None = None,
     time_limit: float | None = None,
+    executor: Place = None,
     **arguments: Unpack[PlanKeywords],
 ) -> Pareto:
     """The front of two objectives: no plan on it is better in one without being worse in the other.
@@ -137,6 +145,9 @@ def pareto(
         3 times the least time where a slower motion always takes less.
     time_limit : [s]; the points that are not reached stand in ``failures``. OutOfTime when an end
         is not reached.
+    executor : None: the points one after the other, here, which is the least work. Else where they
+        are planned side by side, as for :func:`pam_ocp.each` (0: here): each from the plan with the
+        least ``second``, so that it is the same wherever that is. Pays where a plan takes seconds.
 
     Raises InputError for objectives that cannot be bounded, PlanError when an end is not found;
     points between that are not found stand in ``failures``.
@@ -149,6 +160,7 @@ def pareto(
     """
     require_plant(plant)
     require_count("points", points, 2)
+    place = placed(executor)
     for name in ("minimise", "tolerance", "guess", "starts"):
         if name in arguments:
             raise InputError(
@@ -161,21 +173,13 @@ def pareto(
     last = sweep.least_second(least, until)
     low, high = (sweep.first.value(p) for p in (least, last))
     if high <= low:  # one plan is best in both
-        return sweep.result([(least, low)], [])
+        return sweep.result([sweep.point(least)], [])
     spaced = np.geomspace if low > 0 else np.linspace
-    found, failures, near = [(last, high)], [], last
-    for bound in counted(spaced(low, high, points)[-2:0:-1].tolist(), "plans of the front"):
-        try:
-            near = sweep.second_under(float(bound), near)
-        except TimeIsUp:
-            failures.append((float(bound), f"{deadline()} was over"))
-            continue
-        except PlanError as error:
-            failures.append((float(bound), str(error)))
-            continue
-        found.append((near, sweep.first.value(near)))
-    found.append((least, low))
-    return sweep.result(found[::-1], failures)
+    bounds = spaced(low, high, points)[-2:0:-1].tolist()
+    between = sweep.in_turn if place is None else sweep.side_by_side(place)
+    found, failures = between(bounds, last)
+    ends = sweep.point(least), sweep.point(last)
+    return sweep.result([ends[0], *found[::-1], ends[1]], failures)
 
 
 class _Term:
@@ -300,6 +304,48 @@ class _Sweep:
         changed = {k: asked[k] for k in ("budgets", "bounds") if k in asked}
         return self.planner(guess=near, **changed)
 
+    def in_turn(self, bounds: Sequence[float], last: Plan) -> _Points:
+        """The points at these bounds of the first, each from the one before."""
+        found, failures, near = [], [], last
+        for bound in counted(bounds, "plans of the front"):
+            try:
+                near = self.second_under(bound, near)
+            except TimeIsUp:
+                failures.append((bound, f"{deadline()} was over"))
+                continue
+            except PlanError as error:
+                failures.append((bound, str(error)))
+                continue
+            found.append(self.point(near))
+        return found, failures
+
+    def side_by_side(self, executor: Place) -> Callable[[Sequence[float], Plan], _Points]:
+        """The same, each from the last, on an executor."""
+
+        def points(bounds: Sequence[float], last: Plan) -> _Points:
+            names = self.first.name, self.second.name
+            # what travels knows no multipliers: so it is for all, wherever they are planned
+            work = _Alone(self.plant, self.stops, names, self.arguments, copy(last))
+            answers: dict[int, Any] = {}
+            with suppress(TimeIsUp):
+                answers.update(ending(work, bounds, executor=executor, what="plans of the front"))
+            found, failures = [], []
+            for i, bound in enumerate(bounds):
+                answer = answers.get(i, f"{deadline()} was over")
+                if isinstance(answer, Exception) and not isinstance(answer, PlanError):
+                    raise answer
+                if isinstance(answer, tuple):
+                    found.append(answer)
+                else:
+                    failures.append((bound, str(answer)))
+            return found, failures
+
+        return points
+
+    def point(self, plan: Plan) -> _Point:
+        """A plan, and both objectives of it."""
+        return plan, self.first.value(plan), self._second_of(plan)
+
     def _second_of(self, plan: Plan) -> float:
         """The second objective of any plan of the sweep."""
         if self.second.bounded:
@@ -311,9 +357,7 @@ class _Sweep:
         w = from_solution(program.problem, program.mesh, plan._solved.solution)
         return float(f(w, program.parameters())) * self.second.variable.nominal
 
-    def result(
-        self, found: Sequence[tuple[Plan, float]], failures: Sequence[tuple[float, str]]
-    ) -> Pareto:
+    def result(self, found: Sequence[_Point], failures: Sequence[tuple[float, str]]) -> Pareto:
         """The front, both objectives of each plan."""
         variables = (self.first.variable, self.second.variable)
         named = [
@@ -326,5 +370,23 @@ class _Sweep:
             )
             for term, v in zip((self.first, self.second), variables, strict=True)
         ]
-        values = np.array([[value, self._second_of(plan)] for plan, value in found])
-        return Pareto(named[0], named[1], tuple(p for p, _ in found), values, tuple(failures))
+        values = np.array([both for _, *both in found])
+        return Pareto(named[0], named[1], tuple(p for p, *_ in found), values, tuple(failures))
+
+
+@dataclass(frozen=True, eq=False)
+class _Alone:
+    """Called with a bound of the first objective: the point of the front there."""
+
+    plant: Plant
+    stops: Any
+    names: tuple[str, str]
+    arguments: Mapping[str, Any]
+    near: Plan
+
+    def __call__(self, bound: float) -> _Point:
+        first, second = (_Term(self.plant, name) for name in self.names)
+        sweep = _Sweep(self.plant, self.stops, first, second, self.arguments)
+        asked = sweep._with((first, bound), (second, None))
+        sweep.planner = Planner(self.plant, self.stops, minimise=second.name, **asked)
+        return sweep.point(sweep.planner(guess=self.near))

@@ -119,8 +119,7 @@ class _Block:
 
     def over(self, name: str, value: ca.SX, more: list[ca.SX], given: list[ca.MX]) -> ca.MX:
         """The stored entries of ``value`` of all intervals, as one column."""
-        entries = value.nz[:] if value.nnz() else ca.SX(0, 1)
-        function = ca.Function(name, [*self.local.given, *more], [entries])
+        function = ca.Function(name, [*self.local.given, *more], [_stored(value)])
         return ca.vec(function.map(self.unknowns.shape[1])(*given))
 
     def given(self, problem: Problem, w: ca.MX, p: ca.MX) -> list[ca.MX]:
@@ -128,6 +127,11 @@ class _Block:
         plain = len(problem.plant.parameters)
         lengths, starts = (ca.MX(ca.DM(weights)) for weights in self.weights)
         return [_gathered(w, self.unknowns), lengths, starts, p[:plain], p[plain:]]
+
+
+def _stored(matrix: ca.SX) -> ca.SX:
+    """The stored entries as one column, also those of a matrix that is one row."""
+    return ca.vec(matrix.nz[:]) if matrix.nnz() else ca.SX(0, 1)
 
 
 def _gathered(vector: ca.MX, at: Index) -> ca.MX:
@@ -240,8 +244,8 @@ def _jacobian(
         local, given = block.local, block.given(program.problem, w, p)
         jacobian = local.slopes
         n, rows = block.unknowns.shape[1], local.rows.numel()
-        stored = jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)
-        both = block.over("rows", ca.densify(ca.vertcat(local.rows, stored)), [], given)
+        known = ca.densify(ca.vertcat(local.rows, _stored(jacobian)))
+        both = block.over("rows", known, [], given)
         both = ca.reshape(both, rows + jacobian.nnz(), n)
         i, j = (np.array(e, dtype=np.intp) for e in jacobian.sparsity().get_triplet())
         values.add(ca.vec(both[:rows, :]), block.rows.T.ravel(), np.zeros(rows * n, dtype=np.intp))

@@ -113,8 +113,10 @@ def _rests(problem: Problem) -> list[tuple[Array, Array]]:
         known = {n: (x, y) for n, (x, y) in ends.items() if x is not None and y is not None}
         for s in np.arange(1, PLACES) / PLACES:
             line = tuple((1 - s) * x + s * y for x, y in zip(one, other, strict=True))
-            rest = _rest(problem.plant, {n: (1 - s) * x + s * y for n, (x, y) in known.items()})
-            found.append(rest or (line[0], line[1]))
+            values = {n: (1 - s) * x + s * y for n, (x, y) in known.items()}
+            # where inputs are more than needed to rest, the equations of rest leave some open
+            rest = _rest(problem.plant, values) or _balance(problem, values, line[0], line[1])
+            found.append(rest)
         found.append(other)
     return found
 

@@ -1,0 +1,183 @@
+"""The smoother of a window of nodes linearised about itself, as CasADi Functions of one node.
+
+A Kalman filter forwards and the adjoint recursion backwards (G. J. Bierman, Automatica 9, 1973),
+which inverts no matrix, so that states without noise are no exception. Measurements enter one
+number at a time; a bound of an entry can be one more of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ...numerics.bounded_loop import inlined
+from .extended_kalman import Estimator
+
+__all__ = ["Side", "Smoother", "noise_of_step"]
+
+
+@dataclass(frozen=True)
+class Side:
+    """sign (entry - bound) >= 0, in units of nominal."""
+
+    entry: int
+    sign: float
+    bound: float
+
+
+class Smoother:
+    """The Functions of a filter's window; columns are nodes, the last is the present.
+
+    linear : of all nodes. smooth : changes of all nodes, and the covariance of the last one.
+    """
+
+    def __init__(
+        self,
+        filter: Estimator,
+        nodes: int,
+        robust: float,
+        functions: tuple[ca.Function, ca.Function],
+        sides: Sequence[Side] = (),
+        q: ca.DM | None = None,
+    ) -> None:
+        """functions : the filter's prediction and measurement. robust : Huber's limit.
+        sides : bounded entries, with a target and a weight each. q : where it never changes.
+        """
+        self.filter, self.nodes, self.robust, self.sides = filter, nodes, robust, sides
+        self.n, self.m = len(filter.names), len(filter.measured)
+        self.nu, self.nq = len(filter.given.controls), len(filter.given.names)
+        self.predict, self.measure = functions
+        self.q = q
+        self.linear = self._linear().map(nodes)
+        self.smooth = self._smooth()
+
+    # ---- one node -------------------------------------------------------------------------------
+    def moved(self, z: Any, u: Any, q: Any) -> tuple[Any, Any, Any]:
+        """(following node, its Jacobian, covariance that the noise adds)."""
+        after, a, half = inlined(self.predict, [z, u, q])
+        return after, a, noise_of_step(self.filter, a, half)
+
+    def seen(self, z: Any, u: Any, q: Any, y: Any, has: Any) -> tuple[Any, Any, Any]:
+        """(Jacobian, measured - expected, variances) of a node; what is missing has no rows."""
+        value, c = inlined(self.measure, [z, u, q])
+        sigma = ca.DM(self.filter._noise)
+        error = y - value
+        variance = sigma**2
+        if np.isfinite(self.robust):
+            size, limit = ca.fabs(error) / sigma, self.robust
+            variance = variance * ca.if_else(size > limit, size / limit, 1)
+        rows = [ca.if_else(has[i], c[i, :], 0) for i in range(self.m)]
+        return (
+            ca.vertcat(*rows),
+            ca.if_else(has, error, 0),
+            ca.if_else(has, variance, 1),
+        )
+
+    def _linear(self) -> ca.Function:
+        """(z, following z, u, following u, y, has, real, q, following q) -> (a, gap, noise, c,
+        error, variance); ``u`` and ``q`` those of the measurement, the following those of the step;
+        without q where it is the same always. Nodes that are not ``real`` stand still.
+        """
+        n = self.n
+        z, following = ca.SX.sym("z", n), ca.SX.sym("following", n)
+        u, then = ca.SX.sym("u", self.nu), ca.SX.sym("then", self.nu)
+        y, has = ca.SX.sym("y", self.m), ca.SX.sym("has", self.m)
+        real = ca.SX.sym("real")
+        told = [] if self.q is not None else [ca.SX.sym(k, self.nq) for k in ("q", "q_then")]
+        q, q_then = told if self.q is None else (self.q, self.q)
+        after, a, noise = self.moved(z, then, q_then)
+        c, error, variance = self.seen(z, u, q, y, has)
+        a = ca.if_else(real, a, ca.SX.eye(n))
+        gap = ca.if_else(real, after, z) - following
+        noise = ca.if_else(real, noise, 0)
+        found = [ca.densify(ca.vec(e)) for e in (a, gap, noise, c, error, variance)]
+        given = [z, following, u, then, y, has, real, *told]
+        return ca.Function("linear", given, found, {"cse": True})
+
+    # ---- the smoother ----------------------------------------------------------------------------
+    def _forward(self) -> ca.Function:
+        """A node of the filter: takes (change, covariance) expected, gives those of the next node;
+        keeps what the way back needs.
+        """
+        n, rows = self.n, self.m + len(self.sides)
+        d, p = ca.SX.sym("d", n), ca.SX.sym("p", n * n)
+        a, gap, noise = ca.SX.sym("a", n * n), ca.SX.sym("gap", n), ca.SX.sym("noise", n * n)
+        c, error = ca.SX.sym("c", self.m * n), ca.SX.sym("error", self.m)
+        variance = ca.SX.sym("variance", self.m)
+        target, weight = (ca.SX.sym(k, len(self.sides)) for k in ("target", "weight"))
+        lines, square = self._lines(c), ca.reshape(p, n, n)
+        change = d
+        gains, surprises = [], []
+        for i in range(rows):
+            j = i - self.m
+            told = error[i] if j < 0 else target[j]
+            spread = ca.mtimes(square, lines[i].T)
+            along = ca.mtimes(lines[i], spread)
+            if j < 0:
+                size = along + variance[i]
+                gain, surprise = spread / size, (told - ca.mtimes(lines[i], change)) / size
+            else:  # by its weight 1/variance, which may be 0
+                size = 1 + weight[j] * along
+                gain = spread * (weight[j] / size)
+                surprise = weight[j] * (told - ca.mtimes(lines[i], change)) / size
+            change = change + spread * surprise
+            square = square - ca.mtimes(gain, spread.T)
+            gains.append(gain)
+            surprises.append(surprise)
+        square = (square + square.T) / 2
+        jacobian = ca.reshape(a, n, n)
+        following = ca.mtimes(jacobian, change) + gap
+        carried = ca.mtimes([jacobian, square, jacobian.T]) + ca.reshape(noise, n, n)
+        kept = [change, ca.vec(square), ca.vertcat(*gains), ca.vertcat(*surprises)]
+        given = [d, p, a, gap, noise, c, error, variance, target, weight]
+        results = [ca.densify(e) for e in (following, ca.vec(carried), *kept)]
+        return ca.Function("forward", given, results, {"cse": True})
+
+    def _lines(self, c: ca.SX) -> list[ca.SX]:
+        """What is measured of a node, one row each: measurements, then bounded entries."""
+        matrix, eye = ca.reshape(c, self.m, self.n), ca.SX.eye(self.n)
+        return [matrix[i, :] for i in range(self.m)] + [eye[s.entry, :] for s in self.sides]
+
+    def _backward(self) -> ca.Function:
+        """A node of the way back: takes the adjoint from behind, gives that before the node."""
+        n, rows = self.n, self.m + len(self.sides)
+        after = ca.SX.sym("after", n)
+        change, p = ca.SX.sym("change", n), ca.SX.sym("p", n * n)
+        a, c = ca.SX.sym("a", n * n), ca.SX.sym("c", self.m * n)
+        gains, surprises = ca.SX.sym("gains", n * rows), ca.SX.sym("surprises", rows)
+        adjoint = ca.mtimes(ca.reshape(a, n, n).T, after)
+        smoothed = change - ca.mtimes(ca.reshape(p, n, n), adjoint)
+        lines = self._lines(c)
+        for i in reversed(range(rows)):
+            gain = gains[i * n : (i + 1) * n]
+            along = ca.mtimes(gain.T, adjoint)
+            adjoint = adjoint - lines[i].T * (along + surprises[i])
+        given = [after, change, p, a, c, gains, surprises]
+        return ca.Function("backward", given, [adjoint, smoothed], {"cse": True})
+
+    def _smooth(self) -> ca.Function:
+        """(prior's change, its covariance, linear..., targets, weights) -> (changes, covariance of
+        the last node).
+        """
+        n, nodes, rows = self.n, self.nodes, self.m + len(self.sides)
+        sizes = (n * n, n, n * n, self.m * n, self.m, self.m, len(self.sides), len(self.sides))
+        first, p = ca.MX.sym("first", n), ca.MX.sym("p", n * n)
+        given = [ca.MX.sym(f"given{k}", size, nodes) for k, size in enumerate(sizes)]
+        forward = self._forward().mapaccum("forwards", nodes, 2)
+        _, _, change, square, gains, surprises = forward(first, p, *given)
+        order = [nodes - 1 - k for k in range(nodes)]
+        behind = ca.horzcat(given[0][:, : nodes - 1], ca.MX.zeros(n * n, 1))
+        turned = [e[:, order] for e in (change, square, behind, given[3], gains, surprises)]
+        back = self._backward().mapaccum("backwards", nodes, 1)
+        _, smoothed = back(ca.MX.zeros(n, 1), *turned)
+        assert gains.shape == (n * rows, nodes)
+        return ca.Function("smooth", [first, p, *given], [smoothed[:, order], square[:, nodes - 1]])
+
+
+def noise_of_step(filter: Estimator, a: Any, half: Any) -> Any:
+    """Covariance that the noise adds in a step; see :meth:`Estimator._step_noise`."""
+    return filter._simpson(a, half, ca.DM(filter._density), a.T, half.T)
