@@ -13,7 +13,7 @@ what it is made of.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -67,23 +67,25 @@ class Closing:
 
 
 class Read:
-    """Expressions of a plant of one muscle by name, and of its parameters."""
+    """Expressions of a plant by name, those of one of its muscles first, and of its parameters."""
 
-    def __init__(self, plant: pam.Plant) -> None:
-        self.plant = plant
+    def __init__(self, plant: pam.Plant, muscle: str = "muscle") -> None:
+        self.plant, self.muscle = plant, muscle
         self.names = {v.name for v in plant.variables}
 
     def __contains__(self, name: str) -> bool:
-        return f"muscle.{name}" in self.names or name in self.names
+        return f"{self.muscle}.{name}" in self.names or name in self.names
 
     def __getitem__(self, name: str) -> ca.SX:
-        return self.plant.expression(f"muscle.{name}" if f"muscle.{name}" in self.names else name)
+        own = f"{self.muscle}.{name}"
+        return self.plant.expression(own if own in self.names else name)
 
     def get(self, name: str, instead: float) -> ca.SX | float:
         return self[name] if name in self else instead  # noqa: SIM401
 
     def der(self, name: str) -> ca.SX:
-        return self.plant.expression(f"der(muscle.{name})")
+        own = f"{self.muscle}.{name}"
+        return self.plant.expression(f"der({own if own in self.names else name})")
 
 
 # ---- what moves ----------------------------------------------------------------------------------
@@ -96,6 +98,28 @@ def motion(at: Read) -> Iterator[Ledger]:
         mass += (at["mass_per_length"] * at["rest_length"] + at["end_mass"]) / 2
     stored = mass * v**2 / 2 + mass * at["gravity"] * at["x"]
     yield Ledger("motion", at["force"] * v, stored, at["damping"] * v**2)
+
+
+def sliding(each: Sequence[Read]) -> Iterator[Ledger]:
+    """Two muscles pull a slide to and fro."""
+    one, two = each
+    v = one["v"]
+    stored, lost = one["mass"] * v**2 / 2, one["damping"] * v**2
+    yield Ledger("motion", (one["force"] - two["force"]) * v, stored, lost)
+
+
+def turning(each: Sequence[Read]) -> Iterator[Ledger]:
+    """Two muscles turn a joint: half their bodies moves along at the ends of their levers."""
+    one, two = each
+    theta, omega = one["theta"], one["omega"]
+    put_in = (one["radius"] * one["force"] - two["radius"] * two["force"]) * omega
+    inertia = one["inertia"]
+    for at in each:
+        body = at["mass_per_length"] * at["rest_length"] + at["end_mass"]
+        inertia += body / 2 * at["radius"] ** 2
+    raised = one["link_mass"] * one["gravity"] * one["link_length"] * (1 - ca.cos(theta))
+    stored = inertia * omega**2 / 2 + raised
+    yield Ledger("motion", put_in, stored, one["damping"] * omega**2)
 
 
 def law(at: Read, muscle: pam.Muscle) -> Iterator[Ledger]:
@@ -126,7 +150,7 @@ def sticking(share: ca.SX, edge: Any, most: float) -> ca.SX:
 
 
 def lost_in(at: Read, loss: Any) -> tuple[ca.SX | float, ca.SX]:
-    """(stored [J], lost [W]) of a loss without growth with pressure, over its rest length."""
+    """(stored [J], lost [W]) of a loss, over its rest length."""
     length, kappa, v, p = at["rest_length"], at["contraction"], at["v"], at["pressure"]
     rate = v / length
     if isinstance(loss, L.CoulombFriction):
@@ -135,6 +159,10 @@ def lost_in(at: Read, loss: Any) -> tuple[ca.SX | float, ca.SX]:
     if isinstance(loss, L.StrandFriction):
         arm = 4 * math.pi * loss.contact_radius * at["strand_diameter"] / 2 / math.tan(loss.angle)
         return 0.0, loss.coefficient * arm * p * (1 - kappa) * v * ca.tanh(v / loss.speed)
+    if isinstance(loss, L.DirectionalDamping):
+        share = (1 + ca.tanh(v / loss.speed)) / 2
+        (to,), (fro,) = loss.contracting, loss.relaxing
+        return 0.0, v**2 * (share * (to[0] + to[1] * p) + (1 - share) * (fro[0] + fro[1] * p))
     if isinstance(loss, L.ForceVelocity):
         share = (1 + ca.tanh(v / loss.turn)) / 2
         both = [
@@ -175,37 +203,61 @@ def softened(at: Read, loss: Any) -> tuple[ca.SX, ca.SX]:
 
 
 def slipped(at: Read, loss: Any, rate: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Springs of stiffness f/y hold f z; what slides of the rate is lost with f z."""
-    stored, lost = ca.SX(0), ca.SX(0)
-    up, down = (rate + rounded(rate)) / 2, (rate - rounded(rate)) / 2
+    """Springs hold a force; what slides of the rate, and what is let go, is lost with it."""
+    top = pam.muscle(MUSCLE).pressure_range[1]
+    scale, most = (1 + loss.per_pressure * each for each in (ca.fmax(at["pressure"], 0), top))
     if isinstance(loss, L.BoucWen):
-        z = at["hysteresis"]
-        size = ca.sqrt(z**2 + 1e-12)
-        n, beta, keeps = loss.order, loss.beta, sticking(size, 0.02, 1.0)
-        factor = 1 - keeps * (1 - (rate / rounded(rate)) ** 2)
-        slides = beta * rounded(rate) * size ** (n - 1) * z + (1 - beta) * rate * size**n
-        spring = loss.friction * loss.yield_contraction * z**2 / 2
-        stored, lost = spring, loss.friction * z * slides * factor
+        both = [bouc_wen(at, loss, rate, scale, most)]
     elif isinstance(loss, L.MaxwellSlip):
-        for i, (f, y) in enumerate(zip(loss.friction, loss.yield_contraction, strict=True), 1):
-            z = at[f"slip{i}"]
-            holds = up * sticking(z, loss.edge, 3.0) + down * sticking(-z, loss.edge, 3.0)
-            stored += f * y * z**2 / 2
-            lost += f * ca.fmin(ca.fmax(z, -1), 1) * (rate - holds)
+        both = [
+            element(at[f"slip{i}"] * f * most, f / y, f * most, (f * scale,) * 2, loss.edge, rate)
+            for i, (f, y) in enumerate(zip(loss.friction, loss.yield_contraction, strict=True), 1)
+        ]
     else:
         (c,), (r,), (y,) = loss.contracting, loss.relaxing, loss.yield_contraction
-        kappa, k = at["contraction"], c / y
-        ends = c * (1 + loss.contracting_growth * kappa), r * (1 + loss.relaxing_growth * kappa)
-        force = largest(loss, c, r) * at["play1"]
-        edge = loss.edge
-        holds = up * sticking(force / ends[0], edge, 3.0)
-        holds += down * sticking(-force / ends[1], edge, 3.0)
-        stored, lost = force**2 / (2 * k), force * (rate - holds)
+        kappa, size = at["contraction"], largest(loss, c, r) * most
+        growth = loss.contracting_growth, loss.relaxing_growth
+        ends = [scale * e * (1 + g * kappa) for e, g in zip((c, r), growth, strict=True)]
+        both = [element(at["play1"] * size, c / y, size, (ends[0], ends[1]), loss.edge, rate)]
+    stored, lost = (sum(each, ca.SX(0)) for each in zip(*both, strict=True))
     return at["rest_length"] * stored, at["rest_length"] * lost
 
 
+def element(
+    force: ca.SX, k: Any, size: Any, ends: tuple[Any, Any], edge: float, rate: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """(stored, lost) per rest length of a spring k that holds between -ends[1] and ends[0] [N]."""
+    up, down = (rate + rounded(rate)) / 2, (rate - rounded(rate)) / 2
+    holds = up * sticking(force / ends[0], edge, 3.0) + down * sticking(-force / ends[1], edge, 3.0)
+    held = ca.fmax(ca.fmin(force, ends[0]), -ends[1])
+    return force**2 / (2 * k), held * rate - force * (holds + let_go(force, size, ends) / k)
+
+
+def let_go(force: ca.SX, size: Any, ends: tuple[Any, Any]) -> ca.SX:
+    """Rate [N/s] at which a force comes back to an end that has fallen below it."""
+    beyond = ca.fmax(force - ends[0], 0) / size, ca.fmax(-ends[1] - force, 0) / size
+    soft = [e * ca.fmin(e / (0.1 * end / size), 1) for e, end in zip(beyond, ends, strict=True)]
+    return size * (soft[1] - soft[0]) / 0.01
+
+
+def bouc_wen(at: Read, loss: Any, rate: ca.SX, scale: ca.SX, most: float) -> tuple[ca.SX, ca.SX]:
+    """(stored, lost) per rest length."""
+    full, size = loss.friction * scale, loss.friction * most
+    force, k = at["hysteresis"] * size, loss.friction / loss.yield_contraction
+    share = force / full
+    width = ca.sqrt(share**2 + 1e-12)
+    n, beta, keeps = loss.order, loss.beta, sticking(width, 0.02, 1.0)
+    slides = beta * rounded(rate) * width ** (n - 1) * share + (1 - beta) * rate * width**n
+    slides *= 1 - keeps * (1 - (rate / rounded(rate)) ** 2)
+    held = ca.fmax(ca.fmin(force, full), -full) if loss.per_pressure else force
+    gone = let_go(force, size, (full, full)) / k if loss.per_pressure else 0.0
+    return force**2 / (2 * k), held * rate - force * (rate - slides + gone)
+
+
 def largest(loss: Any, c: float, r: float) -> float:
-    """The largest force [N] that the element can hold within the muscle's range of contraction."""
+    """The largest force [N] that the element can hold within the muscle's range of contraction,
+    without pressure.
+    """
     end = pam.muscle(MUSCLE).contraction_range[1]
     growth = loss.contracting_growth, loss.relaxing_growth
     return max(c * max(1, 1 + growth[0] * end), r * max(1, 1 + growth[1] * end))
@@ -258,7 +310,7 @@ def entropy(at: Read, supply: float) -> Iterator[Ledger]:
     absolute, warm, source = at["pressure"] + P0, at["temperature"], supply + P0
     wall = at.get("rubber_temperature", T0)
     drawn, vented, passed = at["supply_flow"], at["vent_flow"], at["heat_flow"]
-    coming = upwind(source, absolute, T0, warm)
+    coming = upwind(source, absolute, at.get("gas.supply_temperature", T0), warm)
     going = upwind(absolute, P0, warm, T0)
     s = CP * ca.log(warm / T0) - R * ca.log(absolute / P0)
     before = CP * ca.log(coming / T0) - R * ca.log(source / P0)
@@ -271,10 +323,12 @@ def entropy(at: Read, supply: float) -> Iterator[Ledger]:
     yield Ledger("entropy of the air", put_in, stored, made, nominal=0.1, makes=True)
 
 
-def mass(at: Read, feed: Any) -> Iterator[Ledger]:
-    """Of all air within the plant."""
-    stored = (at["pressure"] + P0) * at["volume"] / (R * at["temperature"])
-    source = at["supply_flow"]
+def mass(each: Sequence[Read], feed: Any) -> Iterator[Ledger]:
+    """Of all air within the plant; its muscles share one receiver, if there is one."""
+    at, stored, source = each[0], ca.SX(0), ca.SX(0)
+    for one in each:
+        stored += (one["pressure"] + P0) * one["volume"] / (R * one["temperature"])
+        source += one["supply_flow"]
     if "receiver.air_pressure" in at:
         t = at.get("receiver.air_temperature", T0)
         stored += (at["receiver.air_pressure"] + P0) * at["receiver.volume"] / (R * t)
@@ -283,25 +337,29 @@ def mass(at: Read, feed: Any) -> Iterator[Ledger]:
         stored += (at["tube_pressure"] + P0) * at["gas.tube_volume"] / (R * T0)
     if "tube_pressure1" in at:
         count = feed.tube.segments
-        each = math.pi / 4 * feed.tube.diameter**2 * feed.tube.length / count
+        part = math.pi / 4 * feed.tube.diameter**2 * feed.tube.length / count
         pressures = sum((at[f"tube_pressure{i + 1}"] + P0 for i in range(count)), ca.SX(0))
-        stored += pressures * each / (feed.tube.exponent * R * T0)
-    yield Ledger("mass of all air", source - at["vent_flow"], stored, nominal=1e-3)
+        stored += pressures * part / (feed.tube.exponent * R * T0)
+    vented = sum((one["vent_flow"] for one in each), ca.SX(0))
+    yield Ledger("mass of all air", source - vented, stored, nominal=1e-3)
 
 
-def everything(at: Read) -> Iterator[Ledger]:
-    """Energy of the air in muscle and receiver together."""
-    absolute, warm = at["pressure"] + P0, at["temperature"]
-    growing = ca.jacobian(at["volume"], at["x"]) * at["v"]
+def everything(each: Sequence[Read]) -> Iterator[Ledger]:
+    """Energy of the air in all muscles and their receiver together."""
+    at = each[0]
     inflow, tank = at["receiver.inflow"], at["receiver.air_temperature"]
     share = ca.fmin(ca.fmax((inflow / 1e-5 + 1) / 2, 0), 1)
     share = share**3 * (10 - 15 * share + 6 * share**2)  # a flow below 1e-5 kg/s mixes both
-    brought = CP * inflow * (tank + share * (T0 - tank))
-    heats = at["heat_flow"] + at["receiver.heat_flow"]
-    gone = CP * at["vent_flow"] * upwind(absolute, P0, warm, T0) + absolute * growing
-    tank_energy = (at["receiver.air_pressure"] + P0) * at["receiver.volume"]
-    stored = (absolute * at["volume"] + tank_energy) / (G - 1)
-    yield Ledger("energy of all air", brought + heats - gone, stored, nominal=100.0)
+    put_in = CP * inflow * (tank + share * (T0 - tank)) + at["receiver.heat_flow"]
+    stored = (at["receiver.air_pressure"] + P0) * at["receiver.volume"] / (G - 1)
+    for one in each:
+        absolute, warm = one["pressure"] + P0, one["temperature"]
+        position, velocity = one.plant.states[:2]
+        growing = ca.jacobian(one["volume"], one[position.name]) * one[velocity.name]
+        gone = CP * one["vent_flow"] * upwind(absolute, P0, warm, T0) + absolute * growing
+        put_in += one["heat_flow"] - gone
+        stored += absolute * one["volume"] / (G - 1)
+    yield Ledger("energy of all air", put_in, stored, nominal=100.0)
 
 
 def waves(at: Read, tube: Any) -> Iterator[Ledger]:
@@ -346,11 +404,24 @@ def spool(at: Read, feed: Any) -> Iterator[Ledger]:
         yield Ledger("play", z * rate, half * z**2 / 2, z * (rate - holds), nominal=0.1)
 
 
-def lagging(at: Read) -> Iterator[Ledger]:
+def lagging(at: Read, wanted: ca.SX) -> Iterator[Ledger]:
     """A pressure that follows what is wanted never runs away from it."""
-    wanted, rate = at["set_pressure"] / 1e5, at.der("pressure") / 1e5
+    wanted, rate = wanted / 1e5, at.der("pressure") / 1e5
     p = at["pressure"] / 1e5
     yield Ledger("regulator", wanted * rate, p**2 / 2, (wanted - p) * rate, nominal=10.0)
+
+
+def filtering(at: Read) -> Iterator[Ledger]:
+    """A sensor's filter lags behind what it reads."""
+    f, rate = at["x.filtered"], at.plant.expression("der(x.filtered)")
+    yield Ledger("filter", at["x"] * rate, f**2 / 2, at["x.filter"] * rate**2, nominal=1e-3)
+
+
+def metered(at: Read, supply: float) -> Iterator[Ledger]:
+    """What the meters say: work, and the exergy of the air drawn."""
+    yield Ledger("work", at["force"] * at["v"], at["work"], nominal=10.0)
+    each = R * T0 * math.log((supply + P0) / P0)
+    yield Ledger("exergy", at["supply_flow"] * each, at["exergy_drawn"], nominal=100.0)
 
 
 def electronics(at: Read, feed: Any) -> Iterator[Ledger]:
@@ -409,7 +480,11 @@ def ledgers(plant: pam.Plant, muscle: pam.Muscle, feed: Any, loss: Any) -> list[
         stored, lost = lost_in(at, loss)
         found.append(Ledger("loss", at["loss"] * at["v"], ca.SX(stored), lost))
     if "delay1" in at:
-        found += [*lagging(at), *delay(at, feed)]
+        found += [*lagging(at, at["set_pressure"]), *delay(at, feed)]
+    if isinstance(feed, pam.PositionFeedback):
+        found += lagging(at, at["command"])
+    if "x.filtered" in at:
+        found += filtering(at)
     if "volume" not in at:
         return found
     if "rubber_temperature" not in at and "threshold" not in at:
@@ -417,17 +492,31 @@ def ledgers(plant: pam.Plant, muscle: pam.Muscle, feed: Any, loss: Any) -> list[
     if "temperature" not in at:
         found += polytropic(at)
     else:
-        found += [*heat(at, feed.gas), *mass(at, feed)]
+        found += [*heat(at, feed.gas), *mass([at], feed)]
         if feed.tube is None and np.isscalar(feed.supply):
             found += entropy(at, float(feed.supply))
     if "receiver.air_temperature" in at:
-        found += everything(at)
+        found += everything([at])
+    if "air_drawn" in at:
+        found += metered(at, float(feed.supply))
     if "tube_flow1" in at:
         found += waves(at, feed.tube)
     if "valve.spool" in at:
         found += spool(at, feed)
     if "demand" in at:
         found += electronics(at, feed)
+    return found
+
+
+def of_a_pair(plant: pam.Plant) -> list[Ledger]:
+    """All that apply to two muscles against each other, on a slide or a joint."""
+    each = [Read(plant, f"muscle{i}") for i in (1, 2)]
+    found = list(turning(each) if "theta" in each[0] else sliding(each))
+    if "receiver.air_temperature" in each[0]:
+        found += [*mass(each, None), *everything(each)]
+    if "difference" in each[0]:
+        for one, sign in zip(each, (1, -1), strict=True):
+            found += lagging(one, one["base_pressure"] + sign * one["difference"])
     return found
 
 

@@ -46,6 +46,7 @@ class Run:
         self.build_seconds = time.perf_counter() - begin
         self.conflicts: tuple[Conflict, ...] = ()
         self.feasible = False
+        self._misled = False
 
     def refined(self, coarse: Solved, again: bool = True) -> Solved:
         """From the solution on a coarser mesh; no other guess would be better.
@@ -82,12 +83,15 @@ class Run:
 
     def led_widely(self) -> Solved | None:
         """With the widest roundings from a motion led along the stops; None where that leads to
-        nothing.
+        nothing, which is tried once.
         """
+        if self._misled:
+            return None
         program = widened(self.program) if has_kinks(self.program.problem) else self.program
         guess = by_leading(program.problem, program.mesh)
         outcome = self.solver(program, guess, "near")
-        return self._solution(outcome, program) if outcome.ended else None
+        self._misled = not outcome.ended
+        return None if self._misled else self._solution(outcome, program)
 
     def several(self, starts: int, wide: bool = False) -> tuple[list[Solved], Ends]:
         """(solutions from different starts, the best first; where all of them ended); ``wide``:

@@ -16,10 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import balance
 import physics_study
 
-NAMES = [*physics_study.LOSSES, *physics_study.FEEDS, *physics_study.BODIES]
 
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", physics_study.COMPONENTS)
 def test_the_books_of_random_motions_close_and_nothing_is_gained(name):
     draw, sheet = np.random.default_rng(2027), physics_study.accounted(name)
     for _ in range(2):
