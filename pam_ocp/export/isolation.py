@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ..core.errors import SimulationError
+from ..numerics.blas import environment
 from .archive import printable
 
 __all__ = ["Ended", "Tell", "run_alone"]
@@ -95,7 +96,6 @@ def run_alone(
 
 
 def _start(folder: Path, words: Any) -> subprocess.Popen[bytes]:
-    environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
     apart: dict[str, Any] = {"start_new_session": True}
     if sys.platform == "win32":
         apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -106,7 +106,7 @@ def _start(folder: Path, words: Any) -> subprocess.Popen[bytes]:
             stdout=subprocess.PIPE,
             stderr=words,
             cwd=folder,
-            env=environment,
+            env=environment(),
             **apart,
         )
     except (OSError, ValueError, TypeError) as error:

@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 
 from ..core.stop import ask, native
+from .blas import one_thread
 
 __all__ = ["Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ipopt", "stoppable"]
 
@@ -134,6 +135,7 @@ def nlpsol(
     sizes : numbers of unknowns, constraints and parameters, where ``problem`` does not show them.
     report : called with (x, f, g) at each iteration of IPOPT.
     """
+    one_thread()
     watch = None
     if plugin == "ipopt":
         shown = sizes or tuple(problem[k].numel() if k in problem else 0 for k in ("x", "g", "p"))

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.stop import TimeIsUp, check
+from ...numerics.blas import environment
 from ..starts import Task
 from ..transcription.transcription import Program
 from .solver import Ipopt, Outcome
@@ -113,6 +114,7 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            env=environment(),
         )
         self.thread = threading.Thread(
             target=self._talk, args=(setup, messages, queue), daemon=True
