@@ -38,7 +38,7 @@ def rodas3(slopes: Slopes, x: ca.SX, h: float | ca.SX) -> ca.SX:
     return ca.SX(x + sum((m * k for m, k in zip(_RODAS3_M, stages, strict=True)), ca.SX(0)))
 
 
-def ros2(early: Slopes, late: Callable[[ca.SX], ca.SX], x: ca.SX, h: float) -> ca.SX:
+def ros2(early: Slopes, late: Callable[[ca.SX], ca.SX], x: ca.SX, h: float | ca.SX) -> ca.SX:
     """One step h of ROS2, x' going from ``early`` (x) at its begin to ``late`` (x) at its end.
 
     (I - gamma h A) k1 = f(x, u), (I - gamma h A) k2 = f(x + h k1, late) - 2 k1, A = df/dx,

@@ -243,3 +243,110 @@ def test_what_cannot_be_is_refused(options: dict[str, object], words: str) -> No
     given = {"horizon": 0.1, "every": 0.1, **options}
     with pytest.raises(InputError, match=words):
         fit_free_run(lagging(), record(1), ["k"], **given)  # type: ignore[arg-type]
+
+
+# ---- held inputs that are late, and the length of the steps -----------------------------------
+def cubed() -> pam.Plant:
+    """a' = u^3, b' = v^3: what a mean of u over a jump would get wrong."""
+    plant = pam.Plant("cubed")
+    a, b = plant.state("a"), plant.state("b")
+    u, v, k = plant.input("u"), plant.input("v"), plant.parameter("k", 1.0)
+    plant.der(a, k * u**3)
+    plant.der(b, v**3 + 0 * a)
+    return plant
+
+
+@pytest.mark.parametrize("late", [(0.034, 0.0271), (0.0271, 0.034), (0.02, 0.0), (-0.013, 0.01)])
+def test_held_inputs_jump_where_their_dead_times_say(late: tuple[float, float]) -> None:
+    """Integrals of held values, exact with one step; their slope is the jump that goes by."""
+    random = np.random.default_rng(7)
+    t = 0.01 * np.arange(31)
+    u, v = random.uniform(-1, 1, (2, 31))
+
+    def integral(values: np.ndarray, time: np.ndarray, by: float) -> np.ndarray:
+        """Of the cubes of values held from their samples on, the first one before all of them."""
+        sums = np.concatenate([[0.0], np.cumsum(values[:-1] ** 3 * 0.01)])
+        rest = np.concatenate([values[:-1], values[-1:]]) ** 3
+
+        def to(at: np.ndarray) -> np.ndarray:
+            place = np.clip(np.floor(at / 0.01 + 1e-9).astype(int), 0, 30)
+            return sums[place] + rest[place] * (at - 0.01 * place)
+
+        return to(time - by) - to(np.array([0.01 - by]))
+
+    record = pam.Trajectory(t, {"a": 0 * t, "b": 0 * t, "u": u, "v": v}, interpolation="previous")
+    plant = cubed()
+    runs = runs_of(plant, record, None, None, ["a", "b"], 2, 1)
+    unknowns, rig = unknowns_of(
+        plant, (), ["a", "b"], 1, 0.01,
+        delay={"u": (late[0] - 0.02, late[0] + 0.02), "v": (late[1] - 0.02, late[1] + 0.02)},
+    )  # fmt: skip
+    rollout = Rollout(plant, runs, unknowns, rig)
+    z = unknowns.guess
+    found = rollout.predicted(z)[0]
+    inside = slice(0, 26)  # behind a negative dead time the record has no more to say
+    for k, (values, by) in enumerate(((u, late[0]), (v, late[1]))):
+        expected = integral(values, t[2:], by)
+        np.testing.assert_allclose(found[inside, k], expected[inside], rtol=0, atol=1e-13)
+    known = free_run(
+        plant, record, horizon=None, history=2, delay=dict(zip("uv", late, strict=True)), steps=1
+    )
+    np.testing.assert_allclose(known.predicted[0], found, rtol=0, atol=1e-13)
+    if min(late) > 0.02:  # inside of a sampling interval: one slope
+        step = 1e-5
+        exact = rollout.jacobian(z)
+        for i, unit in enumerate(np.eye(2)):
+            up, down = rollout.residuals(z + step * unit), rollout.residuals(z - step * unit)
+            np.testing.assert_allclose(exact[:, i], (up - down) / (2 * step), atol=1e-8)
+
+
+def ringing(rate: float) -> pam.Plant:
+    plant = pam.Plant("ringing")
+    q, w = plant.state("q"), plant.state("w")
+    k = plant.parameter("k", rate**2, nominal=rate**2, min=1.0)
+    c = plant.parameter("c", 4.0, nominal=4.0, min=0.0)
+    plant.der(q, w)
+    plant.der(w, -k * q - c * w)
+    return plant
+
+
+def rung(noise: float, seed: int) -> pam.Trajectory:
+    """The closed form of a damped oscillation of 120 rad/s, sampled every 10 ms."""
+    t = 0.01 * np.arange(200)
+    fast = np.sqrt(120.0**2 - 4.0)
+    q = np.exp(-2 * t) * np.cos(fast * t)
+    w = np.exp(-2 * t) * (-2 * np.cos(fast * t) - fast * np.sin(fast * t))
+    random = np.random.default_rng(seed)
+    return pam.Trajectory(
+        t,
+        {
+            "q": q + noise * random.standard_normal(200),
+            "w": w + 120 * noise * random.standard_normal(200),
+        },
+    )
+
+
+def test_steps_are_as_many_as_the_intervals_ask_for() -> None:
+    """Four steps to a sample shift the frequency by far more than its standard error."""
+    measured, options = rung(1e-2, 11), {"horizon": 0.2, "every": 0.1, "outputs": ["q", "w"]}
+    fit = fit_free_run(ringing(118.0), measured, ["k", "c"], **options)
+    assert fit.fine
+    assert fit.options["steps"] > 4
+    assert not fit.warnings
+    for name, truth in {"k": 120.0**2, "c": 4.0}.items():
+        low, high = fit.interval(name, 0.999)
+        assert low <= truth <= high
+    with pytest.warns(RuntimeWarning, match=r"coarse for these records.*steps=8"):
+        coarse = fit_free_run(ringing(118.0), measured, ["k", "c"], steps=2, **options)
+    assert not coarse.fine
+    off = abs(coarse.values["k"] - 120.0**2)
+    # what it says of its own error is of the right size: half of the true shift at least
+    shift = coarse.moved["k"] * coarse.coefficients["k"].stderr
+    assert 0.4 * off < shift < 2.5 * off
+
+
+def test_runs_without_a_fit_have_steps_enough() -> None:
+    measured = rung(0.0, 1)
+    runs = free_run(ringing(120.0), measured, horizon=0.2, every=0.1, outputs=["q"])
+    few = free_run(ringing(120.0), measured, horizon=0.2, every=0.1, outputs=["q"], steps=4)
+    assert runs.rmse["q"] < 2e-3 * np.std(measured["q"]) < few.rmse["q"]

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...core.errors import FitError, InputError, require_names
 from ...core.plausible import outside
-from ...core.stop import spared, verb
+from ...core.stop import TimeIsUp, spared, verb
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -27,6 +27,7 @@ from .between import decided
 from .descent import Descent, descend
 from .disturbances import Disturbances, disturbed
 from .experiment import groups, measured_names
+from .fineness import LEAST_STEPS, MOST_STEPS, fine_runs, fineness
 from .free_run_result import FreeRunFit, ran
 from .progress import Progress, reporter
 from .rig import Delay, Rig, RunUnknowns, known_rig, unknowns_of
@@ -53,7 +54,7 @@ def free_run(
     every: float | None = None,
     outputs: Sequence[str] | None = None,
     history: int = 3,
-    steps: int = 4,
+    steps: int | None = None,
     warm_up: float = 0.0,
     delay: float | Mapping[str, float] = 0.0,
     gains: Mapping[str, float] | None = None,
@@ -77,8 +78,9 @@ def free_run(
     outputs : states and outputs to compare; by default all that the records hold.
     history : samples for the initial velocity, at least 2.
     steps : of the integration in each sampling interval: the Rosenbrock method ROS2 (J. G. Verwer
-        et al., SIAM J. Sci. Comput. 20 (1999) 1456-1480), of second order and L-stable. Friction
-        that ends a motion within one step wants more of them.
+        et al., SIAM J. Sci. Comput. 20 (1999) 1456-1480), of second order and L-stable. Where an
+        input that is held jumps between samples, late by a dead time, a step begins. By default so
+        many that twice as many change runs by less than a thousandth of their reach, at most 64.
     warm_up : [s] before each start that the plant runs along the past, so that states which are not
         measured (pressures, creep, slip) come to where they belong; at its samples ``corrections``
         pull it to what was measured (an observer; D. Luenberger, IEEE Trans. AC 16 (1971) 596).
@@ -96,8 +98,17 @@ def free_run(
     >>> run.names, run.rmse["x"] < 1e-3
     (('x',), True)
     """
-    runs = runs_of(plant, records, horizon, every, outputs, history, steps, warm_up)
+    first = LEAST_STEPS if steps is None else steps
+    runs = runs_of(plant, records, horizon, every, outputs, history, first, warm_up)
     rig = known_rig(plant, runs.names, delay, gains, offsets, starts, corrections)
+    nothing = np.empty(0)
+    predicted = Rollout(plant, runs, (), rig).predicted(nothing) if steps is None else nothing
+    while steps is None and 2 * runs.steps <= MOST_STEPS:
+        halved = replace(runs, steps=2 * runs.steps)
+        finer = Rollout(plant, halved, (), rig).predicted(nothing)
+        if fine_runs(predicted, finer):
+            break
+        runs, predicted = halved, finer
     return ran(plant, runs, (), rig)
 
 
@@ -111,7 +122,7 @@ def fit_free_run(
     every: float | None = None,
     outputs: Sequence[str] | None = None,
     history: int = 3,
-    steps: int = 4,
+    steps: int | None = None,
     warm_up: float = 0.0,
     delay: Delay = 0.0,
     gains: Sequence[str] = (),
@@ -140,6 +151,8 @@ def fit_free_run(
         start for all runs), or {name: "all" or "record"}.
     correct : True to estimate how much of its error a run takes up at each sample of ``warm_up``
         (measured states and their velocities), and {other state: [measured variables]} for those.
+    steps : see :func:`free_run`; by default so many that twice as many would move no value by more
+        than 0.2 of its standard errors, and no run by more than 5 % of its error.
     disturbance : states whose rate is pushed by what is not modelled (a velocity by a force).
         Each gets a state that the observer finds along ``warm_up`` and that is forgotten with a
         fitted rate; ``fit.plant`` has it.
@@ -181,7 +194,8 @@ def fit_free_run(
         "steps": steps,
         "warm_up": warm_up,
     }
-    runs = runs_of(plant, records, **options)  # wrong arguments are refused before all else
+    first = LEAST_STEPS if steps is None else steps
+    runs = runs_of(plant, records, **{**options, "steps": first})  # refuses wrong arguments at once
     if correct and not runs.warm:
         argument = "disturbance" if disturbance else "correct"
         raise InputError(f"{argument} needs warm_up=...: seconds before each start to correct in")
@@ -208,7 +222,7 @@ def fit_free_run(
         return fit, count * float(np.log(max(fit.cost[1], 1e-300)))
 
     fit, between, words = decided(plant, chosen, fitted)
-    for text in fit.training.warnings:
+    for text in (*fit.training.warnings, *fit.coarse):
         warnings.warn(text, RuntimeWarning, stacklevel=outside())
     return replace(
         fit, interpolation=between, inputs_ran=words, seconds=time.perf_counter() - began
@@ -228,12 +242,30 @@ class _Search:
     report: Any
 
     def __call__(self, records: Sequence[Trajectory]) -> FreeRunFit:
-        runs = runs_of(self.plant, records, **self.options)
+        """With steps so short that shorter ones say the same, where none were given."""
+        given = self.options["steps"]
+        steps = LEAST_STEPS if given is None else given
+        fit, found = self._fitted(records, steps, self.unknowns.guess)
+        while given is None and not fit.fine and 2 * steps <= MOST_STEPS and not found.timed:
+            steps *= 2
+            near = replace(self, begin_short=False)
+            try:
+                finer, found = near._fitted(records, steps, found.z, found.evaluations)
+            except TimeIsUp:
+                break  # the fit says that its steps are long
+            fit = replace(finer, cost=(fit.cost[0], finer.cost[1]))
+        return fit
+
+    def _fitted(
+        self, records: Sequence[Trajectory], steps: int, z: Array, spent: int = 0
+    ) -> tuple[FreeRunFit, Descent]:
+        search = replace(self, options={**self.options, "steps": steps})
+        runs = runs_of(self.plant, records, **search.options)
         rollout = Rollout(self.plant, runs, self.unknowns, self.rig)
-        guess = self.unknowns.guess
-        before, found = self._descended(records, rollout, guess)
+        before, found = search._descended(records, rollout, z)
+        found = replace(found, evaluations=spent + found.evaluations)
         with spared(GRACE):
-            return self._result(records, runs, rollout, before, found)
+            return search._result(records, runs, rollout, before, found), found
 
     def _descended(
         self, records: Sequence[Trajectory], rollout: Rollout, z: Array
@@ -318,20 +350,19 @@ class _Search:
         rig = _rig_of(self.plant, runs, u, self.rig, found.z)
         predicted = rollout.predicted(found.z)
         training = runs.result(predicted)
-        halved = runs_of(
-            fitted, records, **{**self.options, "outputs": runs.names, "steps": 2 * runs.steps}
-        )
+        halved = replace(runs, steps=2 * runs.steps)
         finer = Rollout(self.plant, halved, u, self.rig).predicted(found.z)
-        with np.errstate(over="ignore", invalid="ignore"):
-            gap = np.sqrt(np.nanmean((finer - predicted) ** 2, axis=(0, 1)))
         own = found.z[u.shared :] * u.scale[u.shared :]
         edge = (found.z - u.low < 1e-9) | (u.high - found.z < 1e-9)
+        spread = spread_of(rollout, runs, u, found.z, edge)
+        stderr = np.array([c.stderr for c in spread.coefficients.values()]) / u.scale[: u.shared]
+        steps = fineness(rollout, found.z, finer, ~edge, stderr)
         return FreeRunFit(
             fitted,
             training,
             values,
             tuple(n for n, at in zip(u.names, edge, strict=True) if at),
-            dict(zip(runs.names, gap.tolist(), strict=True)),
+            dict(zip(runs.names, steps.gap.tolist(), strict=True)),
             (before, found.cost),
             found.status,
             found.evaluations,
@@ -342,7 +373,9 @@ class _Search:
                 self.plant.states[s].name: own[k :: len(u.own_starts)]
                 for k, s in enumerate(u.own_starts)
             },
-            spread=spread_of(rollout, runs, u, found.z, edge),
+            spread=spread,
+            moved=dict(zip(spread.coefficients, steps.moved.tolist(), strict=True)),
+            fine=steps.fine,
             converged=found.converged,
             records=tuple(records),
         )

@@ -38,8 +38,9 @@ class FreeRunFit:
 
     plant : with the fitted values. rig : dead times, sensors, starts and corrections, known and
     found. training : its runs along the records of the fit. integration_error : how much halving
-    the step changes the runs (RMS, unit of each variable). at_bound : unknowns that ended at the
-    edge of their range. cost : mean squared error before and after, in parts of the measured
+    the step changes the runs (RMS, unit of each variable); moved : by how many standard errors it
+    would move each value; fine : whether all of that is small. at_bound : unknowns that ended
+    at the edge of their range. cost : mean squared error before and after, in parts of the measured
     variables' variance. converged : whether the search came to its end.
 
     Examples
@@ -68,6 +69,8 @@ class FreeRunFit:
     own_starts: Mapping[str, Array] = field(default_factory=dict, repr=False)
     """{state: where it began in each record}, of states with starts of their own."""
     spread: Spread | None = field(default=None, repr=False)
+    moved: Mapping[str, float] = field(default_factory=dict, repr=False)
+    fine: bool = True
     converged: bool = True
     records: tuple[Trajectory, ...] = field(default=(), repr=False)
 
@@ -95,7 +98,25 @@ class FreeRunFit:
         found = list(self.training.warnings)
         if not self.converged:
             found.append(f"the search did not come to its end: {self.status}")
+        found += self.coarse
         return tuple(found)
+
+    @cached_property
+    def coarse(self) -> tuple[str, ...]:
+        """What the length of the steps costs, in words; empty where that does not count."""
+        if self.fine:
+            return ()
+        steps, error = self.options["steps"], self.training.rmse
+        name = max(self.integration_error, key=lambda n: self.integration_error[n] / error[n])
+        said = (
+            f"the integration is coarse for these records: with {2 * steps} steps to a sample "
+            f"instead of {steps}, {name} changes by {self.integration_error[name]:.2g} where its "
+            f"error is {error[name]:.2g}"
+        )
+        most = max(self.moved, key=lambda n: self.moved[n], default=None)
+        if most is not None and self.moved[most] >= 0.05:
+            said += f", and {most} by some {self.moved[most]:.1f} standard errors"
+        return (said + f"; give steps={4 * steps}",)
 
     def validate(self, records: Trajectory | Sequence[Trajectory]) -> FreeRun:
         """Runs of the same kind along other records; a warning says so where some diverge.

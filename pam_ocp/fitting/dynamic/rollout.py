@@ -16,6 +16,7 @@ from ...plants.plant import Plant
 from ..statistics import Array
 from .experiment import ParameterGroup
 from .rig import Rig, RunUnknowns
+from .run_inputs import RunSteps
 from .runs import Runs
 
 __all__ = ["ASTRAY", "Rollout"]
@@ -65,9 +66,11 @@ class Rollout:
         self.spread = np.where(spread > 1e-9 * nominal, spread, nominal)
         self.weights = np.sqrt(runs.weights / len(runs.names))
         self._whole: dict[Any, ca.Function] = {}
-        self._edges: tuple[bytes, list[tuple[Array, ...]]] = (b"", [])
+        self._steps: tuple[bytes, list[Array]] = (b"", [])
+        self._late = _late(plant, runs, unknowns, self._rig)
+        self._count = runs.steps + len(self._late)
         self._local = unknowns.shared + len(unknowns.own_starts)
-        self._move, self._tangent = _functions(plant, runs, unknowns, self._rig)
+        self._move, self._tangent = _functions(plant, runs, unknowns, self._rig, self._count)
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
 
     # ---- what is asked for --------------------------------------------------------------------
@@ -156,7 +159,7 @@ class Rollout:
         """Parts of runs of like length that do not take too much memory."""
         runs = self.runs
         width = len(self._plant.states) * (1 + (self._local if deep else 0))
-        width += runs.steps * 4 * len(self._plant.inputs)
+        width += self._count * (5 * len(self._plant.inputs) + 1)
         order = np.argsort(-runs.length, kind="stable")
         parts, first = [], 0
         while first < len(order):
@@ -169,7 +172,7 @@ class Rollout:
     def _computed(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
         """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing)."""
         runs, ny = self.runs, len(self.runs.names)
-        edges, delays = self._driven(z)
+        driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
         shared = z[: self._unknowns.shared]
         for part in self._parts[deep]:
@@ -178,7 +181,7 @@ class Rollout:
             start = x0[part.rows].T
             if deep:
                 start = np.vstack([start, s0[part.rows].transpose(2, 1, 0).reshape(-1, m)])
-            u = _windows(edges, runs, part.rows, total)
+            u = _windows(driven, runs, part.rows, total)
             y = np.zeros((ny + 1, m, total))  # what was measured, and whether it corrects
             y[:ny, :, : runs.warm] = runs.seen[part.rows].transpose(2, 0, 1)
             y[ny, :, : runs.warm] = 1.0
@@ -196,17 +199,17 @@ class Rollout:
             self._whole[key] = one.mapaccum(samples).map(count)
         return self._whole[key]
 
-    def _driven(self, z: Array) -> tuple[list[tuple[Array, ...]], Array]:
-        """Edges of all records at the dead times of z, and these [s]."""
+    def _driven(self, z: Array) -> tuple[list[Array], Array]:
+        """What drives the steps of all records at the dead times of z, and these [s]."""
         u = self._unknowns
         inputs = [v.name for v in self._plant.inputs]
         delays = np.array([self._rig.delays.get(n, 0.0) for n in inputs])
         for place, members in zip(u.places("delays"), u.delays, strict=True):
             delays[list(members)] = z[place] * u.scale[place]
-        if self._edges[0] != delays.tobytes() or not self._edges[1]:
-            found = [e.edges(delays) for e in self.runs.inputs]
-            self._edges = delays.tobytes(), [e if u.delays else e[:2] for e in found]
-        return self._edges[1], delays
+        if self._steps[0] != delays.tobytes() or not self._steps[1]:
+            found = [e.steps(delays, self._late, self._count) for e in self.runs.inputs]
+            self._steps = delays.tobytes(), [_numbers(f, bool(u.delays)) for f in found]
+        return self._steps[1], delays
 
     def _begun(self, z: Array) -> tuple[Array, Array]:
         """States (n, nx) where runs begin, and their slopes (n, nx, local unknowns)."""
@@ -248,33 +251,61 @@ class Rollout:
         return gain, offset
 
 
-def _windows(
-    edges: Sequence[tuple[Array, ...]], runs: Runs, rows: NDArray[np.intp], samples: int
-) -> Array:
-    """Inputs of a part, (numbers of one sample, runs times samples); the last is held."""
+def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tuple[int, ...], ...]:
+    """Inputs whose jumps lie between samples, those of one dead time together; none where all run
+    along lines.
+    """
+    if not any(e.held for e in runs.inputs):
+        return ()
+    sampling = float(runs.t[0])
+    free = {i for members in unknowns.delays for i in members}
+    known: dict[float, list[int]] = {}
+    for i, v in enumerate(plant.inputs):
+        part = (rig.delays.get(v.name, 0.0) / sampling) % 1.0
+        if i not in free and 1e-9 < part < 1 - 1e-9:
+            known.setdefault(rig.delays[v.name], []).append(i)
+    return (*unknowns.delays, *(tuple(members) for members in known.values()))
+
+
+def _numbers(steps: RunSteps, free: bool) -> Array:
+    """(samples, steps, numbers of a step): inputs at its begin and end, its length, and, where dead
+    times are sought, what these three gain per second of them.
+    """
+    shape = steps.begin.shape
+    length = np.broadcast_to(steps.length[:, None], (*shape[:2], 1))
+    found = [steps.begin, steps.end, length]
+    if free:
+        slope = np.broadcast_to(steps.length_slope, shape)
+        found += [steps.begin_slope, steps.end_slope, slope]
+    return np.concatenate(found, axis=2)
+
+
+def _windows(driven: Sequence[Array], runs: Runs, rows: NDArray[np.intp], samples: int) -> Array:
+    """Numbers of all steps of a part, (those of one sample, runs times samples); the last sample is
+    held.
+    """
     parts = []
     for row in rows:
-        own = edges[int(runs.record[row])]
-        stacked = np.concatenate([e[:, :, None] for e in own], axis=2)  # sample, step, kind, input
-        place = np.minimum(int(runs.first[row]) + np.arange(samples), len(stacked) - 1)
-        parts.append(stacked[place].reshape(samples, -1))
+        own = driven[int(runs.record[row])]
+        place = np.minimum(int(runs.first[row]) + np.arange(samples), len(own) - 1)
+        parts.append(own[place].reshape(samples, -1))
     return np.ascontiguousarray(np.concatenate(parts).T)
 
 
 # ---- expressions --------------------------------------------------------------------------
 def _functions(
-    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig
+    plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig, steps: int
 ) -> tuple[ca.Function, ca.Function]:
     """From sample to sample, without and with sensitivities: (state, inputs, (measured, whether it
     corrects), (z, dead times)) -> (state, outputs).
 
-    The inputs of a step are values at its begin and end, and, where a dead time is sought, what
-    these gain per second of it; the dead times are those at which the values hold.
+    What drives a step are inputs at its begin and end, its length, and, where a dead time is
+    sought, what these gain per second of it; the dead times are those at which the values hold.
     """
     nx, nu, ny = len(plant.states), len(plant.inputs), len(runs.names)
-    nz, steps = unknowns.shared, runs.steps
+    nz = unknowns.shared
     local = nz + len(unknowns.own_starts)
-    per_step = nu * (4 if unknowns.delays else 2)
+    per_step = nu * (5 if unknowns.delays else 2) + 1
     z, x, s = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, local)
     at = ca.SX.sym("at", nu)
     u = ca.SX.sym("u", per_step)
@@ -286,9 +317,11 @@ def _functions(
     for place, members in zip(unknowns.places("delays"), unknowns.delays, strict=True):
         for i in members:
             shift[i] = z[int(place)] * unknowns.scale[place] - at[i]
-    early, late = u[:nu], u[nu : 2 * nu]
+    early, late, h = u[:nu], u[nu : 2 * nu], u[2 * nu]
     if unknowns.delays:
-        early, late = early + u[2 * nu : 3 * nu] * shift, late + u[3 * nu :] * shift
+        gained = ca.reshape(u[2 * nu + 1 :], nu, 3)
+        early, late = early + gained[:, 0] * shift, late + gained[:, 1] * shift
+        h = h + ca.dot(gained[:, 2], shift)
 
     def along(after: ca.SX) -> ca.SX:
         own = ca.horzcat(ca.jacobian(after, z), ca.SX.zeros(nx, local - nz))
@@ -299,7 +332,7 @@ def _functions(
         lambda _: (first, ca.jacobian(first, x)),
         lambda q: plant.function(q, late, p)[0],
         x,
-        runs.step,
+        h,
     )
     seen = ca.vertcat(*(plant.expression(name) for name in runs.names))
     y = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])(x, late, p)

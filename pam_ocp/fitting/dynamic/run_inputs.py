@@ -1,59 +1,114 @@
-"""The inputs of a record as free runs take them: at the edges of all steps, late by dead times."""
+"""The inputs of a record as free runs take them: in the steps of the integration, late by dead
+times.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..statistics import Array
 
-__all__ = ["RunInputs"]
+__all__ = ["RunInputs", "RunSteps"]
+
+
+@dataclass(frozen=True, eq=False)
+class RunSteps:
+    """Inputs at the begins and ends of steps, and what they gain per second of delay, (n - 1,
+    steps, nu) each; lengths of the steps in each sampling interval (steps,) [s], and what these
+    gain per second of each input's delay (steps, nu).
+    """
+
+    begin: Array
+    end: Array
+    begin_slope: Array
+    end_slope: Array
+    length: Array
+    length_slope: Array
 
 
 @dataclass(frozen=True, eq=False)
 class RunInputs:
-    """t (n,), u (n, nu): samples, joined by lines or ``held``; ``steps`` of the integration from
-    sample to sample. Before the first sample its value held.
+    """t (n,), u (n, nu): samples, joined by lines or ``held``. Before the first sample its value
+    held.
     """
 
     t: Array
     u: Array
     held: bool
-    steps: int
 
-    def edges(self, delays: Array) -> tuple[Array, Array, Array, Array]:
-        """Inputs at the begin and the end of each step, and what they gain there per second of
-        delay: (n - 1, steps, nu) each.
+    def steps(self, delays: Array, late: Sequence[tuple[int, ...]], count: int) -> RunSteps:
+        """In ``count`` steps of each sampling interval.
 
-        An input that is held counts in each step as its mean there: that is right to the order of
-        the step wherever in it the input jumps, and depends on the delay without jumps.
+        delays : of each input [s]. late : inputs that are late, those of one delay together. Held
+        ones jump inside of the intervals: there a step ends and the next begins, so that none has
+        to do with two values and their motion depends on the delay without jumps.
         """
-        part = np.arange(self.steps + 1) / self.steps
-        grid = self.t[:-1, None] + part * np.diff(self.t)[:, None]
-        parts = [self._one(i, grid - d) for i, d in enumerate(delays)]
-        if not parts:
-            empty = np.empty((len(self.t) - 1, self.steps, 0))
-            return empty, empty, empty, empty
-        begin, end, early, late = (np.stack(c, axis=-1) for c in zip(*parts, strict=True))
-        return begin, end, early, late
-
-    def _one(self, i: int, grid: Array) -> tuple[Array, Array, Array, Array]:
-        t, u = self.t, self.u[:, i]
         if self.held:
-            before = np.concatenate([[0.0], np.cumsum(u[:-1] * np.diff(t))])
-            since = np.minimum(grid - t[0], 0.0) * u[0]
-            integral = np.interp(grid, t, before) + since
-            value = self._held(u, grid)
-            h = np.diff(grid, axis=1)
-            mean, slope = np.diff(integral, axis=1) / h, -np.diff(value, axis=1) / h
-            return mean, mean, slope, slope
-        value = np.interp(grid, t, u)
+            return self._between_jumps(delays, late, count)
+        part = np.arange(count + 1) / count
+        spans = np.diff(self.t)
+        grid = self.t[:-1, None] + part * spans[:, None]
+        found = [self._line(i, grid - d) for i, d in enumerate(delays)]
+        usual = np.full(count, (self.t[-1] - self.t[0]) / len(spans) / count)
+        still = np.zeros((count, len(delays)))
+        if not found:
+            empty = np.empty((len(spans), count, 0))
+            return RunSteps(empty, empty, empty, empty, usual, still)
+        value, slope = (np.stack(c, axis=-1) for c in zip(*found, strict=True))
+        edges = value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:]
+        return RunSteps(*edges, usual, still)
+
+    def _line(self, i: int, at: Array) -> tuple[Array, Array]:
+        """Values, and what they gain per second of delay."""
+        t, u = self.t, self.u[:, i]
         slopes = np.concatenate([[0.0], np.diff(u) / np.diff(t)])
         # the line that a moment lies on when the delay grows: the one to its left
-        slope = -slopes[np.clip(np.searchsorted(t, grid - 1e-9 * (t[1] - t[0])), 0, len(t) - 1)]
-        return value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:]
+        left = np.clip(np.searchsorted(t, at - 1e-9 * (t[1] - t[0])), 0, len(t) - 1)
+        return np.interp(at, t, u), -slopes[left]
 
-    def _held(self, u: Array, grid: Array) -> Array:
-        place = np.searchsorted(self.t, grid + 1e-9 * (self.t[1] - self.t[0]), side="right") - 1
-        return np.asarray(u[np.clip(place, 0, len(u) - 1)])
+    def _between_jumps(
+        self, delays: Array, late: Sequence[tuple[int, ...]], count: int
+    ) -> RunSteps:
+        n = len(self.t) - 1
+        sampling = (self.t[-1] - self.t[0]) / n
+        whole, part = _whole_and_part(delays / sampling)
+        rank = sorted(range(len(late)), key=lambda g: part[late[g][0]])
+        jumps = np.array([part[late[g][0]] for g in rank])
+        ends = np.concatenate([[0.0], jumps, [1.0]])
+        shares = _shared(np.diff(ends), count)
+        between = np.repeat(np.arange(len(shares)), shares)  # the jumps that each step lies behind
+        passed = np.full((len(delays), 1), 0)
+        order = np.full(len(delays), -1)
+        for k, g in enumerate(rank):
+            order[list(late[g])] = k
+        passed = between[None, :] > order[:, None]
+        place = np.arange(n)[:, None, None] - (whole[:, None] + 1 - passed).T
+        value = np.take_along_axis(self.u[:, None, :], np.clip(place, 0, n), axis=0)
+        slope = np.zeros((len(shares), len(delays)))
+        for k, g in enumerate(rank):
+            slope[k, late[g][0]] += 1.0
+            slope[k + 1, late[g][0]] -= 1.0
+        still = np.zeros_like(value)
+        length = np.diff(ends) * sampling / shares
+        return RunSteps(
+            value, value, still, still, length[between], (slope / shares[:, None])[between]
+        )
+
+
+def _whole_and_part(number: Array) -> tuple[NDArray[np.intp], Array]:
+    whole = np.floor(number + 1e-9)
+    return whole.astype(np.intp), np.clip(number - whole, 0.0, 1.0)
+
+
+def _shared(spans: Array, count: int) -> NDArray[np.intp]:
+    """``count`` steps over parts of an interval: one to each at least, the others to where steps
+    are longest.
+    """
+    found = np.ones(len(spans), dtype=np.intp)
+    for _ in range(count - len(spans)):
+        found[int(np.argmax(spans / found))] += 1
+    return found

@@ -140,7 +140,7 @@ class Runs:
     first : sample of its record (n,) where each begins, ``warm`` samples before its start, and
     length (n,) the samples after the start. x0 (n, nx) at ``first`` as measured; seen (n, warm, ny)
     what was measured from there on. weights (n, K): of each sample, so that the horizons weigh
-    alike and each is a mean. inputs : of each record. step [s], ``steps`` of them to a sample.
+    alike and each is a mean. inputs : of each record. steps : to a sample, at least.
     """
 
     names: tuple[str, ...]
@@ -155,7 +155,6 @@ class Runs:
     seen: Array
     weights: Array
     inputs: Sequence[RunInputs]
-    step: float
     steps: int
     sizes: Array
     horizons: tuple[float, ...]
@@ -239,8 +238,7 @@ def runs_of(
         warm,
         seen,
         _weights(length, horizons or (longest,), horizons is None),
-        [RunInputs(r.t, r.array(inputs), r.interpolation == "previous", steps) for r in chosen],
-        sampling / steps,
+        [RunInputs(r.t, r.array(inputs), r.interpolation == "previous") for r in chosen],
         steps,
         np.maximum(np.ptp(every_value, axis=0), nominal),
         tuple(sampling * h for h in horizons or ()),
