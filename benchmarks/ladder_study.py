@@ -83,16 +83,17 @@ def climbed(effect: str, rng: np.random.Generator) -> str:
     ladder = pam.fitting.fit_ladder(build, records, ["muscle*.gain"], feed=feed, folds=3)
     spent = processor_seconds() - begin
     marked = ladder.chosen.name.removeprefix("+ ")
-    found = {c.name: c for c in ladder.chosen.coefficients.values()}
-    seen = {n: v for n, v in values.items() if any(n in key or _same(n, key) for key in found)}
-    outside = []
-    for name, value in seen.items():
-        one = next(c for key, c in found.items() if name in key or _same(name, key))
-        if not one.low <= value <= one.high:
-            outside.append(f"{name} {one.value:.4g} ({one.low:.4g} .. {one.high:.4g}; {value:.4g})")
+    outside, count = [], 0
+    for name, (low, high) in ladder.intervals().items():
+        true = next((v for n, v in values.items() if n in name or _same(n, name)), None)
+        if true is None:
+            continue
+        count += 1
+        if not low <= true <= high:
+            outside.append(f"{name} {low:.4g} .. {high:.4g}, true {true:.4g}")
     print(ladder.report(), flush=True)
     right = "yes" if marked == effect else "NO"
-    return f"| {effect} | {marked} | {right} | {len(seen)} | {'; '.join(outside)} | {spent:.0f} |"
+    return f"| {effect} | {marked} | {right} | {count} | {'; '.join(outside)} | {spent:.0f} |"
 
 
 def processor_seconds() -> float:

@@ -199,7 +199,8 @@ def joint(j: int) -> pam.Plant:
 # ---- data ----------------------------------------------------------------------------------------
 def find_data(given: Path | None = None) -> Path | None:
     """The file that was named, or the one in PAM_OCP_DATA or ../shared/data; None without any."""
-    beside = Path(sys.argv[0]).resolve().parents[2] / "shared" / "data"
+    here = globals().get("__file__", sys.argv[0])  # a notebook has no file
+    beside = Path(here).resolve().parents[2] / "shared" / "data"
     folder = Path(os.environ.get("PAM_OCP_DATA", beside))
     path = given or folder / FILE
     if given is None and not path.exists():

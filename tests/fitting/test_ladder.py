@@ -272,3 +272,16 @@ def test_the_command_climbs_with_plants_of_the_library_and_of_ones_own(
     shown = capsys.readouterr()
     assert "* dead time" in shown.out
     assert "dead time: error" in shown.err
+
+
+def test_intervals_of_a_rung_widen_with_their_level(ladder: Ladder) -> None:
+    """Student's t of the blocks: of 24 blocks 95 % are 2.069 standard errors to each side."""
+    found = ladder.intervals(level=0.95)
+    assert found.keys() == ladder.chosen.coefficients.keys()
+    for name, (low, high) in found.items():
+        c = ladder.chosen.coefficients[name]
+        assert (high - low) / (2 * c.stderr) == pytest.approx(2.0687, abs=1e-4)
+    lag = ladder.intervals("lag", 0.5)
+    assert lag.keys() == ladder["lag"].coefficients.keys()
+    with pytest.raises(UnknownNameError, match="rung"):
+        ladder.intervals("kinks")

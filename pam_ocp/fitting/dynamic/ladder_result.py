@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.errors import UnknownNameError
 from ...plants.plant import Plant
 from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, student_t
@@ -100,6 +101,26 @@ class Ladder:
         """The chosen one, fitted to all records."""
         return self.chosen.plant
 
+    def intervals(
+        self, rung: str | None = None, level: float | None = None
+    ) -> dict[str, tuple[float, float]]:
+        """Confidence intervals of a rung's values (by default the chosen one's, at the ladder's
+        level); blocks of the records count as independent, not samples.
+        """
+        if rung is not None and rung.removeprefix("+ ") not in self._names:
+            raise UnknownNameError("rung", rung, self._names)
+        found = self.chosen if rung is None else self[rung]
+        blocks = max(1, -(-BLOCKS // self.records)) * self.records
+        t = student_t(self.level if level is None else level, blocks - 1)
+        return {
+            n: (c.value - t * c.stderr, c.value + t * c.stderr)
+            for n, c in found.coefficients.items()
+        }
+
+    @property
+    def _names(self) -> list[str]:
+        return [r.name.removeprefix("+ ") for r in self.rungs]
+
     def report(self) -> str:
         """The ladder as text: error of what was left out, gain, cost, and the chosen rung."""
         shown = [self.rungs[0].plant.variable(n) for n in self.outputs]
@@ -139,12 +160,8 @@ class Ladder:
             f"[[Parameters]] of '{self.chosen.name}', ± standard error, {100 * self.level:g} % "
             "interval; SI",
         ]
-        blocks = max(1, -(-BLOCKS // self.records)) * self.records
-        t = student_t(self.level, blocks - 1)
-        lines += [
-            coefficient_line(c, (c.value - t * c.stderr, c.value + t * c.stderr))
-            for c in self.chosen.coefficients.values()
-        ]
+        intervals = self.intervals()
+        lines += [coefficient_line(c, intervals[n]) for n, c in self.chosen.coefficients.items()]
         return "\n".join(lines)
 
     __str__ = report
