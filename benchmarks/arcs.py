@@ -18,7 +18,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from plan import slide as benchmark_slide
+from pam_2dir import slide as benchmark_slide
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam

@@ -58,13 +58,9 @@ def timed(work: Callable[[], Any], repeats: int = 3) -> float:
 def slide(case: str = "a") -> Any:
     """The plant of PAM-2DIR."""
     sys.path.insert(0, str(HERE))
-    if case == "a":
-        import plan
+    import pam_2dir
 
-        return plan.slide()
-    import resolve
-
-    return resolve.commanded()
+    return pam_2dir.slide() if case == "a" else pam_2dir.commanded()
 
 
 def wish(case: str) -> dict[str, Any]:

@@ -21,23 +21,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from pam_2dir import BAR, slide
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
 
-BAR, N, DEGREE, REPEATS = 1e5, 50, 3, 3
+N, DEGREE, REPEATS = 50, 3, 3
 SCALE = np.array([0.03, 1.0, 6 * BAR, 6 * BAR])
-
-
-def slide() -> pam.Plant:
-    return pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        2.0,
-        0.10,
-        stroke=0.016,
-        damping=pam.losses.ConstantDamping(20.0),
-        feed=pam.feeds.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
-    )
 
 
 @dataclass

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -26,7 +26,8 @@ import numpy as np
 import pam_ocp as pam
 
 sys.path.insert(0, str(Path(__file__).parent))
-from plan import BAR, N, opti, slide
+from pam_2dir import commanded, slide
+from plan import N, opti
 
 from pam_ocp.planning.transcription.guess import by_stops
 
@@ -53,41 +54,6 @@ METHODS = {
     "Radau 50 x 3, fatrop": {"method": pam.Collocation(N, 3), "solver": "fatrop"},
     "shooting 50 x 2, fatrop": {"method": pam.Shooting(N, 2), "solver": "fatrop"},
 }
-
-
-class RateOfCommand:
-    """The feed of case (b): its input is the rate of the commanded pressure."""
-
-    def connect(self, plant: pam.Plant, name: str, muscle: Any, contraction: Any, rate: Any) -> Any:
-        bounds = {"unit": "Pa", "min": 0.0, "max": 6 * BAR, "start": 3 * BAR, "nominal": BAR}
-        pressure = plant.state(f"{name}.pressure", **bounds)
-        command = plant.state(f"{name}.command", **bounds)
-        limit = 2000 * BAR
-        w = plant.input(f"{name}.command_rate", unit="Pa/s", min=-limit, max=limit, nominal=BAR)
-        change = (command - pressure) / 0.05
-        plant.der(pressure, change)
-        plant.der(command, w)
-        plant.constraint(
-            f"{name}.pressure_rate",
-            change,
-            unit="Pa/s",
-            min=-40 * BAR,
-            max=40 * BAR,
-            nominal=10 * BAR,
-        )
-        return pressure
-
-
-def commanded() -> pam.Plant:
-    muscle = replace(pam.muscle("DMSP-20-200N"), slack_width=1e-2)
-    return pam.AntagonisticSlide(
-        muscle,
-        2.0,
-        0.10,
-        stroke=0.016,
-        damping=pam.losses.ConstantDamping(20.0),
-        feed=RateOfCommand(),
-    )
 
 
 @dataclass

@@ -131,7 +131,7 @@ def install(tools: list[str]) -> None:
 def check_equations() -> None:
     """equations.py is the Plant's dynamics: to rounding, wherever the muscles are taut."""
     sys.path.insert(0, str(HERE.parent))
-    from plan import slide
+    from pam_2dir import slide
 
     from pam_ocp.muscles.law import SLACK_WIDTH
 

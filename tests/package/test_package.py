@@ -72,6 +72,18 @@ def test_import_is_light():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_a_plan_loads_no_library_that_it_does_not_use():
+    """SciPy alone takes as long as a plan; plotting, tables and python-control have no part."""
+    code = (
+        "import sys, pam_ocp as pam; plant = pam.HangingLoad('DMSP-20-400N', 10.0);"
+        "plan = pam.plan(plant, [{'x': 0.05}, {'x': 0.08}]); assert plan.verified; heavy = "
+        "{'matplotlib', 'pandas', 'control', 'scipy', 'fmpy'} & set(sys.modules);"
+        "print(sorted(heavy)); sys.exit(bool(heavy))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_the_oldest_set_of_dependencies_is_what_pyproject_allows_at_least():
     """What CI pins for Python 3.10 are the lower bounds themselves, and none is left out."""
     text = (ROOT / "pyproject.toml").read_text("utf-8")

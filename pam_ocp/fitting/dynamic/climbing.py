@@ -17,6 +17,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array, Coefficient
 from .experiment import ParameterGroup, groups
+from .fineness import shift, unmoved
 from .ladder_result import Part, RungFit
 from .run_statistics import BLOCKS, widened
 from .rungs import Rung, starting
@@ -140,9 +141,31 @@ def _accurate(
             return plant, found, task
         gaps = [b - a for a, b in zip(_errors(task, plant), _errors(finer, plant), strict=True)]
         gap = np.sqrt(np.mean(np.concatenate(gaps) ** 2, axis=0))
-        if np.all(gap <= ACCURATE * np.maximum(sizes, 1e-6)):
+        fine = bool(np.all(gap <= ACCURATE * np.maximum(sizes, 1e-6)))
+        if fine and _unmoved(task, plant, rung, bounds, weigh, gaps, found):
             return plant, found, task
         task = finer
+
+
+def _unmoved(
+    task: Task,
+    plant: Plant,
+    rung: Rung,
+    bounds: Mapping[str, tuple[float, float]],
+    weigh: Array,
+    gaps: Sequence[Array],
+    found: Mapping[str, Coefficient],
+) -> bool:
+    """Whether these changes of the runs would move no value by much of its standard error."""
+    unknowns = groups(plant, rung.free, dict(bounds))
+    if not unknowns:
+        return True
+    z = scaled(unknowns)[0]
+    slopes = task.runs(plant, unknowns, rung.static).slopes(z)
+    rows = np.concatenate([(s * weigh[:, None]).reshape(-1, len(z)) for s in slopes])
+    change = np.concatenate([(g * weigh).ravel() for g in gaps])
+    stderr = np.array([found[g.name].stderr / g.scale for g in unknowns])
+    return unmoved(np.abs(shift(rows.T @ rows, rows.T @ change)), stderr, z)
 
 
 @verb

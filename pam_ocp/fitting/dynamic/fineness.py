@@ -7,6 +7,7 @@ the errors of the runs themselves.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,23 +71,37 @@ def fineness(
         flat = slopes.reshape(-1, len(z))
         square += flat.T @ flat
         right += flat.T @ change[rows, :k].ravel()
-    shift = np.zeros(len(z))
-    inverse = np.linalg.pinv(square[np.ix_(free, free)], rcond=1e-13, hermitian=True)
-    shift[free] = -inverse @ right[free]
-    shared = np.abs(shift[: len(stderr)])
+    found = np.zeros(len(z))
+    found[free] = shift(square[np.ix_(free, free)], right[free])
+    shared = np.abs(found[: len(stderr)])
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = shared / stderr
     moved = np.where(np.isfinite(moved), moved, 0.0)
-    ideal = bool(np.all(error <= NO_NOISE * rollout.spread))
-    exact = ideal | (shared <= EXACT * np.maximum(np.abs(z[: len(stderr)]), 1.0))
-    return Fineness(np.asarray(gap), moved, small and bool(np.all((moved <= MOVED) | exact)))
+    still = bool(np.all(error <= NO_NOISE * rollout.spread)) or unmoved(shared, stderr, z)
+    return Fineness(np.asarray(gap), moved, small and still)
+
+
+def shift(square: Array, right: Array) -> Array:
+    """What a change of the residuals does to least squares: square = J^T J, right = J^T change."""
+    size = np.sqrt(np.maximum(np.diag(square), 1e-300))
+    inverse = np.linalg.pinv(square / np.outer(size, size), rcond=1e-13, hermitian=True)
+    return np.asarray(-(inverse @ (right / size)) / size)
+
+
+def unmoved(shifts: Array, stderr: Array, z: Array) -> bool:
+    """Whether shifts of the first unknowns are small beside their standard errors, or themselves;
+    unknowns that no record sees have none.
+    """
+    allowed = np.maximum(MOVED * stderr, EXACT * np.maximum(np.abs(z[: len(stderr)]), 1.0))
+    return bool(np.all((shifts <= allowed) | ~np.isfinite(stderr)))
 
 
 def fine_runs(predicted: Array, finer: Array) -> bool:
     """Whether halved steps change runs little, in parts of how far the runs reach themselves: what
     was measured behind a start has no say in a prediction.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # runs that diverge have no number at all
         gap = np.sqrt(np.nanmean((finer - predicted) ** 2, axis=(0, 1)))
-        reach = np.nanstd(finer, axis=(0, 1))
-    return bool(np.all(gap <= np.maximum(OF_REACH * reach, 1e-12 * np.nanmax(np.abs(finer)))))
+        reach, size = np.nanstd(finer, axis=(0, 1)), np.nanmax(np.abs(finer))
+    return bool(np.all(gap <= np.maximum(OF_REACH * reach, 1e-12 * size)))

@@ -10,7 +10,6 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ...core.errors import InputError, PamError
 from ...numerics.solvers import nlpsol
@@ -188,6 +187,8 @@ class Path:
                 value[inside], slope[inside] = own[0] + (own[1] - own[0]) * gone, rate
                 slope[inside] *= own[1] - own[0]
             else:
+                from scipy.interpolate import CubicSpline  # half a second, for several stops alone
+
                 line = CubicSpline(np.linspace(0.0, 1.0, len(own)), own)
                 value[inside] = line(gone[:, 0])
                 slope[inside] = line(gone[:, 0], 1) * rate
@@ -210,17 +211,25 @@ class Path:
         ]
         if not moving:
             return
-        rows = [names.index(q.name) for q in moving]
-        columns = sorted({names.index(v) for q in moving for v in q.velocities} - {*rows})
+        rows = np.array([names.index(q.name) for q in moving])
+        free = {names.index(v) for q in moving for v in q.velocities} - {*rows.tolist()}
+        columns = np.array(sorted(free), dtype=np.intp)
         nominal = plant.vector("state", attribute="nominal")
-        for x, wanted, inputs in zip(value, slope, u, strict=True):
-            for _ in range(5):  # Gauss-Newton: rates are nearly linear in velocities
-                missed = wanted[rows] - np.asarray(plant.function(x, inputs, p)[0]).ravel()[rows]
-                if np.all(np.abs(missed) <= 1e-9 * (nominal[rows] + np.abs(wanted[rows]))):
-                    break
-                slopes = np.asarray(plant.jacobians(x, inputs, p)[0])[np.ix_(rows, columns)]
-                step = np.linalg.lstsq(slopes * nominal[columns], missed, rcond=1e-9)[0]
-                x[columns] += step * nominal[columns]
+        size, nx = nominal[columns], len(names)
+        at = np.arange(len(value))  # the moments whose velocities are still sought
+        for _ in range(5):  # Gauss-Newton: rates are nearly linear in velocities
+            wanted, columns_u = slope[at][:, rows], u[at].T
+            rates = np.asarray(plant.function(value[at].T, columns_u, p)[0], float).T
+            missed = wanted - rates[:, rows]
+            off = np.abs(missed) > 1e-9 * (nominal[rows] + np.abs(wanted))
+            far = np.any(off | np.isnan(missed), axis=1)
+            at, missed = at[far], missed[far]
+            if not at.size:
+                return
+            slopes = np.asarray(plant.jacobians(value[at].T, u[at].T, p)[0], float)
+            slopes = slopes.reshape(nx, len(at), nx)[np.ix_(rows, np.arange(len(at)), columns)]
+            inverse = np.linalg.pinv(slopes.transpose(1, 0, 2) * size, rcond=1e-9)
+            value[np.ix_(at, columns)] += (inverse @ missed[:, :, None])[:, :, 0] * size
 
     def inputs(self, t: Array) -> Array:
         """(n, nu) between the nodes' own."""
@@ -270,17 +279,23 @@ def _sampled(
 ) -> Array:
     """Scaled unknowns of signals."""
     x_nominal, u_nominal = nominals(problem)
-    parts, begin = [states(np.array([0.0])).ravel() / x_nominal], 0.0
+    at, driven, begin = [np.array([0.0])], [np.empty(0)], 0.0
     for interval in mesh.intervals:
         h = float(durations[interval.leg] * interval.fraction)
-        at = begin + h * mesh.form.state_taus(interval.degree)
-        parts.append((states(at) / x_nominal).ravel())
+        at.append(begin + h * mesh.form.state_taus(interval.degree))
         # this side of a jump
         nodes = np.clip(mesh.form.input_taus(interval.degree), 1e-6, 1 - 1e-6)
-        parts.append((inputs(begin + h * nodes) / u_nominal).ravel())
-        # a program completes them
-        parts.append(np.zeros(len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)))
+        driven.append(begin + h * nodes)
         begin += h
+    x = np.split(states(np.concatenate(at)) / x_nominal, np.cumsum([len(t) for t in at[:-1]]))
+    u = np.split(
+        inputs(np.concatenate(driven)) / u_nominal, np.cumsum([len(t) for t in driven[:-1]])
+    )
+    parts = [x[0].ravel()]
+    for interval, own, driving in zip(mesh.intervals, x[1:], u[1:], strict=True):
+        completed = len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
+        # a program completes the auxiliaries
+        parts += [own.ravel(), driving.ravel(), np.zeros(completed)]
     scaled = durations / problem.time_nominals, design / problem.design_nominals, peaks
     return np.concatenate([*parts, *scaled])
 

@@ -48,7 +48,7 @@ def unpack(problem: Problem, mesh: Mesh, w: Array) -> Solution:
     form, a = mesh.form, len(problem.auxiliaries)
     own = {  # numbers of points, of values of the inputs, of unknowns
         d: (len(form.state_taus(d)), len(form.input_taus(d)), a * form.cost_points(d))
-        for d in map(int, np.unique(degrees))
+        for d in sorted({int(d) for d in degrees})
     }
     points = np.array([own[int(d)][0] for d in degrees])
     sizes = np.array([nx * n + nu * m + rest for n, m, rest in (own[int(d)] for d in degrees)])
