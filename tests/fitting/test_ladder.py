@@ -102,6 +102,41 @@ def test_sensitivities_are_those_of_differences(static: bool, record: pam.Trajec
         assert gap < 0.01 * np.sqrt(np.mean(difference**2)), free[j]
 
 
+def test_free_starts_are_where_a_record_begins() -> None:
+    """A record cut out of a motion: by its own start the runs meet what an accurate integrator
+    gives from there; sensitivities of the starts are those of differences.
+    """
+    plant = slide(feed=regulator(lag=0.06))
+    t = 0.01 * np.arange(60)
+    start = {"x": 2e-3, "v": 0.05, "muscle1.pressure": 2.9e5, "muscle2.pressure": 2.2e5}
+    volts = {"difference": np.repeat([0.6, -0.4], 30)}
+    run = pam.simulate(plant, volts, t=t, start=start, interpolation="previous", rtol=1e-10)
+    seen = [plant.variable(n) for n in ("difference", "x")]
+    cut = pam.Trajectory(t, {"difference": run["difference"], "x": run["x"]}, seen, "previous")
+    runs = WholeRuns(plant, [cut, cut], ("x",), steps=32, free_starts=True)
+    names = [v.name for v in plant.states]
+    nominal = plant.vector("state", attribute="nominal")
+    exact = plant.equilibrium(difference=0.6)
+    held = {n: float(exact[n]) for n in names} | {"x": float(cut["x"][0])}
+    first = cut.t[:3] - cut.t[:3].mean()
+    held["v"] = float(first @ cut["x"][:3] / (first @ first))
+    own = [names[i] for i in runs.own]
+    assert own == ["x", "v", "muscle1.pressure", "muscle2.pressure"]
+    z = np.array([(start[n] - held[n]) / nominal[names.index(n)] for n in own])
+    both = np.concatenate([z, np.zeros(4)])
+    assert runs.starts == 8
+    assert np.abs(runs.errors(both)[0]).max() < 2e-4
+    assert np.abs(runs.errors(both)[1]).max() > 0.1
+    slopes = runs.slopes(both)
+    for j in range(8):
+        step = 1e-5 * np.eye(8)[j]
+        up, down = runs.errors(both + step), runs.errors(both - step)
+        for r in range(2):
+            difference = (up[r] - down[r]) / 2e-5
+            gap = np.abs(difference - slopes[r][:, :, j]).max()
+            assert gap <= 0.01 * np.abs(difference).max() + 1e-9
+
+
 def test_a_static_run_is_at_rest_at_every_sample(record: pam.Trajectory) -> None:
     plant = slide(feed=regulator())
     predicted = WholeRuns(plant, [record], OUTPUTS, static=True).predicted(np.empty(0))[0]

@@ -49,10 +49,21 @@ class Task:
     fold: NDArray[np.intp]
     steps: int
     bounds: Mapping[str, tuple[float, float]]
+    free_starts: bool = True
+    """Whether where records begin is sought, too."""
+    begun: Array | None = None
+    """Where they begin, if that is known."""
 
     def runs(self, plant: Plant, unknowns: Sequence[ParameterGroup], static: bool) -> WholeRuns:
         return WholeRuns(
-            plant, self.records, self.outputs, unknowns, steps=self.steps, static=static
+            plant,
+            self.records,
+            self.outputs,
+            unknowns,
+            steps=self.steps,
+            static=static,
+            free_starts=self.free_starts,
+            begun=self.begun,
         )
 
     def weights(self, without: int | None) -> list[Array]:
@@ -81,6 +92,18 @@ class Task:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """plant : with fitted values. sizes : error of each variable in spreads. coefficients : with
+    standard errors, if asked. own : where records begin.
+    """
+
+    plant: Plant
+    sizes: Array
+    coefficients: dict[str, Coefficient]
+    own: Array
+
+
 def climbed(
     task: Task,
     rung: Rung,
@@ -93,12 +116,16 @@ def climbed(
     try:
         plants = starting(rung, before, rate)
         bounds = {n: b for n, b in task.bounds.items() if n in _labels(plants[0], rung)}
-        plant = _best_start(task, plants, rung, bounds)
+        rough = replace(task, free_starts=False)
+        plant = _best_start(rough, plants, rung, bounds)
         even = np.ones(len(task.outputs))
-        plant, sizes, _ = _fitted(task, plant, rung, bounds, None, EVALUATIONS, even)
-        weigh = 1 / np.maximum(sizes, 1e-6)  # each variable in units of its residuals
-        plant, coefficients, task = _accurate(task, plant, rung, bounds, weigh)
+        first = _fitted(rough, plant, rung, bounds, None, EVALUATIONS, even)
+        weigh = 1 / np.maximum(first.sizes, 1e-6)  # each variable in units of its residuals
+        found, task = _accurate(task, first, rung, bounds, weigh)
+        plant, coefficients = found.plant, found.coefficients
         seconds = time.process_time() - clock
+        # as to a validation, where records begin is known to the fits without a part
+        task = replace(task, free_starts=False, begun=found.own)
         losses = _left_out(task, plant, rung, bounds, weigh, executor)
     except FitError as error:
         nothing = RungFit(rung.name, rung.plant, {}, {}, np.empty(0), len(rung.plant.states), 0.0)
@@ -126,51 +153,53 @@ def climbed(
 
 def _accurate(
     task: Task,
-    plant: Plant,
+    found: _Fitted,
     rung: Rung,
     bounds: Mapping[str, tuple[float, float]],
     weigh: Array,
-) -> tuple[Plant, dict[str, Coefficient], Task]:
+) -> tuple[_Fitted, Task]:
     """The fit with steps so short that halving them changes little, measured by the residuals;
     and the task with these steps.
     """
     while True:
-        plant, sizes, found = _fitted(task, plant, rung, bounds, None, EVALUATIONS, weigh, True)
+        own = found.own if found.own.size else None
+        found = _fitted(task, found.plant, rung, bounds, None, EVALUATIONS, weigh, True, own)
         finer = replace(task, steps=2 * task.steps)
         if rung.static or finer.steps > MOST_STEPS:
-            return plant, found, task
-        gaps = [b - a for a, b in zip(_errors(task, plant), _errors(finer, plant), strict=True)]
+            return found, task
+        coarse, halved = (_errors(t, found) for t in (task, finer))
+        gaps = [b - a for a, b in zip(coarse, halved, strict=True)]
         gap = np.sqrt(np.mean(np.concatenate(gaps) ** 2, axis=0))
-        fine = bool(np.all(gap <= ACCURATE * np.maximum(sizes, 1e-6)))
-        if fine and _unmoved(task, plant, rung, bounds, weigh, gaps, found):
-            return plant, found, task
+        fine = bool(np.all(gap <= ACCURATE * np.maximum(found.sizes, 1e-6)))
+        if fine and _unmoved(task, found, rung, bounds, weigh, gaps):
+            return found, task
         task = finer
 
 
 def _unmoved(
     task: Task,
-    plant: Plant,
+    found: _Fitted,
     rung: Rung,
     bounds: Mapping[str, tuple[float, float]],
     weigh: Array,
     gaps: Sequence[Array],
-    found: Mapping[str, Coefficient],
 ) -> bool:
     """Whether these changes of the runs would move no value by much of its standard error."""
-    unknowns = groups(plant, rung.free, dict(bounds))
+    unknowns = groups(found.plant, rung.free, dict(bounds))
     if not unknowns:
         return True
-    z = scaled(unknowns)[0]
-    slopes = task.runs(plant, unknowns, rung.static).slopes(z)
+    z = np.concatenate([scaled(unknowns)[0], found.own])
+    slopes = task.runs(found.plant, unknowns, rung.static).slopes(z)
     rows = np.concatenate([(s * weigh[:, None]).reshape(-1, len(z)) for s in slopes])
     change = np.concatenate([(g * weigh).ravel() for g in gaps])
-    stderr = np.array([found[g.name].stderr / g.scale for g in unknowns])
-    return unmoved(np.abs(shift(rows.T @ rows, rows.T @ change)), stderr, z)
+    stderr = np.array([found.coefficients[g.name].stderr / g.scale for g in unknowns])
+    shifts = np.abs(shift(rows.T @ rows, rows.T @ change))[: len(unknowns)]
+    return unmoved(shifts, stderr, z)
 
 
 @verb
-def _errors(task: Task, plant: Plant) -> list[Array]:
-    return task.runs(plant, (), False).errors(np.empty(0))
+def _errors(task: Task, found: _Fitted) -> list[Array]:
+    return task.runs(found.plant, (), False).errors(found.own)
 
 
 @verb
@@ -185,8 +214,8 @@ def _best_start(
     found, failure = [], FitError("no start")
     for plant in plants:
         try:
-            fitted, sizes, _ = _fitted(task, plant, rung, bounds, None, TRIED, even)
-            found.append((float(np.sum(sizes**2)), fitted))
+            tried = _fitted(task, plant, rung, bounds, None, TRIED, even)
+            found.append((float(np.sum(tried.sizes**2)), tried.plant))
         except FitError as error:
             failure = error
     if not found:
@@ -222,8 +251,8 @@ def _one_fold(
     weigh: Array,
     fold: int,
 ) -> dict[int, Array]:
-    plant, _, _ = _fitted(task, rung.plant, rung, bounds, fold, EVALUATIONS, weigh)
-    errors = task.runs(plant, (), rung.static).errors(np.empty(0))
+    found = _fitted(task, rung.plant, rung, bounds, fold, EVALUATIONS, weigh)
+    errors = task.runs(found.plant, (), rung.static).errors(np.empty(0))
     return task.losses(errors, fold)
 
 
@@ -237,9 +266,10 @@ def _fitted(
     evaluations: int,
     weigh: Array,
     errors: bool = False,
-) -> tuple[Plant, Array, dict[str, Coefficient]]:
-    """(plant with fitted values, error of each variable in spreads, coefficients with standard
-    errors if asked). weigh : of the variables.
+    own: Array | None = None,
+) -> _Fitted:
+    """Least squares from the plant's values; errors : whether standard errors are asked for.
+    without : a fold. weigh : of the variables. own : where records begin, by what is known.
     """
     from scipy.optimize import least_squares
 
@@ -257,7 +287,7 @@ def _fitted(
     def slopes(z: Array) -> Array:
         check()
         found = zip(runs.slopes(z), weights, strict=True)
-        rows = [(s * w[:, :, None]).reshape(-1, len(unknowns)) for s, w in found]
+        rows = [(s * w[:, :, None]).reshape(-1, len(z)) for s, w in found]
         return np.concatenate(rows) / count
 
     def sizes(residual: Array) -> Array:
@@ -265,8 +295,17 @@ def _fitted(
         return np.asarray(np.sqrt(squares.sum(axis=0) / samples))
 
     z, low, high = scaled(unknowns)
-    if not unknowns:
-        return plant, sizes(residuals(z)), {}
+    free = np.zeros(runs.starts) if own is None else own
+    z, low, high = (
+        np.concatenate([a, b])
+        for a, b in (
+            (z, free),
+            (low, np.full(free.size, -np.inf)),
+            (high, np.full(free.size, np.inf)),
+        )
+    )
+    if not z.size:
+        return _Fitted(plant, sizes(residuals(z)), {}, z)
     if not np.all(sizes(residuals(z)) < FARTHEST):
         raise FitError("free runs of the records diverge at the start values")
     inside = 1e-9 * (1 + np.abs(z))
@@ -283,14 +322,14 @@ def _fitted(
     )
     values = {
         plant.parameters[m].name: float(np.clip(v * g.scale, g.low, g.high))
-        for g, v in zip(unknowns, answer.x, strict=True)
+        for g, v in zip(unknowns, answer.x, strict=False)
         for m in g.members
     }
     fitted = plant.with_values(values)
     found: dict[str, Coefficient] = {}
     if errors:
         found = _coefficients(unknowns, answer.x, answer.jac, answer.fun, task.blocks())
-    return fitted, sizes(answer.fun), found
+    return _Fitted(fitted, sizes(answer.fun), found, answer.x[len(unknowns) :])
 
 
 def _coefficients(
@@ -321,5 +360,5 @@ def _coefficients(
         g.name: Coefficient(
             g.name, float(v * g.scale), float(np.sqrt(var) * g.scale), g.unit, False, g.description
         )
-        for g, v, var in zip(unknowns, z, variance, strict=True)
+        for g, v, var in zip(unknowns, z, variance, strict=False)
     }

@@ -1,9 +1,10 @@
 """A plant run freely through whole records, with sensitivities.
 
 A run knows the inputs of its record and where the measured states began; nothing measured after
-that. What is not measured begins at rest under the first inputs. Steps are those of ROS2 (see
-:mod:`pam_ocp.numerics.rosenbrock`). Sensitivities go through the same stages with the same matrix,
-which is of second order, too, and far smaller than the derivative of the step itself.
+that. What is not measured begins at rest under the first inputs. With free starts, where positions,
+velocities and pressures begin is unknown in each record, too, and sought from there on. Steps are
+those of ROS2 (see :mod:`pam_ocp.numerics.rosenbrock`). Sensitivities go through its stages with the
+same matrix, which is of second order, too, and far smaller than the derivative of the step.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ class _Course:
     settling: int
     measured: Array
     known: dict[int, float]
+    number: int
+    """Of its record."""
 
 
 class WholeRuns:
@@ -59,6 +62,8 @@ class WholeRuns:
 
     unknowns : parameter groups. steps : in each sampling interval. static : each sample shows the
     plant at rest under its inputs. spread : units of errors, by default what was measured spreads.
+    free_starts : behind the groups z holds, record by record, how far ``own`` states begin from
+    where they would, in their nominals. begun : the same where it is known.
     """
 
     def __init__(
@@ -71,13 +76,17 @@ class WholeRuns:
         steps: int | None = None,
         static: bool = False,
         spread: Array | None = None,
+        free_starts: bool = False,
+        begun: Array | None = None,
     ) -> None:
         self._time = None if static else _common_dead_time(plant, unknowns)
         lines, plant = plant.delay_lines, plant if self._time is None else without_dead_times(plant)
         driven = {} if self._time is None else {line.outlet: line.source for line in lines}
         self.outputs, self._nx, self._nz = tuple(outputs), len(plant.states), len(unknowns)
         steps = steps or usual_steps(records)
-        self._courses = [_course(plant, r, outputs, steps, static, driven) for r in records]
+        self._courses = [
+            _course(plant, r, outputs, steps, static, driven, i) for i, r in enumerate(records)
+        ]
         self.measured = [c.measured for c in self._courses]
         self.spread = _spread(plant, outputs, self.measured) if spread is None else spread
         self._begin = np.clip(
@@ -85,12 +94,22 @@ class WholeRuns:
         )
         self._pressures = [i for i, v in enumerate(plant.states) if v.unit == "Pa"]
         self._static = static
+        known = {k for c in self._courses for k in c.known}
+        own = [] if static else sorted(known | {*self._pressures})
+        self.own, self._begun = np.array(own, dtype=np.intp), begun
+        self._free = len(own) if free_starts else 0
+        self._nominal = np.asarray(plant.vector("state", attribute="nominal"))
         self._dead_time = float(plant.variable(lines[0].time).start or 0.0) if lines else 0.0
         self._move, self._tangent, self._read, self._slope = _functions(
-            plant, outputs, unknowns, self._time
+            plant, outputs, unknowns, self._time, self._free
         )
         self._rest, self._rest_tangent = _resting(plant, unknowns)
         self._whole: dict[tuple[str, int], ca.Function] = {}
+
+    @property
+    def starts(self) -> int:
+        """Unknowns behind those of the groups."""
+        return self._free * len(self._courses)
 
     def predicted(self, z: Array) -> list[Array]:
         """(K, ny) of each record, in SI."""
@@ -98,7 +117,7 @@ class WholeRuns:
         for c in self._courses:
             x = self._rolled(self._move, c, z, 0)
             seen = self._moments(c, x, z)
-            found.append(np.asarray(self._read.map(len(seen[2]))(*seen, z)).T)
+            found.append(np.asarray(self._read.map(len(seen[2]))(*seen, z[: self._nz])).T)
         return found
 
     def errors(self, z: Array) -> list[Array]:
@@ -113,21 +132,29 @@ class WholeRuns:
         ]
 
     def slopes(self, z: Array) -> list[Array]:
-        """d(errors)/dz, (K, ny, nz) of each record."""
-        found, ny = [], len(self.outputs)
+        """d(errors)/dz, (K, ny, len(z)) of each record."""
+        found, ny, local = [], len(self.outputs), self._nz + self._free
         for c in self._courses:
-            both = self._rolled(self._move if self._static else self._tangent, c, z, self._nz)
+            both = self._rolled(self._move if self._static else self._tangent, c, z, local)
             if self._static:
                 tangent = self._rest_tangent.map(both.shape[1])(both, c.end, z)
                 both = np.vstack([both, np.asarray(tangent)])
             seen = self._moments(c, both, z)
-            rows = self._slope.map(len(seen[2]))(*seen, z)
-            slope = np.asarray(rows).T.reshape(-1, self._nz, ny).transpose(0, 2, 1)
+            rows = self._slope.map(len(seen[2]))(*seen, z[: self._nz])
+            slope = np.asarray(rows).T.reshape(-1, local, ny).transpose(0, 2, 1)
             slope = slope / self.spread[:, None]
             wild = ~(np.abs(slope).max(axis=(1, 2), initial=0.0) < WILD)
             slope[int(np.argmax(wild)) if wild.any() else len(slope) :] = 0.0
-            found.append(slope)
+            every = np.zeros((*slope.shape[:2], len(z)))
+            every[..., : self._nz] = slope[..., : self._nz]
+            if self._free:
+                every[..., self._places(c)] = slope[..., self._nz :]
+            found.append(every)
         return found
+
+    def _places(self, course: _Course) -> NDArray[np.intp]:
+        """Of the starts of a record in z."""
+        return np.asarray(self._nz + course.number * len(self.own) + np.arange(len(self.own)))
 
     def fastest_pressure(self, z: Array) -> float:
         """The largest rate of a pressure from sample to sample [Pa/s]; 0 where there is none."""
@@ -141,19 +168,34 @@ class WholeRuns:
     def _rolled(self, step: ca.Function, course: _Course, z: Array, tangents: int) -> Array:
         """The states (with sensitivities) at the ends of all steps of a record."""
         x = self._begin if self._static else np.pad(self._begin, (0, self._nx * tangents))
+        off = np.zeros(len(self.own))
+        if self._free:
+            off = z[self._places(course)]
+        elif self._begun is not None and self._begun.size:
+            off = self._begun.reshape(-1, len(self.own))[course.number]
         first, second = slice(0, course.settling), slice(course.settling, None)
         parts = []
         for part in (first, second):
             n = len(course.h[part])
             along = self._accumulated(self._rest if self._static and part is second else step, n)
             states = np.asarray(
-                along(x, course.begin[:, part], course.end[:, part], course.h[part][None], z)
+                along(
+                    x,
+                    course.begin[:, part],
+                    course.end[:, part],
+                    course.h[part][None],
+                    z[: self._nz],
+                )
             )
             if part is first:
                 x = states[:, -1]
                 for place, value in course.known.items():
                     x[place] = value
                     x[self._nx + place :: self._nx] = 0.0
+                x[self.own] += off * self._nominal[self.own]
+                if tangents and self._free:
+                    column = self._nx * (1 + self._nz + np.arange(len(self.own)))
+                    x[column + self.own] = self._nominal[self.own]
             parts.append(states)
         # a first sample at the end of the settling, which was set to what was measured
         parts[0][:, -1] = x
@@ -216,6 +258,7 @@ def _course(
     steps: int,
     static: bool,
     driven: Mapping[str, str],
+    number: int,
 ) -> _Course:
     """driven : {input: whose column of the record it takes} where that is another."""
     source = {v.name: driven.get(v.name, v.name) for v in plant.inputs}
@@ -238,7 +281,7 @@ def _course(
         begin, end = (np.hstack([s, np.repeat(at, NEWTON, axis=1)]) for s in settle)
         h = np.concatenate([SETTLING, np.ones(NEWTON * at.shape[1])])
         sample = len(SETTLING) - 1 + NEWTON * np.arange(1, at.shape[1] + 1)
-        return _Course(h, begin, end, sample, len(SETTLING), record.array(outputs), {})
+        return _Course(h, begin, end, sample, len(SETTLING), record.array(outputs), {}, number)
     span = np.diff(record.t)
     part = np.arange(steps + 1) / steps
     slope = np.zeros((at.shape[0], len(span))) if held else np.diff(at, axis=1)
@@ -249,9 +292,8 @@ def _course(
     )
     h = np.concatenate([SETTLING, np.repeat(span / steps, steps)])
     sample = len(SETTLING) - 1 + steps * np.arange(len(record.t))
-    return _Course(
-        h, begin, end, sample, len(SETTLING), record.array(outputs), _known(plant, record, outputs)
-    )
+    known = _known(plant, record, outputs)
+    return _Course(h, begin, end, sample, len(SETTLING), record.array(outputs), known, number)
 
 
 def _known(plant: Plant, record: Trajectory, outputs: Sequence[str]) -> dict[int, float]:
@@ -279,18 +321,24 @@ def _functions(
     outputs: Sequence[str],
     unknowns: Sequence[ParameterGroup],
     time: tuple[int | None, float] | None,
+    own: int,
 ) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
     """One step; one with sensitivities; what is measured inside of it; its sensitivities.
 
-    time : position and scale of the unknown dead time by which samples are late.
+    time : position and scale of the unknown dead time by which samples are late. own : starts of a
+    record that are unknown.
     """
     nx, nu, nz = len(plant.states), len(plant.inputs), len(unknowns)
-    z, x, s, h = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("s", nx, nz), ca.SX.sym("h")
+    z, x, h = ca.SX.sym("z", nz), ca.SX.sym("x", nx), ca.SX.sym("h")
+    s = ca.SX.sym("s", nx, nz + own)
     early, late = ca.SX.sym("early", nu), ca.SX.sym("late", nu)
     p = _parameters(plant, unknowns, z)
 
     def rates(at: ca.SX, u: ca.SX) -> ca.SX:
         return plant.function(at, u, p)[0]
+
+    def over_z(value: ca.SX) -> ca.SX:
+        return ca.horzcat(ca.jacobian(value, z), ca.SX(value.numel(), own))
 
     first = rates(x, early)
     a = ca.jacobian(first, x)
@@ -301,20 +349,20 @@ def _functions(
     after = x + 1.5 * h * k1 + 0.5 * h * k2
     m = ca.SX.sym("m", nx)
     second = rates(m, late)
-    slope = ca.Function("second", [m, late, z], [ca.jacobian(second, m), ca.jacobian(second, z)])
+    slope = ca.Function("second", [m, late, z], [ca.jacobian(second, m), over_z(second)])
     a2, b2 = slope(middle, late, z)
-    s1 = ca.solve(matrix, a @ s + ca.jacobian(first, z))
+    s1 = ca.solve(matrix, a @ s + over_z(first))
     s2 = ca.solve(matrix, a2 @ (s + h * s1) + b2 - 2 * s1)
     moved = s + 1.5 * h * s1 + 0.5 * h * s2
     # read inside of a step: the cubic through the states and their rates at its ends
     begin, part, moving = ca.SX.sym("begin", nx), ca.SX.sym("part"), ca.SX.sym("moving")
-    s_begin = ca.SX.sym("s_begin", nx, nz)
+    s_begin = ca.SX.sym("s_begin", nx, nz + own)
     u = early + part * (late - early)
     inside = _cubic(begin, x, h * rates(begin, early), h * rates(x, late), part)
     seen = ca.vertcat(*(plant.expression(name) for name in outputs))
     show = ca.Function("seen", [plant.x, plant.u, plant.p], [seen])
     y = show(inside, u, p)
-    y_slopes = ca.jacobian(y, x) @ s + ca.jacobian(y, begin) @ s_begin + ca.jacobian(y, z)
+    y_slopes = ca.jacobian(y, x) @ s + ca.jacobian(y, begin) @ s_begin + over_z(y)
     if time is not None and time[0] is not None:
         y_slopes[:, time[0]] -= moving * ca.jacobian(y, part) * time[1] / h
     column = ca.vec(s)
