@@ -21,6 +21,7 @@ from ..core.errors import InputError, require_finite
 from ..core.foreign import frame
 from ..muscles.law import ForceLaw
 from ..numerics.elementwise import Elementwise
+from ..numerics.probability import half_width, mixed_half_width
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -127,12 +128,10 @@ def in_blocks(
 
 def student_t(level: float, dof: int) -> float:
     """Half width of a two-sided interval in standard errors; infinite without freedom."""
-    from scipy.special import stdtrit
-
     level = require_finite("level", level)
     if not 0 < level < 1:
         raise InputError(f"level = {level:g} must lie between 0 and 1, as in 0.95")
-    return float(stdtrit(dof, (1 + level) / 2)) if dof > 0 else float("inf")
+    return half_width(level, dof) if dof > 0 else float("inf")
 
 
 @dataclass(frozen=True)
@@ -238,16 +237,8 @@ class SerialErrors:
 
     def reach(self, level: float) -> float:
         """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
-        from scipy.optimize import brentq
-        from scipy.special import stdtr
-
-        plain = student_t(level, self.dof)
-        roots = np.sqrt(self.sizes)
-
-        def missing(half: float) -> float:
-            return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
-
-        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
+        student_t(level, self.dof)  # refuses what is no level
+        return mixed_half_width(level, self.dof, self.weights, np.sqrt(self.sizes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_instance
 from ...core.shown import shown
+from ...numerics.probability import f_beyond
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .optimum import Optimum
@@ -86,8 +87,6 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
     >>> found.probability < 0.01  # what is left over is no noise
     True
     """
-    from scipy.special import fdtrc
-
     require_instance("fit", fit, Optimum, "give what fit_force() returned")
     if fit.terms.loss != "squares" or fit.terms.priors:
         raise InputError("lack_of_fit needs loss='squares' without priors")
@@ -114,7 +113,7 @@ def lack_of_fit(fit: Optimum) -> LackOfFit:
         float(np.sqrt(misfit / misfit_dof)),
         misfit_dof,
         float(f),
-        float(fdtrc(misfit_dof, pure_dof, f)) if np.isfinite(f) else 0.0,
+        float(f_beyond(misfit_dof, pure_dof, f)) if np.isfinite(f) else 0.0,
     )
 
 

@@ -12,6 +12,7 @@ from ...core.errors import FitError, InputError
 from ...core.progress import counted
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
+from ...numerics.probability import f_beyond
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .branches import Hysteresis, LackOfFit, hysteresis, lack_of_fit, repeats
@@ -216,8 +217,6 @@ def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
     """Probability that sharing costs as much by noise alone (F-test of nested fits, independent
     errors).
     """
-    from scipy.special import fdtrc
-
     if any(f.terms.loss != "squares" for f in alone):
         return float("nan")
     free = sum(f.squares for f in alone)
@@ -225,7 +224,7 @@ def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
     more = joint.dof - dof
     if more < 1 or dof < 1 or free <= 0:
         return float("nan")
-    return float(fdtrc(more, dof, max(joint.cost - free, 0.0) / more / (free / dof)))
+    return float(f_beyond(more, dof, max(joint.cost - free, 0.0) / more / (free / dof)))
 
 
 def _length_law(

@@ -10,7 +10,6 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ...core.errors import InputError, PamError
 from ...numerics.solvers import nlpsol
@@ -188,6 +187,8 @@ class Path:
                 value[inside], slope[inside] = own[0] + (own[1] - own[0]) * gone, rate
                 slope[inside] *= own[1] - own[0]
             else:
+                from scipy.interpolate import CubicSpline  # seldom wanted, and slow to load
+
                 line = CubicSpline(np.linspace(0.0, 1.0, len(own)), own)
                 value[inside] = line(gone[:, 0])
                 slope[inside] = line(gone[:, 0], 1) * rate
