@@ -1,6 +1,6 @@
-"""What a communication step of an exported FMU costs, in units of one step of Rodas4 (six
-right-hand sides and one Jacobian): at rest, with jumps 100 and 10 steps apart, with jumps in each
-step.
+"""What a communication step of an exported FMU costs, in units of six right-hand sides and one
+Jacobian (a step of Rodas5P asks for eight and one): at rest, with jumps 100 and 10 steps apart,
+with jumps in each step.
 
     python benchmarks/fmu_step.py [runs]
 

@@ -1,5 +1,6 @@
-/* What a communication step costs, in units of what Rodas4 needs for one step: six right-hand sides
-   and one Jacobian. Compiled together with the sources of an exported FMU (FMI 2.0). */
+/* What a communication step costs, in units of six right-hand sides and one Jacobian (what a step of
+   Rodas4, of order 4, would ask for; Rodas5P's asks for eight and one). Compiled together with the
+   sources of an exported FMU (FMI 2.0). */
 #include "fmu.c"
 
 #include <stdio.h>

@@ -1,4 +1,4 @@
-/* Rodas4: one-step, L-stable integrator for small stiff systems x' = f(s, x).
+/* Rodas5P: one-step, L-stable integrator for small stiff systems x' = f(s, x).
 
    Define SOLVER_N, the number of states, before including this file. */
 #ifndef SOLVER_H
@@ -26,7 +26,7 @@ typedef struct {
 
 /* Scratch memory; holds nothing between two calls. */
 typedef struct {
-    double k[6][SOLVER_N];
+    double k[8][SOLVER_N];
     double jacobian[SOLVER_N * SOLVER_N];
     double inverse[SOLVER_N * SOLVER_N]; /* of I/(h gamma) - J, by columns */
     double stage[SOLVER_N], f[SOLVER_N], slope[SOLVER_N];

@@ -46,7 +46,7 @@ def _linearize(options: argparse.Namespace) -> int:
     from ..core.files import write_json
     from ..figures.saved import save_figure
     from ..figures.trajectory import plot_bode
-    from ..operating.linear import linearize, modes
+    from ..operating.linear import linear_model, modes
 
     require_places(options.out, options.plot)
     if options.out and options.out.suffix.lower() != ".json":
@@ -54,7 +54,7 @@ def _linearize(options: argparse.Namespace) -> int:
     plant = plant_said(options)
     conditions = pairs("--rest", options.rest)
     point = plant.equilibrium(conditions or {v.name: v.start or 0.0 for v in plant.inputs})
-    system = linearize(
+    system = linear_model(
         plant,
         point,
         inputs=options.inputs,
@@ -70,7 +70,7 @@ def _linearize(options: argparse.Namespace) -> int:
         "states": system.state_labels,
         "inputs": system.input_labels,
         "outputs": system.output_labels,
-        "units": system.units,
+        "units": dict(system.units),
         **{name: getattr(system, name).tolist() for name in "ABCD"},
     }
     tell(options, _text(point, said), said)

@@ -158,7 +158,7 @@ def _notes(settings: Settings, content: Content) -> list[str]:
     )
     first = content.notes or [
         f"FMI {settings.fmi}, Model Exchange and Co-Simulation. Co-Simulation integrates with "
-        f"Rodas4 (Rosenbrock method of order 4, L-stable) at {solver}; inputs are held over a "
+        f"Rodas5P (Rosenbrock method of order 5, L-stable) at {solver}; inputs are held over a "
         "communication step, or run linearly when the importer gives their derivatives.",
     ]
     return [

@@ -27,7 +27,7 @@ from ..core.trajectory import Trajectory
 from .archive import printable
 from .isolation import run_alone
 
-__all__ = ["FmuCheck", "check_fmu"]
+__all__ = ["FmuCheck", "check_fmu", "check_fmus"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -100,7 +100,6 @@ class FmuCheck:
         return "\n".join(map(printable, lines))
 
 
-@interruptible()
 def check_fmu(
     path: str | os.PathLike[str],
     against: Trajectory | None = None,
@@ -149,48 +148,88 @@ def check_fmu(
     >>> pam.check_fmu(path, against=motion).largest < 1e-4
     True
     """
-    file = Path(path)
+    (check,) = check_fmus(
+        [path],
+        against,
+        parameters=parameters,
+        tolerance=tolerance,
+        duration=duration,
+        time_limit=time_limit,
+    )
+    return check
+
+
+@interruptible()
+def check_fmus(
+    paths: Sequence[str | os.PathLike[str]],
+    against: Trajectory | None = None,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    tolerance: float = 1e-6,
+    duration: float = 0.2,
+    time_limit: float = 60.0,
+) -> list[FmuCheck]:
+    """:func:`check_fmu` of several units of one origin, one after the other in one process.
+
+    Python and its libraries are loaded once for all of them, which takes longer than a check. A
+    unit that ends the process ends its own check only: the next ones run in a new process.
+    time_limit : for each, on average [s].
+    """
     require_positive("tolerance", tolerance)
     duration = require_positive("duration", duration, "s")
     time_limit = require_positive("time_limit", time_limit, "s")
     require_instance("against", against, Trajectory, "give a Trajectory, or none", none=True)
     values = {n: require_finite(f"parameters: {n}", v) for n, v in (parameters or {}).items()}
+    files = [_readable(Path(path)) for path in paths]
+    same = {
+        "against": _plain(against),
+        "parameters": values,
+        "tolerance": tolerance,
+        "duration": duration,
+    }
+    jobs = [{"path": str(file.absolute()), **same} for file in files]
+    found: list[FmuCheck] = []
+    while len(found) < len(files):  # again behind a unit that has ended the process
+        rest = len(found)
+        told = _inspected(jobs[rest:], files[rest], time_limit, against)
+        found += [t.check(f, tolerance) for t, f in zip(told, files[rest:], strict=False)]
+    return found
+
+
+def _readable(file: Path) -> Path:
     if not file.is_file():
         raise InputError(f"{file}: no such file")
     if not os.access(file, os.R_OK):
         raise InputError(f"{file}: this file cannot be read as an FMU (no permission)")
     if not zipfile.is_zipfile(file):
         raise InputError(f"{file}: this file cannot be read as an FMU (it is no zip archive)")
-    told = _Told()
-    job = {
-        "path": str(file.absolute()),
-        "against": _plain(against),
-        "parameters": values,
-        "tolerance": tolerance,
-        "duration": duration,
-    }
+    return file
+
+
+def _inspected(
+    jobs: Sequence[Mapping[str, Any]], file: Path, time_limit: float, against: Trajectory | None
+) -> list[_Told]:
+    """What came of the first jobs: of all of them, or up to the one that ended the process."""
+    told = [_Told()]
+
+    def hear(next_unit: bool = False, **what: Any) -> None:
+        if next_unit:
+            told.append(_Told())
+        else:
+            told[-1].hear(**what)
+
     try:
         with tempfile.TemporaryDirectory(prefix="pam_ocp_", ignore_cleanup_errors=True) as name:
-            folder = Path(name)
-            ended = run_alone(
-                "pam_ocp.export.inspection:inspect", job, folder, time_limit, told.hear
-            )
-            runs = told.runs(folder, against)
+            work = "pam_ocp.export.inspection:inspect_each"
+            limit = time_limit * len(jobs)
+            ended = run_alone(work, {"units": jobs}, Path(name), limit, hear)
+            for i, unit in enumerate(told):
+                unit.read(Path(name) / str(i), against)
     except OSError as error:
         raise SimulationError(f"{file}: there is no room to unpack it ({error})") from None
-    if told.refused:
-        raise InputError(told.refused)
     if not ended.finished:
-        told.findings.append(f"the unit {ended}; the check ended there")
-    return FmuCheck(
-        file,
-        told.fmi,
-        tolerance,
-        tuple(told.platforms),
-        tuple(told.findings),
-        told.deviations,
-        runs,
-    )
+        told[-1].findings.append(f"the unit {ended}; the check ended there")
+    return told
 
 
 @dataclass
@@ -204,21 +243,35 @@ class _Told:
     compared: list[str] = field(default_factory=list)
     played: dict[str, str] = field(default_factory=dict)
     refused: str = ""
+    runs: dict[str, Trajectory] = field(default_factory=dict)
 
     def hear(self, findings: Sequence[str] = (), **other: Any) -> None:
         self.findings += findings
         for name, value in other.items():
             setattr(self, name, value)
 
-    def runs(self, folder: Path, against: Trajectory | None) -> dict[str, Trajectory]:
+    def read(self, folder: Path, against: Trajectory | None) -> None:
+        """What the unit did, while its files are there."""
         if against is None:
-            return {}
-        found = {}
+            return
         for kind, file in self.played.items():
             with contextlib.suppress(OSError, ValueError):  # the unit has touched the file
                 values = np.load(folder / file, allow_pickle=False)
-                found[kind] = _run(against, self.compared, values)
-        return found
+                self.runs[kind] = _run(against, self.compared, values)
+
+    def check(self, file: Path, tolerance: float) -> FmuCheck:
+        """The verdict. Raises InputError where nothing could be compared."""
+        if self.refused:
+            raise InputError(self.refused)
+        return FmuCheck(
+            file,
+            self.fmi,
+            tolerance,
+            tuple(self.platforms),
+            tuple(self.findings),
+            self.deviations,
+            self.runs,
+        )
 
 
 def _plain(record: Trajectory | None) -> Trajectory | None:

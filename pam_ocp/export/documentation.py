@@ -7,6 +7,7 @@ import io
 import math
 import re
 from collections.abc import Container, Iterable, Sequence
+from importlib import resources
 
 import casadi as ca
 
@@ -183,43 +184,14 @@ def icon_svg() -> str:
 
 
 def icon_png() -> bytes:
-    """The same drawing as PNG, 100 x 100 pixels."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(1, 1), dpi=100)
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(0, 100), ylim=(0, 100))
-    axes.set_axis_off()
-    dark, light = "#334455", "#77aabb"
-    axes.plot([1, 99, 99, 1, 1], [1, 1, 99, 99, 1], color=dark, lw=2)
-    axes.plot([2, 98], [50, 50], color=dark, lw=3)
-    across = [18 + 0.64 * i for i in range(101)]
-    half = [10 + 7 * math.sin(math.pi * (x - 18) / 64) for x in across]
-    axes.fill_between(across, [50 - h for h in half], [50 + h for h in half], fc=light, ec=dark)
-    for x in range(23, 60, 12):
-        axes.plot([x, x + 18], [62, 38], color=dark, lw=0.8)
-        axes.plot([x, x + 18], [38, 62], color=dark, lw=0.8)
-    for x in (12, 80):
-        axes.fill([x, x + 8, x + 8, x], [38, 38, 62, 62], fc=dark)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+    """The same drawing as PNG, 100 x 100 pixels: a file, so that an export needs no matplotlib."""
+    return _stored("icon.png")
 
 
 def signal_png() -> bytes:
     """The picture of a terminal: a disc, 32 x 32 pixels."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
+    return _stored("signal.png")
 
-    figure = Figure(figsize=(0.32, 0.32), dpi=100)
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(0, 1), ylim=(0, 1))
-    axes.set_axis_off()
-    axes.add_patch(Circle((0.5, 0.5), 0.42, fc="#77aabb", ec="#334455"))
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    return buffer.getvalue()
+
+def _stored(name: str) -> bytes:
+    return (resources.files("pam_ocp.export") / "icons" / name).read_bytes()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
@@ -20,7 +21,7 @@ from .replay import replay
 from .runner import Kind, Runner, UnpackedFmu, note_calls, pointer
 from .symbols import exported_symbols
 
-__all__ = ["inspect"]
+__all__ = ["inspect", "inspect_each"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -28,6 +29,21 @@ _LINKER_MARKS = ("__dso_handle", "_mh_dylib_header")
 """zig's linker exports these two addresses from every library for macOS."""
 _MOST_FINDINGS, _LONGEST = 100, 500
 """Of one kind, and characters of one."""
+
+
+def inspect_each(job: Mapping[str, Any], tell: Tell, note: Callable[[str], None]) -> None:
+    """:func:`inspect` of the jobs ``units``, each in a folder of its own named by its number;
+    between two of them tells ``next_unit``.
+    """
+    here = Path.cwd()
+    for number, unit in enumerate(job["units"]):
+        if number:
+            tell(next_unit=True)
+        folder = here / str(number)
+        folder.mkdir()
+        os.chdir(folder)
+        inspect(unit, tell, note)
+        os.chdir(here)
 
 
 def inspect(job: Mapping[str, Any], tell: Tell, note: Callable[[str], None]) -> None:

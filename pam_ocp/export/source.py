@@ -30,7 +30,7 @@ __all__ = [
 MAIN_SOURCE = "fmu.c"
 """The one file to compile; it includes all the others."""
 
-STEP_FRACTION = 0.05
+STEP_FRACTION = 0.01
 """Error allowed in one internal step of Co-Simulation, as a part of the tolerance: over many steps
 the sum stays below the tolerance, also in outputs that are steeper than the states."""
 

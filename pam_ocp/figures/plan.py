@@ -204,10 +204,9 @@ def _chart(ax: Axes, touched: dict[str, list[Limit]], duration: float) -> None:
     least = 0.004 * duration
     for row, (label, limits) in enumerate(touched.items()):
         colour = colours_of([label])[label]
-        for begin, end in (span for limit in limits for span in _spans(limit)):
-            ax.barh(
-                row, max(end - begin, least), left=begin, height=0.7, color=colour, alpha=0.75, lw=0
-            )
+        spans = [span for limit in limits for span in _spans(limit)]
+        bars = [(begin, max(end - begin, least)) for begin, end in spans]
+        ax.broken_barh(bars, (row - 0.35, 0.7), color=colour, alpha=0.75, lw=0)
     ax.set_yticks(range(len(touched)), list(touched), fontsize="small")
     ax.yaxis.tick_right()
     ax.tick_params(axis="y", length=0)

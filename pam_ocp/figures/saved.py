@@ -52,7 +52,8 @@ def drawn(figure: Figure, kind: str, dpi: float) -> bytes:
     try:
         figure.dpi = dpi
         canvas: Any = FigureCanvasAgg(figure)
-        canvas.print_png(content)
+        # half the work of level 6 for 6 % more bytes
+        canvas.print_png(content, pil_kwargs={"compress_level": 3})
     finally:
         figure.set_canvas(before[0])
         figure.dpi = before[1]

@@ -22,6 +22,7 @@ from ..core.units import unit
 from ..plants.inversion import Inversion, in_dead_zone
 from ..plants.plant import Plant, Values, require_plant
 from .held import Memory
+from .linear_model import LinearModel
 from .resting_point import EquilibriumError, OperatingPoint, equilibrium
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ __all__ = [
     "LinearGrid",
     "OperatingPoint",
     "equilibrium",
+    "linear_model",
     "linearize",
     "linearize_along",
     "linearize_grid",
@@ -142,41 +144,36 @@ class _Selection:
         rows = [all_out.index(name) for name in self.outputs]
         return a, b[:, :, columns], c[:, rows], d[:, rows][:, :, columns]
 
-    def system(
+    def model(
         self, matrices: Matrices, dt: float = 0.0, kept: Sequence[int] | None = None
-    ) -> control.StateSpace:
-        """The StateSpace of these matrices; sampled with zero-order hold when ``dt`` > 0.
+    ) -> LinearModel:
+        """The system of these matrices; sampled with zero-order hold when ``dt`` > 0.
 
         kept : the states that they are of, by default all.
         """
-        import control
-
         a, b, c, d = matrices
         variables = [self.plant.states[i] for i in (range(len(a)) if kept is None else kept)]
         if dt:
             a, b = held(a, b, np.array([v.nominal for v in variables]), dt)
         states = [v.name for v in variables]
         x, u, y = (self.factors(names) for names in (states, self.inputs, self.outputs))
-        system = control.ss(
+        names = (*states, *self.inputs, *self.outputs)
+        return LinearModel(
             a * x / x[:, None],
             b * u / x[:, None],
             c * x / y[:, None],
             d * u / y[:, None],
+            _plain(states),
+            _plain(self.inputs),
+            _plain(self.outputs),
+            dict(zip(_plain(names), map(self.unit, names), strict=True)),
+            self.plant.name,
             dt,
-            name=self.plant.name,
-            states=_plain(states),
-            inputs=_plain(self.inputs),
-            outputs=_plain(self.outputs),
-            remove_useless_states=False,
         )
-        system.units = dict(
-            zip(
-                _plain([*states, *self.inputs, *self.outputs]),
-                (self.unit(n) for n in (*states, *self.inputs, *self.outputs)),
-                strict=True,
-            )
-        )
-        return system
+
+    def system(self, matrices: Matrices, dt: float = 0.0) -> control.StateSpace:
+        """The same as python-control's."""
+        return self.model(matrices, dt).to_control()
 
 
 def held(a: Array, b: Array, nominal: Array, dt: float) -> tuple[Array, Array]:
@@ -235,6 +232,22 @@ def linearize(
     >>> bool(np.allclose(np.sort(scaled.poles()), np.sort(system.poles())))
     True
     """
+    return linear_model(
+        plant, at, inputs=inputs, outputs=outputs, dt=dt, stuck=stuck, units=units
+    ).to_control()
+
+
+def linear_model(
+    plant: Plant,
+    at: OperatingPoint | Values | None = None,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    dt: float | None = None,
+    stuck: bool = False,
+    units: Mapping[str, str] | Literal["display"] | None = None,
+) -> LinearModel:
+    """What :func:`linearize` gives, before python-control is loaded for it."""
     plant, x, u = point_of(plant, at)
     plant, rows = _seen(plant, u[None, :], inputs)
     chosen = _Selection.of(plant, inputs, outputs)
@@ -242,9 +255,9 @@ def linearize(
     step = 0.0 if dt is None else require_positive("dt", dt, "s")
     chosen = replace(chosen, units=_units_of(plant, units))
     if not stuck:
-        return chosen.system((a[0], b[0], c[0], d[0]), step)
+        return chosen.model((a[0], b[0], c[0], d[0]), step)
     follow = OperatingPoint(plant, x, u).stuck
-    return chosen.system((*follow.reduced(a[0], b[0], c[0]), d[0]), step, follow.kept.tolist())
+    return chosen.model((*follow.reduced(a[0], b[0], c[0]), d[0]), step, follow.kept.tolist())
 
 
 def _units_of(plant: Plant, units: Mapping[str, str] | str | None) -> dict[str, str]:

@@ -24,8 +24,10 @@ __all__ = ["METHODS", "Integration", "Method"]
 Array: TypeAlias = NDArray[np.float64]
 Method: TypeAlias = Literal["rosenbrock", "cvodes", "rk4"]
 METHODS = ("rosenbrock", "cvodes", "rk4")
-COMPILED_PART = 1.0
-"""Of the tolerance, allowed as the error of a step of the compiled solver, which is of order 4."""
+COMPILED_PART = 0.2
+"""Of the tolerance, allowed as the error of a step of the compiled solver, which is of order 5:
+errors add up over steps.
+"""
 LEAST_COMPILED = 1e-12
 """Below, that solver's steps become too many."""
 JUMP = 1e-8

@@ -128,14 +128,14 @@ class _Tour:
 
     def replay(self) -> None:
         """replay the planned motion in Python and in the FMUs (fmpy), and compare"""
-        from ..export import check_fmu
+        from ..export.check import check_fmus
         from ..figures.trajectory import plot_comparison
         from ..simulation.simulator import simulate
 
         reference = simulate(self.slide, self.motion.trajectory)
         self.summary["fmu"] = {}
-        for version, path in self.fmus.items():
-            check = check_fmu(path, against=reference)
+        checks = check_fmus(list(self.fmus.values()), against=reference)
+        for version, check in zip(self.fmus, checks, strict=True):
             self.show(str(check))
             self.summary["fmu"][version] = check.to_dict()
         names = ["x", "muscle1.pressure", "muscle1.force"]
@@ -145,13 +145,13 @@ class _Tour:
     def linearize(self) -> None:
         """linearise about the middle position at three co-contractions"""
         from ..figures.trajectory import plot_bode
-        from ..operating.linear import modes
+        from ..operating.linear import linear_model, modes
 
         systems = {}
         self.summary["linear"] = []
         for pressure in CO_CONTRACTION:
             point = self.slide.equilibrium({"x": 0.0, "muscle1.pressure": float(pressure)})
-            system = self.slide.linearize(point, stuck=True)
+            system = linear_model(self.slide, point, stuck=True)
             systems[f"both muscles at {pressure / 1e5:g} bar"] = system
             (frequency, damping), *_ = modes(system)
             self.show(

@@ -1,6 +1,8 @@
 """The command line as a user meets it, and the tour."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -171,6 +173,22 @@ def test_one_muscle_is_shown_with_its_forces(capsys, tmp_path):
     assert plot.stat().st_size > 20_000
     code, _, err = run(capsys, "muscles", "show")
     assert (code, "give the NAME" in err) == (2, True)
+
+
+def test_what_is_slow_to_load_is_not_loaded_for_a_fit_and_poles():
+    """Each costs a third of a second and more, and the tour needs none of them."""
+    program = (
+        "import sys, pam_ocp as pam\n"
+        "from pam_ocp.operating.linear import linear_model, modes\n"
+        "fit = pam.fit_force(pam.read_table('DMSP-20-300_static.csv', rest_length=0.300))\n"
+        "assert 'profile likelihood' in fit.report()\n"
+        "plant = pam.HangingLoad(fit.muscle(rest_length=0.300, diameter=0.020), 20.0)\n"
+        "assert modes(linear_model(plant, plant.equilibrium(x=0.03)))\n"
+        "import pam_ocp.planning.planner\n"
+        "print(*({'scipy', 'control', 'matplotlib', 'pandas'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()) == (0, []), done.stderr
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ import pam_ocp as pam
 from pam_ocp import check_fmu
 from pam_ocp.cli.main import main
 from pam_ocp.core.errors import ExportError
+from pam_ocp.export.check import check_fmus
 from pam_ocp.export.isolation import run_alone
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -73,6 +74,26 @@ def test_a_unit_that_dies_is_a_finding_that_names_the_call(
 ) -> None:
     monkeypatch.setenv("HOSTILE", harm)
     assert sentence in only_finding(units[fmi])
+
+
+@posix
+def test_a_unit_that_dies_leaves_the_checks_beside_it(
+    units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    plant = benchmark_slide()
+    well = pam.export_fmu(plant, tmp_path / "well.fmu", platforms="native")
+    motion = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=np.linspace(0, 0.02, 5))
+    monkeypatch.setenv("HOSTILE", "segfault DoStep")
+    first, dead, last = check_fmus([well, units["2.0"], well])
+    assert first.ok
+    assert last.ok
+    (finding,) = dead.findings
+    assert "crashed (segmentation fault) in fmi2DoStep (CoSimulation)" in finding
+    one, other = check_fmus([well, well], against=motion)
+    assert one.deviations == other.deviations == check_fmu(well, against=motion).deviations
+    for kind, played in one.trajectories.items():
+        assert np.array_equal(played["x"], other.trajectories[kind]["x"])
+        assert played["x"][-1] == pytest.approx(motion["x"][-1], abs=1e-8)
 
 
 @posix

@@ -95,7 +95,8 @@ def test_the_figure_shows_motion_limits_stops_and_activity(quickest):
     ]
     dashed = {float(v) for line in lines(force) for v in np.unique(line.get_ydata())}
     assert {-1.0, 1.0} <= {round(v, 9) for v in dashed}
-    bars = [(b.get_x(), b.get_x() + b.get_width()) for b in chart.patches]
+    drawn = [path.get_extents() for row in chart.collections for path in row.get_paths()]
+    bars = [(bar.x0, bar.x1) for bar in drawn]
     assert min(b[0] for b in bars) == 0.0
     assert max(b[1] for b in bars) == pytest.approx(2.0)
     assert [t.get_text() for t in chart.get_yticklabels()] == ["u min", "u max"]

@@ -9,7 +9,7 @@ from conftest import BAR, flat
 
 import pam_ocp as pam
 from pam_ocp import EquilibriumError, InputError
-from pam_ocp.operating.linear import linearize_along, linearize_grid
+from pam_ocp.operating.linear import linear_model, linearize_along, linearize_grid
 from pam_ocp.operating.several import equilibria, equilibrium_path
 from pam_ocp.plants.regulated import PositionFeedback
 from pam_ocp.plants.valves import OnOffValves, SpoolValve, Tube
@@ -335,3 +335,19 @@ def test_a_path_of_the_hanging_load_ends_where_the_muscle_can_lift_no_more(hangi
     assert np.all(np.diff(path["x"]) < 0)
     assert path["muscle.force"] == pytest.approx(path.values * 9.80665, rel=1e-9)
     assert {p.stability for p in path.points} == {"stable"}
+
+
+def test_a_linear_model_is_what_python_control_makes_of_it(hanging):
+    point = hanging.equilibrium(x=0.06)
+    for options in ({}, {"dt": 0.01}, {"stuck": True, "units": "display", "outputs": ["x"]}):
+        model = linear_model(hanging, point, **options)
+        system = hanging.linearize(point, **options)
+        assert (system.A.tolist(), system.dt) == (model.A.tolist(), model.dt)
+        assert system.units == model.units
+        assert system.output_labels == model.output_labels
+        assert np.sort(model.poles()) == pytest.approx(np.sort(system.poles()), rel=1e-9)
+        places = np.exp(0.3j) if model.dt else 2j * np.pi * np.array([0.1, 3.0, 50.0])
+        expected = system(places, squeeze=False)
+        assert model(places).reshape(expected.shape) == pytest.approx(expected, rel=1e-9)
+        swings = np.array(pam.operating.modes(system))
+        assert np.array(pam.operating.modes(model)) == pytest.approx(swings, rel=1e-6)

@@ -11,7 +11,7 @@
 #define MODEL_NAME "spring"
 #define MODEL_TOKEN SPRING_TOKEN
 #define MODEL_TOLERANCE 1e-06
-#define MODEL_STEP_FRACTION 0.05
+#define MODEL_STEP_FRACTION 0.01
 #ifndef MODEL_FIXED_STEP /* a test asks for fixed steps */
 #define MODEL_FIXED_STEP 0.0
 #endif

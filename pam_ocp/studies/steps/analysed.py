@@ -32,18 +32,18 @@ class LinearizeStep(Step):
     @classmethod
     def work(cls, job: Job) -> Made:
         from ...figures.trajectory import plot_bode
-        from ...operating.linear import linearize, modes
+        from ...operating.linear import linear_model, modes
 
         plant = job.parts["plant"]
         rest = values("rest", plant, table("rest", job.get("rest", {})))
         point = plant.equilibrium(rest or {v.name: v.start or 0.0 for v in plant.inputs})
         chosen: dict[str, Any] = {n: job.listed(n) or None for n in ("inputs", "outputs")}
         chosen["units"] = None if job.get("si") else "display"
-        system = linearize(plant, point, stuck=True, **chosen)
+        system = linear_model(plant, point, stuck=True, **chosen)
         found = modes(system)
         matrices = {n: getattr(system, n).tolist() for n in "ABCD"}
         labels = {n: getattr(system, f"{n}_labels") for n in ("state", "input", "output")}
-        write_json(job.out / "linear.json", {**labels, "units": system.units, **matrices})
+        write_json(job.out / "linear.json", {**labels, "units": dict(system.units), **matrices})
         poles = [(float(p.real), float(p.imag)) for p in point.poles]
         head = ("real [1/s]", "imaginary [1/s]")
         (job.out / "poles.csv").write_text(csv_text(head, poles), "utf-8")
