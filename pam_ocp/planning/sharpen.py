@@ -55,12 +55,12 @@ def gains(found: Solved) -> Array | None:
     slope = ca.gradient(nlp["f"] + ca.dot(lam, nlp["g"]), nlp["x"])
     function = ca.Function("slope", [nlp["x"], nlp["p"], lam], [slope])
     slopes = np.asarray(function(unknowns, freed.parameters(), found.outcome.lam_g)).ravel()
-    changes, count = _changes(found), len(problem.plant.inputs)
+    (lower, raised), count = _changes(found), len(problem.plant.inputs)
     result = np.zeros(len(mesh.intervals))
     for k, interval in enumerate(mesh.intervals):
         own = slopes[at[k] : at[k] + count * interval.degree].reshape(interval.degree, count)
-        uneven = np.abs(own - own.mean(axis=0)).sum(axis=0) / 2
-        result[k] = uneven @ changes[k]
+        down, up = np.maximum(own, 0.0).sum(axis=0), np.maximum(-own, 0.0).sum(axis=0)
+        result[k] = down @ lower[k] + up @ raised[k]
     return result
 
 
@@ -81,22 +81,27 @@ def _spread(found: Solved) -> tuple[Array, list[int]]:
     return np.concatenate([*parts, w[old:]]), places
 
 
-def _changes(found: Solved) -> Array:
-    """By how much an input may change inside an interval: as to the intervals beside it; none where
-    it is given.
+def _changes(found: Solved) -> tuple[Array, Array]:
+    """By how much an input may (fall, rise) inside an interval: in all as to the intervals beside
+    it, and not beyond its bounds. A closed valve has nothing to close.
     """
     problem, mesh = found.program.problem, found.program.mesh
     plant, solution = problem.plant, found.solution
     nominal = plant.vector("input", attribute="nominal")
     bounds = np.array([[leg.bounds[v.name] for v in plant.inputs] for leg in problem.legs])
-    ranges = (bounds[:, :, 1] - bounds[:, :, 0])[[i.leg for i in mesh.intervals]] / nominal
+    low, high = (bounds[[i.leg for i in mesh.intervals]] / nominal[:, None]).transpose(2, 0, 1)
     scale = np.asarray(solution.durations) / problem.time_nominals
     lengths, starts = mesh.clock(problem.time_nominals)
     middles = starts[:-1] @ scale + lengths @ scale / 2
-    jumps = np.abs(np.diff(solution.inputs(middles) / nominal, axis=0))
+    u = solution.inputs(middles) / nominal
+    jumps = np.abs(np.diff(u, axis=0))
     none = np.zeros((1, len(nominal)))
     beside = np.maximum(np.vstack([none, jumps]), np.vstack([jumps, none]))
-    return np.asarray(np.minimum(np.maximum(beside, LEAST_CHANGE), ranges))
+    change = np.maximum(beside, LEAST_CHANGE)
+    below, above = np.maximum(u - low, 0.0), np.maximum(high - u, 0.0)
+    # half of it to either side, and more to one where a bound leaves less to the other
+    lower = np.minimum(below, np.maximum(change / 2, change - above))
+    return lower, np.minimum(above, np.maximum(change / 2, change - below))
 
 
 def sharpened(mesh: Mesh, gained: Array | None) -> Mesh:

@@ -11,6 +11,7 @@ from pam_ocp.planning import climb
 from pam_ocp.planning.run import Run
 from pam_ocp.planning.sharpen import gains, sharpened
 from pam_ocp.planning.solvers.backend import Backend
+from pam_ocp.planning.transcription.mesh import doubled
 from pam_ocp.planning.transcription.transcription import transcribe
 
 MUSCLE = pam.muscle("DMSP-20-200N")
@@ -88,6 +89,50 @@ def test_the_gradients_inside_the_intervals_tell_what_finer_meshes_gain(plant, s
     gained = coarse.objective - fine.objective
     assert gained > 0
     assert 0.5 * gained < gains(coarse._solved).sum() < 2 * gained
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_input_that_stays_on_its_bound_keeps_nothing_back(sign):
+    """Of x' = sign u with a free end, the integral of x is least where u is 0 all the way, on any
+    mesh: the costate T - t is uneven, and has one sign.
+    """
+    plant = pam.Plant("tank")
+    x = plant.state("x", start=0.5)
+    u = plant.input("u", min=min(0.0, sign), max=max(0.0, sign))
+    plant.der(x, sign * u)
+    plan = pam.plan(
+        plant,
+        [{"x": 0.5}, {"x": (0.0, 2.0)}],
+        duration=1.0,
+        rest=False,
+        minimise="integral(x)",
+        method=pam.Collocation(10),
+        tolerance=None,
+    )
+    assert plan.objective == pytest.approx(0.5, rel=1e-6)
+    assert gains(plan._solved).sum() < 1e-6
+
+
+def test_kinks_are_approached_from_the_finer_mesh_that_the_climb_has_settled_on():
+    """A mesh as fine as the motion needs is not refined on the way: the program is that mesh's."""
+    muscle = pam.muscle("DMSP-20-400N")
+    plant = pam.HangingLoad(muscle, 10.0, losses=(pam.losses.BoucWen(10.0, 0.01),))
+    planner = pam.Planner(
+        plant,
+        [{"x": 0.02}, {"x": 0.04}],
+        duration=2.0,
+        minimise="work",
+        method=pam.Collocation(10),
+    )
+    run = Run(planner._program, planner._backend)
+    found, _ = run.several(1, wide=True)
+    wide = climb.Climb(planner._backend)._on(doubled(doubled(planner._program.mesh)), found[0])
+    own = planner._from_wide(run, wide, climb.Climb(planner._backend))
+    assert own.outcome.success
+    assert len(own.program.mesh.intervals) >= 40
+    assert (
+        own.program.problem.plant.vector("parameter").tolist() == plant.vector("parameter").tolist()
+    )
 
 
 def test_a_sharpened_mesh_gains_more_than_as_many_equal_intervals():
