@@ -261,7 +261,8 @@ def test_where_many_motions_cost_nothing_one_of_them_is_found_and_settles():
     wish = {"duration": 1.4, "minimise": "work"}
     plan = pam.plan(plant, [{"x": 0.03}, {"x": 0.012}], **wish)
     assert plan.verified
-    assert positive_work(plant, plan) < 1e-5
+    # nothing: a ten-thousandth of what the load gives up, whatever the last digits of a machine
+    assert positive_work(plant, plan) < 1e-4 * 15.0 * 9.81 * 0.018
     assert abs(plan.objective) < 1e-5
     assert plan.statistics["objective_gap"] < 1e-3
 
