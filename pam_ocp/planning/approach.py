@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .correction import CORRECTABLE
+from .renewal import on_mesh
 from .replay import chosen_plant, interval_errors
 from .result import Solved
 from .run import Run
@@ -54,13 +55,16 @@ def resolvable(program: Program) -> bool:
 
 
 class Approach:
-    """The way of one program from a solution with the widest roundings.
+    """The way of one program from a solution with the widest roundings, on whatever mesh that is.
 
     iterations : of the solver on it.
     """
 
     def __init__(self, run: Run, wide: Solved, backend: Backend) -> None:
         self.run, self.backend = run, backend
+        problem, mesh = run.program.problem, wide.program.mesh
+        if mesh != run.program.mesh:  # a climb has meshes of its own
+            self.run = Run(on_mesh(problem, mesh, backend.programs), backend)
         self._here, self._part = wide, 0.0
         self.iterations, self._effort = 0, 0.0
 
