@@ -12,11 +12,14 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from .correction import CORRECTABLE
+from .renewal import on_mesh
 from .replay import chosen_plant, interval_errors
 from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks, rounded_at
+from .solvers.solver import Outcome, Start
 from .transcription.guess import from_solution
 from .transcription.mesh import refined
 from .transcription.solution import unpack
@@ -26,8 +29,10 @@ __all__ = ["Approach", "resolvable"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-RESOLVED = 0.02
-"""Sum of the intervals' errors in units of nominal, on the way."""
+RESOLVED = CORRECTABLE
+"""Sum of the intervals' errors in units of nominal, on the way: what is left of them at its end is
+corrected without a finer mesh.
+"""
 STEP, LEAST = 0.15, 0.01
 """Parts of the path that are gone at once: at most (longer steps lead to other, worse optima), and
 at least before it is given up.
@@ -50,13 +55,16 @@ def resolvable(program: Program) -> bool:
 
 
 class Approach:
-    """The way of one program from a solution with the widest roundings.
+    """The way of one program from a solution with the widest roundings, on whatever mesh that is.
 
     iterations : of the solver on it.
     """
 
     def __init__(self, run: Run, wide: Solved, backend: Backend) -> None:
         self.run, self.backend = run, backend
+        problem, mesh = run.program.problem, wide.program.mesh
+        if mesh != run.program.mesh:  # a climb has meshes of its own
+            self.run = Run(on_mesh(problem, mesh, backend.programs), backend)
         self._here, self._part = wide, 0.0
         self.iterations, self._effort = 0, 0.0
 
@@ -70,7 +78,7 @@ class Approach:
             if step < LEAST or self._effort > EFFORT:
                 return None
             there = min(1.0, self._part + step)
-            found = self._on(self.run, there, self._here.outcome.w)
+            found = self._onward(there)
             if found.outcome.stopped:
                 return None
             if not found.outcome.success:
@@ -92,15 +100,25 @@ class Approach:
             if sum(errors) <= RESOLVED or finer == mesh or self._effort > EFFORT:
                 return
             run = Run(transcribe(problem, finer), self.backend)
-            found = self._on(run, self._part, from_solution(problem, finer, solution))
+            found = self._on(run, self._part, from_solution(problem, finer, solution), "finer")
             if not found.outcome.success:
                 return
             self.run, self._here = run, found
 
-    def _on(self, run: Run, part: float, guess: Array) -> Solved:
+    def _onward(self, part: float) -> Solved:
+        """The next place of the path, from the multipliers of this one."""
+        here = self._here.outcome
+        found = self._on(self.run, part, here.w, "along" if part < 1.0 else "warm", here)
+        if part < 1.0 or found.outcome.ended:
+            return found
+        return self._on(self.run, part, here.w, "settled", here)
+
+    def _on(
+        self, run: Run, part: float, guess: Array, how: Start, warm: Outcome | None = None
+    ) -> Solved:
         """What the solver makes of a program at a place of the path."""
         program = rounded_at(run.program, part)
-        outcome = run.solver(program, guess, "step")
+        outcome = run.solver(program, guess, how, warm)
         self.iterations += outcome.iterations
         self._effort += outcome.iterations * len(outcome.w)
         return Solved(program, outcome, unpack(program.problem, program.mesh, outcome.w))

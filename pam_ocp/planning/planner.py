@@ -38,7 +38,7 @@ from .problem.formulation import formulate
 from .problem.statement import Cyclic, Statement
 from .problem.wording import Avoid, Constraint, Phase, Stop
 from .refine import CLOSER, Refinement
-from .renewal import on_mesh, renewed
+from .renewal import renewed
 from .result import Plan, Solved
 from .run import Run
 from .shortcuts import by_coarser, carried
@@ -437,10 +437,7 @@ class Planner:
 
     def _from_wide(self, run: Run, wide: Solved, climb: Climb) -> Solved | None:
         """From a solution with wide roundings to the plant's own; None where that is blocked."""
-        backend, mesh = self._backend.near(), wide.program.mesh
-        if mesh != run.program.mesh:  # the climb has a finer one by now
-            run = Run(on_mesh(run.program.problem, mesh, (wide.program,)), backend)
-        approach = Approach(run, wide, backend)
+        approach = Approach(run, wide, self._backend.near())
         reached = approach.solved()
         climb.iterations += approach.iterations
         return reached

@@ -20,6 +20,7 @@ from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks
+from .solvers.solver import Start
 from .transcription.mesh import Mesh, halved, held, refined, watched
 from .transcription.solution import unpack
 from .transcription.transcription import transcribe
@@ -70,6 +71,7 @@ class Refinement:
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
+        self._warm: Start = "warm"
         self.cut = False
         """Whether a time limit ended it."""
         try:
@@ -184,7 +186,11 @@ class Refinement:
             if program is None:
                 break
             solver = self.backend.build(found.program)
-            outcome = solver(program, found.outcome.w, "warm", found.outcome)
+            outcome = solver(program, found.outcome.w, self._warm, found.outcome)
+            if not outcome.ended and self._warm == "warm":
+                self.iterations += outcome.iterations
+                self._warm = "settled"
+                outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             solution = unpack(program.problem, program.mesh, outcome.w)
             now = self._taken(Solved(program, outcome, solution))
             if now is None:

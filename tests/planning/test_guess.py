@@ -9,7 +9,8 @@ from pam_ocp import Collocation, InputError, Shooting
 from pam_ocp.core.signals import PiecewisePolynomial
 from pam_ocp.planning.problem.formulation import formulate
 from pam_ocp.planning.problem.statement import Statement
-from pam_ocp.planning.solvers.narrowing import widened
+from pam_ocp.planning.solvers.narrowing import has_kinks, widened
+from pam_ocp.planning.starts import tasks
 from pam_ocp.planning.transcription.guess import (
     by_rests,
     by_stops,
@@ -162,6 +163,22 @@ def test_balance_is_wanted_where_positions_are_open_or_inputs_idle():
     closed.der(v, u**3)
     assert wanted(closed, [{"x": 0.1}, {"x": 0.5}])
     assert not wanted(closed.with_values(u=0.5), [{"x": 0.1}, {"x": 0.5}])
+
+
+def test_balance_is_wanted_with_the_widest_roundings_too():
+    """Nothing is left to narrow there, but hysteresis has to be led all the same."""
+    plant = pam.AntagonisticSlide("DMSP-20-200N", losses=pam.losses.BoucWen())
+    stops = [{"x": -0.01}, {"x": 0.01}]
+    program = pam.Planner(plant, stops, duration=0.5, minimise="effort")._program
+    wide = widened(program).problem
+    assert has_kinks(program.problem)
+    assert not has_kinks(wide)
+    assert wants_balance(program.problem)
+    assert wants_balance(wide)
+    mesh = program.mesh
+    (own,) = tasks(wide, mesh, 1)
+    assert np.array_equal(own.guess, by_stops(wide, mesh, balanced=True))
+    assert not np.allclose(own.guess, by_stops(wide, mesh, balanced=False))
 
 
 def test_a_led_motion_keeps_the_plants_equations_along_the_stops():

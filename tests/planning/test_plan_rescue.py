@@ -9,6 +9,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.planning import replay
+from pam_ocp.planning.approach import Approach
 from pam_ocp.planning.planner import Planner
 from pam_ocp.planning.run import Run
 from pam_ocp.planning.solvers import narrowing
@@ -16,6 +17,7 @@ from pam_ocp.planning.solvers.backend import Backend
 from pam_ocp.planning.solvers.diagnosis import elastic, explanation
 from pam_ocp.planning.transcription.guess import by_rests, by_stops, path_of_rests, rest_point
 from pam_ocp.planning.transcription.mesh import Collocation, Shooting, merged
+from pam_ocp.planning.transcription.transcription import transcribe
 
 
 def cart():
@@ -45,6 +47,24 @@ def test_coarser_meshes_lead_to_the_optimum_on_the_mesh_that_was_asked_for():
     assert found.program is run.program
     # bang-bang from rest to rest: T = 2 sqrt(distance / acceleration)
     assert found.outcome.objective == pytest.approx(2 * np.sqrt(0.1), rel=1e-6)
+
+
+def test_kinks_are_approached_from_a_solution_on_another_mesh():
+    """A climb has meshes of its own, fine enough to be left as they are."""
+    slipping = pam.losses.MaxwellSlip((8.0, 12.0), (0.004, 0.02))
+    plant = pam.AntagonisticSlide("DMSP-20-200N", losses=slipping)
+    wish = {"duration": 0.5, "minimise": "effort", "method": Collocation(6, 3)}
+    planner = Planner(plant, [{"x": -0.01}, {"x": 0.01}], **wish)
+    run, mesh = Run(planner._program, Backend().near()), Collocation(15, 5).mesh(1)
+    fine = Run(transcribe(planner._program.problem, mesh), run.backend)
+    (wide, *_), _ = fine.several(1, wide=True)
+    found = Approach(run, wide, run.backend).solved()
+    assert found.outcome.success
+    assert len(found.program.mesh.intervals) >= 15
+    assert (
+        found.program.problem.plant.variable("muscle1.slip_edge").start
+        == plant.variable("muscle1.slip_edge").start
+    )
 
 
 def test_a_guess_along_points_of_rest_rests_between_the_stops():

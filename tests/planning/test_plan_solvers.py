@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
+from pam_ocp.planning.solvers.solver import Ipopt
 from pam_ocp.planning.transcription.derivatives import derivatives
+from pam_ocp.planning.transcription.guess import by_stops
 from pam_ocp.planning.transcription.stage_order import stage_ordered
 
 STOPS = [{"x": -0.015}, {"x": 0.015}]
@@ -336,6 +339,27 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(slide, factor):
     warm = ours(values={"mass": 2.0 * factor}, guess=first)
     assert warm.objective == pytest.approx(cold.objective, rel=1e-7)
     assert warm.statistics["iterations"] < cold.statistics["iterations"]
+
+
+@pytest.mark.parametrize(("start", "most"), [("along", 1e-5), ("finer", 1e-5), ("settled", 1e-6)])
+def test_starts_from_multipliers_keep_constraints_and_the_residual_they_promise(start, most):
+    """A neighbour of another stiffness, whose optimum these must reach too."""
+    program = planner("radau")._program
+    solver = Ipopt(program)
+    other = replace(
+        program, problem=replace(program.problem, plant=cart().with_values(stiffness=1.4))
+    )
+    guess = by_stops(program.problem, program.mesh)
+    here, there = solver(program, guess), solver(other, guess)
+    found = solver(other, here.w, start, here)
+    assert found.success
+    assert solver.residual(other, found) <= most
+    g = ca.Function("g", [program.nlp["x"], program.nlp["p"]], [program.nlp["g"]])
+    low, high = other.limits()
+    values = np.asarray(g(found.w, other.parameters()), float).ravel()
+    assert np.maximum(low - values, values - high).max() <= 1e-8
+    assert found.objective == pytest.approx(there.objective, rel=1e-6)
+    assert abs(here.objective / there.objective - 1) > 1e-4
 
 
 def test_more_starts_keep_the_best(slide):

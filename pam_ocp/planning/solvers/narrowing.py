@@ -19,7 +19,7 @@ from ..problem.problem import Problem
 from ..transcription.transcription import Program
 from .solver import Outcome, Solver, Start
 
-__all__ = ["has_kinks", "narrowing", "rounded", "rounded_at", "widened"]
+__all__ = ["has_kinks", "has_roundings", "narrowing", "rounded", "rounded_at", "widened"]
 
 FIRST, LEAST = 0.3, 0.02
 """Parts of the path that are gone at once: at first, and at least before it is given up."""
@@ -30,6 +30,11 @@ LATE = 0.6
 def has_kinks(problem: Problem) -> bool:
     """Whether the plant has roundings to narrow."""
     return bool(_roundings(problem.plant))
+
+
+def has_roundings(problem: Problem) -> bool:
+    """Whether the plant has kinks that are rounded off, at whatever place of the path it stands."""
+    return any(v.widest > 0 for v in problem.plant.parameters)
 
 
 def _roundings(plant: Plant) -> list[Variable]:

@@ -101,7 +101,40 @@ many steps were broken off that end in 130 to 210, and shorter ones take no less
 DASH: dict[str, Any] = {**NEAR, "max_iter": 150}
 """To the end of a path at once, where going along it is the better use of more."""
 
-Start: TypeAlias = Literal["cold", "adaptive", "near", "step", "dash", "warm"]
+ROUGHLY: dict[str, Any] = {
+    "acceptable_iter": 3,
+    "acceptable_tol": 1e-5,
+    "acceptable_dual_inf_tol": 1e-5,
+    "acceptable_constr_viol_tol": 1e-8,
+    "acceptable_compl_inf_tol": 1e-8,
+}
+"""For places on a way that are left again: motions, but their costs need not be the least to the
+last digit. Where costs are nearly flat Newton's steps may go to and fro there for ever.
+"""
+
+ALONG: dict[str, Any] = {**WARM, "max_iter": 150, **ROUGHLY}
+"""From one place of a path to the next on the same mesh, by its multipliers: a sixth of the
+iterations of a step without, whose first curvature is wrong.
+"""
+
+FINER: dict[str, Any] = {**STEP, **ROUGHLY}
+"""From one mesh to the next at a place that is left again."""
+
+SETTLED: dict[str, Any] = {
+    **WARM,
+    "acceptable_iter": 1,
+    "acceptable_tol": 1e-6,
+    "acceptable_dual_inf_tol": 1e-6,
+    "acceptable_constr_viol_tol": DEFAULTS["constr_viol_tol"],
+    "acceptable_compl_inf_tol": DEFAULTS["compl_inf_tol"],
+}
+"""After "warm" that went to and fro: a motion as exact as any, with costs at their least to the
+residual that is asked of fatrop's solutions.
+"""
+
+Start: TypeAlias = Literal[
+    "cold", "adaptive", "near", "step", "dash", "warm", "along", "finer", "settled"
+]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": {},
     "adaptive": ADAPTIVE,
@@ -109,6 +142,9 @@ STARTS: dict[Start, dict[str, Any]] = {
     "step": STEP,
     "dash": DASH,
     "warm": WARM,
+    "along": ALONG,
+    "finer": FINER,
+    "settled": SETTLED,
 }
 
 
@@ -173,7 +209,8 @@ class Solver(Protocol):
         keeps them; its multipliers have CasADi's signs (zeros where a solver has none).
 
         start : where the guess comes from; see ``STARTS``. A solver may take each of them as
-        "cold". warm : the outcome whose multipliers may be used, for the start "warm".
+        "cold". warm : the outcome whose multipliers may be used, for the starts "warm", "along" and
+            "settled".
 
         A solver never raises because it found nothing: it says so in the outcome. InputError is for
         options that it does not know.
@@ -274,8 +311,7 @@ class Ipopt:
     ) -> Outcome:
         """Solve for the program's values (same expressions as the one built).
 
-        start : "cold", "adaptive" (another barrier strategy), "near" (the guess solves another
-        mesh) or "warm" (from the multipliers of the outcome ``warm`` too).
+        start : of ``STARTS``. warm : an outcome whose multipliers start the solve, too.
         """
         begin = time.perf_counter()
         solver = self._solver(start)

@@ -17,7 +17,7 @@ from ...plants.plant import Plant
 from ...plants.stillness import rest_rows
 from ..problem.problem import Problem, limits
 from ..problem.wording import subject
-from ..solvers.narrowing import has_kinks
+from ..solvers.narrowing import has_roundings
 from .mesh import Mesh
 from .solution import Solution
 from .stage import nominals
@@ -134,7 +134,8 @@ def wants_balance(problem: Problem) -> bool:
     """Whether the plant's start values are no place to begin at.
 
     So it is where the stops leave positions open (a tendon would hang slack), where hysteresis has
-    to be led, and where an input has no influence (a closed valve).
+    to be led (with the widest roundings, too), and where an input has no influence (a closed
+    valve).
     """
     plant = problem.plant
     spoken = ca.vertcat(*(subject(plant, n)[1] for stop in problem.stops for n in stop))
@@ -143,7 +144,7 @@ def wants_balance(problem: Problem) -> bool:
         for q, order, _ in rest_rows(plant, plant.resting())
         if order == 2 and not ca.depends_on(spoken, plant.expression(q.name))
     ]
-    return bool(open_ends) or has_kinks(problem) or _idle_inputs(plant)
+    return bool(open_ends) or has_roundings(problem) or _idle_inputs(plant)
 
 
 def _idle_inputs(plant: Plant) -> bool:
