@@ -14,6 +14,7 @@ from .arcs import BY_ARCS, guarded
 from .arcs_search import ArcSearch
 from .checked import Checked, checked
 from .correction import CORRECTABLE, Corrected, corrected
+from .landing import landed
 from .renewal import on_mesh
 from .replay import interval_errors
 from .result import Solved
@@ -189,6 +190,8 @@ class Refinement:
             outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             if not outcome.ended and self._warm == "warm":
                 self.iterations += outcome.iterations
+                if self._landed(current):
+                    break
                 self._warm = "settled"
                 outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             solution = unpack(program.problem, program.mesh, outcome.w)
@@ -199,6 +202,15 @@ class Refinement:
             if _missed(now) > LEFT * _missed(before):
                 break
         return current
+
+    def _landed(self, current: Checked) -> bool:
+        """Whether the motion, integrated and brought to its stops, meets the tolerance."""
+        if not self.tolerance < _missed(current) <= CORRECTABLE:
+            return False
+        found = landed(current.found, self.tolerance)
+        if found is not None:
+            self._taken(found)
+        return self.met()
 
     def _meshes(self, current: Checked, i: int) -> list[Mesh]:
         """Meshes for a round, the most promising first."""

@@ -81,7 +81,7 @@ def simulate(
     dead_times : of feeds that have them (see :class:`pam_ocp.feeds.DeadTime`): by their delay
         "line", which is the model of plans, fits and FMUs; or "exact", by shifting the commands,
         which before the start stood at the start values of the line.
-    compiled : by machine code of the plant (the C solver of the FMUs: order 4, L-stable), many
+    compiled : by machine code of the plant (the C solver of the FMUs: order 5, L-stable), many
         times as quick. True: built if need be, some seconds for each structure of plants, once;
         kept in the cache. None: where it is there. False: never, so that equal calls give equal
         bits, whatever was compiled before. Results differ within ``rtol``.
