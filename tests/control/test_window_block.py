@@ -64,7 +64,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
     "free": ({}, 1e-10),
     "robust": ({"robust": 1.5}, 1e-10),
     # with fewer steps one of the two may stop short of where both lead
-    "bounded": ({"bounds": {"mass": (1.0, 2.2)}, "iterations": 5}, 2e-6),
+    "bounded": ({"bounds": {"mass": (1.0, 2.2)}, "iterations": 12}, 2e-6),
     "one step": ({"horizon": 1}, 1e-10),
 }
 
