@@ -13,11 +13,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
 
 BAR = 1e5
+# no test reads a stopwatch, and a busy machine draws slowly
+settings.register_profile("suite", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("suite")
 ROOMS = sorted({p.parent.name for p in Path(__file__).parent.glob("*/test_*.py")})
 
 
