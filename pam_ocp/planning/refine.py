@@ -174,6 +174,8 @@ class Refinement:
             if following is None:
                 if not self.corrects:
                     self._corrected(current)
+                if self.kinks and not self.met():
+                    self._landed(current)
                 return
             current = following
 
@@ -190,10 +192,12 @@ class Refinement:
             outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             if not outcome.ended and self._warm == "warm":
                 self.iterations += outcome.iterations
-                if self._landed(current):
-                    break
                 self._warm = "settled"
                 outcome = solver(program, found.outcome.w, self._warm, found.outcome)
+            # the costs of economical motions are sought on finer meshes first
+            economical = program.problem.objective.economical
+            if not outcome.ended and not economical and self._landed(current):
+                break
             solution = unpack(program.problem, program.mesh, outcome.w)
             now = self._taken(Solved(program, outcome, solution))
             if now is None:
