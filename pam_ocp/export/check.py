@@ -175,6 +175,8 @@ def check_fmus(
     unit that ends the process ends its own check only: the next ones run in a new process.
     time_limit : for each, on average [s].
     """
+    if isinstance(paths, (str, os.PathLike)):
+        raise InputError(f"paths = {str(paths)!r} is one file; give a list of them, or check_fmu")
     require_positive("tolerance", tolerance)
     duration = require_positive("duration", duration, "s")
     time_limit = require_positive("time_limit", time_limit, "s")

@@ -4,11 +4,13 @@ Where kinks are sharp, re-solving a mesh for its defects (see :mod:`.correction`
 each Newton step leads across a kink. What is missing is little, though: integrated tightly, the
 motion ends a hundredth of a nominal beside its stop. A few smooth changes of the inputs mend that,
 the least of those that do: Gauss-Newton in as many unknowns as suffice, on exact runs, which meet
-every kink where it is. The optimum stays that of the mesh, to its error.
+every kink where it is. Where a cycle begins is unknown, too: it shall end there. The optimum stays
+that of the mesh, to its error.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeAlias
@@ -21,9 +23,11 @@ from ..core.signals import PiecewisePolynomial
 from ..core.stop import check
 from ..simulation.integrate import Integration
 from .correction import Corrected, left_as
+from .problem.problem import Condition
 from .replay import TOLERANCE, chosen_plant
 from .result import Solved
 from .transcription.solution import Solution, pack
+from .transcription.stage import nominals
 
 __all__ = ["landed"]
 
@@ -49,11 +53,11 @@ def landed(found: Solved, tolerance: float) -> Solved | None:
     """The exact motion near a solution that keeps its stops to a tolerance [nominals]; None where
     none was found.
 
-    Motions that close into a cycle or have budgets are left alone: these depend on the start, too.
+    Motions with budgets are left alone.
     """
     problem = found.program.problem
     control = found.program.mesh.form.control
-    if problem.closing or problem.budgets or control not in ("constant", "polynomial"):
+    if problem.budgets or control not in ("constant", "polynomial"):
         return None
     try:
         return _Landing.of(found).solved(tolerance)
@@ -63,16 +67,22 @@ def landed(found: Solved, tolerance: float) -> Solved | None:
 
 @dataclass(frozen=True, eq=False)
 class _Landing:
-    """shapes : (changes, intervals, nu) what each unknown adds to the inputs, in SI."""
+    """shapes : (changes, intervals, nu) what each unknown adds to the inputs, in SI.
+
+    starts : states that begin where they like (those of a cycle), unknowns behind the others, in
+    nominals.
+    """
 
     found: Solved
     shapes: Array
+    starts: NDArray[np.intp]
 
     @classmethod
     def of(cls, found: Solved) -> _Landing:
         problem, mesh = found.program.problem, found.program.mesh
         inputs = found.solution.inputs
-        count = sum(len(c) for c in problem.nodes[1:])
+        closing = problem.closing or {}
+        count = sum(len(c) for c in problem.nodes[1:]) + len(closing)
         nominal = np.asarray(problem.plant.vector("input", attribute="nominal"))
         middles = (inputs.breaks[:-1] + inputs.breaks[1:]) / 2
         own = np.maximum.accumulate(
@@ -91,10 +101,12 @@ class _Landing:
                 shape[:, i] = hat * free * nominal[i]
                 if np.any(shape):
                     shapes.append(shape)
-        return cls(found, np.array(shapes).reshape(-1, len(middles), len(nominal)))
+        names = [v.name for v in problem.plant.states]
+        starts = np.array([names.index(n) for n in closing], dtype=np.intp)
+        return cls(found, np.array(shapes).reshape(-1, len(middles), len(nominal)), starts)
 
     def solved(self, tolerance: float) -> Solved | None:
-        z = np.zeros(len(self.shapes))
+        z = np.zeros(len(self.shapes) + len(self.starts))
         missed = self._missed(z)
         for _ in range(ROUNDS if z.size and np.all(np.isfinite(missed)) else 0):
             if np.abs(missed).max(initial=0.0) <= LANDED * tolerance:
@@ -117,52 +129,83 @@ class _Landing:
     def _inputs(self, z: Array) -> PiecewisePolynomial:
         before = self.found.solution.inputs
         coefficients = before.coefficients.copy()
-        coefficients[:, 0] += np.tensordot(z, self.shapes, 1)
+        coefficients[:, 0] += np.tensordot(z[: len(self.shapes)], self.shapes, 1)
         return PiecewisePolynomial(before.breaks, coefficients)
 
-    def _run(self, inputs: PiecewisePolynomial, rtol: float) -> Array:
-        """The states at all points of the mesh, integrated from the planned start."""
+    def _begin(self, z: Array) -> Array:
+        """The state at the start, within its bounds."""
+        problem, x = self.found.program.problem, self.found.solution.states[0].copy()
+        bounds = np.array([problem.legs[0].bounds[v.name] for v in problem.plant.states])
+        x[self.starts] += z[len(self.shapes) :] * nominals(problem)[0][self.starts]
+        return np.asarray(np.clip(x, *bounds.T))
+
+    def _run(self, inputs: PiecewisePolynomial, begin: Array, rtol: float) -> Array:
+        """The states at all points of the mesh, integrated from the start."""
         found, mesh = self.found.solution, self.found.program.mesh
         plant = chosen_plant(self.found.program.problem, found)
-        run = Integration(plant, inputs, inputs.breaks, found.states[0], rtol=rtol)
-        rows = [found.states[:1]]
-        for interval, (begin, end) in zip(mesh.intervals, pairwise(inputs.breaks), strict=True):
+        run = Integration(plant, inputs, inputs.breaks, begin, rtol=rtol)
+        rows = [begin[None]]
+        for interval, (t, end) in zip(mesh.intervals, pairwise(inputs.breaks), strict=True):
             taus = tuple(mesh.form.state_taus(interval.degree).tolist())
-            rows.append(run.between(begin, rows[-1][-1], end, taus))
+            rows.append(run.between(t, rows[-1][-1], end, taus))
         return np.concatenate(rows)
 
     def _missed(self, z: Array) -> Array:
-        """By how much each condition at a stop is missed, in nominals, with its sign."""
+        """By how much each condition at a stop is missed, and the cycle is open, in nominals, with
+        signs.
+        """
         check()
         problem, mesh = self.found.program.problem, self.found.program.mesh
         inputs = self._inputs(z)
-        states = self._run(inputs, ROUGHLY)
+        states = self._run(inputs, self._begin(z), ROUGHLY)
         points = [len(mesh.form.state_taus(i.degree)) for i in mesh.intervals]
         at = np.concatenate([[0], np.cumsum(points)])
-        p = chosen_plant(problem, self.found.solution).vector("parameter")
-        parts = [np.empty(0)]
+        parts = [self._open(states)]
         for i, conditions in enumerate(problem.nodes):
-            if not conditions:
-                continue
-            first = mesh.first(i)
-            k = min(first, len(mesh.intervals) - 1)
-            time = inputs.breaks[first]
-            since = time - inputs.breaks[k]
-            u = since ** np.arange(inputs.degree + 1) @ inputs.coefficients[k]
-            r = np.array([profile(np.array([time]))[0] for profile in problem.profiles])
-            function = problem.conditions("stop", conditions)
-            peaks = self.found.solution.peaks
-            value = function(states[at[first]], u, p, time, r, np.array(problem.aims), peaks)
-            low, high = (
-                np.array([getattr(c, s) / c.nominal for c in conditions]) for s in ("low", "high")
-            )
-            values = np.asarray(value, float).ravel()
-            parts.append(values - np.clip(values, low, high))
+            if conditions:
+                first = mesh.first(i)
+                k = min(first, len(mesh.intervals) - 1)
+                values = self._values(
+                    conditions, inputs, k, inputs.breaks[first], states[at[first]]
+                )
+                low, high = (
+                    np.array([getattr(c, s) / c.nominal for c in conditions])
+                    for s in ("low", "high")
+                )
+                parts.append(values - np.clip(values, low, high))
         return np.concatenate(parts)
+
+    def _values(
+        self,
+        conditions: Sequence[Condition],
+        inputs: PiecewisePolynomial,
+        interval: int,
+        time: float,
+        state: Array,
+    ) -> Array:
+        """Of conditions at a stop, in nominals."""
+        problem, found = self.found.program.problem, self.found.solution
+        since = time - inputs.breaks[interval]
+        u = since ** np.arange(inputs.degree + 1) @ inputs.coefficients[interval]
+        r = np.array([profile(np.array([time]))[0] for profile in problem.profiles])
+        p = chosen_plant(problem, found).vector("parameter")
+        function = problem.conditions("stop", conditions)
+        value = function(state, u, p, time, r, np.array(problem.aims), found.peaks)
+        return np.asarray(value, float).ravel()
+
+    def _open(self, states: Array) -> Array:
+        """By how much a cycle is open; empty where there is none."""
+        problem = self.found.program.problem
+        closing = problem.closing or {}
+        names = [v.name for v in problem.plant.states]
+        images = [names.index(image) for _, image in closing.values()]
+        signs = np.array([sign for sign, _ in closing.values()])
+        gap = states[-1, self.starts] - signs * states[0, images]
+        return np.asarray(gap / nominals(problem)[0][self.starts])
 
     def _taken(self, z: Array) -> Solved:
         program, inputs = self.found.program, self._inputs(z)
-        states = self._run(inputs, TOLERANCE)
+        states = self._run(inputs, self._begin(z), TOLERANCE)
         solution: Solution = replace(self.found.solution, states=states, inputs=inputs)
         if isinstance(program, Corrected):
             program = program.exact()

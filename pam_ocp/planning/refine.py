@@ -72,7 +72,7 @@ class Refinement:
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
-        self._warm: Start = "warm"
+        self._warm: Start = "along" if self.kinks else "warm"
         self.cut = False
         """Whether a time limit ended it."""
         try:
@@ -192,7 +192,7 @@ class Refinement:
             outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             if not outcome.ended and self._warm == "warm":
                 self.iterations += outcome.iterations
-                self._warm = "settled"
+                self._warm = "along"
                 outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             # the costs of economical motions are sought on finer meshes first
             economical = program.problem.objective.economical

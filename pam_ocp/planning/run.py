@@ -60,7 +60,7 @@ class Run:
     def directly(self, coarse: Solved) -> Solved:
         """The same with the plant's own roundings at once, or not at all."""
         guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
-        return self._solution(self.solver(self.program, guess, "step"))
+        return self._solution(self.solver(self.program, guess, "finer"))
 
     def widely(self, coarse: Solved) -> Solved:
         """With the widest roundings, from the solution on a coarser mesh."""

@@ -84,6 +84,8 @@ def test_a_unit_that_dies_leaves_the_checks_beside_it(
     well = pam.export_fmu(plant, tmp_path / "well.fmu", platforms="native")
     motion = pam.simulate(plant, {"muscle1.command": 4 * BAR}, t=np.linspace(0, 0.02, 5))
     monkeypatch.setenv("HOSTILE", "segfault DoStep")
+    with pytest.raises(pam.InputError, match=r"well\.fmu' is one file; give a list"):
+        check_fmus(well)  # type: ignore[arg-type]
     first, dead, last = check_fmus([well, units["2.0"], well])
     assert first.ok
     assert last.ok

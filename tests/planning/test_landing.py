@@ -81,6 +81,17 @@ def test_stops_between_are_kept_too():
     assert checked(closed).replay.missed < 1e-3
 
 
-def test_cycles_and_budgets_are_left_alone():
-    assert landed(coarse(cyclic=True, duration=1.2), 1e-3) is None
+def test_a_cycle_ends_where_it_begins():
+    found = coarse(cyclic=True, duration=0.6)
+    before = flown(found.solution)
+    scale = [0.1, 0.5, 10.0]
+    assert max(abs(before - found.solution.states[0]) / scale) > 2e-3
+    closed = landed(found, 1e-3)
+    begin, middle = closed.solution.states[0], checked(closed)
+    assert max(abs(flown(closed.solution) - begin) / scale) < 1.1e-3
+    assert middle.replay.missed < 1e-3  # both stops, and the closing
+    assert middle.replay.error < 1e-6
+
+
+def test_budgets_are_left_alone():
     assert landed(coarse(budgets={"effort": (None, 5.0)}), 1e-3) is None

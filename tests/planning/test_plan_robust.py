@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from conftest import scipy_states
+from conftest import benchmark_slide, scipy_states
 
 import pam_ocp as pam
 from pam_ocp import Avoid, Collocation, Constraint, InputError, PlanError, Stop
@@ -25,14 +25,7 @@ def draws(plant, count, seed, scatter=0.02):
 
 @pytest.fixture(scope="module")
 def plant():
-    return pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        2.0,
-        0.10,
-        stroke=0.016,
-        damping=pam.losses.ConstantDamping(20.0),
-        feed=pam.feeds.Regulator(0.05, max_pressure=6e5, max_rate=40e5),
-    )
+    return benchmark_slide()
 
 
 @pytest.fixture(scope="module")

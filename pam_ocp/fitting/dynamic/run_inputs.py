@@ -81,7 +81,6 @@ class RunInputs:
         ends = np.concatenate([[0.0], jumps, [1.0]])
         shares = _shared(np.diff(ends), count)
         between = np.repeat(np.arange(len(shares)), shares)  # the jumps that each step lies behind
-        passed = np.full((len(delays), 1), 0)
         order = np.full(len(delays), -1)
         for k, g in enumerate(rank):
             order[list(late[g])] = k

@@ -72,9 +72,11 @@ def narrowing(
     """
     iterations, seconds = 0, 0.0
 
-    def solved(part: float, w: NDArray[np.float64], how: Start) -> Outcome:
+    def solved(
+        part: float, w: NDArray[np.float64], how: Start, warm: Outcome | None = None
+    ) -> Outcome:
         nonlocal iterations, seconds
-        outcome = solver(rounded_at(program, part), w, how)
+        outcome = solver(rounded_at(program, part), w, how, warm)
         iterations, seconds = iterations + outcome.iterations, seconds + outcome.seconds
         return outcome
 
@@ -92,7 +94,7 @@ def narrowing(
     failed = last
     while last.success and here < 1.0:
         there = min(1.0, here + step)
-        outcome = solved(there, last.w, "dash")
+        outcome = solved(there, last.w, "along", last)
         if outcome.success:
             last, here, step = outcome, there, 1.5 * step
             continue

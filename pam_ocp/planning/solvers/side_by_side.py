@@ -74,7 +74,7 @@ def solved_side_by_side(
         for worker in workers:
             worker.end()
             found |= worker.found
-    return [found[i] for i in range(len(tasks)) if i in found]
+    return [ipopt.settled(program, found[i]) for i in range(len(tasks)) if i in found]
 
 
 def _processors() -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, TypeAlias
 
 import casadi as ca
@@ -101,16 +101,26 @@ many steps were broken off that end in 130 to 210, and shorter ones take no less
 DASH: dict[str, Any] = {**NEAR, "max_iter": 150}
 """To the end of a path at once, where going along it is the better use of more."""
 
-ROUGHLY: dict[str, Any] = {
-    "acceptable_iter": 3,
-    "acceptable_tol": 1e-5,
-    "acceptable_dual_inf_tol": 1e-5,
-    "acceptable_constr_viol_tol": 1e-8,
+WANDERING: dict[str, Any] = {
+    "acceptable_iter": 15,
+    "acceptable_tol": 1e-2,
+    "acceptable_dual_inf_tol": 1e-6,
+    "acceptable_constr_viol_tol": 1e-2,
     "acceptable_compl_inf_tol": 1e-8,
+    "acceptable_obj_change_tol": 1e-7,
 }
-"""For places on a way that are left again: motions, but their costs need not be the least to the
-last digit. Where costs are nearly flat Newton's steps may go to and fro there for ever.
+"""Where to end a solve that has its optimum but no one place for it: costs are flat there (a load
+that is let down takes no work, whenever it goes), so Newton's steps are long, and each leads off
+the constraints by its square. It is settled then, see ``DAMPED``.
 """
+DAMPED: dict[str, float] = {"along": 1e-4, "finer": 1e-4, "settled": 1e-2}
+"""Added to the Hessian's diagonal for starts that are near: steps along which costs are flat become
+short (K. Levenberg, Quart. Appl. Math. 2 (1944) 164-168), and the solution is one that lies near.
+Gradients, and so optima, stay as they are.
+"""
+
+ROUGHLY: dict[str, Any] = {**WANDERING, "acceptable_iter": 5, "acceptable_dual_inf_tol": 1e-5}
+"""For places on a way that are left again: their costs need not be the least to the last digit."""
 
 ALONG: dict[str, Any] = {**WARM, "max_iter": 150, **ROUGHLY}
 """From one place of a path to the next on the same mesh, by its multipliers: a sixth of the
@@ -125,10 +135,10 @@ SETTLED: dict[str, Any] = {
     "acceptable_iter": 1,
     "acceptable_tol": 1e-6,
     "acceptable_dual_inf_tol": 1e-6,
-    "acceptable_constr_viol_tol": DEFAULTS["constr_viol_tol"],
+    "acceptable_constr_viol_tol": 1e-8,
     "acceptable_compl_inf_tol": DEFAULTS["compl_inf_tol"],
 }
-"""After "warm" that went to and fro: a motion as exact as any, with costs at their least to the
+"""After a solve that went to and fro: a motion as exact as any, with costs at their least to the
 residual that is asked of fatrop's solutions.
 """
 
@@ -136,12 +146,12 @@ Start: TypeAlias = Literal[
     "cold", "adaptive", "near", "step", "dash", "warm", "along", "finer", "settled"
 ]
 STARTS: dict[Start, dict[str, Any]] = {
-    "cold": {},
-    "adaptive": ADAPTIVE,
-    "near": NEAR,
-    "step": STEP,
-    "dash": DASH,
-    "warm": WARM,
+    "cold": WANDERING,
+    "adaptive": {**WANDERING, **ADAPTIVE},
+    "near": {**WANDERING, **NEAR},
+    "step": {**WANDERING, **STEP},
+    "dash": {**WANDERING, **DASH},
+    "warm": {**WANDERING, **WARM},
     "along": ALONG,
     "finer": FINER,
     "settled": SETTLED,
@@ -150,6 +160,12 @@ STARTS: dict[Start, dict[str, Any]] = {
 
 STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
 """IPOPT's return status when somebody stopped it."""
+ACCEPTABLE = "Solved_To_Acceptable_Level"
+ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded")
+CLOSE = 1e-2, 1.0
+"""Residuals of stationarity and constraints from which damped steps end a solve in 20 iterations or
+so that went to and fro for hundreds.
+"""
 
 
 @dataclass(frozen=True)
@@ -184,6 +200,23 @@ class Outcome:
             arrays["lam_x"],
             _log(stats.get("iterations") or {}),
         )
+
+    @property
+    def wandered(self) -> bool:
+        """Whether it ended at an optimum that is no one place; see ``WANDERING``."""
+        kept = WANDERING["acceptable_dual_inf_tol"], WANDERING["acceptable_constr_viol_tol"]
+        return self.status == ACCEPTABLE or self._within(*kept)
+
+    @property
+    def close(self) -> bool:
+        """Whether it ended for want of time near an optimum."""
+        return self._within(*CLOSE)
+
+    def _within(self, stationarity: float, violation: float) -> bool:
+        if self.status not in ENDED_LATE or not self.log:
+            return False
+        last = self.log[-1]
+        return last["inf_du"] <= stationarity and last["inf_pr"] <= violation
 
     @property
     def stopped(self) -> bool:
@@ -271,6 +304,8 @@ class Ipopt:
             options = self._options(name)
             if self._library is None:
                 options |= self._derivatives
+            if name in DAMPED and "hess_lag" in options:
+                options["hess_lag"] = _damped(options["hess_lag"], DAMPED[name])
             nlp, problem = self.program.nlp, self._library or self.program.nlp
             sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
             report = self._progress if self._report else None
@@ -323,7 +358,28 @@ class Ipopt:
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
         LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
-        return outcome
+        if start == "settled" or (start in DAMPED and not outcome.wandered):
+            return outcome
+        return self.settled(program, outcome)
+
+    def settled(self, program: Program, outcome: Outcome) -> Outcome:
+        """The outcome, brought to a place where it wandered; a failure where that fails."""
+        asked = any(name.startswith("acceptable") for name in self._given)
+        if asked or not (outcome.wandered or outcome.close):
+            return outcome
+        if outcome.wandered:
+            found = self(program, outcome.w, "settled", outcome)
+        else:
+            found = self(program, outcome.w, "finer")
+        spent: dict[str, Any] = {
+            "iterations": outcome.iterations + found.iterations,
+            "seconds": outcome.seconds + found.seconds,
+            "log": (*outcome.log, *found.log),
+        }
+        if found.ended:
+            return replace(found, **spent)
+        status = outcome.status if outcome.status != ACCEPTABLE else ENDED_LATE[0]
+        return replace(outcome, success=False, status=status, **spent)
 
     def arguments(self, program: Program, guess: Array) -> dict[str, Array]:
         """Of a solve without multipliers."""
@@ -340,6 +396,15 @@ class Ipopt:
         nlp = self.program.nlp
         problem = ca.Function("problem", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
         return problem, {name: {**self._options(name), **self._derivatives} for name in starts}
+
+
+def _damped(hessian: ca.Function, value: float) -> ca.Function:
+    """The Hessian of a Lagrangian with a value added to its diagonal."""
+    names = hessian.name_in()
+    given = [ca.MX.sym(n, hessian.sparsity_in(i)) for i, n in enumerate(names)]
+    exact = hessian(*given)
+    found = exact + value * ca.MX.eye(exact.size1())
+    return ca.Function(hessian.name(), given, [found], names, hessian.name_out())
 
 
 def _log(iterations: Mapping[str, Any]) -> tuple[dict[str, float], ...]:

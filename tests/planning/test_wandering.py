@@ -1,0 +1,136 @@
+"""Optima that are no one place: costs are flat along them, and solutions are settled by damping."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.planning.solvers.narrowing import widened
+from pam_ocp.planning.solvers.solver import DAMPED, WANDERING, Ipopt
+from pam_ocp.planning.transcription.derivatives import derivatives
+from pam_ocp.planning.transcription.guess import by_stops
+
+
+def load(losses=()):
+    """Lifted and let down; that takes no work, so when it goes down is free."""
+    return pam.HangingLoad(
+        "DMSP-20-400N",
+        3.5,
+        feed=pam.feeds.Regulator(0.05, max_pressure=6e5),
+        losses=losses,
+    )
+
+
+def work_program(intervals=20):
+    planner = pam.Planner(
+        load(pam.losses.MaxwellSlip()),
+        [{"x": 0.01}, {"x": 0.05}],
+        minimise="work",
+        duration=1.0,
+        cyclic=True,
+        method=pam.Collocation(intervals, 3),
+    )
+    return widened(planner._program)
+
+
+def kkt(program, outcome):
+    """Largest (violation, slope of the Lagrangian), by CasADi's own derivatives of the program."""
+    w, p = program.nlp["x"], program.nlp["p"]
+    lam = ca.MX.sym("lam", program.nlp["g"].numel())
+    f, g = (ca.Function("of", [w, p], [program.nlp[n]]) for n in "fg")
+    w0, p0 = ca.MX.sym("w", w.numel()), ca.MX.sym("p", p.numel())
+    slope = ca.gradient(f(w0, p0) + ca.dot(lam, g(w0, p0)), w0)
+    value, slopes = ca.Function("kkt", [w0, p0, lam], [g(w0, p0), slope])(
+        outcome.w, program.parameters(), outcome.lam_g
+    )
+    value = np.asarray(value).ravel()
+    (low, high), (least, most) = program.limits(), program.bounds()
+    beyond = [low - value, value - high, least - outcome.w, outcome.w - most]
+    still = np.abs(np.asarray(slopes).ravel() + outcome.lam_x)
+    return max(float(np.max(b, initial=0.0)) for b in beyond), float(still.max())
+
+
+def test_a_flat_optimum_ends_at_a_place_and_is_an_optimum():
+    program = work_program(40)
+    solver = Ipopt(program)
+    guess = by_stops(program.problem, program.mesh, balanced=True)
+    found = solver(program, guess)
+    assert found.success
+    violation, slope = kkt(program, found)
+    assert violation <= 1e-7  # multipliers and unknowns count in nominals
+    assert slope <= 2e-6
+    # a second way to it: along the flat there are many optima, all of one value
+    other = solver(program, guess, "adaptive")
+    assert other.success
+    assert other.objective == pytest.approx(found.objective, rel=1e-5)
+
+
+@pytest.mark.parametrize("start", ["along", "finer", "settled"])
+def test_damping_moves_no_optimum(start):
+    planner = pam.Planner(
+        load(),
+        [{"x": 0.01}, {"x": 0.05}],
+        minimise="effort",
+        duration=0.5,
+        method=pam.Collocation(10, 3),
+    )
+    program = planner._program
+    solver = Ipopt(program)
+    exact = solver(program, by_stops(program.problem, program.mesh, balanced=True))
+    assert exact.success
+    scatter = np.random.default_rng(5).uniform(-1e-4, 1e-4, len(exact.w))
+    low, high = program.bounds()
+    guess = np.clip(exact.w + scatter, low, high)
+    again = solver(program, guess, start, None if start == "finer" else exact)
+    assert again.success
+    assert again.objective == pytest.approx(exact.objective, rel=1e-7)
+    assert kkt(program, again)[1] <= 2e-6
+
+
+def test_the_damped_hessian_differs_by_its_diagonal():
+    program = work_program(4)
+    solver = Ipopt(program)
+    plain, damped = (
+        solver._solver(name).get_function("nlp_hess_l") for name in ("cold", "settled")
+    )
+    w = by_stops(program.problem, program.mesh, balanced=True)
+    rng = np.random.default_rng(0)
+    given = w, program.parameters(), 1.0, rng.standard_normal(program.nlp["g"].numel())
+    difference = np.asarray(ca.DM(damped(*given) - plain(*given)))
+    np.testing.assert_allclose(difference, DAMPED["settled"] * np.eye(len(w)), atol=1e-9)
+    assert "hess_lag" in derivatives(program)
+
+
+def test_what_does_not_settle_has_failed(monkeypatch):
+    program = work_program(4)
+    solver = Ipopt(program)
+    found = solver(program, by_stops(program.problem, program.mesh, balanced=True))
+    last = {"inf_pr": 1e-3, "inf_du": 1e-7}
+    astray = replace(
+        found, status="Maximum_Iterations_Exceeded", success=False, log=(*found.log, last)
+    )
+    assert astray.wandered
+    steep = {**last, "inf_du": 2 * WANDERING["acceptable_dual_inf_tol"]}
+    assert not replace(astray, log=(steep,)).wandered
+    assert not found.wandered or found.status == "Solved_To_Acceptable_Level"
+    settled = solver.settled(program, astray)
+    assert settled.success
+    assert settled.iterations > astray.iterations
+    monkeypatch.setattr(Ipopt, "__call__", lambda *given: replace(found, success=False, status="X"))
+    failed = solver.settled(program, replace(astray, status="Solved_To_Acceptable_Level"))
+    assert not failed.success
+    assert failed.status == "Maximum_Iterations_Exceeded"
+
+
+def test_options_of_ones_own_are_not_second_guessed():
+    program = work_program(4)
+    rough = {f"acceptable_{n}": 1e2 for n in ("tol", "dual_inf_tol", "constr_viol_tol")}
+    rough |= {"acceptable_compl_inf_tol": 1e2, "acceptable_obj_change_tol": 1e20}
+    solver = Ipopt(program, {"acceptable_iter": 1, **rough})
+    found = solver(program, by_stops(program.problem, program.mesh, balanced=True))
+    assert found.status == "Solved_To_Acceptable_Level"
+    assert found.success
