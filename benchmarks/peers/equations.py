@@ -7,10 +7,21 @@ compares them with the Plant. The six coefficients are those of the DMSP-20-200N
 
 import json
 import math
-import time
+from time import process_time
 
-BEGIN = time.perf_counter()
-"""Imported first by every peer: the start of its process, up to the interpreter's own."""
+try:
+    import resource
+except ImportError:  # Windows: what child processes spend is not told there
+    resource = None
+
+
+def clock():
+    """Processor seconds of this process since it began, and of its children that have ended."""
+    if resource is None:
+        return process_time()
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return process_time() + children.ru_utime + children.ru_stime
+
 
 A1, A2, A3, A4, A5, A6 = (
     -4.00180705,
@@ -40,14 +51,13 @@ def slopes(x, v, p1, p2, u1, u2, exp=math.exp):
 
 
 def report(name, first, solve, iterations, duration, states, inputs, breaks=None, points=(0.0,)):
-    """Print a result for run.py.
+    """Print a plan for run.py.
 
-    first : seconds to the first result, since BEGIN and since the imports. solve : of the solver
-        alone,
-    the best of some. iterations : of IPOPT, or None. states : (4, intervals + 1). inputs :
-        (intervals, 2, len(points)), whose
-    polynomial through ``points`` in 0 .. 1 of each interval is the input there. breaks : fractions
-    of the duration at which intervals meet; equal intervals by default.
+    first : processor seconds to the first result, since the process began and since the imports.
+    solve : of the solver alone, the best of some. iterations : of the solver, or None. states :
+    (4, intervals + 1). inputs : (intervals, 2, len(points)), whose polynomial through ``points``
+    in 0 .. 1 of each interval is the input there. breaks : fractions of the duration at which
+    intervals meet; equal intervals by default.
     """
     n = len(inputs)
     print(
