@@ -34,6 +34,14 @@ A1, A2, A3, A4, A5, A6 = (
 MASS, DAMPING, LAG, LENGTH, CONTRACTION, STOP = 2.0, 20.0, 0.05, 0.2, 0.10, 0.015
 LARGEST, RATE, STROKE = 6.0, 40.0, 0.016
 INTERVALS, GUESS = 50, 0.15
+TIMES = [k / 100 for k in range(101)]
+"""Of the simulation [s]; from rest, by command() at these times, joined by lines."""
+REST = [0.0, 0.0, 3.0, 3.0]
+
+
+def command(t):
+    """Commanded pressures of the simulation [bar]."""
+    return 3 + 0.5 * math.sin(7 * t), 3 + 0.5 * math.cos(9 * t)
 
 
 def forces(x, p1, p2, exp=math.exp):
@@ -60,20 +68,22 @@ def report(name, first, solve, iterations, duration, states, inputs, breaks=None
     intervals meet; equal intervals by default.
     """
     n = len(inputs)
+    say(
+        name,
+        first,
+        solve,
+        iterations=iterations,
+        duration=float(duration),
+        states=[[float(v) for v in row] for row in states],
+        inputs=[[[float(v) for v in u] for u in interval] for interval in inputs],
+        breaks=list(breaks) if breaks is not None else [k / n for k in range(n + 1)],
+        points=[float(p) for p in points],
+    )
+
+
+def say(name, first, solve, **found):
+    """Print a result: the name of tool and way, seconds, and the answer."""
     print(
         "RESULT "
-        + json.dumps(
-            {
-                "name": name,
-                "whole": first[0],
-                "first": first[1],
-                "solve": solve,
-                "iterations": iterations,
-                "duration": float(duration),
-                "states": [[float(v) for v in row] for row in states],
-                "inputs": [[[float(v) for v in u] for u in interval] for interval in inputs],
-                "breaks": list(breaks) if breaks is not None else [k / n for k in range(n + 1)],
-                "points": [float(p) for p in points],
-            }
-        )
+        + json.dumps({"name": name, "whole": first[0], "first": first[1], "solve": solve, **found})
     )
