@@ -58,3 +58,10 @@ def wish(case: str) -> dict[str, Any]:
     if case == "a":
         return {"cyclic": "mirrored"}
     return {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}}
+
+
+def write(path: Path, text: str) -> None:
+    """A file at once: into a new one beside it, which then takes its name."""
+    part = path.with_name(f"{path.name}.part")
+    part.write_text(text, "utf-8")
+    part.replace(path)
