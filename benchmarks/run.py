@@ -235,7 +235,7 @@ def show(result: dict[str, Any]) -> None:
     for name, why in result["missing"].items():
         print(f"{name}: not measured: {why}")
     for task, tools in result.get("peers", {}).items():
-        print(f"{task}" if isinstance(tools, dict) else f"{task}: {tools}")
+        print(task if isinstance(tools, dict) else f"{task}: {tools}")
         for tool, said in tools.items() if isinstance(tools, dict) else ():
             words = (
                 said if isinstance(said, str) else "  ".join(f"{k} {v:g}" for k, v in said.items())
@@ -278,17 +278,15 @@ def apart(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
 def peers(tools: bool, repeats: int) -> dict[str, Any]:
     """Other tools at the same tasks, by peers/run.py; those that fail are listed as such."""
     command = [sys.executable, str(HERE / "peers" / "run.py"), "--json", "--repeat", str(repeats)]
-    done = subprocess.run(
-        [*command, *(["--install"] if tools else [])],
-        capture_output=True,
-        text=True,
-        env=environment(),
-    )
-    line = next((li for li in done.stdout.splitlines() if li.startswith("PEERS ")), None)
-    if line is None:
-        return {"failed": (done.stderr.strip().splitlines() or ["nothing was printed"])[-1]}
-    found: dict[str, Any] = json.loads(line[len("PEERS ") :])
-    return found
+    command += ["--install"] if tools else []
+    found: dict[str, Any] = {}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment()) as work:
+        for line in work.stdout or ():
+            if line.startswith("PEERS "):
+                found = json.loads(line[len("PEERS ") :])
+            else:
+                print(line, end="", flush=True)
+    return found or {"all": f"peers/run.py ended with {work.returncode} and told nothing"}
 
 
 def stored(path: str) -> dict[str, Any]:
