@@ -115,7 +115,7 @@ def plans(count: int) -> dict[str, float]:
 
 def figures(quick: bool) -> dict[str, float]:
     """For run.py: cost, scaling, and growth with the number of cases."""
-    found = simulations(200 if quick else 1000) | plans(40 if quick else 200)
+    found = simulations(200 if quick else 400) | plans(40 if quick else 200)
     plant = slide()
     for count in (10, 100) if quick else (10, 100, 1000):
         cases = list(pushes(count))

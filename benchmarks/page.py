@@ -18,8 +18,12 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 CURVES = {
     "intervals": ("plan", "intervals", ("plan [s]", "plan, plain CasADi [s]")),
-    "iterations": ("IPOPT", "intervals", ("iterations", "iterations, plain CasADi")),
-    "horizon": ("Mpc", "horizon", ("Mpc, converged [ms]", "Mpc compiled, converged [ms]")),
+    "iterations": ("iterations of IPOPT", "intervals", ("iterations", "iterations, plain CasADi")),
+    "horizon": (
+        "Mpc, a step, converged",
+        "horizon",
+        ("Mpc, converged [ms]", "Mpc compiled, converged [ms]"),
+    ),
     "cells": ("fit", "cells", ("fit_force with intervals [s]", "SciPy LM [s]")),
     "states": ("simulation", "states", ("simulate [s]", "simulate, compiled [s]")),
     "plans": ("plan, masses in a row", "states", ("plan, masses in a row [s]",)),
@@ -34,12 +38,14 @@ CURVES = {
 }
 """Name of a plot: title, what grows, curves (figures NAME@SIZE)."""
 LABELS = {
+    "plan [s]": "pam_ocp",
     "plan, plain CasADi [s]": "plain CasADi",
     "iterations": "pam_ocp",
     "iterations, plain CasADi": "plain CasADi",
-    "Mpc, converged [ms]": "converged",
+    "Mpc, converged [ms]": "interpreted",
     "Mpc compiled, converged [ms]": "compiled",
     "fit_force with intervals [s]": "fit_force",
+    "simulate [s]": "interpreted",
     "simulate, compiled [s]": "compiled",
     "plan, masses in a row [s]": "plan",
     "simulate_many, a case [ms]": "a case, processor",
@@ -47,9 +53,8 @@ LABELS = {
 }
 """What a curve is called in its plot, where not by the beginning of its name."""
 COLUMNS = 3
-COLOURS = ("#0072b2", "#d55e00")
-DARK = {"ink": "#d0d0d0", "grid": "#444444"}
-LIGHT = {"ink": "#222222", "grid": "#dddddd"}
+LIGHT = {"ink": "#222222", "grid": "#dddddd", "first": "#0072b2", "second": "#d55e00"}
+DARK = {"ink": "#d0d0d0", "grid": "#444444", "first": "#56b4e9", "second": "#e69f00"}
 
 
 def curve(figures: dict[str, Any], name: str) -> tuple[list[int], list[float]]:
@@ -89,12 +94,12 @@ def plot(figures: dict[str, Any], look: dict[str, str]) -> Figure:
     for ax in axes[len(plots) :]:
         ax.set_visible(False)
     for ax, (title, over, names) in zip(axes, plots.values(), strict=False):
-        for name, colour, mark in zip(names, COLOURS, "os", strict=False):
+        for name, colour, mark in zip(names, ("first", "second"), "os", strict=False):
             sizes, values = curve(figures, name)
             power = exponent(sizes, values)
             label = LABELS.get(name, name.partition(" [")[0])
             label += "" if power is None else f", $n^{{{power:.2f}}}$"
-            ax.loglog(sizes, values, color=colour, marker=mark, markersize=4, label=label)
+            ax.loglog(sizes, values, color=look[colour], marker=mark, markersize=4, label=label)
         decorate(ax, title, over, names, look)
         sizes = sorted({size for name in names for size in curve(figures, name)[0]})
         ticks(ax, sizes)
