@@ -56,7 +56,7 @@ NO_SPEED = (
 )
 """Parts of figures that say nothing of our own speed, or scatter too much to be compared. Ratios to
 plain CasADi are compared: they move with ours."""
-NOISE = 5e-4
+NOISE = 2e-4
 """What is less than this in both is not compared [s, ms, or a ratio]."""
 PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib", "pyarrow", "distributed")
 WANTED: dict[str, tuple[str, float]] = {

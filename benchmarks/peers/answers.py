@@ -46,6 +46,28 @@ def plan_error(found: dict[str, Any]) -> float:
     return worst
 
 
+def plan_miss(found: dict[str, Any]) -> float:
+    """By how much a plan is one of another task: the largest excess over the ends and limits of
+    PAM-2DIR at its mesh points and the points of its inputs, over SCALE, 100 N and e.RATE.
+    """
+    states, inputs = np.array(found["states"]), np.array(found["inputs"])
+    (x, _, p1, p2), first, last = states, states[:, 0], states[:, -1]
+    at_start = e.forces(first[0], *first[2:])
+    ends = [(first[0] + e.STOP) / SCALE[0], first[1], (at_start[0] - at_start[1]) / 100]
+    mirrored = np.array([-first[0], -first[1], first[3], first[2]])
+    ends += list((last - mirrored) / SCALE)
+    pressures = np.concatenate([p1, p2, inputs.ravel()])
+    beyond = [(np.abs(x) - e.STROKE) / SCALE[0], -pressures / 6, (pressures - e.LARGEST) / 6]
+    beyond += [-force / 100 for force in e.forces(x, p1, p2, exp=np.exp)]
+    for point, beside in ((0.0, states[2:, :-1]), (1.0, states[2:, 1:])):
+        at = np.isclose(found["points"], point)  # where states are told, too
+        rates = (inputs[:, :, at] - beside.T[:, :, None]) / e.LAG
+        beyond.append(np.abs(rates).ravel() / e.RATE - 1)
+    beyond.append(np.array([0.02 - found["duration"], found["duration"] - 1.0]))
+    worst = max(float(part.max(initial=0.0)) for part in beyond)
+    return max(worst, float(np.max(np.abs(ends))))
+
+
 class Measurements:
     """Cells of a force table, and the least sum of squares that the law leaves on them."""
 

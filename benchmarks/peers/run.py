@@ -16,6 +16,7 @@ equations are compared with the Plant before anything else, and every answer is 
 - error of a plan: the start, inputs and duration found, integrated by SciPy's DOP853 at 1e-11, the
   largest deviation over mesh points and states, over (0.03 m, 1 m/s, 6 bar, 6 bar); of a
   simulation: of the states at all samples, in the same way.
+- miss: the largest excess of a plan over the ends and limits of the task, in units as above.
 - excess: of the sum of squares above the least one; ends: by how much those of the intervals miss
   the profile likelihood, relative.
 
@@ -37,7 +38,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from answers import Measurements, plan_error, simulation_error
+from answers import Measurements, plan_error, plan_miss, simulation_error
 from environments import HERE, OWN, TOOLS, call, install
 from equations import forces, slopes
 
@@ -79,6 +80,7 @@ def planning() -> Task:
             "T [s]": found["duration"],
             "iterations": found["iterations"] or float("nan"),
             "error": plan_error(found),
+            "miss": plan_miss(found),
         },
     )
 
@@ -170,7 +172,7 @@ def compare(task: Task, tools: list[str], repeat: int) -> dict[str, Any]:
 
 
 def _rounded(name: str, value: float) -> float:
-    return float(f"{value:.2g}") if name in ("error", "excess", "ends") else round(value, 6)
+    return float(f"{value:.2g}") if name in ("error", "miss", "excess", "ends") else round(value, 6)
 
 
 def _words(checked: dict[str, float]) -> str:
