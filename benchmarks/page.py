@@ -134,8 +134,9 @@ def ticks(ax: Axes, sizes: list[int]) -> None:
 
 
 def row(*cells: object) -> str:
-    """A line of a table."""
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
+    """A line of a table; messages of tools may hold what would end a cell."""
+    kept = (" ".join(str(cell).replace("|", "\\|").split()) for cell in cells)
+    return "| " + " | ".join(kept) + " |"
 
 
 def table(result: dict[str, Any]) -> str:

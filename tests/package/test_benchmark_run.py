@@ -193,7 +193,11 @@ def test_the_page_tells_curves_slopes_goals_peers_and_failures(run, page, tmp_pa
     (tmp_path / "benchmarks.md").write_text(PAGE, "utf-8")
     curves = {f"plan [s]@{n}": 0.001 * n for n in (25, 50, 100)}
     goals = {"fit_force with intervals [s]@60": 0.005, "Kalman filter [ms]": 0.4}
-    tools = {"pam_ocp": {"whole": 0.5, "error": 1.7e-8}, "base": {"whole": 2.0}, "x": "failed: no"}
+    tools = {
+        "pam_ocp": {"whole": 0.5, "error": 1.7e-8},
+        "base": {"whole": 2.0},
+        "x": "failed: a | b",
+    }
     said = of_a_run(curves | goals, missing={"cases": "no end in 900 s"}, peers={"planning": tools})
     written = page.write_page(said, tmp_path)
     text = (tmp_path / "benchmarks.md").read_text("utf-8")
@@ -205,7 +209,7 @@ def test_the_page_tells_curves_slopes_goals_peers_and_failures(run, page, tmp_pa
     assert "| Kalman filter [ms] | 0.4 | 0.4 .. 0.44 | <= 0.1 (not reached) |" in text
     assert "| cases | not measured: no end in 900 s |" in text
     assert "| pam_ocp | 0.5 | 1.7e-08 |" in text
-    assert "| x | failed: no |" in text
+    assert "| x | failed: a \\| b |" in text
     assert [p.name for p in written] == ["benchmarks.md", "growth-light.svg", "growth-dark.svg"]
     for path in written[1:]:
         first = path.read_bytes()
