@@ -210,12 +210,12 @@ def section(result: dict[str, Any]) -> str:
     versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items())
     machine = result["machine"]
     size = "in small" if result["quick"] else "in full"
-    load = "" if result["load"] is None else f"load {result['load']:.1f} at the start, "
+    load = "" if result["load"] is None else f" load {result['load']:.1f} at the start,"
     pictures = PICTURES if shown(result["figures"]) else ""
     parts = "\n\n".join(part for part in (growth(result), table(result), peers(result)) if part)
     return f"""{BEGIN}
 `python benchmarks/run.py --page`, {size}, {result["repeats"]} repetitions, medians; processor
-seconds where nothing else is said. {result["time"][:10]}, commit {result["commit"]}, {load}
+seconds where nothing else is said. {result["time"][:10]}, commit {result["commit"]},{load}
 {machine["processors"]} x {machine["processor"]}, {versions}.
 *plain*: CasADi as a careful user writes it (`benchmarks/plain.py`).
 
