@@ -4,7 +4,7 @@
 
 prints one group as JSON. A group is a function of ``quick`` (smaller sizes) that returns {figure:
 number}. Seconds are those of the processor, unless a figure says "wall". A figure named NAME@SIZE
-belongs to a curve over sizes.
+belongs to a curve over sizes (growth.py).
 """
 
 from __future__ import annotations
@@ -14,73 +14,26 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from pathlib import Path
 from statistics import median
 from time import perf_counter, process_time, thread_time
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-GROUPS: dict[str, Callable[[bool], dict[str, float]]] = {}
-BAR = 1e5
-STOPS = [{"x": -0.015}, {"x": 0.015}]
-
-
-def group(function: Callable[[bool], dict[str, float]]) -> Callable[[bool], dict[str, float]]:
-    """A function that measures figures."""
-    GROUPS[function.__name__] = function
-    return function
-
-
-def spent(*command: str) -> float:
-    """Processor seconds of a whole process and its children; RuntimeError when it fails."""
-    import resource
-
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run([sys.executable, *command], capture_output=True, text=True, cwd=HERE)
-    if done.returncode:
-        raise RuntimeError(done.stderr.strip()[-500:])
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def timed(work: Callable[[], Any], repeats: int = 3) -> float:
-    """Median processor seconds of a call, after one for warming up."""
-    work()
-    seconds = []
-    for _ in range(repeats):
-        begin = process_time()
-        work()
-        seconds.append(process_time() - begin)
-    return median(seconds)
-
-
-def slide(case: str = "a") -> Any:
-    """The plant of PAM-2DIR."""
-    sys.path.insert(0, str(HERE))
-    import pam_2dir
-
-    return pam_2dir.slide() if case == "a" else pam_2dir.commanded()
-
-
-def wish(case: str) -> dict[str, Any]:
-    """What is asked of it."""
-    if case == "a":
-        return {"cyclic": "mirrored"}
-    return {"cyclic": "mirrored", "duration": 0.15, "minimise": {"effort": 1e-2}}
-
+import growth  # noqa: F401  # its groups
+from measuring import BAR, GROUPS, HERE, STOPS, group, slide, spent, timed, wish
 
 # ---- starting -----------------------------------------------------------------------------------
+PLANT = "import pam_ocp as pam; pam.HangingLoad('DMSP-20-400N')"
+
+
 @group
 def start(quick: bool) -> dict[str, float]:
-    """Imports, and the tour with warm caches."""
-    casadi, ours = spent("-c", "import casadi"), spent("-c", "import pam_ocp")
+    """Imports, the least of three each (the first reads from the disk); the tour, warm caches."""
+    works = ("import casadi", "import pam_ocp", PLANT)
+    casadi, ours, plant = (min(spent("-c", work) for _ in range(3)) for work in works)
     found = {
+        "import [s]": ours,
         "import beyond CasADi [s]": ours - casadi,
-        "import and a plant beyond CasADi [s]": spent(
-            "-c", "import pam_ocp as pam; pam.HangingLoad('DMSP-20-400N')"
-        )
-        - casadi,
+        "import and a plant beyond CasADi [s]": plant - casadi,
     }
     if not quick:
         with tempfile.TemporaryDirectory() as folder:
@@ -96,10 +49,11 @@ from time import process_time
 begin = process_time()
 sys.path.insert(0, {here!r})
 import pam_ocp as pam
-import measured
-plant = measured.slide({case!r})
+import measuring
+plant = measuring.slide({case!r})
 ready = process_time()
-plan = pam.plan(plant, measured.STOPS, method=pam.Collocation(50, 3), **measured.wish({case!r}))
+wish = measuring.wish({case!r})
+plan = pam.plan(plant, measuring.STOPS, method=pam.Collocation(50, 3), **wish)
 assert plan.verified
 print(process_time() - ready, plan.statistics["iterations"])
 """
@@ -164,50 +118,7 @@ def accurate(quick: bool) -> dict[str, float]:
     return found
 
 
-@group
-def intervals(quick: bool) -> dict[str, float]:
-    """Growth with the number of intervals, beside plain CasADi."""
-    import plain
-
-    import pam_ocp as pam
-
-    plant, found = slide(), {}
-    for n in (25, 50, 100) if quick else (25, 50, 100, 200, 400, 800):
-        planner = pam.Planner(plant, STOPS, cyclic="mirrored", method=pam.Collocation(n, 3))
-        begin = process_time()
-        plan = planner(tolerance=None)
-        found[f"plan [s]@{n}"] = process_time() - begin
-        found[f"iterations@{n}"] = float(plan.statistics["iterations"])
-        bare = plain.Plain("a", n)()
-        found[f"plan, plain CasADi [s]@{n}"] = bare["seconds"]
-        found[f"iterations, plain CasADi@{n}"] = bare["iterations"]
-    return found
-
-
 # ---- control ------------------------------------------------------------------------------------
-@group
-def mpc_step(quick: bool) -> dict[str, float]:
-    """Mpc on the slide, and its growth with the horizon [ms]; worst steps out of 10 000."""
-    sys.path.insert(0, str(HERE))
-    import mpc
-    import numpy as np
-
-    plant, found = mpc.benchmark_plant(), {}
-    for horizon in (10, 50) if quick else (10, 25, 50, 100, 200):
-        for how, compiled in (("Mpc", False), ("Mpc compiled", True)):
-            for name, iterations in (("one iteration", 1), ("converged", 30)):
-                steps = 200 if horizon != 50 or quick else 10_000 if compiled else 1000
-                options = {"iterations": iterations, "compiled": compiled}
-                _, seconds = mpc.run(plant, horizon, False, steps, **options)
-                middle = 1e3 * float(np.median(seconds))
-                found[f"{how}, {name} [ms]@{horizon}"] = middle
-                if horizon == 50:
-                    found[f"{how} 50, {name} [ms]"] = middle
-                    worst = 1e3 * float(seconds.max()) / middle
-                    found[f"{how} 50, {name}, worst / median"] = worst
-    return found
-
-
 @group
 def estimators(quick: bool) -> dict[str, float]:
     """A Kalman filter's step, and that of a moving horizon of 10 [ms]."""
@@ -237,38 +148,6 @@ def estimators(quick: bool) -> dict[str, float]:
 
 
 # ---- fitting ------------------------------------------------------------------------------------
-@group
-def fit_cells(quick: bool) -> dict[str, float]:
-    """fit_force with intervals, and SciPy's Levenberg-Marquardt, over the number of cells."""
-    import numpy as np
-    from scipy.optimize import curve_fit
-
-    import pam_ocp as pam
-
-    law, found = pam.muscle("DMSP-20-200N").force, {}
-    random = np.random.default_rng(20)
-
-    def formula(at: Any, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float) -> Any:
-        p, kappa = at
-        return (a1 * p + a2) * np.exp(a3 * kappa) + a4 * kappa * p + a5 * p + a6
-
-    begin = list(law.published) if hasattr(law, "published") else [-4.0, 292, -33, -934, 294, -280]
-    for count in (60, 1000) if quick else (60, 1000, 10_000, 50_000):
-        p, kappa = random.uniform(0.5, 6, count) * BAR, random.uniform(0, 0.2, count)
-        force = np.asarray(law(p, kappa)).ravel() + random.normal(0, 5.0, count)
-        table = pam.fitting.ForceTable(p, kappa, force, rest_length=0.3).taut
-        once = process_time()
-        pam.fit_force(table).intervals()
-        once = process_time() - once
-        work = lambda t=table: pam.fit_force(t).intervals()  # noqa: E731
-        found[f"fit_force with intervals [s]@{count}"] = timed(work, 1) if once < 5 else once
-        at = np.array([table.pressure / BAR, table.contraction])
-        begin[2] = -20.0
-        lm = lambda a=at, t=table: curve_fit(formula, a, t.force, begin, maxfev=20000)  # noqa: E731
-        found[f"SciPy LM [s]@{count}"] = timed(lm, 1)
-    return found
-
-
 @group
 def compare(quick: bool) -> dict[str, float]:
     """compare_laws, ten laws on 100 cells."""
@@ -349,38 +228,6 @@ def simulation(quick: bool) -> dict[str, float]:
     return found
 
 
-def chain(count: int) -> Any:
-    """``count`` masses in a row between springs and dampers, pushed at one end: 2 count states."""
-    import pam_ocp as pam
-
-    plant = pam.Plant("chain", "masses between springs")
-    q = [plant.state(f"q{i}", nominal=0.01) for i in range(count)]
-    v = [plant.state(f"v{i}", nominal=0.1) for i in range(count)]
-    push = plant.input("push", start=1.0)
-    for i in range(count):
-        left = q[i - 1] if i else 0
-        right = q[i + 1] if i + 1 < count else 0
-        force = 400 * (left - 2 * q[i] + right) - 3 * v[i] - 1e4 * q[i] ** 3
-        plant.der(q[i], v[i])
-        plant.der(v[i], force + (push if i == 0 else 0))
-    return plant
-
-
-@group
-def states(quick: bool) -> dict[str, float]:
-    """Growth of a simulation with the number of states."""
-    import numpy as np
-
-    import pam_ocp as pam
-
-    found, t = {}, np.linspace(0.0, 1.0, 101)
-    for count in (2, 8) if quick else (2, 4, 8, 12, 18):
-        plant, push = chain(count), {"push": np.sin(20 * t)}
-        run = lambda p=plant, u=push: pam.simulate(p, u, t=t, rtol=1e-8)  # noqa: E731
-        found[f"simulate [s]@{2 * count}"] = timed(run, 3)
-    return found
-
-
 @group
 def fmu_step(quick: bool) -> dict[str, float]:
     """A communication step of an FMU, in units of six right-hand sides and a Jacobian."""
@@ -390,15 +237,6 @@ def fmu_step(quick: bool) -> dict[str, float]:
     import fmu_step as script
 
     return {f"FMU, {name} [units]": value for name, value in script.figures(quick).items()}
-
-
-@group
-def cases(quick: bool) -> dict[str, float]:
-    """What the loop over cases adds to a plain loop, and what two processes gain (wall)."""
-    sys.path.insert(0, str(HERE))
-    import many
-
-    return many.figures(quick)
 
 
 def main() -> None:

@@ -1,28 +1,60 @@
-"""The part of docs/benchmarks.md that run.py writes: a table, and plots of growth."""
+"""The part of docs/benchmarks.md that run.py writes: plots of growth, their slopes, and tables."""
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from measuring import write
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 CURVES = {
     "intervals": ("plan", "intervals", ("plan [s]", "plan, plain CasADi [s]")),
-    "iterations": ("IPOPT", "intervals", ("iterations", "iterations, plain CasADi")),
-    "horizon": ("Mpc", "horizon", ("Mpc, converged [ms]", "Mpc compiled, converged [ms]")),
+    "iterations": ("iterations of IPOPT", "intervals", ("iterations", "iterations, plain CasADi")),
+    "horizon": (
+        "Mpc, a step, converged",
+        "horizon",
+        ("Mpc, converged [ms]", "Mpc compiled, converged [ms]"),
+    ),
     "cells": ("fit", "cells", ("fit_force with intervals [s]", "SciPy LM [s]")),
-    "states": ("simulation", "states", ("simulate [s]",)),
-    "cases": ("many", "cases", ("simulate_many, two processes, a case, wall [ms]",)),
+    "states": ("simulation", "states", ("simulate [s]", "simulate, compiled [s]")),
+    "plans": ("plan, masses in a row", "states", ("plan, masses in a row [s]",)),
+    "cases": (
+        "simulate_many",
+        "cases",
+        (
+            "simulate_many, a case [ms]",
+            "simulate_many, two processes, a case, wall [ms]",
+        ),
+    ),
 }
 """Name of a plot: title, what grows, curves (figures NAME@SIZE)."""
-COLOURS = ("#0072b2", "#d55e00")
-DARK = {"ink": "#d0d0d0", "grid": "#444444"}
-LIGHT = {"ink": "#222222", "grid": "#dddddd"}
+LABELS = {
+    "plan [s]": "pam_ocp",
+    "plan, plain CasADi [s]": "plain CasADi",
+    "iterations": "pam_ocp",
+    "iterations, plain CasADi": "plain CasADi",
+    "Mpc, converged [ms]": "interpreted",
+    "Mpc compiled, converged [ms]": "compiled",
+    "fit_force with intervals [s]": "fit_force",
+    "simulate [s]": "interpreted",
+    "simulate, compiled [s]": "compiled",
+    "plan, masses in a row [s]": "plan",
+    "simulate_many, a case [ms]": "a case, processor",
+    "simulate_many, two processes, a case, wall [ms]": "a case, wall",
+}
+"""What a curve is called in its plot, where not by the beginning of its name."""
+COLUMNS = 3
+LIGHT = {"ink": "#222222", "grid": "#dddddd", "first": "#0072b2", "second": "#d55e00"}
+DARK = {"ink": "#d0d0d0", "grid": "#444444", "first": "#56b4e9", "second": "#e69f00"}
 
 
 def curve(figures: dict[str, Any], name: str) -> tuple[list[int], list[float]]:
@@ -35,44 +67,83 @@ def curve(figures: dict[str, Any], name: str) -> tuple[list[int], list[float]]:
     return sorted(found), [found[size] for size in sorted(found)]
 
 
+def exponent(sizes: list[int], values: list[float]) -> float | None:
+    """p of values ~ sizes^p, least squares over the largest three; None without two of them."""
+    kept = [(s, v) for s, v in zip(sizes, values, strict=True) if s > 0 and v > 0][-3:]
+    if len(kept) < 2:
+        return None
+    return float(np.polyfit(*np.log(np.array(kept, float)).T, 1)[0])
+
+
+def shown(figures: dict[str, Any]) -> dict[str, tuple[str, str, tuple[str, ...]]]:
+    """The plots that have a curve of two sizes or more."""
+    return {
+        key: (title, over, tuple(n for n in names if len(curve(figures, n)[0]) > 1))
+        for key, (title, over, names) in CURVES.items()
+        if any(len(curve(figures, n)[0]) > 1 for n in names)
+    }
+
+
 def plot(figures: dict[str, Any], look: dict[str, str]) -> Figure:
     """All curves, in logarithmic scales; transparent, for a light or a dark page."""
-    shown = {k: v for k, v in CURVES.items() if any(len(curve(figures, n)[0]) > 1 for n in v[2])}
-    picture = Figure(figsize=(9.0, 2.7 * -(-len(shown) // 3)), layout="constrained")
+    plots = shown(figures)
+    rows = max(1, -(-len(plots) // COLUMNS))
+    picture = Figure(figsize=(9.6, 2.9 * rows), layout="constrained")
     picture.patch.set_alpha(0)
-    axes = picture.subplots(-(-len(shown) // 3), 3, squeeze=False).ravel()
-    for ax in axes[len(shown) :]:
+    axes = picture.subplots(rows, COLUMNS, squeeze=False).ravel()
+    for ax in axes[len(plots) :]:
         ax.set_visible(False)
-    for ax, (title, over, names) in zip(axes, shown.values(), strict=False):
-        ax.patch.set_alpha(0)
-        for name, colour, mark in zip(names, COLOURS, "os", strict=False):
+    for ax, (title, over, names) in zip(axes, plots.values(), strict=False):
+        for name, colour, mark in zip(names, ("first", "second"), "os", strict=False):
             sizes, values = curve(figures, name)
-            label = re.sub(r" \[.*|.*, (?=plain)", "", name)
-            ax.loglog(sizes, values, color=colour, marker=mark, markersize=4, label=label)
-        ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
-        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        for axis in (ax.xaxis, ax.yaxis):
-            axis.set_minor_formatter(NullFormatter())
-        ax.tick_params(which="minor", length=0)
-        unit = re.findall(r"\[(.+?)\]", names[0])
-        ax.set_title(title, color=look["ink"], fontsize=10)
-        ax.set_xlabel(over, color=look["ink"])
-        ax.set_ylabel(unit[0] if unit else "", color=look["ink"])
-        ax.grid(True, which="major", color=look["grid"], linewidth=0.6)
-        ax.tick_params(which="both", colors=look["ink"])
-        for side in ax.spines.values():
-            side.set_color(look["grid"])
-        if len(names) > 1:
-            ax.legend(frameon=False, fontsize=8, labelcolor=look["ink"])
+            power = exponent(sizes, values)
+            label = LABELS.get(name, name.partition(" [")[0])
+            label += "" if power is None else f", $n^{{{power:.2f}}}$"
+            ax.loglog(sizes, values, color=look[colour], marker=mark, markersize=4, label=label)
+        decorate(ax, title, over, names, look)
+        sizes = sorted({size for name in names for size in curve(figures, name)[0]})
+        ticks(ax, sizes)
     return picture
 
 
+def decorate(ax: Axes, title: str, over: str, names: tuple[str, ...], look: dict[str, str]) -> None:
+    """Titles, a legend and the colours of the page."""
+    ax.patch.set_alpha(0)
+    unit = re.findall(r"\[(.+?)\]", names[0])
+    ax.set_title(title, color=look["ink"], fontsize=10)
+    ax.set_xlabel(over, color=look["ink"])
+    ax.set_ylabel(unit[0] if unit else "iterations", color=look["ink"])
+    ax.grid(True, which="major", color=look["grid"], linewidth=0.6)
+    ax.margins(y=0.3)
+    for side in ax.spines.values():
+        side.set_color(look["grid"])
+    ax.legend(frameon=False, fontsize=8, labelcolor=look["ink"])
+    ax.tick_params(which="both", colors=look["ink"])
+
+
+def ticks(ax: Axes, sizes: list[int]) -> None:
+    """Marks at the sizes that were measured, and at 1, 2 and 5 of each decade upwards."""
+    ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
+    low, high = ax.get_ylim()
+    few = high / low > 100
+    ax.yaxis.set_major_locator(LogLocator(subs=(1,) if few else (1, 2, 5)))
+    ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    ax.tick_params(which="minor", length=0)
+
+
+def row(*cells: object) -> str:
+    """A line of a table; messages of tools may hold what would end a cell."""
+    kept = (" ".join(str(cell).replace("|", "\\|").split()) for cell in cells)
+    return "| " + " | ".join(kept) + " |"
+
+
 def table(result: dict[str, Any]) -> str:
-    """What is wanted beside what was measured; single figures, no curves."""
+    """What is wanted beside what was measured; of curves only the points that have a goal."""
     from run import WANTED, reached
 
-    lines = ["| figure | median | least .. most | wanted |", "|---|---|---|---|"]
+    lines = [row("figure", "median", "least .. most", "wanted"), "|---|---|---|---|"]
     for name, figure in result["figures"].items():
         if "@" in name and name not in WANTED:
             continue
@@ -81,12 +152,57 @@ def table(result: dict[str, Any]) -> str:
         goal = "" if said is None else "{} {:g}".format(*WANTED[name])
         goal += "" if said is None or said else " (not reached)"
         title = re.sub(r"@(\d+)$", r", \1", name)
-        lines.append(f"| {title} | {figure['median']:.3g} | {low:.3g} .. {high:.3g} | {goal} |")
-    for tool, said in result.get("peers", {}).items():
-        words = said if isinstance(said, str) else ", ".join(f"{k} {v}" for k, v in said.items())
-        lines.append(f"| {tool} | {words} | | |")
-    lines += [f"| {name} | not measured: {why} | | |" for name, why in result["missing"].items()]
+        lines.append(row(title, f"{figure['median']:.3g}", f"{low:.3g} .. {high:.3g}", goal))
+    lines += [row(name, f"not measured: {why}", "", "") for name, why in result["missing"].items()]
     return "\n".join(lines)
+
+
+def growth(result: dict[str, Any]) -> str:
+    """All curves as numbers, and their slopes."""
+    lines = [row("growth", "size: median", "slope at the end"), "|---|---|---|"]
+    for _, over, names in shown(result["figures"]).values():
+        for name in names:
+            sizes, values = curve(result["figures"], name)
+            power = exponent(sizes, values)
+            points = ", ".join(f"{s}: {v:.3g}" for s, v in zip(sizes, values, strict=True))
+            lines.append(row(f"{name} over {over}", points, f"{power:.2f}" if power else ""))
+    return "\n".join(lines) if len(lines) > 2 else ""
+
+
+def peers(result: dict[str, Any]) -> str:
+    """A table a task: the tools' figures, or why one has none."""
+    text = []
+    for task, tools in result.get("peers", {}).items():
+        if isinstance(tools, str):
+            text.append(f"Peers, {task}: {tools}")
+            continue
+        found = {tool: said for tool, said in tools.items() if tool != "base"}
+        heads = list(
+            dict.fromkeys(h for said in found.values() if isinstance(said, dict) for h in said)
+        )
+        lines = [row(task, *heads), "|---" * (1 + len(heads)) + "|"]
+        for tool, said in found.items():
+            if isinstance(said, str):
+                lines.append(row(tool, said, *[""] * (len(heads) - 1)))
+            else:
+                lines.append(row(tool, *(f"{said[h]:.5g}" if h in said else "" for h in heads)))
+        text.append("\n".join(lines))
+        if "base" in tools:
+            seconds = ", ".join(f"{k} {v:g} s" for k, v in tools["base"].items())
+            text.append(f"1 is {seconds} of the first line's tool.")
+    return "\n\n".join(text)
+
+
+PICTURES = """```{image} growth-light.svg
+:class: only-light
+:alt: Growth of times with intervals, horizon, cells, states and cases
+```
+```{image} growth-dark.svg
+:class: only-dark
+:alt: Growth of times with intervals, horizon, cells, states and cases
+```
+
+"""
 
 
 def section(result: dict[str, Any]) -> str:
@@ -94,23 +210,16 @@ def section(result: dict[str, Any]) -> str:
     versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items())
     machine = result["machine"]
     size = "in small" if result["quick"] else "in full"
-    load = f"load {result['load']:.1f} at the start"
+    load = "" if result["load"] is None else f" load {result['load']:.1f} at the start,"
+    pictures = PICTURES if shown(result["figures"]) else ""
+    parts = "\n\n".join(part for part in (growth(result), table(result), peers(result)) if part)
     return f"""{BEGIN}
 `python benchmarks/run.py --page`, {size}, {result["repeats"]} repetitions, medians; processor
-seconds where nothing else is said. {result["time"][:10]}, commit {result["commit"]}, {load},
+seconds where nothing else is said. {result["time"][:10]}, commit {result["commit"]},{load}
 {machine["processors"]} x {machine["processor"]}, {versions}.
 *plain*: CasADi as a careful user writes it (`benchmarks/plain.py`).
 
-```{{image}} growth-light.svg
-:class: only-light
-:alt: Growth of times with intervals, horizon, cells, states and cases
-```
-```{{image}} growth-dark.svg
-:class: only-dark
-:alt: Growth of times with intervals, horizon, cells, states and cases
-```
-
-{table(result)}
+{pictures}{parts}
 {END}"""
 
 
@@ -123,8 +232,13 @@ def write_page(result: dict[str, Any], docs: Path = DOCS) -> list[Path]:
     if not found:
         raise SystemExit(f"{page} has no marks {BEGIN} ... {END}")
     written = [page]
-    for name, look in (("light", LIGHT), ("dark", DARK)):
+    looks = (("light", LIGHT), ("dark", DARK)) if shown(result["figures"]) else ()
+    for name, look in looks:
         written.append(docs / f"growth-{name}.svg")
-        plot(result["figures"], look).savefig(written[-1], metadata={"Date": None})
-    page.write_text(before + section(result) + after, "utf-8")
+        drawn = io.StringIO()
+        with rc_context({"svg.hashsalt": "growth"}):  # the same figures, the same file
+            plot(result["figures"], look).savefig(drawn, format="svg", metadata={"Date": None})
+        lines = (line.rstrip() for line in drawn.getvalue().splitlines())
+        write(written[-1], "\n".join(lines) + "\n")
+    write(page, before + section(result) + after)
     return written

@@ -1,13 +1,18 @@
 """All benchmarks by one command: figures, their growth, peers; a file, a page, and a comparison.
 
-    python benchmarks/run.py [--quick] [--out FILE] [--against FILE] [--page] [--only GROUP ...]
+    python benchmarks/run.py [--quick] [--out FILE] [--page] [--only GROUP ...] [--peers]
+    python benchmarks/run.py --quick --against-commit REVISION     before a change lands
+    python benchmarks/run.py --quick --against FILE
 
 Every group of measured.py runs in a process of its own, ``--repeats`` times (five; three with
 --quick); medians are kept, with the machine, the versions, the load and the commit, in a JSON
-file. ``--against`` names such a file of earlier: figures that are more than 20 % slower are
-listed, and the exit code is 1. Peers (peers/run.py; yapss, rockit, do-mpc, lmfit and others) get
-environments of their own in a folder of caches, once, with ``--install``; ``--peers`` runs them.
-``--page`` writes the plots (light and dark) and the table of docs/benchmarks.md.
+file. ``--against-commit`` measures another state of the package, too, the two taking turns: what a
+change costs, whatever the machine. ``--against`` names a file of an earlier run, on this machine.
+Figures that are more than 20 % slower are listed, and the exit code is 1 (0 where there is none, 2
+where the call is wrong). Peers (peers/run.py: planners, lmfit, python-control) get environments of
+their own in a folder of caches, once, with ``--install``; ``--peers`` runs them. ``--page`` writes
+the plots (light and dark) and the tables of docs/benchmarks.md; with ``--read FILE`` of a run
+before.
 
 Measure on a quiet machine: ``uptime`` below 0.5. The load at the start is written down.
 """
@@ -16,11 +21,14 @@ from __future__ import annotations
 
 import argparse
 import compileall
+import io
 import json
 import os
 import platform
 import subprocess
 import sys
+import tarfile
+import tempfile
 import time
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
@@ -29,6 +37,7 @@ from statistics import median
 from typing import Any
 
 from measured import GROUPS, HERE
+from measuring import write
 
 LIMIT = {True: 120.0, False: 900.0}
 """Seconds that a process may take; quick, and in full."""
@@ -47,7 +56,7 @@ NO_SPEED = (
 )
 """Parts of figures that say nothing of our own speed, or scatter too much to be compared. Ratios to
 plain CasADi are compared: they move with ours."""
-NOISE = 5e-4
+NOISE = 2e-4
 """What is less than this in both is not compared [s, ms, or a ratio]."""
 PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib", "pyarrow", "distributed")
 WANTED: dict[str, tuple[str, float]] = {
@@ -96,20 +105,23 @@ WANTED: dict[str, tuple[str, float]] = {
 }
 
 
-def environment() -> dict[str, str]:
-    """One thread each, and this tree's package."""
-    tree = str(HERE.parent)
-    paths = [tree, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+TREE = HERE.parent
+KNOWN = f"of {', '.join(GROUPS)}"
+
+
+def environment(tree: Path = TREE) -> dict[str, str]:
+    """One thread each, and a tree's package: this one's, where no other is named."""
+    paths = [str(tree), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     return {**os.environ, **single, "PYTHONPATH": os.pathsep.join(p for p in paths if p)}
 
 
-def once(name: str, quick: bool) -> dict[str, float] | str:
-    """The figures of a group, or why there are none."""
+def once(name: str, quick: bool, tree: Path = TREE) -> dict[str, float] | str:
+    """The figures of a group with a tree's package, or why there are none."""
     command = [sys.executable, str(HERE / "measured.py"), name, *(["--quick"] if quick else [])]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=LIMIT[quick], env=environment()
+            command, capture_output=True, text=True, timeout=LIMIT[quick], env=environment(tree)
         )
     except subprocess.TimeoutExpired:
         return f"no end in {LIMIT[quick]:.0f} s"
@@ -120,8 +132,8 @@ def once(name: str, quick: bool) -> dict[str, float] | str:
     return found
 
 
-def about() -> dict[str, Any]:
-    """The machine, what is installed, the load, the commit."""
+def about(commit: str = "") -> dict[str, Any]:
+    """The machine, what is installed, the load, the commit: this tree's, or one that is named."""
 
     def installed(package: str) -> str:
         try:
@@ -129,7 +141,8 @@ def about() -> dict[str, Any]:
         except PackageNotFoundError:
             return ""
 
-    git = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
+    named = [commit] if commit else ["--dirty"]
+    git = ["git", "-C", str(HERE), "describe", "--always", *named]
     processor = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -145,30 +158,62 @@ def about() -> dict[str, Any]:
     }
 
 
-def measure(names: list[str], quick: bool, repeats: int) -> dict[str, Any]:
-    """All of it; groups take turns, so that a busy minute does not hit one of them alone."""
-    result: dict[str, Any] = {**about(), "quick": quick, "repeats": repeats}
-    runs: dict[str, list[dict[str, float]]] = {n: [] for n in names}
-    missing: dict[str, str] = {}
+class Measured:
+    """Runs of groups with one tree's package."""
+
+    def __init__(self, tree: Path = TREE, commit: str = "") -> None:
+        self.tree, self.about = tree, about(commit)
+        self.runs: dict[str, list[dict[str, float]]] = {}
+        self.missing: dict[str, str] = {}
+        # an installed package is compiled; where the interpreter writes no caches this one is not
+        compileall.compile_dir(tree / "pam_ocp", quiet=2)
+
+    def run(self, name: str, quick: bool) -> str:
+        """A group once more; what went wrong. What failed is not tried again."""
+        if name in self.missing:
+            return ""
+        found = once(name, quick, self.tree)
+        if isinstance(found, str):
+            self.missing[name] = found
+            return found
+        self.runs.setdefault(name, []).append(found)
+        return ""
+
+    def result(self, quick: bool, repeats: int) -> dict[str, Any]:
+        """All of it, for a file."""
+        figures: dict[str, dict[str, Any]] = {}
+        for done in self.runs.values():
+            for name in dict.fromkeys(n for run in done for n in run):
+                values = [run[name] for run in done if name in run]
+                figures[name] = {"median": median(values), "values": values}
+        kept = {"quick": quick, "repeats": repeats, "figures": figures, "missing": self.missing}
+        return {**self.about, **kept}
+
+
+def measure(
+    names: list[str], quick: bool, repeats: int, trees: list[Measured]
+) -> list[dict[str, Any]]:
+    """The figures of each tree; groups and trees take turns, so that a busy minute hits all."""
     for turn in range(repeats):
         for name in names:
-            if name in missing:
-                continue
-            begin = time.perf_counter()
-            found = once(name, quick)
-            if isinstance(found, str):
-                missing[name] = found
-            else:
-                runs[name].append(found)
-            said = found if isinstance(found, str) else ""
-            print(f"{turn + 1}/{repeats} {name:<12}{time.perf_counter() - begin:7.1f} s {said}")
-            sys.stdout.flush()
-    figures: dict[str, dict[str, Any]] = {}
-    for done in runs.values():
-        for name in dict.fromkeys(n for run in done for n in run):
-            values = [run[name] for run in done if name in run]
-            figures[name] = {"median": median(values), "values": values}
-    return {**result, "figures": figures, "missing": missing}
+            for measured in trees:
+                begin = time.perf_counter()
+                said = measured.run(name, quick)
+                seconds, who = time.perf_counter() - begin, measured.about["commit"]
+                print(f"{turn + 1}/{repeats} {name:<12}{seconds:7.1f} s  {who}  {said}", flush=True)
+    return [measured.result(quick, repeats) for measured in trees]
+
+
+def unpacked(revision: str, folder: Path) -> Path:
+    """The package as it was at a commit, in a folder; SystemExit(2) where git knows none."""
+    git = ["git", "-C", str(TREE), "archive", "--format=tar", revision, "pam_ocp", "fmu"]
+    done = subprocess.run(git, capture_output=True)
+    if done.returncode:
+        print(f"--against-commit {revision}: {done.stderr.decode().strip()}", file=sys.stderr)
+        raise SystemExit(2)
+    with tarfile.open(fileobj=io.BytesIO(done.stdout)) as packed:
+        packed.extractall(folder, filter="data")
+    return folder
 
 
 def reached(name: str, value: float) -> bool | None:
@@ -189,6 +234,13 @@ def show(result: dict[str, Any]) -> None:
         print(f"{name:<54}{figure['median']:>10.4g}  {low:.3g} .. {high:.3g}  {goal:>9} {mark}")
     for name, why in result["missing"].items():
         print(f"{name}: not measured: {why}")
+    for task, tools in result.get("peers", {}).items():
+        print(task if isinstance(tools, dict) else f"{task}: {tools}")
+        for tool, said in tools.items() if isinstance(tools, dict) else ():
+            words = (
+                said if isinstance(said, str) else "  ".join(f"{k} {v:g}" for k, v in said.items())
+            )
+            print(f"  {tool:<44}{words}")
 
 
 def slower(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
@@ -214,50 +266,88 @@ def slower(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     return found
 
 
-def peers(tools: bool, repeats: int) -> dict[str, Any]:
-    """Other tools on PAM-2DIR, by peers/run.py; those that do not install are listed as such."""
-    command = [sys.executable, str(HERE / "peers" / "run.py"), "--json", "--repeat", str(repeats)]
-    done = subprocess.run(
-        [*command, *(["--install"] if tools else [])],
-        capture_output=True,
-        text=True,
-        env=environment(),
-    )
-    line = next((li for li in done.stdout.splitlines() if li.startswith("PEERS ")), None)
-    if line is None:
-        return {"failed": (done.stderr.strip().splitlines() or ["nothing was printed"])[-1]}
-    found: dict[str, Any] = json.loads(line[len("PEERS ") :])
+def apart(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """In what two runs differ beside the package, so that their seconds cannot be compared."""
+    found = []
+    for what in ("machine", "system", "quick", "versions"):
+        if before.get(what) != after.get(what):
+            found.append(f"{what}: {before.get(what)} -> {after.get(what)}")
     return found
 
 
-def main() -> int:
+def peers(tools: bool, repeats: int) -> dict[str, Any]:
+    """Other tools at the same tasks, by peers/run.py; those that fail are listed as such."""
+    command = [sys.executable, str(HERE / "peers" / "run.py"), "--json", "--repeat", str(repeats)]
+    command += ["--install"] if tools else []
+    found: dict[str, Any] = {}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment()) as work:
+        for line in work.stdout or ():
+            if line.startswith("PEERS "):
+                found = json.loads(line[len("PEERS ") :])
+            else:
+                print(line, end="", flush=True)
+    return found or {"all": f"peers/run.py ended with {work.returncode} and told nothing"}
+
+
+def stored(path: str) -> dict[str, Any]:
+    """A file of an earlier run, for argparse."""
+    try:
+        found: dict[str, Any] = json.loads(Path(path).read_text("utf-8"))
+        missing = {"figures", "missing", "quick"} - set(found)
+    except (OSError, ValueError) as error:
+        raise argparse.ArgumentTypeError(f"{path}: {error}") from error
+    if missing:
+        raise argparse.ArgumentTypeError(
+            f"{path} has no {', '.join(sorted(missing))}: not of --out"
+        )
+    return found
+
+
+def parsed(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--quick", action="store_true", help="small sizes; below 5 minutes")
+    parser.add_argument("--quick", action="store_true", help="small sizes; below 6 minutes")
     parser.add_argument("--repeats", type=int, help="of each group (5; 3 with --quick)")
     parser.add_argument("--out", type=Path, default=Path("benchmarks.json"), metavar="FILE")
-    parser.add_argument("--against", type=Path, metavar="FILE", help="of an earlier run")
-    parser.add_argument("--only", nargs="+", choices=list(GROUPS), metavar="GROUP")
+    other = parser.add_mutually_exclusive_group()
+    other.add_argument("--against", type=stored, metavar="FILE", help="of an earlier run")
+    other.add_argument("--against-commit", metavar="REVISION", help="measured in the same minutes")
+    parser.add_argument("--only", nargs="+", choices=list(GROUPS), metavar="GROUP", help=KNOWN)
     parser.add_argument("--peers", action="store_true", help="other tools, too")
     parser.add_argument("--install", action="store_true", help="make the peers' environments first")
-    parser.add_argument("--page", action="store_true", help="plots and table of docs/benchmarks.md")
-    parser.add_argument("--read", type=Path, metavar="FILE", help="measure nothing; take this file")
-    options = parser.parse_args()
-    before = json.loads(options.against.read_text()) if options.against else None
+    parser.add_argument("--page", action="store_true", help="plots and tables of the page")
+    parser.add_argument("--read", type=stored, metavar="FILE", help="measure nothing; take this")
+    options = parser.parse_args(arguments)
+    if options.repeats is not None and options.repeats < 1:
+        parser.error(f"--repeats must be at least 1, not {options.repeats}")
+    if options.read and options.against_commit:
+        parser.error("--read measures nothing: compare files with --against FILE")
+    return options
+
+
+def found(options: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """This tree's figures, and those that they are compared with."""
     if options.read:
-        result = json.loads(options.read.read_text())
-    else:
-        # an installed package is compiled; where the interpreter writes no caches this one is not
-        compileall.compile_dir(HERE.parent / "pam_ocp", quiet=2)
-        repeats = options.repeats or (3 if options.quick else 5)
-        result = measure(options.only or list(GROUPS), options.quick, repeats)
-        if options.peers or options.install:
-            result["peers"] = peers(options.install, 3)
-        options.out.write_text(json.dumps(result, indent=1) + "\n")
+        return options.read, options.against
+    repeats = options.repeats or (3 if options.quick else 5)
+    names = options.only or list(GROUPS)
+    with tempfile.TemporaryDirectory() as folder:
+        trees = [Measured()]
+        if options.against_commit:
+            tree = unpacked(options.against_commit, Path(folder))
+            trees.append(Measured(tree, options.against_commit))
+        result, *others = measure(names, options.quick, repeats, trees)
+    if options.peers or options.install:
+        result["peers"] = peers(options.install, repeats if options.quick else 3)
+    write(options.out, json.dumps(result, indent=1) + "\n")
+    return result, others[0] if others else options.against
+
+
+def main(arguments: list[str] | None = None) -> int:
+    options = parsed(arguments)
+    result, before = found(options)
     show(result)
-    for tool, said in result.get("peers", {}).items():
-        print(f"{tool}: {said}")
     if (result["load"] or 0) > 0.5:
         print(f"the load was {result['load']:.1f} at the start: seconds are not to be trusted")
     if options.page:
@@ -266,9 +356,11 @@ def main() -> int:
         print("-> " + ", ".join(str(p) for p in write_page(result)))
     if before is None:
         return 0
-    found = slower(before, result)
-    print("\n".join(found) if found else "nothing is more than 20 % slower")
-    return 1 if found else 0
+    for difference in apart(before, result):
+        print(f"not the same {difference}")
+    worse = slower(before, result)
+    print("\n".join(worse) if worse else "nothing is more than 20 % slower")
+    return 1 if worse else 0
 
 
 if __name__ == "__main__":

@@ -1,17 +1,26 @@
-"""PAM-2DIR (a) by other optimal-control tools, each in a process and an environment of its own.
+"""Other tools at the same tasks, each in a process and an environment of its own.
 
-The problem is that of benchmarks/plan.py: minimum time over 30 mm, half a cycle whose second half
-is its mirror image, 50 intervals of constant input. Every tool states it in its own words
-(``*_peer.py``), with equations.py as the plant; the runner compares those equations with the Plant
-before anything else.
+- planning: PAM-2DIR (a), minimum time over 30 mm, half a cycle whose second half is its mirror
+  image, 50 intervals of constant input, or as near to that as a tool comes.
+- fitting: the six coefficients of a force law to 60 and to 10 000 cells, with intervals of 95 %.
+- simulation: one second of the same slide, its commands joined by lines, tolerance 1e-8.
 
-- whole: seconds from the start of the process to the first result, imports included.
+Every tool states them in its own words (``*_peer.py``), with equations.py as the plant; those
+equations are compared with the Plant before anything else, and every answer is verified
+(answers.py). One that fails is listed with its message.
+
+- whole: processor seconds from the start of the process to the first result, imports and child
+  processes (compilers) included.
 - first: the same without imports: statement, transcription, build and solve.
-- solve: of the solver alone, the best of three.
-- error: the start, inputs and duration found, integrated by SciPy's DOP853 at 1e-11, the largest
-  deviation over mesh points and states, over (0.03 m, 1 m/s, 6 bar, 6 bar).
+- solve: of the solver alone, or of the whole call again, the best of some.
+- error of a plan: the start, inputs and duration found, integrated by SciPy's DOP853 at 1e-11, the
+  largest deviation over mesh points and states, over (0.03 m, 1 m/s, 6 bar, 6 bar); of a
+  simulation: of the states at all samples, in the same way.
+- miss: the largest excess of a plan over the ends and limits of the task, in units as above.
+- excess: of the sum of squares above the least one; ends: by how much those of the intervals miss
+  the profile likelihood, relative.
 
-Figures are ratios to plain CasADi (Opti, Radau of degree 3, unscaled, expanded) in the same run.
+Seconds are ratios to the first tool of a table in the same run, the best of some processes.
 
 Run:  python benchmarks/peers/run.py --install [TOOL ...]   (once: an environment per tool)
       python benchmarks/peers/run.py [TOOL ...]
@@ -21,111 +30,84 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
-import venv
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from answers import Measurements, plan_error, plan_miss, simulation_error
+from environments import HERE, OWN, TOOLS, call, install
 from equations import forces, slopes
-from scipy.integrate import solve_ivp
 
-HERE = Path(__file__).parent
-CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pam_ocp" / "peers"
-TOOLS = {
-    "rockit": ["rockit-meco"],
-    "yapss": ["yapss"],
-    "dompc": ["do-mpc"],
-    "pycollo": ["pycollo"],
-    "maptor": ["maptor"],
-    "acados": ["acados-template"],
-}
-"""Peer: what to install from the package index."""
-OWN = ("casadi_opti", "pam_ocp")
-"""Run by this interpreter."""
-WAYS = (
-    ("casadi_opti", ""),
-    ("pam_ocp", "held"),
-    ("pam_ocp", "fine"),
-    ("pam_ocp", "high"),
-    ("rockit", "collocation"),
-    ("rockit", "shooting"),
-    ("yapss", "low"),
-    ("yapss", "high"),
-    ("dompc", ""),
-    ("pycollo", ""),
-    ("maptor", ""),
-    ("acados", ""),
-)
-"""(peer, which of its ways), in the order of the table."""
-LIMIT = 600.0
-"""Seconds after which a process is given up."""
-SCALE = np.array([0.03, 1.0, 6.0, 6.0])
+SECONDS = ("whole", "first", "solve")
+Checks = Callable[[dict[str, Any]], dict[str, float]]
 
 
-@dataclass
-class Result:
-    """What a peer printed: seconds, iterations, and the motion found [SI]."""
+@dataclass(frozen=True)
+class Task:
+    """A table: who takes part, and what is told of an answer beside its seconds."""
 
-    tool: str
     name: str
-    whole: float
-    first: float
-    solve: float
-    iterations: int | None
-    """Of IPOPT; None where the tool does not tell."""
-    duration: float
-    states: np.ndarray
-    """(4, intervals + 1) at the mesh points; m, m/s, bar."""
-    inputs: np.ndarray
-    """(intervals, 2, points): their polynomial in each interval is the input [bar]."""
-    breaks: np.ndarray
-    """Where intervals meet, as fractions of the duration."""
-    points: np.ndarray
-    """Of the inputs, as fractions of an interval."""
-
-    def error(self) -> float:
-        """Largest deviation of a tight integration of the inputs from the motion found."""
-        z, worst = self.states[:, 0] / SCALE, 0.0
-        for k, values in enumerate(self.inputs):
-            begin, end = self.duration * self.breaks[k : k + 2]
-            polynomial = np.polynomial.polynomial.polyfit(
-                self.points, values.T, len(self.points) - 1
-            )
-
-            def slope(t, y, begin=begin, end=end, polynomial=polynomial):
-                u = np.polynomial.polynomial.polyval((t - begin) / (end - begin), polynomial)
-                return np.array(slopes(*(y * SCALE), *u)) / SCALE
-
-            run = solve_ivp(slope, (begin, end), z, method="DOP853", rtol=1e-11, atol=1e-11)
-            z = run.y[:, -1]
-            worst = max(worst, float(np.max(np.abs(z - self.states[:, k + 1] / SCALE))))
-        return worst
+    ways: tuple[tuple[str, ...], ...]
+    """(peer, its arguments); the first is the base of all ratios."""
+    checks: Checks
 
 
-def interpreter(tool: str) -> Path:
-    """The Python that runs a peer."""
-    if tool in OWN:
-        return Path(sys.executable)
-    folder = CACHE / tool
-    return folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+def planning() -> Task:
+    """PAM-2DIR (a)."""
+    ways = (
+        ("casadi_opti",),
+        ("pam_ocp", "held"),
+        ("pam_ocp", "fine"),
+        ("pam_ocp", "high"),
+        ("rockit", "collocation"),
+        ("rockit", "shooting"),
+        ("yapss", "low"),
+        ("yapss", "high"),
+        ("dompc",),
+        ("pycollo",),
+        ("maptor", "low"),
+        ("maptor", "high"),
+        ("acados",),
+    )
+    return Task(
+        "planning",
+        ways,
+        lambda found: {
+            "T [s]": found["duration"],
+            "iterations": found["iterations"] or float("nan"),
+            "error": plan_error(found),
+            "miss": plan_miss(found),
+        },
+    )
 
 
-def install(tools: list[str]) -> None:
-    """Make the environments that are missing; one that cannot be made is named and left out."""
-    for tool in tools:
-        if tool in OWN or (CACHE / tool / "ready").is_file():
-            continue
-        print(f"{tool}: installing {', '.join(TOOLS[tool])} into {CACHE / tool}", flush=True)
-        venv.create(CACHE / tool, with_pip=True, clear=True)
-        command = [str(interpreter(tool)), "-m", "pip", "install", "-q", *TOOLS[tool]]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode:
-            print(f"{tool}: not installed: {done.stderr.strip().splitlines()[-1]}")
-        else:
-            (CACHE / tool / "ready").touch()
+def fitting(cells: int, folder: Path) -> Task:
+    """A force law to made-up measurements, which are written into the folder."""
+    measurements, file = Measurements(cells), folder / f"cells{cells}.json"
+    measurements.write(file)
+    return Task(
+        f"fitting, {cells} cells",
+        (("pam_ocp_fit", str(file)), ("lmfit", str(file))),
+        lambda found: {
+            "excess": measurements.excess(found["coefficients"]),
+            "ends": measurements.ends(found["intervals"]),
+        },
+    )
+
+
+def simulation() -> Task:
+    """One second of the slide."""
+    ways = (
+        ("pam_ocp_simulation",),
+        ("pam_ocp_simulation", "compiled"),
+        ("control", "LSODA"),
+        ("control", "RK45"),
+    )
+    return Task("simulation", ways, lambda found: {"error": simulation_error(found)})
 
 
 def check_equations() -> None:
@@ -147,40 +129,61 @@ def check_equations() -> None:
         checked += 1
 
 
-def _environment() -> dict[str, str]:
-    """One thread each; byte code kept for all, as for tools that an installer has compiled."""
-    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    return {**kept, "OMP_NUM_THREADS": "1"}
+def best(way: tuple[str, ...], repeat: int) -> dict[str, Any] | str:
+    """The least seconds of some processes, with the answer of the quickest; or why there is none.
+
+    What fails is not tried again.
+    """
+    done: list[dict[str, Any]] = []
+    for _ in range(repeat):
+        found = call(*way)
+        if isinstance(found, str):
+            return found
+        done.append(found)
+    chosen = min(done, key=lambda r: float(r["whole"]))
+    return chosen | {e: min(r[e] for r in done) for e in SECONDS}
 
 
-def run(tool: str, way: str) -> Result | str:
-    """A peer's result, or why there is none."""
-    if not (HERE / f"{tool}_peer.py").is_file():
-        return (
-            "installs, not stated here" if (CACHE / tool / "ready").is_file() else "not installed"
-        )
-    if tool not in OWN and not (CACHE / tool / "ready").is_file():
-        return "not installed (--install)"
-    try:
-        done = subprocess.run(
-            [str(interpreter(tool)), str(HERE / f"{tool}_peer.py"), *([way] if way else [])],
-            capture_output=True,
-            text=True,
-            timeout=LIMIT,
-            env=_environment(),
-        )
-    except subprocess.TimeoutExpired:
-        return f"no result in {LIMIT:.0f} s"
-    line = next((li for li in done.stdout.splitlines() if li.startswith("RESULT ")), None)
-    if done.returncode or line is None:
-        return (done.stderr.strip().splitlines() or ["it printed no result"])[-1]
-    read = json.loads(line[len("RESULT ") :])
-    arrays = {n: np.array(read.pop(n)) for n in ("states", "inputs", "breaks", "points")}
-    return Result(tool, **read, **arrays)
+def compare(task: Task, tools: list[str], repeat: int) -> dict[str, Any]:
+    """Run and print a table: {name: figures, or the message of a failure}."""
+    print(f"\n{task.name}")
+    figures: dict[str, Any] = {}
+    base: dict[str, Any] | None = None
+    for way in task.ways:
+        if way[0] not in (*OWN, *tools):
+            continue
+        found = best(way, repeat)
+        if isinstance(found, str):
+            name = " ".join(part for part in way if "/" not in part and "\\" not in part)
+            figures[name] = found
+            print(f"{name:<44}{found}", flush=True)
+            continue
+        base = base or found
+        checked = task.checks(found)
+        figures[found["name"]] = {e: round(found[e] / base[e], 3) for e in SECONDS} | {
+            n: _rounded(n, v) for n, v in checked.items() if np.isfinite(v)
+        }
+        ratios = "".join(f"  {e} {found[e] / base[e]:<7.3g}" for e in SECONDS)
+        print(f"{found['name']:<44}" + ratios + _words(checked), flush=True)
+    if base:
+        figures["base"] = {e: float(f"{base[e]:.3g}") for e in SECONDS}
+        print(f"1 is {base['name']}: " + ", ".join(f"{e} {base[e]:.3g} s" for e in SECONDS))
+    return figures
+
+
+def _rounded(name: str, value: float) -> float:
+    return float(f"{value:.2g}") if name in ("error", "miss", "excess", "ends") else round(value, 6)
+
+
+def _words(checked: dict[str, float]) -> str:
+    shown = ((n, _rounded(n, v)) for n, v in checked.items() if np.isfinite(v))
+    return "  ".join(f"{n} {v:g}" for n, v in shown)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("tools", nargs="*", metavar="TOOL", help=f"of {', '.join(TOOLS)}")
     parser.add_argument("--install", action="store_true", help="make the environments first")
     parser.add_argument("--json", action="store_true", help="at the end, all figures in one line")
@@ -189,44 +192,20 @@ def main() -> None:
     unknown = set(options.tools) - set(TOOLS)
     if unknown:
         parser.error(f"unknown tool {', '.join(unknown)}; known: {', '.join(TOOLS)}")
+    if options.repeat < 1:
+        parser.error(f"--repeat must be at least 1, not {options.repeat}")
     tools = options.tools or list(TOOLS)
-    if options.install:
-        install(tools)
+    failed = install(tools) if options.install else {}
     check_equations()
-    head = (
-        f"{'tool':<44}{'T [s]':>10}{'whole':>8}{'first':>8}"
-        f"{'solve':>8}{'iterations':>12}{'error':>10}"
-    )
-    print(head)
-    base: Result | None = None
-    figures: dict[str, object] = {}
-    for tool, way in WAYS:
-        if tool not in (*OWN, *tools):
-            continue
-        found = [run(tool, way) for _ in range(options.repeat)]
-        done = [f for f in found if isinstance(f, Result)]
-        if not done:
-            print(f"{f'{tool} {way}':<44}{found[0]}")
-            figures[f"{tool} {way}".strip()] = found[0]
-            continue
-        best = min(done, key=lambda r: r.whole)
-        best.first, best.solve = (min(getattr(r, e) for r in done) for e in ("first", "solve"))
-        base = base or best
-        figures[best.name] = {
-            e: round(getattr(best, e) / getattr(base, e), 3) for e in ("whole", "first", "solve")
-        } | {"error": float(f"{best.error():.1e}")}
-        ratios = (getattr(best, e) / getattr(base, e) for e in ("whole", "first", "solve"))
-        print(
-            f"{best.name:<44}{best.duration:>10.6f}"
-            + "".join(f"{r:>8.2f}" for r in ratios)
-            + f"{best.iterations or '-':>12}{best.error():>10.1e}",
-            flush=True,
-        )
-    if base:
-        print(
-            f"({base.name}: whole {base.whole:.2f} s, first {base.first:.2f} s, "
-            f"solve {base.solve:.2f} s)"
-        )
+    figures: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        tasks = (planning(), fitting(60, Path(folder)), fitting(10_000, Path(folder)), simulation())
+        for task in tasks:
+            if any(way[0] in tools for way in task.ways):
+                figures[task.name] = compare(task, tools, options.repeat)
+    for table in figures.values():
+        for name in table:
+            table[name] = failed.get(name.split()[0], table[name])
     if options.json:
         print("PEERS " + json.dumps(figures))
 
