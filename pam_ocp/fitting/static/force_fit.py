@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from ... import courtesy
 from ...core.cases import Place
 from ...core.errors import InputError, UnknownNameError
+from ...core.executors import placed
 from ...core.shown import shown
 from ...muscles.law import ForceLaw
 from ...muscles.pneumatic_muscle import Muscle
@@ -113,6 +114,7 @@ class ForceFit(Optimum):
     def _intervals(
         self, names: Sequence[str], level: float, linearised: bool, executor: Place = None
     ) -> dict[str, tuple[float, float]]:
+        placed(executor)
         reach = self.linearisation.reach(level)
         found = {}
         for name in names:
