@@ -171,10 +171,11 @@ def test_a_signal_ends_starts_wherever_they_are(where: Any) -> None:
     """The first start is tried here; the press comes when the others are under way."""
     plant = pam.HangingLoad("DMSP-20-400N", 20.0, feed=pam.feeds.SpoolValve())
     planner = pam.Planner(plant, [{"x": 0.02}, {"x": 0.04}], method=pam.Collocation(60, 4))
-    with place(where) as executor, pytest.raises(KeyboardInterrupt):
-        press = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    press = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    with place(where) as executor:
         press.start()
-        planner(starts=12, executor=executor)
+        with pytest.raises(KeyboardInterrupt):
+            planner(starts=12, executor=executor)
 
 
 @pytest.mark.parametrize("where", [0, 2])
