@@ -77,7 +77,7 @@ def elementwise(law: type[ForceLaw], order: int) -> Elementwise:
         found.append(ca.densify(ca.jacobian(tension, c)))
     if order > 1:
         found.append(ca.triu(ca.hessian(tension, c)[0]))
-    return Elementwise(ca.Function("law", [p, kappa, c], found))
+    return Elementwise(ca.Function("law", [p, kappa, c], ca.cse(found)))
 
 
 @cache
