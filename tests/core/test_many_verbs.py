@@ -15,6 +15,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.core.errors import OutOfTime
+from pam_ocp.core.stop import TimeIsUp
 from pam_ocp.fitting import fit_campaign, fit_forces
 from pam_ocp.fitting.tables.force_table import ForceTable
 
@@ -178,12 +179,26 @@ def test_a_signal_ends_starts_wherever_they_are(where: Any) -> None:
             planner(starts=12, executor=executor)
 
 
-@pytest.mark.parametrize("where", [0, 2])
-def test_a_time_limit_keeps_what_starts_found(where: int) -> None:
+def test_a_time_limit_keeps_what_starts_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time is up behind the second of the starts that are handed out."""
+    from pam_ocp.planning.solvers import side_by_side
+
+    whole = side_by_side.ending
+
+    def broken_off(*arguments: Any, **options: Any) -> Iterator[tuple[int, Any]]:
+        ended = whole(*arguments, **options)
+        yield next(ended)
+        yield next(ended)
+        raise TimeIsUp
+
+    monkeypatch.setattr(side_by_side, "ending", broken_off)
     plant = pam.HangingLoad("DMSP-20-400N", 20.0, feed=pam.feeds.SpoolValve())
-    planner = pam.Planner(plant, [{"x": 0.02}, {"x": 0.04}], method=pam.Collocation(20, 3))
-    with pytest.warns(pam.PlanWarning, match="time_limit"):
-        plan = planner(starts=12, executor=where, time_limit=0.8)
-    assert 1 <= len(plan.statistics["starts"]) < 12
+    planner = pam.Planner(plant, [{"x": 0.02}, {"x": 0.04}], method=pam.Collocation(8, 3))
+    plan = planner(tolerance=None, starts=6, executor=0)
+    assert len(plan.statistics["starts"]) == 3
+
+
+@pytest.mark.parametrize("where", [0, 2])
+def test_a_time_limit_ends_loads(where: int) -> None:
     with pytest.raises(OutOfTime):
         pam.load_study("DMSP-20-400N", executor=where, time_limit=0.05)
