@@ -195,7 +195,7 @@ def test_a_time_limit_keeps_what_starts_found(monkeypatch: pytest.MonkeyPatch) -
     plant = pam.HangingLoad("DMSP-20-400N", 20.0, feed=pam.feeds.SpoolValve())
     planner = pam.Planner(plant, [{"x": 0.02}, {"x": 0.04}], method=pam.Collocation(8, 3))
     plan = planner(tolerance=None, starts=6, executor=0)
-    assert len(plan.statistics["starts"]) == 3
+    assert 3 <= len(plan.statistics["starts"]) < 6  # the best may have been followed once more
 
 
 @pytest.mark.parametrize("where", [0, 2])
