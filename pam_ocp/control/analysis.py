@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.cases import Place, results_of
 from ..core.errors import InputError, require_positive
 from ..core.shown import shown
 from ..core.stop import verb
@@ -349,6 +351,7 @@ def mode_map(
     *,
     free: Sequence[str] = (),
     within: Mapping[str, tuple[float, float]] | None = None,
+    executor: Place = None,
 ) -> ModeMap:
     """Modes at the points of rest over two conditions.
 
@@ -356,6 +359,8 @@ def mode_map(
     constant force hold it at every (p, x). conditions, free : see :func:`equilibrium`.
     within : {state, input or output: (low, high)} outside which nothing is shown, such as
         ``{"muscle.force": (10.0, inf)}``: near slack a muscle is no spring.
+    executor : where the rows (values of the first axis) are worked on, as for
+        :func:`pam_ocp.each`; within a row each point starts from its neighbour.
 
     Examples
     --------
@@ -368,18 +373,37 @@ def mode_map(
     if len(grid) != 2:
         raise InputError(f"mode_map takes two axes; {len(grid)} given")
     (outer, rows), (inner, columns) = grid.items()
-    shape = len(rows), len(columns)
-    frequency, damping = np.full(shape, np.nan), np.full(shape, np.nan)
-    stable = np.zeros(shape, dtype=bool)
-    for i, value in enumerate(rows):
-        for j, point in _row(plant, {**(conditions or {}), outer: value}, inner, columns, free):
-            if any(not low <= point[n] <= high for n, (low, high) in (within or {}).items()):
-                continue
-            stable[i, j] = point.stability == "stable"
-            swing = modes(linearize(point.plant, point, outputs=[], stuck=True))
-            if swing:
-                frequency[i, j], damping[i, j] = swing[0]
+    if not len(rows) or not len(columns):
+        raise InputError(f"axes of mode_map hold {len(rows)} and {len(columns)} values; give some")
+    work = partial(
+        _modes_of_row, plant, dict(conditions or {}), outer, inner, columns, free, within
+    )
+    found = results_of(work, list(rows), executor=executor, chunk=1, what="rows")
+    frequency, damping, stable = (np.array(part) for part in zip(*found, strict=True))
     return ModeMap(plant, grid, frequency, damping, stable)
+
+
+def _modes_of_row(
+    plant: Plant,
+    conditions: Values,
+    outer: str,
+    inner: str,
+    columns: Array,
+    free: Sequence[str],
+    within: Mapping[str, tuple[float, float]] | None,
+    value: float,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Frequency, damping and stability at the points of one row; NaN and False where none is."""
+    frequency, damping = np.full(len(columns), np.nan), np.full(len(columns), np.nan)
+    stable = np.zeros(len(columns), dtype=bool)
+    for j, point in _row(plant, {**conditions, outer: value}, inner, columns, free):
+        if any(not low <= point[n] <= high for n, (low, high) in (within or {}).items()):
+            continue
+        stable[j] = point.stability == "stable"
+        swing = modes(linearize(point.plant, point, outputs=[], stuck=True))
+        if swing:
+            frequency[j], damping[j] = swing[0]
+    return frequency, damping, stable
 
 
 def _row(

@@ -8,7 +8,7 @@ to unit length before its rank is judged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, TypeAlias
@@ -77,7 +77,7 @@ def elementwise(law: type[ForceLaw], order: int) -> Elementwise:
         found.append(ca.densify(ca.jacobian(tension, c)))
     if order > 1:
         found.append(ca.triu(ca.hessian(tension, c)[0]))
-    return Elementwise(ca.Function("law", [p, kappa, c], found))
+    return Elementwise(ca.Function("law", [p, kappa, c], ca.cse(found)))
 
 
 @cache
@@ -123,6 +123,28 @@ def in_blocks(
         for i, value in enumerate(function(p[None, part], kappa[None, part], *columns)):
             found[:, i] = value
         yield part, found
+
+
+def _rising_root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function that rises from low to high is zero, by false position with halved ends
+    (Illinois: M. Dowell, P. Jarratt, BIT 11 (1971) 168), to rounding; the end that is nearer where
+    it is zero in neither.
+    """
+    below, above = function(low), function(high)
+    if below >= 0 or above <= 0:
+        return float(low if below >= 0 else high)
+    side = 0
+    for _ in range(100):
+        middle = (low * above - high * below) / (above - below)
+        value = function(middle)
+        if value == 0 or high - low <= 4e-16 * abs(high) or not low < middle < high:
+            return float(middle)
+        if value < 0:
+            low, below, above = middle, value, above / 2 if side < 0 else above
+        else:
+            high, above, below = middle, value, below / 2 if side > 0 else below
+        side = -1 if value < 0 else 1
+    return float(middle)
 
 
 def student_t(level: float, dof: int) -> float:
@@ -238,8 +260,7 @@ class SerialErrors:
 
     def reach(self, level: float) -> float:
         """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
-        from scipy.optimize import brentq
-        from scipy.special import stdtr
+        from scipy.special import stdtr  # scipy.optimize would take half a second to load
 
         plain = student_t(level, self.dof)
         roots = np.sqrt(self.sizes)
@@ -247,7 +268,7 @@ class SerialErrors:
         def missing(half: float) -> float:
             return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
 
-        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
+        return _rising_root(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9))
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,8 @@ class Elementwise:
         self.inputs, self.outputs = int(before[-1]), int(after[-1])
         # every value gets a number of its own: inputs, constants, then what operations give
         self._constants: list[float] = []
-        self._steps: list[tuple[Operation, tuple[int, ...]]] = []
+        self._steps: list[tuple[Operation, int, int]] = []
+        """Operations, and the numbers of the one or two values (-1: none) that they take."""
         self._results = [-1] * self.outputs
         self._numpy = function.is_a("SXFunction") and self._traced(before, after)
 
@@ -124,7 +125,8 @@ class Elementwise:
             elif code == ca.OP_OUTPUT:
                 self._results[int(after[target[0]]) + target[1]] = holds[source[0]]
             elif code in known:
-                self._steps.append((known[code], tuple(holds[s] for s in source)))
+                one, two = (*(holds[s] for s in source), -1)[:2]
+                self._steps.append((known[code], one, two))
                 holds[target[0]] = first + len(self._steps) - 1
             else:
                 return False
@@ -138,8 +140,11 @@ class Elementwise:
             return self._by_casadi(inputs)
         values = [*inputs, *self._constants]
         with np.errstate(all="ignore"):
-            for operation, sources in self._steps:
-                values.append(operation(*[values[s] for s in sources]))
+            for operation, one, two in self._steps:
+                if two < 0:
+                    values.append(operation(values[one]))
+                else:
+                    values.append(operation(values[one], values[two]))
         return [values[i] for i in self._results]
 
     def _by_casadi(self, inputs: Sequence[Any]) -> list[Any]:

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.cases import Place
 from ..core.errors import (
     InputError,
     PlanError,
@@ -45,6 +46,7 @@ from .shortcuts import by_coarser, carried
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import explanation
 from .solvers.narrowing import has_kinks, widened
+from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
 from .starts import MOST, Ends, number_of_starts
 from .transcription.mesh import Collocation, Mesh, Method, Shooting
@@ -89,6 +91,7 @@ def plan(
     tolerance: float | None = TOLERANCE,
     guess: Plan | None = None,
     starts: int | None = None,
+    executor: Place = None,
     progress: Progress = False,
     solver: SolverName = "ipopt",
     compiled: bool = False,
@@ -138,6 +141,9 @@ def plan(
         the first guess), side by side in processes where that pays; the best plan is kept, and
         ``statistics["starts"]`` says where each ended. None: 4 where local optima are many (valves,
         a load on a tendon) and no guess is given, else 1.
+    executor : where they are tried, as for :func:`pam_ocp.each`; what comes of them is the same
+        everywhere. None: here, and by processes of our own where that pays, on any system. The
+        first start is tried here, and so are all where another solver than IPOPT is named.
     progress : True prints each iteration; a function (iteration, objective, violation) is called.
     solver : "ipopt", or "fatrop", which works stage by stage: an alternative for collocation on
         many intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
@@ -191,7 +197,8 @@ def plan(
         if time_limit is None:  # somebody else's limit
             raise
         raise _nothing_yet(plant) from None
-    return planner._solve(None, guess, tolerance, starts, {}, time_limit)
+    with starts_on(executor):
+        return planner._solve(None, guess, tolerance, starts, {}, time_limit)
 
 
 def _nothing_yet(plant: Plant) -> PlanError:
@@ -204,8 +211,8 @@ def _nothing_yet(plant: Plant) -> PlanError:
 class Planner:
     """A planning problem that is built once and solved many times.
 
-    Takes the arguments of :func:`plan` but ``tolerance``, ``guess`` and ``starts``, which are
-    said at each call. ``planner()`` solves it;
+    Takes the arguments of :func:`plan` but ``tolerance``, ``guess``, ``starts`` and ``executor``,
+    which are said at each call. ``planner()`` solves it;
     ``planner(stops=..., values=..., guess=plan)`` solves it for other numbers, in milliseconds from
     the solution of a neighbour: stops, durations, bounds, budgets and constant aims may have other
     values (not other names), and so may all parameters of the plant.
@@ -259,6 +266,7 @@ class Planner:
         guess: Plan | None = None,
         tolerance: float | None = TOLERANCE,
         starts: int | None = None,
+        executor: Place = None,
         time_limit: float | None = None,
         **changed: Any,
     ) -> Plan:
@@ -266,15 +274,16 @@ class Planner:
 
         values : parameters (and start values) of the plant by name.
         guess : a plan to start from; one of this planner starts warm, with its multipliers.
-        tolerance, starts, time_limit : refine the mesh, try other starts, how long; see
-            :func:`plan`.
+        tolerance, starts, executor, time_limit : refine the mesh, try other starts, where, how
+            long; see :func:`plan`.
         changed : other ``stops``, ``duration``, ``bounds``, ``budgets``, ``track``, ``memory`` of
             the same form.
 
         Raises InputError when a change would ask for another program, PlanError as plan does; warns
         as plan does.
         """
-        return self._solve(values, guess, tolerance, starts, changed, time_limit)
+        with starts_on(executor):
+            return self._solve(values, guess, tolerance, starts, changed, time_limit)
 
     def _solve(
         self,

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, require_flag
 from ..core.signals import PiecewisePolynomial, merged
+from ..core.stop import native
+from ..numerics.rodas import LEAST, Rodas, written_out
 from ..numerics.solvers import Native, integrator
 from ..plants.plant import Plant
 
@@ -38,9 +40,9 @@ JUMP = 1e-8
 class Integration:
     """x' = f(x, u(t), p) from ``x0`` over ``grid``, the breaks of ``u`` among its times.
 
-    method : "rosenbrock" (CasADi's, order 5, L-stable, adaptive, or equal steps of at most
-        ``step``), "cvodes" (SUNDIALS BDF, started anew at each jump), "rk4" (explicit, steps of
-        ``step``).
+    method : "rosenbrock" (order 5, L-stable, adaptive: Rodas5P, a step as one expression; CasADi's
+        where that is long or gives up, and for equal steps of at most ``step``), "cvodes" (SUNDIALS
+        BDF, started anew at each jump), "rk4" (explicit, steps of ``step``).
     compiled : by machine code in place of CasADi's integrator: where it is there (None), built if
         need be (True), never (False). Where it gives up, CasADi's is asked.
     States are scaled by nominals, so tolerances are relative to them too.
@@ -90,6 +92,7 @@ class Integration:
                 states = self._by_legs(k)
             else:
                 found = self._by_machine(k)
+                found = self._by_steps(k) if found is None else found
                 states = self._at_once(k) if found is None else found
         except RuntimeError:
             return None
@@ -161,6 +164,28 @@ class Integration:
             self.max_steps,
         )
         return states if states is not None and np.all(np.isfinite(states)) else None
+
+    def _by_steps(self, k: int) -> Array | None:
+        """By steps that are written out; None for long ones, and where they lead no further."""
+        if self.method != "rosenbrock" or self.step is not None or self.rtol < LEAST:
+            return None
+        nominal = self._nominal
+
+        def build() -> Rodas | None:
+            dae = self._dae(nominal)
+            return written_out(ca.Function("ode", [dae[n] for n in "txup"], [dae["ode"]]))
+
+        rodas = self.plant.cached(("rodas", self.u.degree, nominal.tobytes()), build)
+        if rodas is None:
+            return None
+        size, control = self._groups(k)
+        grid, p = self.grid[: k + 1], self.plant.vector("parameter")
+        breaks = grid[np.concatenate([[0], np.cumsum(size)])]
+        given = (grid, breaks, control.T, self.x0 / nominal, p, self.rtol, self.max_steps)
+        found = native(rodas, *given)
+        if found is None:
+            return None
+        return np.vstack([self.x0, found[1:] * nominal])
 
     def _at_once(self, k: int) -> Array:
         size, control = self._groups(k)

@@ -1,4 +1,4 @@
-"""simulate: the motion of a plant under given inputs, by CasADi's integrators."""
+"""simulate: the motion of a plant under given inputs."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def simulate(
     parameters : parameter values for this run only.
     interpolation : how samples run: "previous" (held) or "linear"; a Trajectory knows its own.
     rtol : relative tolerance per step, 1e-14 .. 1; absolute ones are rtol times nominal.
-    method : "rosenbrock" (CasADi's, order 5, L-stable; the default, for all plants), "cvodes"
+    method : "rosenbrock" (order 5, L-stable; the default, for all plants), "cvodes"
         (SUNDIALS BDF, another family for comparison), "rk4" (explicit, with ``step``; for plants
         that are not stiff).
     step : length of equal steps [s] for "rk4", or for "rosenbrock" instead of adaptive ones.
@@ -77,7 +77,7 @@ def simulate(
         better) and at which the integration starts anew; see ``trajectory.events``. With a small
         ``slack_width`` and ``events=["muscle.tension"]`` the clamp at zero force is exact in
         effect. Two crossings between neighbouring output times stay unseen: choose ``t`` fine.
-    max_steps : of the integrator between two output times.
+    max_steps : of the integrator between two output times, in the mean.
     dead_times : of feeds that have them (see :class:`pam_ocp.feeds.DeadTime`): by their delay
         "line", which is the model of plans, fits and FMUs; or "exact", by shifting the commands,
         which before the start stood at the start values of the line.

@@ -6,16 +6,17 @@ import csv
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.cases import Place, results_of
 from ..core.errors import InputError, require_positive
 from ..core.files import atomic_path
 from ..core.plausible import doubt
-from ..core.progress import counted
 from ..core.shown import shown
 from ..core.stop import verb
 from ..muscles.gas import AMBIENT_PRESSURE, air_mass, muscle_volume
@@ -139,6 +140,7 @@ def load_study(
     losses: Sequence[Loss] = (),
     memory: Memory = "virgin",
     duration: float = 4.0,
+    executor: Place = None,
     time_limit: float | None = None,
 ) -> LoadStudy:
     """A hanging load at rest, swinging and settling, for every mass [kg] and pressure [Pa].
@@ -150,6 +152,7 @@ def load_study(
     damping, feed, losses : of the HangingLoad; duration : simulated after each step [s].
     memory : what hysteresis keeps at rest, see :func:`pam_ocp.equilibrium`. A step then ends where
         friction holds the load: overshoot and settling are about that place.
+    executor : where the cases are worked on, as for :func:`pam_ocp.each`.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Raises InputError for masses, pressures or a step that are not positive.
@@ -166,8 +169,9 @@ def load_study(
     (step,) = _several("step", step, "Pa")
     duration = require_positive("duration", duration, "s")
     plant = HangingLoad(muscle, damping=damping, feed=feed, losses=losses)
-    wanted = counted([(m, p) for m in weights for p in levels], "loads")
-    cases = [_case(plant, muscle, m, p, step, duration, memory) for m, p in wanted]
+    wanted = [(m, p) for m in weights for p in levels]
+    work = partial(_case, plant, muscle, step, duration, memory)
+    cases = results_of(work, wanted, executor=executor, chunk=1, what="loads")
     return LoadStudy(muscle.name, step, tuple(cases))
 
 
@@ -195,12 +199,12 @@ def _rest(plant: Plant, mass: float, pressure: float, memory: Memory) -> Operati
 def _case(
     plant: Plant,
     muscle: Muscle,
-    mass: float,
-    pressure: float,
     step: float,
     duration: float,
     memory: Memory,
+    wanted: tuple[float, float],
 ) -> LoadCase:
+    mass, pressure = wanted
     try:
         rest = _rest(plant, mass, pressure, memory)
     except EquilibriumError:

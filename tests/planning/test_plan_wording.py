@@ -465,7 +465,7 @@ def test_what_cannot_be_meant_is_refused(slide, arguments, message):
 
 def test_a_planner_knows_the_keywords_of_plan_and_names_the_nearest_to_a_wrong_one():
     asked = set(inspect.signature(pam.plan).parameters) - {"plant", "stops"}
-    assert asked - {"time_limit"} == set(SolveKeywords.__annotations__)
+    assert asked - {"time_limit", "executor"} == set(SolveKeywords.__annotations__)
     stops = [{"x": 0.0}, {"x": 0.01}]
     with pytest.raises(TypeError, match="no argument 'minimize'; did you mean 'minimise'"):
         pam.Planner(pam.HangingLoad("DMSP-20-400N", mass=20.0), stops, minimize="time")

@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.cases import Place
 from ...core.errors import (
     InputError,
     UnknownNameError,
@@ -179,6 +180,7 @@ def design_cells(
     noise: float | None = None,
     covariance: ArrayLike | None = None,
     fixed: Sequence[str] = (),
+    executor: Place = None,
     time_limit: float | None = None,
 ) -> CellDesign:
     """Propose ``n`` further cells within the bench's limits that shrink the chosen intervals most.
@@ -199,6 +201,8 @@ def design_cells(
         off the candidates.
     noise : standard deviation of a measurement [N]; by default the fit's.
     fixed : coefficients of a law (not of a fit) that are known.
+    executor : where the eight starts of the search are tried, as for :func:`pam_ocp.each`; pays
+        from some hundred cells on.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
     Returns
@@ -231,7 +235,9 @@ def design_cells(
     )
     aim = _criterion(state, criterion, chosen, where)
     most = _repeats(repeats, n)
-    selection = exchange(gradient / state.noise, n, aim, state.information, repeats=most)
+    selection = exchange(
+        gradient / state.noise, n, aim, state.information, repeats=most, executor=executor
+    )
     cells = points[selection.indices]
     if steps is not None and most >= n:
         cells = refine(cells, steps, _reachable(state, points), aim, state.information)

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.cases import Place, results_of
 from ...core.errors import InputError
 from ..statistics import Array
 
@@ -91,7 +93,14 @@ class Selection:
 
 
 def exchange(
-    rows: Array, n: int, criterion: Criterion, information: Array, *, repeats: int, seed: int = 0
+    rows: Array,
+    n: int,
+    criterion: Criterion,
+    information: Array,
+    *,
+    repeats: int,
+    seed: int = 0,
+    executor: Place = None,
 ) -> Selection:
     """The n of the candidates' ``rows`` (m, k) that make the criterion smallest, given M0.
 
@@ -103,6 +112,7 @@ def exchange(
     ----------
     information : M0 (k, k) of what is known; zeros for nothing.
     repeats : how often one candidate may be chosen.
+    executor : where the starts are tried, as for :func:`pam_ocp.each`.
 
     Raises
     ------
@@ -124,14 +134,10 @@ def exchange(
     base = known + RIDGE * np.eye(len(known))
     random = np.random.default_rng(seed)
     stock = np.repeat(np.arange(len(rows)), min(repeats, n))
-    found = []
-    for start in range(STARTS):
-        begun = (
-            _built_up(rows, n, scaled, base, repeats)
-            if start == 0
-            else random.choice(stock, n, replace=False)
-        )
-        found.append(_exchanged(rows, begun, scaled, base, repeats))
+    starts = [_built_up(rows, n, scaled, base, repeats)]
+    starts += [random.choice(stock, n, replace=False) for _ in range(STARTS - 1)]
+    work = partial(_exchanged, rows, scaled, base, repeats)
+    found = results_of(work, starts, executor=executor, chunk=1, what="designs")
     value, indices = min(found, key=lambda pair: pair[0])
     covariance = _inverse(known + rows[indices].T @ rows[indices])
     if covariance is None:
@@ -180,7 +186,7 @@ def _built_up(
 
 
 def _exchanged(
-    rows: Array, begun: NDArray[np.intp], criterion: Criterion, base: Array, repeats: int
+    rows: Array, criterion: Criterion, base: Array, repeats: int, begun: NDArray[np.intp]
 ) -> tuple[float, NDArray[np.intp]]:
     chosen = begun.copy()
     value = criterion.value(np.linalg.inv(base + rows[chosen].T @ rows[chosen]))

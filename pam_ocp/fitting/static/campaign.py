@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
+from ...core.cases import Place, results_of
 from ...core.errors import FitError, InputError
-from ...core.progress import counted
+from ...core.executors import placed
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array
@@ -46,6 +48,7 @@ def fit_campaign(
     columns: Any = None,
     units: Mapping[str, str] | None = None,
     reading: Mapping[str, Any] | None = None,
+    executor: Place = None,
     time_limit: float | None = None,
 ) -> Campaign:
     """Fit a folder of static tables: per muscle, per branch, repeats against each other, lengths.
@@ -64,6 +67,8 @@ def fit_campaign(
     fixed : coefficients to hold [SI], of the laws that have them.
     loss, errors : as for :func:`fit_force`.
     columns, units : as for :func:`read_table`. reading : further keywords for it.
+    executor : where muscles are fitted, and laws with each length left out, as for
+        :func:`pam_ocp.each`.
     time_limit : [s]; OutOfTime when it is over.
 
     Returns
@@ -83,26 +88,31 @@ def fit_campaign(
     'campaign'
     """
     kind = law_class(law)
+    placed(executor)
     options = {n: v for n, v in (("columns", columns), ("units", units)) if v is not None}
     measured, failed = collected(tables, rest_length, diameter, {**options, **(reading or {})})
     parts: dict[str, list[Any]] = {}
     for one in measured:
         parts.setdefault(one.muscle, []).append(one)
     muscles: dict[str, MuscleStudy] = {}
-    for name, own in counted(parts.items(), "muscles"):
-        width = next((p.diameter for p in own if p.diameter), None)
-        try:
-            table = joined(own)
-            fit = fit_force(table, kind, fixed=_own(kind, fixed), loss=loss, errors=errors)
-        except (InputError, FitError) as error:
-            failed[name] = str(error)
-            continue
-        muscles[name] = _muscle(name, width, fit, fixed, loss, errors)
+    studied = results_of(
+        _Studied(kind, fixed, loss, errors),
+        list(parts.items()),
+        executor=executor,
+        chunk=1,
+        what="muscles",
+    )
+    for name, study in zip(parts, studied, strict=True):
+        if isinstance(study, str):
+            failed[name] = study
+        else:
+            muscles[name] = study
     if not muscles:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(failed.items())[:3])
         raise InputError(f"no muscle of the campaign could be fitted: {reasons}")
     groups = [
-        _lengths(g, muscles, kind, shared, length_laws, fixed, errors) for g in _grouped(muscles)
+        _lengths(g, muscles, kind, shared, length_laws, fixed, errors, executor)
+        for g in _grouped(muscles)
     ]
     return Campaign(kind, muscles, tuple(groups), failed)
 
@@ -113,6 +123,28 @@ def _own(kind: type[ForceLaw], fixed: Mapping[str, float] | None) -> dict[str, f
 
 
 # ---- one muscle ---------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Studied:
+    """How muscles are fitted; called with a name and what was measured of it."""
+
+    kind: type[ForceLaw]
+    fixed: Mapping[str, float] | None
+    loss: Literal["squares", "huber", "l1", "bisquare"]
+    errors: Literal["as found", "independent"]
+
+    def __call__(self, part: tuple[str, list[Any]]) -> MuscleStudy | str:
+        """The study, or why there is none."""
+        name, own = part
+        width = next((p.diameter for p in own if p.diameter), None)
+        fixed = _own(self.kind, self.fixed)
+        try:
+            table = joined(own)
+            fit = fit_force(table, self.kind, fixed=fixed, loss=self.loss, errors=self.errors)
+        except (InputError, FitError) as error:
+            return str(error)
+        return _muscle(name, width, fit, self.fixed, self.loss, self.errors)
+
+
 def _muscle(
     name: str, diameter: float | None, fit: ForceFit, fixed: Any, loss: Any, errors: Any
 ) -> MuscleStudy:
@@ -191,6 +223,7 @@ def _lengths(
     laws: Sequence[Any],
     fixed: Any,
     errors: Any,
+    executor: Place,
 ) -> LengthStudy:
     tables = {n: muscles[n].fit.table for n in names}
     joint: JointForceFit | None = None
@@ -202,13 +235,15 @@ def _lengths(
     except (InputError, FitError) as error:
         problem = str(error)
     size = muscles[names[0]].diameter or float("nan")
+    kinds = [law_class(one) for one in laws]
+    work = partial(_length_law, tables, fixed, errors)
     return LengthStudy(
         size,
         tuple(names),
         joint,
         probability,
         problem,
-        tuple(_length_law(law_class(one), tables, fixed, errors) for one in laws),
+        tuple(results_of(work, kinds, executor=executor, chunk=1, what="laws")),
     )
 
 
@@ -229,7 +264,7 @@ def _sharing(joint: JointForceFit, alone: Sequence[ForceFit]) -> float:
 
 
 def _length_law(
-    kind: type[ForceLaw], tables: Mapping[str, ForceTable], fixed: Any, errors: Any
+    tables: Mapping[str, ForceTable], fixed: Any, errors: Any, kind: type[ForceLaw]
 ) -> LengthLaw:
     """One set of coefficients for all lengths, and for each length left out."""
     own = _own(kind, fixed)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from ... import courtesy
 from ...core.cases import Place
 from ...core.errors import InputError, UnknownNameError
+from ...core.executors import placed
 from ...core.shown import shown
 from ...muscles.law import ForceLaw
 from ...muscles.pneumatic_muscle import Muscle
@@ -68,16 +69,21 @@ class ForceFit(Optimum):
 
     # ---- what the data say about the coefficients ---------------------------------------------
     def interval(
-        self, name: str, level: float = 0.95, *, linearised: bool = False
+        self,
+        name: str,
+        level: float = 0.95,
+        *,
+        linearised: bool = False,
+        executor: Place = None,
     ) -> tuple[float, float]:
         """Confidence interval of a coefficient [its unit]; see :meth:`intervals`."""
         entry = self._entry(name)
         if entry.held:
             return entry.value, entry.value
-        return self._intervals((name,), level, linearised)[name]
+        return self._intervals((name,), level, linearised, executor)[name]
 
     def intervals(
-        self, level: float = 0.95, *, linearised: bool = False
+        self, level: float = 0.95, *, linearised: bool = False, executor: Place = None
     ) -> dict[str, tuple[float, float]]:
         """Confidence intervals of the free coefficients.
 
@@ -85,8 +91,11 @@ class ForceFit(Optimum):
         squares without inequalities. Else, and with ``linearised``, value ± t standard errors,
         which is short on one side for a coefficient in which the law bends. An end may be infinite:
         see :meth:`open_ends`.
+
+        executor : where profiles are walked along that do not end within milliseconds, as for
+            :func:`pam_ocp.each`; the ends are the same everywhere.
         """
-        return self._intervals(self.free, level, linearised)
+        return self._intervals(self.free, level, linearised, executor)
 
     def open_ends(self, level: float = 0.95) -> dict[str, str]:
         """Why an interval of :meth:`intervals` has an infinite end, by coefficient."""
@@ -103,26 +112,27 @@ class ForceFit(Optimum):
         return self.terms.loss == "squares" and not self.problem.limited and self.dof > 0
 
     def _intervals(
-        self, names: Sequence[str], level: float, linearised: bool
+        self, names: Sequence[str], level: float, linearised: bool, executor: Place = None
     ) -> dict[str, tuple[float, float]]:
+        placed(executor)
         reach = self.linearisation.reach(level)
         found = {}
         for name in names:
             c = self.coefficients[name]
             found[name] = (c.value - reach * c.stderr, c.value + reach * c.stderr)
         if not linearised and self.has_profile and self.sigma > 0:
-            found |= {n: (e.low, e.high) for n, e in self._profiled(level).items() if n in names}
+            ends = self._profiled(level, executor)
+            found |= {n: (e.low, e.high) for n, e in ends.items() if n in names}
         return found
 
-    def _profiled(self, level: float) -> Mapping[str, Ends]:
+    def _profiled(self, level: float, executor: Place = None) -> Mapping[str, Ends]:
         """Ends of the profile intervals of the coefficients for which there is one."""
         known: dict[float, Mapping[str, Ends]] = self.__dict__.setdefault("_profiles", {})
         if level not in known:
             names = [n for n in self.free if np.isfinite(self.coefficients[n].stderr)]
             wanted = self.has_profile and self.sigma > 0 and self.problem.nonlinear
-            known[level] = (
-                profile_ends(self, names, self.linearisation.reach(level)) if wanted else {}
-            )
+            reach = self.linearisation.reach(level)
+            known[level] = profile_ends(self, names, reach, executor) if wanted else {}
         return known[level]
 
     def _entry(self, name: str) -> Coefficient:
@@ -132,13 +142,17 @@ class ForceFit(Optimum):
             )
         return self.coefficients[name]
 
-    def profile_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+    def profile_interval(
+        self, name: str, level: float = 0.95, *, executor: Place = None
+    ) -> tuple[float, float]:
         """Confidence interval by profile likelihood: where F(1, dof) of the squares is exceeded.
 
         All other coefficients are fitted anew at each value, so the interval may be lopsided; an
         end that the data leave open is infinite. (Bates, Watts, Nonlinear Regression, 1988, 6.1.)
         Where errors follow each other, the excess is larger in the ratio of the variances with and
         without that (R. Chandler, S. Bate, Biometrika 94 (2007) 167-183).
+
+        executor : where the two ends are sought, as for :meth:`intervals`.
         """
         entry = self._entry(name)
         if entry.held:
@@ -149,7 +163,7 @@ class ForceFit(Optimum):
             raise InputError(
                 "profile_interval needs loss='squares'; after a robust fit use bootstrap()"
             )
-        ends = profile_ends(self, (name,), self.linearisation.reach(level))[name]
+        ends = profile_ends(self, (name,), self.linearisation.reach(level), executor)[name]
         return ends.low, ends.high
 
     def predict(self, p: ArrayLike, kappa: ArrayLike, level: float = 0.95) -> Prediction:

@@ -17,7 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.cases import Place, results_of
 from ...core.errors import FitError
+from ...core.executors import placed
 from ..statistics import Array
 from .descent import descend
 from .least_squares import DECADES, LeastSquares, sizes
@@ -51,11 +53,17 @@ class Ends:
     reason: str = ""
 
 
-def profile_ends(fit: Optimum, names: Sequence[str], reach: float) -> dict[str, Ends]:
+def profile_ends(
+    fit: Optimum, names: Sequence[str], reach: float, executor: Place = None
+) -> dict[str, Ends]:
     """Ends of the profile intervals of several coefficients, ``reach`` standard errors away.
 
     A standard error that is larger than that of independent errors widens the interval as much.
+
+    executor : where coefficients walk. What is found together or by a sweep takes milliseconds for
+        all of them, and is found here.
     """
+    placed(executor)
     if not names:
         return {}
     plain = dict(zip(fit.free, fit.linearisation.independent.stderr().tolist(), strict=True))
@@ -67,21 +75,35 @@ def profile_ends(fit: Optimum, names: Sequence[str], reach: float) -> dict[str, 
         found = _together(fit, names, reaches)
     limits = fit.cost + (reaches * fit.sigma) ** 2
     sweep = Sweep.of(fit) if simple and not np.all(np.isfinite(found)) else None
-    ends = {}
-    for row, name, limit in zip(found, names, limits, strict=True):
-        both, reasons = [], []
-        for end, side in zip(row, (-1.0, 1.0), strict=True):
-            why = ""
-            if not np.isfinite(end) and sweep is not None:
-                end, why = sweep.end(fit.free.index(name), side, float(limit))
-            elif not np.isfinite(end):
-                end, why = profile_end(
-                    fit, name, side * fit.coefficients[name].stderr, float(limit)
-                )
-            both.append(float(end))
-            reasons.append(why)
-        ends[name] = Ends(both[0], both[1], "; ".join(dict.fromkeys(r for r in reasons if r)))
-    return ends
+    open_ends = [(i, j) for i, j in np.ndindex(found.shape) if not np.isfinite(found[i, j])]
+    sides = (-1.0, 1.0)
+    if sweep is not None:
+        places = [(fit.free.index(names[i]), sides[j], float(limits[i])) for i, j in open_ends]
+        answers = [sweep.end(*place) for place in places]
+    else:
+        walks = [
+            (names[i], sides[j] * fit.coefficients[names[i]].stderr, float(limits[i]))
+            for i, j in open_ends
+        ]
+        answers = results_of(_Walk(fit), walks, executor=executor, chunk=1, what="profiles")
+    reasons: dict[str, list[str]] = {name: [] for name in names}
+    for (i, j), (end, why) in zip(open_ends, answers, strict=True):
+        found[i, j] = end
+        reasons[names[i]] += [why] if why else []
+    return {
+        name: Ends(float(low), float(high), "; ".join(dict.fromkeys(reasons[name])))
+        for name, (low, high) in zip(names, found, strict=True)
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class _Walk:
+    """A fit; called with a coefficient, a first step and a limit it gives the end there."""
+
+    fit: Optimum
+
+    def __call__(self, walk: tuple[str, float, float]) -> tuple[float, str]:
+        return profile_end(self.fit, *walk)
 
 
 def _together(fit: Optimum, names: Sequence[str], reaches: Array) -> Array:

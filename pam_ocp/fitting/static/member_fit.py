@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.cases import Place
 from ...core.errors import InputError
 from ..statistics import Array, Linearisation
 from .doubts import at_edge, unseen
@@ -55,7 +56,9 @@ class MemberFit(ForceFit):
         """No: a profile of one table alone leaves out what the others tell."""
         return False
 
-    def profile_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+    def profile_interval(
+        self, name: str, level: float = 0.95, *, executor: Place = None
+    ) -> tuple[float, float]:
         raise InputError("a muscle of a joint fit: take profile_interval of the joint fit")
 
     def bootstrap(self, n: int = 500, seed: int = 0, **options: Any) -> Any:

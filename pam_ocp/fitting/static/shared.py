@@ -15,7 +15,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...core.cases import Place, results_of
 from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.executors import placed
 from ...core.stop import verb
 from ...muscles.law import ForceLaw
 from ..statistics import Array, Coefficient, Linearisation, SerialErrors, SolverStatistics
@@ -107,23 +109,30 @@ class JointForceFit:
         """Linearised confidence intervals of all unknowns."""
         return {n: self.interval(n, level) for n in self.names}
 
-    def profile_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+    def profile_interval(
+        self, name: str, level: float = 0.95, *, executor: Place = None
+    ) -> tuple[float, float]:
         """Interval by profile likelihood: all others fitted anew on either side.
 
-        Infinite at an end that the data leave open.
+        Infinite at an end that the data leave open. executor : where the two ends are sought, as
+        for :func:`pam_ocp.each`.
         """
         i, linear = self._place(name), self.linearisation
+        placed(executor)
         if not np.isfinite(self.coefficients[name].stderr):
             return -np.inf, np.inf
         step = self.coefficients[name].stderr
         widened = step / float(linear.independent.stderr()[i])
         limit = self.cost + (linear.reach(level) * widened * linear.scale) ** 2
-        return self._end(i, -step, limit), self._end(i, step, limit)
+        ends = [(i, -step, limit), (i, step, limit)]
+        low, high = results_of(self._end, ends, executor=executor, chunk=1, what="profiles")
+        return low, high
 
-    def _end(self, i: int, step: float, limit: float) -> float:
+    def _end(self, end: tuple[int, float, float]) -> float:
         """Where the profiled squares reach ``limit`` on the side of ``step``,
         each from the last.
         """
+        i, step, limit = end
         low, high = (b[i] for b in self.problem.bounds())
         best = value = inside = float(self.linearisation.values[i])
         z = np.array(self.linearisation.values)

@@ -4,6 +4,8 @@ The other processes get the program as CasADi's functions, so nothing of the cal
 run again there (a script needs no ``if __name__ == "__main__"``). They end when this function is
 left, by an answer or an interruption, and by themselves when this process is gone. Where none can
 be started, all starts are solved here.
+
+Whoever names a place (:func:`starts_on`) has them worked on there, as any other loop over cases.
 """
 
 from __future__ import annotations
@@ -16,20 +18,26 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.cases import Place, ending
+from ...core.errors import PlanError
+from ...core.executors import placed
 from ...core.stop import TimeIsUp, check
 from ...numerics.blas import environment
+from ...numerics.solvers import Nlp, nlpsol
 from ..starts import Task
 from ..transcription.transcription import Program
 from .solver import Ipopt, Outcome
 
-__all__ = ["solved_side_by_side"]
+__all__ = ["solved_side_by_side", "starts_on"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -38,6 +46,24 @@ PAYS = 1.0
 """Seconds of work left from which on other processes are started: each takes a third of this to
 begin.
 """
+PLACE: ContextVar[Place] = ContextVar("place of starts", default=None)
+"""Where starts are solved: as a time limit it holds for all searches within a verb, those on
+coarser meshes too.
+"""
+
+
+@contextlib.contextmanager
+def starts_on(executor: Place) -> Iterator[None]:
+    """In the ``with`` starts are solved there; None: as it was. Raises InputError for no place."""
+    placed(executor)
+    if executor is None:
+        yield
+        return
+    before = PLACE.set(executor)
+    try:
+        yield
+    finally:
+        PLACE.reset(before)
 
 
 def solved_side_by_side(
@@ -47,6 +73,57 @@ def solved_side_by_side(
 
     first : seconds that one start takes, by experience; short work is done in this process.
     """
+    executor = PLACE.get()
+    if executor is None:
+        return _by_processes(ipopt, program, tasks, first)
+    work: Any = _Elsewhere(*ipopt.portable({task.start for task in tasks}))
+    cases = [(task.start, ipopt.arguments(program, task.guess)) for task in tasks]
+    found: dict[int, Outcome] = {}
+    with contextlib.suppress(TimeIsUp):
+        for i, answer in ending(
+            work, cases, executor=executor, chunk=1, what="starts", lost=PlanError
+        ):
+            if isinstance(answer, PlanError):
+                raise PlanError(f"a start of the plan was lost: {answer}")
+            if isinstance(answer, Exception):
+                raise answer
+            found[i] = Outcome.of(*answer)
+    if len(found) < len(tasks) and not any(outcome.success for outcome in found.values()):
+        raise TimeIsUp
+    return [found[i] for i in sorted(found)]
+
+
+class _Elsewhere:
+    """The problem as a function, and options of its solvers; called with a start and arguments."""
+
+    def __init__(self, problem: ca.Function, options: Mapping[str, Mapping[str, Any]]) -> None:
+        self._problem, self._options = problem, options
+        self._solvers: dict[str, Nlp] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Elsewhere, (self._problem, self._options)
+
+    def __call__(
+        self, case: tuple[str, Mapping[str, Array]]
+    ) -> tuple[dict[str, Array], dict[str, Any], float]:
+        begin, (name, arguments) = time.perf_counter(), case
+        if name not in self._solvers:
+            x = ca.MX.sym("x", self._problem.size1_in(0))
+            p = ca.MX.sym("p", self._problem.size1_in(1))
+            f, g = self._problem(x, p)
+            sizes = (x.numel(), g.numel(), p.numel())
+            problem, options = {"x": x, "p": p, "f": f, "g": g}, self._options[name]
+            self._solvers[name] = nlpsol(name, "ipopt", problem, options, sizes=sizes)
+        result, stats = self._solvers[name](**arguments), self._solvers[name].stats()
+        arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
+        told = {k: stats.get(k) for k in ("return_status", "success", "iter_count", "iterations")}
+        return arrays, told, time.perf_counter() - begin
+
+
+def _by_processes(
+    ipopt: Ipopt, program: Program, tasks: Sequence[Task], first: float
+) -> list[Outcome]:
+    """By processes that know CasADi alone, and this one; short work by this one alone."""
     queue, found = deque(range(len(tasks))), {}
     others = min(len(tasks), _processors()) - 1
     workers: list[_Worker] = []
