@@ -29,7 +29,6 @@ __all__ = ["evaluated", "simulate"]
 Array = NDArray[np.float64]
 
 
-
 class Computes(Protocol):
     """A plant's outputs at many points, by other means than CasADi's."""
 

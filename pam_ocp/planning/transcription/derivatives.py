@@ -210,9 +210,7 @@ class _Entries:
         return ca.MX(pattern, adding @ values)
 
 
-def _gradient(
-    program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.MX]
-) -> ca.Function:
+def _gradient(program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.MX]) -> ca.Function:
     """(w, p) -> (f, gradient)."""
     w, p, other = at
     total, entries = other, _Entries((w.numel(), 1), [], [], [])
@@ -233,9 +231,7 @@ def _gradient(
     )
 
 
-def _jacobian(
-    program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.MX]
-) -> ca.Function:
+def _jacobian(program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.MX]) -> ca.Function:
     """(w, p) -> (g, Jacobian)."""
     w, p, other = at
     size = program.nlp["g"].numel()
