@@ -53,7 +53,8 @@ class PlantColumns:
 
     def outputs(self, x: Array, u: Array, p: Array) -> Array:
         """(n, ny) outputs at states (n, nx), inputs (n, nu) and parameters (np,)."""
-        return self._of(1)(x.T, u.T, p).T
+        y: Array = self._of(1)(x.T, u.T, p).T
+        return y
 
 
 def moved(plant: Plant, samples: Trajectory, times: Array, rtol: float) -> Trajectory:

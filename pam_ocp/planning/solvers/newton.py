@@ -9,6 +9,7 @@ gives up soon: IPOPT solves it then, from the same neighbour.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -60,13 +61,14 @@ class Newton:
         condensed = Condensed.made(program)
         return None if condensed is None else cls(condensed)
 
-    def __call__(self, program: Program, near: Point) -> Point | None:
-        """The optimum of a program of these expressions, from a neighbour's; None where it gives
-        up.
+    def __call__(self, numbers: Mapping[str, Array], near: Point) -> Point | None:
+        """The optimum from a neighbour's; None where it gives up.
+
+        numbers : parameters and limits, by CasADi's names ("p", "lbx", "ubx", "lbg", "ubg").
         """
         try:
             with np.errstate(all="ignore"):
-                return _Run(self._condensed, program, near).solved()
+                return _Run(self._condensed, numbers, near).solved()
         except (NoMinimum, np.linalg.LinAlgError):
             return None
 
@@ -74,12 +76,11 @@ class Newton:
 class _Run:
     """Rows are the program's, then its unknowns."""
 
-    def __init__(self, made: Condensed, program: Program, near: Point) -> None:
-        self.made, self.p = made, program.parameters()
-        (x_low, x_high), (g_low, g_high) = program.bounds(), program.limits()
-        self.low = np.concatenate([g_low, x_low])
-        self.high = np.concatenate([g_high, x_high])
-        self.m = len(g_low)
+    def __init__(self, made: Condensed, numbers: Mapping[str, Array], near: Point) -> None:
+        self.made, self.p = made, numbers["p"]
+        self.low = np.concatenate([numbers["lbg"], numbers["lbx"]])
+        self.high = np.concatenate([numbers["ubg"], numbers["ubx"]])
+        self.m = len(numbers["lbg"])
         self.equal = self.low == self.high
         self.aim = np.where(self.equal, self.low, 0.0)
         self.free = ~self.equal

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TypeAlias
 
 import casadi as ca
@@ -9,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...numerics.buffered import Buffered
-from ..transcription.transcription import Program
 
 __all__ = ["Optimality"]
 
@@ -28,19 +28,21 @@ class Optimality:
         self._rows, self._columns = np.array(rows, np.intp), np.array(columns, np.intp)
 
     def __call__(
-        self, program: Program, w: Array, lam_g: Array, lam_x: Array
+        self, numbers: Mapping[str, Array], w: Array, lam_g: Array, lam_x: Array
     ) -> tuple[float, float, float]:
         """Largest (residual of stationarity, violation of rows and bounds, product of a multiplier
         and the distance from its limit), in units of nominals. NaN where one is none.
+
+        numbers : parameters and limits, by CasADi's names ("p", "lbx", "ubx", "lbg", "ubg").
         """
-        p = program.parameters()
+        p = numbers["p"]
         gradient = self._gradient(w, p)[1].ravel()
         g, slopes = (each.ravel() for each in self._jacobian(w, p))
         pulls = np.bincount(self._columns, slopes * lam_g[self._rows], len(w))
         dual = float(np.max(np.abs(gradient + pulls + lam_x)))
         miss = gap = 0.0
-        sides = ((g, lam_g, program.limits()), (w, lam_x, program.bounds()))
-        for values, lam, (low, high) in sides:
+        for values, lam, kind in ((g, lam_g, "g"), (w, lam_x, "x")):
+            low, high = numbers[f"lb{kind}"], numbers[f"ub{kind}"]
             beyond = np.maximum(low - values, values - high)
             miss = max(miss, float(np.max(beyond, initial=0.0)))
             pressed = (low < high) & (lam != 0)

@@ -320,7 +320,7 @@ class Ipopt:
         begin = time.perf_counter()
         given = self.arguments(program, guess)
         if start == "warm" and warm is not None:
-            found = self._by_newton(program, given["x0"], warm, begin)
+            found = self._by_newton(given, warm, begin)
             if found is not None:
                 return found
         solver = self._solver(start)
@@ -333,7 +333,7 @@ class Ipopt:
         LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
         return outcome
 
-    def _by_newton(self, program: Program, w: Array, warm: Outcome, begin: float) -> Outcome | None:
+    def _by_newton(self, given: Mapping[str, Array], warm: Outcome, begin: float) -> Outcome | None:
         """By Newton's method from a neighbour's optimum; None where IPOPT has to solve it.
 
         What it finds is judged by the program's own derivatives, to IPOPT's tolerances. Options are
@@ -345,11 +345,11 @@ class Ipopt:
             self._newton = Newton.made(self.program)
         if self._newton is None:
             return None
-        found = self._newton(program, Point(w, warm.lam_g, warm.lam_x))
+        found = self._newton(given, Point(given["x0"], warm.lam_g, warm.lam_x))
         if found is None:
             LOG.info("Newton's method gave up; IPOPT goes on from the neighbour")
             return None
-        misses = self._optimality(program, found.w, found.lam_g, found.lam_x)
+        misses = self._optimality(given, found.w, found.lam_g, found.lam_x)
         keys = ("tol", "constr_viol_tol", "compl_inf_tol")
         if not all(m <= DEFAULTS[k] for m, k in zip(misses, keys, strict=True)):
             return None
