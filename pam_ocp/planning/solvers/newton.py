@@ -116,6 +116,7 @@ class _Run:
                 if passes >= PASSES or self.beyond > MANY:
                     return None
             w, self.lam = stages.taken(found)
+            w = np.clip(w, self.low[self.m :], self.high[self.m :])  # weights leave rounding
             length, self.w = float(np.max(np.abs(w - self.w))), w
             self._evaluate()
         return None
