@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -21,8 +21,10 @@ from ...numerics.solvers import Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
-from .newton import Newton, Point
-from .optimality import Optimality
+
+if TYPE_CHECKING:  # loaded with the first re-solve
+    from .newton import Newton
+    from .optimality import Optimality
 
 __all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start", "limit"]
 
@@ -341,6 +343,8 @@ class Ipopt:
         """
         if self._given or self._library is not None or not warm.success:
             return None
+        from .newton import Newton, Point
+
         if self._newton == "unknown":
             self._newton = Newton.made(self.program)
         if self._newton is None:
@@ -373,6 +377,8 @@ class Ipopt:
 
     @cached_property
     def _optimality(self) -> Optimality:
+        from .optimality import Optimality
+
         return Optimality(*(self._first.get_function(n) for n in ("nlp_grad_f", "nlp_jac_g")))
 
     def arguments(self, program: Program, guess: Array) -> dict[str, Array]:
