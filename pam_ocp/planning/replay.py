@@ -16,7 +16,7 @@ from ..core.errors import SimulationError
 from ..core.trajectory import Trajectory
 from ..plants.plant import Plant
 from ..simulation.integrate import Integration
-from ..simulation.simulator import simulate
+from .along import PlantColumns, moved, values_along
 from .problem.problem import Budget, Condition, Leg, Problem
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution
@@ -111,7 +111,7 @@ def replayed(
     fine = np.linspace(samples.t[:-1], samples.t[1:], per, endpoint=False).T.ravel()
     fine = np.append(fine, samples.t[-1])
     try:
-        motion = simulate(plant, samples, t=fine, rtol=TOLERANCE)
+        motion = moved(plant, samples, fine, TOLERANCE)
     except SimulationError as error:
         part = error.trajectory or samples
         stopped, inf = f"the replay stops at t = {error.time:g} s", float("inf")
@@ -184,7 +184,7 @@ class _Check:
         gaps = len(h)
         own = np.append(np.ones(gaps, bool), self._last)  # a gap's end is the next one's start
         p = self.plant.vector("parameter")
-        known = np.asarray(self.plant.function(ends[:, own], driven[:, own], p)[0], float)
+        known = PlantColumns(self.plant).rates(ends[:, own], driven[:, own], p)
         slopes = np.empty_like(ends)
         slopes[:, own] = known
         inside = np.flatnonzero(~self._last)
@@ -205,6 +205,10 @@ class _Check:
         r = np.vstack(profiles) if profiles else np.zeros((0, len(t)))
         p = self.plant.vector("parameter")
         return x, u, p, t[None], r, np.array(self.problem.aims), self.solution.peaks
+
+    def _values(self, expressions: Sequence[ca.SX], t: Array, x: Array, u: Array) -> Array:
+        """Of expressions at columns of times, states and inputs."""
+        return values_along(self.problem, self.plant, expressions, self._arguments(t, x, u))
 
     def _legs(self) -> Iterator[tuple[Leg, NDArray[np.intp], Array, Array, Array]]:
         """(leg, interval of each point, times, states, inputs)."""
@@ -229,9 +233,9 @@ class _Check:
             pairs = [(np.array(leg.bounds[v.name]) / v.nominal) for v in variables]
             pairs += [np.array([c.low, c.high]) / c.nominal for c in leg.path]
             if leg.path:
-                function = self.problem.conditions("path", leg.path)
-                path = np.asarray(function(*self._arguments(t, x, u)), float)
-                values = np.vstack([values, path])
+                nominal = np.array([c.nominal for c in leg.path])[:, None]
+                path = self._values([c.expression for c in leg.path], t, x, u)
+                values = np.vstack([values, path / nominal])
             low, high = (np.array(side)[:, None] for side in zip(*pairs, strict=True))
             excesses = _excess(values, low, high)
             first = np.flatnonzero(np.diff(of, prepend=-1))  # of each interval
@@ -276,10 +280,9 @@ class _Check:
 
     def _integral(self, expressions: Sequence[ca.SX]) -> Array:
         """Of expressions over the whole motion, by Simpson's rule on each gap."""
-        function = self.problem.function("integrands", self.problem.explicit(expressions))
         t, x, u = self._gaps
         columns = (part.reshape(len(part), -1) for part in (x, u))
-        values = np.asarray(function(*self._arguments(t.ravel(), *columns)), float)
+        values = self._values(self.problem.explicit(expressions), t.ravel(), *columns)
         places = t.shape[1]
         simpson = np.where(np.arange(places) % 2, 4.0, 2.0)
         simpson[[0, -1]] = 1.0

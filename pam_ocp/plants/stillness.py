@@ -129,7 +129,7 @@ def _somewhere(variable: object, draw: np.random.Generator) -> float:
     """Near the start value, inside the range."""
     v = variable
     wide = v.start + v.nominal * draw.uniform(-0.3, 0.3)  # type: ignore[attr-defined]
-    return float(np.clip(wide, v.min, v.max))  # type: ignore[attr-defined]
+    return float(min(max(wide, v.min), v.max))  # type: ignore[attr-defined]
 
 
 def _measures(plant: System, name: str) -> int:
@@ -156,12 +156,7 @@ def _resting(plant: System, named: Collection[str]) -> tuple[Position, ...]:
     key = ("neutral", tuple(plant.vector("parameter")))
     neutral, slopes = plant.cached(key, lambda: _neutral(plant))
     nx = len(names)
-    controls = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
-    driven = {
-        i
-        for i in neutral
-        if controls and ca.depends_on(plant.expression(f"der({names[i]})"), plant.u[controls])
-    }
+    driven = set(neutral) & _dependent(plant)[1]
     undriven = [i for i in neutral if i not in driven]
     uses = {i: [j for j in range(nx) if j != i and slopes[i, j]] for i in neutral}
     for worst in (1, 2):  # lengths, angles and numbers; then anything
@@ -194,18 +189,34 @@ def _heads(pool: list[int], uses: dict[int, list[int]]) -> list[int]:
     return chosen
 
 
+def _dependent(plant: System) -> tuple[frozenset[int], frozenset[int]]:
+    """(states whose rates depend on anything; those whose rates depend on what controls set), by
+    their expressions.
+    """
+
+    def build() -> tuple[frozenset[int], frozenset[int]]:
+        rates = [plant.expression(f"der({v.name})") for v in plant.states]
+        controls = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+        everything, set_by = ca.vertcat(plant.x, plant.u), plant.u[controls]
+        moving = frozenset(i for i, rate in enumerate(rates) if ca.depends_on(rate, everything))
+        if not controls:
+            return moving, frozenset()
+        return moving, frozenset(i for i, rate in enumerate(rates) if ca.depends_on(rate, set_by))
+
+    found: tuple[frozenset[int], frozenset[int]] = plant.cached(("dependent rates",), build)
+    return found
+
+
 def _neutral(plant: System) -> tuple[list[int], NDArray[np.bool_]]:
     """States whose rates, where they vanish, do not depend on themselves; and what they depend on
     there.
     """
     rates = _Rates(plant)
-    xdot = [plant.expression(f"der({v.name})") for v in plant.states]
-    arguments = ca.vertcat(plant.x, plant.u)
-    chosen = [
-        i for i, v in enumerate(plant.states) if not v.memory and ca.depends_on(xdot[i], arguments)
-    ]
+    moving, _ = _dependent(plant)
+    chosen = [i for i, v in enumerate(plant.states) if not v.memory and i in moving]
+    nx, nu = len(plant.states), len(plant.inputs)
     while True:
-        lost, pattern = set(), np.zeros((len(xdot), len(xdot) + len(plant.inputs)), bool)
+        lost, pattern = set(), np.zeros((nx, nx + nu), bool)
         for seed in range(POINTS):
             slopes, typical, left = rates.still(chosen, seed)
             size = np.maximum(typical, 1e-300)[:, None]

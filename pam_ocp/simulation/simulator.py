@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,12 +24,18 @@ from .dead_times import exactly_delayed
 from .events import integrate_with_events
 from .integrate import Integration, Method
 
-if TYPE_CHECKING:
-    from ..courtesy import MachinePlant
-
 __all__ = ["evaluated", "simulate"]
 
 Array = NDArray[np.float64]
+
+
+class Computes(Protocol):
+    """A plant's outputs at many points, by other means than CasADi's."""
+
+    def outputs(self, x: Array, u: Array, p: Array) -> Array:
+        """(n, ny) at states (n, nx), inputs (n, nu) and parameters (np,)."""
+        ...
+
 
 COLUMNS = 10_000
 """Samples whose outputs are computed at once."""
@@ -151,11 +157,11 @@ def evaluated(
     states: Array,
     inputs: PiecewisePolynomial,
     events: tuple[Event, ...] = (),
-    machine: MachinePlant | None = None,
+    machine: Computes | None = None,
 ) -> Trajectory:
     """The Trajectory of given states (n, nx) at times t under given inputs, outputs computed.
 
-    machine : of the plant, to compute them.
+    machine : what computes them; None: CasADi.
     """
     u = inputs(t)
     p = plant.vector("parameter")

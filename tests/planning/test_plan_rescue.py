@@ -154,14 +154,14 @@ def test_no_place_of_the_path_is_tried_twice_with_the_same_guess(monkeypatch):
 
 # ---- Ctrl-C --------------------------------------------------------------------------------------
 def test_ctrl_c_in_a_replay_ends_the_plan_and_nothing_is_tried_after_it(monkeypatch):
-    simulate, begun = replay.simulate, []
+    moved, begun = replay.moved, []
 
     def pressed(*arguments, **options):
         begun.append(arguments)
         os.kill(os.getpid(), signal.SIGINT)
-        return simulate(*arguments, **options)
+        return moved(*arguments, **options)
 
-    monkeypatch.setattr(replay, "simulate", pressed)
+    monkeypatch.setattr(replay, "moved", pressed)
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         pam.plan(cart(), [{"x": 0.0}, {"x": 1.0}], method=Collocation(8))

@@ -153,10 +153,15 @@ class Problem:
     auxiliaries: tuple[Auxiliary, ...] = ()
     typical: tuple[float, ...] | None = None
 
+    @property
+    def given(self) -> tuple[ca.SX, ...]:
+        """(time, r, q, m): what expressions may depend on besides the plant's x, u and p."""
+        return TIME, self.r, self.q, self.m
+
     def function(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
         """CasADi function (x, u, p, time, r, q, m) -> one column of the expressions."""
         plant = self.plant
-        arguments = [plant.x, plant.u, plant.p, TIME, self.r, self.q, self.m]
+        arguments = [plant.x, plant.u, plant.p, *self.given]
         return ca.Function(
             name, arguments, [ca.vertcat(*expressions) if expressions else ca.SX(0, 1)]
         )
@@ -164,7 +169,7 @@ class Problem:
     def running(self, name: str, expressions: Sequence[ca.SX]) -> ca.Function:
         """The same of running costs: (x, u, p, time, r, q, m, auxiliaries) -> one column."""
         plant, a = self.plant, ca.vertcat(ca.SX(0, 1), *(a.symbol for a in self.auxiliaries))
-        arguments = [plant.x, plant.u, plant.p, TIME, self.r, self.q, self.m, a]
+        arguments = [plant.x, plant.u, plant.p, *self.given, a]
         return ca.Function(
             name, arguments, [ca.vertcat(*expressions) if expressions else ca.SX(0, 1)]
         )

@@ -1,5 +1,5 @@
 """What every solver is to a plan, and the first of them: IPOPT, with cold and warm starts from one
-set of derivatives, log, live progress.
+set of derivatives, log, live progress. Before a warm start Newton's method is tried.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol, TypeAlias
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,6 +21,10 @@ from ...numerics.solvers import Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
+
+if TYPE_CHECKING:  # loaded with the first re-solve
+    from .newton import Newton
+    from .optimality import Optimality
 
 __all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start", "limit"]
 
@@ -282,6 +287,7 @@ class Ipopt:
         self._derivatives = derivatives(program)
         self._library: str | None = None
         self._solvers: dict[str, Nlp] = {}
+        self._newton: Newton | Literal["unknown"] | None = "unknown"
         if compiled:
             self._library = compiled_library(self._solver("cold").function)
             self._solvers.clear()
@@ -349,8 +355,12 @@ class Ipopt:
         start : of ``STARTS``. warm : an outcome whose multipliers start the solve, too.
         """
         begin = time.perf_counter()
-        solver = self._solver(start)
         given = self.arguments(program, guess)
+        if start == "warm" and warm is not None:
+            found = self._by_newton(given, warm, begin)
+            if found is not None:
+                return found
+        solver = self._solver(start)
         if warm is not None:
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
@@ -380,6 +390,52 @@ class Ipopt:
             return replace(found, **spent)
         status = outcome.status if outcome.status != ACCEPTABLE else ENDED_LATE[0]
         return replace(outcome, success=False, status=status, **spent)
+
+    def _by_newton(self, given: Mapping[str, Array], warm: Outcome, begin: float) -> Outcome | None:
+        """By Newton's method from a neighbour's optimum; None where IPOPT has to solve it.
+
+        What it finds is judged by the program's own derivatives, to IPOPT's tolerances. Options are
+        IPOPT's, and machine code is its: with these it solves all.
+        """
+        if self._given or self._library is not None or not warm.success:
+            return None
+        from .newton import Newton, Point
+
+        if self._newton == "unknown":
+            self._newton = Newton.made(self.program)
+        if self._newton is None:
+            return None
+        found = self._newton(given, Point(given["x0"], warm.lam_g, warm.lam_x))
+        if found is None:
+            LOG.info("Newton's method gave up; IPOPT goes on from the neighbour")
+            return None
+        misses = self._optimality(given, found.w, found.lam_g, found.lam_x)
+        keys = ("tol", "constr_viol_tol", "compl_inf_tol")
+        if not all(m <= DEFAULTS[k] for m, k in zip(misses, keys, strict=True)):
+            return None
+        steps, seconds = len(found.log) - 1, time.perf_counter() - begin
+        LOG.info("Newton's method: %d steps, %.3f s", steps, seconds)
+        for i, entry in enumerate(found.log):
+            if self._report is not None:
+                self._report(i, entry["obj"], entry["inf_pr"])
+        return Outcome(
+            found.w,
+            found.log[-1]["obj"],
+            "Newton's method: solved",
+            True,
+            steps,
+            seconds,
+            found.lam_g,
+            found.lam_x,
+            found.log,
+            solver="Newton",
+        )
+
+    @cached_property
+    def _optimality(self) -> Optimality:
+        from .optimality import Optimality
+
+        return Optimality(*(self._first.get_function(n) for n in ("nlp_grad_f", "nlp_jac_g")))
 
     def arguments(self, program: Program, guess: Array) -> dict[str, Array]:
         """Of a solve without multipliers."""

@@ -19,7 +19,7 @@ from ..problem.problem import Problem
 from .stage import Stage
 from .transcription import Program, with_design
 
-__all__ = ["derivatives"]
+__all__ = ["Block", "derivatives", "stage_blocks"]
 
 Array: TypeAlias = NDArray[np.float64]
 Index: TypeAlias = NDArray[np.intp]
@@ -35,7 +35,7 @@ def derivatives(program: Program) -> dict[str, ca.Function]:
         return {}
     n, parameters = program.nlp["x"].numel(), program.nlp["p"].numel()
     w, p = ca.MX.sym("w", n), ca.MX.sym("p", parameters)
-    blocks = _blocks(program)
+    blocks = stage_blocks(program)
     other = ca.Function("other", [program.nlp["x"], program.nlp["p"]], list(program.other.values()))
     f, g = other(w, p)
     return {
@@ -109,7 +109,7 @@ _local = lru_cache(maxsize=32)(_Local.of)
 
 
 @dataclass(frozen=True)
-class _Block:
+class Block:
     """A stage over its intervals: a column each of unknowns, rows and weights of durations."""
 
     local: _Local
@@ -138,7 +138,7 @@ def _gathered(vector: ca.MX, at: Index) -> ca.MX:
     return ca.reshape(vector[at.T.ravel().tolist()], *at.shape)
 
 
-def _blocks(program: Program) -> list[_Block]:
+def stage_blocks(program: Program) -> list[Block]:
     """Where the unknowns and rows of each group's intervals stand in the program."""
     problem, mesh = program.problem, program.mesh
     nx, nu = len(problem.plant.states), len(problem.plant.inputs)
@@ -166,7 +166,7 @@ def _blocks(program: Program) -> list[_Block]:
             rows.append(np.concatenate([defects, path, budgets]))
         members = list(group.members)
         weights = lengths[members].T, starts[members].T
-        found.append(_Block(_local(group.stage), np.array(unknowns).T, np.array(rows).T, weights))
+        found.append(Block(_local(group.stage), np.array(unknowns).T, np.array(rows).T, weights))
     return found
 
 
@@ -210,9 +210,7 @@ class _Entries:
         return ca.MX(pattern, adding @ values)
 
 
-def _gradient(
-    program: Program, blocks: list[_Block], at: tuple[ca.MX, ca.MX, ca.MX]
-) -> ca.Function:
+def _gradient(program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.MX]) -> ca.Function:
     """(w, p) -> (f, gradient)."""
     w, p, other = at
     total, entries = other, _Entries((w.numel(), 1), [], [], [])
@@ -233,9 +231,7 @@ def _gradient(
     )
 
 
-def _jacobian(
-    program: Program, blocks: list[_Block], at: tuple[ca.MX, ca.MX, ca.MX]
-) -> ca.Function:
+def _jacobian(program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.MX]) -> ca.Function:
     """(w, p) -> (g, Jacobian)."""
     w, p, other = at
     size = program.nlp["g"].numel()
@@ -258,7 +254,7 @@ def _jacobian(
 
 
 def _hessian(
-    program: Program, blocks: list[_Block], at: tuple[ca.MX, ca.MX, ca.MX, ca.MX]
+    program: Program, blocks: list[Block], at: tuple[ca.MX, ca.MX, ca.MX, ca.MX]
 ) -> ca.Function:
     """(w, p, lam_f, lam_g) -> upper triangle of the Hessian of the Lagrangian."""
     w, p, f, g = at
