@@ -18,8 +18,9 @@ from .replay import chosen_plant, interval_errors
 from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
+from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, rounded_at
-from .solvers.solver import Outcome, Start
+from .solvers.solver import Outcome
 from .transcription.guess import from_solution
 from .transcription.mesh import refined
 from .transcription.solution import unpack

@@ -20,8 +20,8 @@ from .replay import interval_errors
 from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
+from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks
-from .solvers.solver import Start
 from .transcription.mesh import Mesh, halved, held, refined, watched
 from .transcription.solution import unpack
 from .transcription.transcription import transcribe

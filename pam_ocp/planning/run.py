@@ -13,9 +13,10 @@ from ..core.stop import TimeIsUp
 from .result import Solved
 from .solvers.backend import Backend, Solver
 from .solvers.diagnosis import Conflict, elastic
+from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, narrowing, widened
 from .solvers.side_by_side import solved_side_by_side
-from .solvers.solver import Ipopt, Outcome, Start
+from .solvers.solver import Ipopt, Outcome
 from .starts import Ends, tasks
 from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
 from .transcription.leading import by_leading

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..plants.plant import Plant
 from .problem.problem import Problem
-from .solvers.solver import Outcome, Start
+from .solvers.ipopt_options import Start
+from .solvers.solver import Outcome
 from .transcription.guess import by_stops, wants_balance
 from .transcription.mesh import Mesh
 

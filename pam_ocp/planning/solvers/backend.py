@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ...core.errors import InputError, require_flag
 from ..transcription.transcription import Program
 from .fatrop import Fatrop
-from .solver import SOLVERS, Ipopt, Outcome, Progress, Solver, Start
+from .ipopt_options import Start
+from .solver import SOLVERS, Ipopt, Outcome, Progress, Solver
 
 __all__ = ["Backend", "Solver", "SolverName"]
 

@@ -14,7 +14,8 @@ from ...core.shown import shown
 from ...numerics.solvers import nlpsol
 from ..problem.problem import Budget, Condition
 from ..transcription.transcription import Program
-from .solver import DEFAULTS, Outcome, limit
+from .ipopt_options import DEFAULTS
+from .solver import Outcome, limit
 
 __all__ = ["Conflict", "Elastic", "elastic", "explanation"]
 

@@ -17,7 +17,8 @@ from ...core.variables import Variable
 from ...plants.plant import Plant
 from ..problem.problem import Problem
 from ..transcription.transcription import Program
-from .solver import Outcome, Solver, Start
+from .ipopt_options import Start
+from .solver import Outcome, Solver
 
 __all__ = ["has_kinks", "has_roundings", "narrowing", "rounded", "rounded_at", "widened"]
 

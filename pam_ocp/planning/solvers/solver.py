@@ -21,48 +21,18 @@ from ...numerics.solvers import Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
+from .ipopt_options import BARRIER_OF_TIME, DAMPED, DEFAULTS, STARTS, WANDERING, Start
 
 if TYPE_CHECKING:  # loaded with the first re-solve
     from .newton import Newton
     from .optimality import Optimality
 
-__all__ = ["DEFAULTS", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "Start", "limit"]
+__all__ = ["SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "limit"]
 
 LOG = logging.getLogger(__name__)
 
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
-
-DEFAULTS: dict[str, Any] = {
-    "tol": 1e-9,
-    "constr_viol_tol": 1e-9,
-    "compl_inf_tol": 1e-10,  # objectives to 1e-8, so that their differences are worth something
-    "acceptable_iter": 0,
-    "max_iter": 500,
-    "mu_init": 1e-2,
-    # with mu_init 1e-2: 33 iterations for 40 to 150 on time-optimal motions
-    "alpha_for_y": "bound-mult",
-    "nlp_scaling_method": "none",  # the program is scaled by the plant's nominals already
-    # a tenth of the time; what counts is the program's own residual
-    "fast_step_computation": "yes",
-    # a matrix of MUMPS that is singular here and there (redundant inputs, memories that a cycle
-    # closes twice) fills in, up to a hundred times, unless MUMPS scales it itself
-    "mumps_pivtol": 1e-6,
-    "mumps_scaling": 77,
-    "mumps_permuting_scaling": 0,
-}
-"""IPOPT's options; ``plan(..., options=...)`` overrides them."""
-
-BARRIER_OF_TIME = 5e-4
-"""mu_init where only the duration counts, in seconds: motions are quick, and a barrier as high as
-for other objectives would first make them slow (a sixth of the time of 78 random tasks).
-"""
-
-ADAPTIVE: dict[str, Any] = {
-    "mu_strategy": "adaptive",
-    "alpha_for_y": "primal",
-}
-"""Another way through, for a second try."""
 
 SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
 """Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes.
@@ -75,92 +45,6 @@ PATIENCE = 3.0
 def limit(program: Program) -> float:
     """Processor seconds of one solve from the first guess."""
     return max(SHORTEST_LIMIT, LIMIT * program.nlp["x"].numel())
-
-
-_PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-
-NEAR: dict[str, Any] = {
-    "mu_init": 1e-6,
-    "mu_strategy": "adaptive",
-    "bound_mult_init_method": "mu-based",
-    "max_iter": 300,  # a neighbour that is no help: start cold instead
-    **dict.fromkeys(_PUSHES, 1e-6),
-}
-"""From the primal values of another mesh: a third of the iterations of cold starts there."""
-
-WARM: dict[str, Any] = {
-    "warm_start_init_point": "yes",
-    "mu_strategy": "adaptive",  # 3 to 20 iterations where a barrier that only falls takes 5 to 60
-    "max_iter": 80,
-    # 1e-9 takes twice as many where the active constraints change
-    **{f"warm_start_{name}": 1e-6 for name in (*_PUSHES, "mult_bound_push")},
-}
-"""From primal and dual values of the same program with other numbers."""
-
-
-STEP: dict[str, Any] = {**NEAR, "max_iter": 250}
-"""From one place of a path to the next: what takes longer takes a shorter step. Of 100 iterations
-many steps were broken off that end in 130 to 210, and shorter ones take no less.
-"""
-
-DASH: dict[str, Any] = {**NEAR, "max_iter": 150}
-"""To the end of a path at once, where going along it is the better use of more."""
-
-WANDERING: dict[str, Any] = {
-    "acceptable_iter": 15,
-    "acceptable_tol": 1e-2,
-    "acceptable_dual_inf_tol": 1e-6,
-    "acceptable_constr_viol_tol": 1e-2,
-    "acceptable_compl_inf_tol": 1e-8,
-    "acceptable_obj_change_tol": 1e-7,
-}
-"""Where to end a solve that has its optimum but no one place for it: costs are flat there (a load
-that is let down takes no work, whenever it goes), so Newton's steps are long, and each leads off
-the constraints by its square. It is settled then, see ``DAMPED``.
-"""
-DAMPED: dict[str, float] = {"along": 1e-4, "finer": 1e-4, "settled": 1e-2}
-"""Added to the Hessian's diagonal for starts that are near: steps along which costs are flat become
-short (K. Levenberg, Quart. Appl. Math. 2 (1944) 164-168), and the solution is one that lies near.
-Gradients, and so optima, stay as they are.
-"""
-
-ROUGHLY: dict[str, Any] = {**WANDERING, "acceptable_iter": 5, "acceptable_dual_inf_tol": 1e-5}
-"""For places on a way that are left again: their costs need not be the least to the last digit."""
-
-ALONG: dict[str, Any] = {**WARM, "max_iter": 150, **ROUGHLY}
-"""From one place of a path to the next on the same mesh, by its multipliers: a sixth of the
-iterations of a step without, whose first curvature is wrong.
-"""
-
-FINER: dict[str, Any] = {**STEP, **ROUGHLY}
-"""From one mesh to the next at a place that is left again."""
-
-SETTLED: dict[str, Any] = {
-    **WARM,
-    "acceptable_iter": 1,
-    "acceptable_tol": 1e-6,
-    "acceptable_dual_inf_tol": 1e-6,
-    "acceptable_constr_viol_tol": 1e-8,
-    "acceptable_compl_inf_tol": DEFAULTS["compl_inf_tol"],
-}
-"""After a solve that went to and fro: a motion as exact as any, with costs at their least to the
-residual that is asked of fatrop's solutions.
-"""
-
-Start: TypeAlias = Literal[
-    "cold", "adaptive", "near", "step", "dash", "warm", "along", "finer", "settled"
-]
-STARTS: dict[Start, dict[str, Any]] = {
-    "cold": WANDERING,
-    "adaptive": {**WANDERING, **ADAPTIVE},
-    "near": {**WANDERING, **NEAR},
-    "step": {**WANDERING, **STEP},
-    "dash": {**WANDERING, **DASH},
-    "warm": {**WANDERING, **WARM},
-    "along": ALONG,
-    "finer": FINER,
-    "settled": SETTLED,
-}
 
 
 STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
