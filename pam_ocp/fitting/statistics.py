@@ -8,7 +8,7 @@ to unit length before its rank is judged.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, TypeAlias
@@ -125,28 +125,6 @@ def in_blocks(
         yield part, found
 
 
-def _rising_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function that rises from low to high is zero, by false position with halved ends
-    (Illinois: M. Dowell, P. Jarratt, BIT 11 (1971) 168), to rounding; the end that is nearer where
-    it is zero in neither.
-    """
-    below, above = function(low), function(high)
-    if below >= 0 or above <= 0:
-        return float(low if below >= 0 else high)
-    side = 0
-    for _ in range(100):
-        middle = (low * above - high * below) / (above - below)
-        value = function(middle)
-        if value == 0 or high - low <= 4e-16 * abs(high) or not low < middle < high:
-            return float(middle)
-        if value < 0:
-            low, below, above = middle, value, above / 2 if side < 0 else above
-        else:
-            high, above, below = middle, value, below / 2 if side > 0 else below
-        side = -1 if value < 0 else 1
-    return float(middle)
-
-
 def student_t(level: float, dof: int) -> float:
     """Half width of a two-sided interval in standard errors; infinite without freedom."""
     from scipy.special import stdtrit
@@ -260,7 +238,8 @@ class SerialErrors:
 
     def reach(self, level: float) -> float:
         """Half width of a two-sided interval in standard errors (those with ``correlation``)."""
-        from scipy.special import stdtr  # scipy.optimize would take half a second to load
+        from scipy.optimize import brentq
+        from scipy.special import stdtr
 
         plain = student_t(level, self.dof)
         roots = np.sqrt(self.sizes)
@@ -268,7 +247,7 @@ class SerialErrors:
         def missing(half: float) -> float:
             return float(self.weights @ stdtr(self.dof, half / roots)) - (1 + level) / 2
 
-        return _rising_root(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9))
+        return float(brentq(missing, plain * roots.min(), plain * roots.max() * (1 + 1e-9)))
 
 
 @dataclass(frozen=True, eq=False)

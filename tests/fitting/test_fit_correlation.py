@@ -261,21 +261,3 @@ def test_odd_tables_get_an_answer_or_one_sentence(loss: str) -> None:
             fit.report()
             assert not np.any(np.isnan(list(fit.intervals().values()))), name
             assert not np.any(np.isnan(fit.predict(3e5, 0.1).confidence)), name
-
-
-@pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
-def test_a_root_of_a_mixture_of_t_distributions_is_that_of_scipy(level: float) -> None:
-    from scipy.optimize import brentq
-    from scipy.special import stdtr
-
-    from pam_ocp.fitting.statistics import _rising_root
-
-    weights, roots = np.array([0.2, 0.5, 0.3]), np.array([0.5, 1.0, 4.0])
-
-    def missing(half: float) -> float:
-        return float(weights @ stdtr(7, half / roots)) - (1 + level) / 2
-
-    expected = brentq(missing, 0.01, 100.0, xtol=1e-15, rtol=1e-15)
-    assert _rising_root(missing, 0.01, 100.0) == pytest.approx(expected, rel=1e-12)
-    assert _rising_root(missing, 60.0, 100.0) == 60.0
-    assert _rising_root(missing, 0.01, 0.02) == 0.02
