@@ -20,6 +20,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -88,9 +89,26 @@ def solved_side_by_side(
             if isinstance(answer, Exception):
                 raise answer
             found[i] = Outcome.of(*answer)
-    if len(found) < len(tasks) and not any(outcome.success for outcome in found.values()):
+    return _settled(ipopt, program, found, len(tasks))
+
+
+def _settled(
+    ipopt: Ipopt, program: Program, found: Mapping[int, Outcome], count: int
+) -> list[Outcome]:
+    """Those that wandered brought to a place, while there is time; in the order of their tasks.
+
+    Raises TimeIsUp where that has ended the search before a success.
+    """
+    ended, late = [], len(found) < count
+    for i in sorted(found):
+        try:
+            ended.append(ipopt.settled(program, found[i]))
+        except TimeIsUp:
+            ended.append(replace(found[i], success=found[i].success and not found[i].wandered))
+            late = True
+    if late and not any(outcome.ended for outcome in ended):
         raise TimeIsUp
-    return [found[i] for i in sorted(found)]
+    return ended
 
 
 class _Elsewhere:
@@ -144,14 +162,12 @@ def _by_processes(
             if found[i].stopped:
                 break
     except TimeIsUp:
-        done = [*found.values(), *(o for w in workers for o in w.found.values())]
-        if not any(outcome.success for outcome in done):
-            raise
+        pass
     finally:
         for worker in workers:
             worker.end()
             found |= worker.found
-    return [ipopt.settled(program, found[i]) for i in range(len(tasks)) if i in found]
+    return _settled(ipopt, program, found, len(tasks))
 
 
 def _processors() -> int:

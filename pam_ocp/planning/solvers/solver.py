@@ -49,7 +49,7 @@ def limit(program: Program) -> float:
 
 STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
 """IPOPT's return status when somebody stopped it."""
-ACCEPTABLE = "Solved_To_Acceptable_Level"
+ACCEPTABLE, SETTLED = "Solved_To_Acceptable_Level", "Settled"
 ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded")
 CLOSE = 1e-2, 1.0
 """Residuals of stationarity and constraints from which damped steps end a solve in 20 iterations or
@@ -270,7 +270,9 @@ class Ipopt:
             "seconds": outcome.seconds + found.seconds,
             "log": (*outcome.log, *found.log),
         }
-        if found.ended:
+        if found.success:
+            return replace(found, status=SETTLED, **spent)
+        if found.stopped:
             return replace(found, **spent)
         status = outcome.status if outcome.status != ACCEPTABLE else ENDED_LATE[0]
         return replace(outcome, success=False, status=status, **spent)
