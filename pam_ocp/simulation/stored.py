@@ -265,7 +265,13 @@ class _Encoded:
             "variables": [asdict(v) for v in done[0][1].variables] if done else [],
             "interpolation": done[0][1].interpolation if done else "previous",
         }
-        table = pa.table(data).replace_schema_metadata({b"pam_ocp": json.dumps(about).encode()})
+        # pa.table(data) would load pandas, in each worker anew: as much as a dozen simulations
+        columns = [
+            pa.Array.from_buffers(pa.from_numpy_dtype(c.dtype), len(c), [None, pa.py_buffer(c)])
+            for c in data.values()
+        ]
+        metadata = {b"pam_ocp": json.dumps(about).encode()}
+        table = pa.Table.from_arrays(columns, names=list(data), metadata=metadata)
         content = pa.BufferOutputStream()
         _arrow().write_table(table, content)
         return bytes(content.getvalue())

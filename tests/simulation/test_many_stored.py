@@ -191,6 +191,26 @@ pam.simulate_many(
 """
 
 
+WRITES = """
+import sys
+import pam_ocp as pam
+plant = pam.Plant("decay", "x' = -rate x")
+x, rate = plant.state("x", start=1.0), plant.parameter("rate", 1.0)
+plant.der(x, -rate * x)
+cases = pam.simulation.sweep(rate=[1.0, 2.0])
+print(len(pam.simulate_many(plant, cases, into=sys.argv[1], executor=0, duration=0.01)))
+print("pandas" in sys.modules)
+"""
+
+
+def test_writing_does_not_load_pandas(tmp_path):
+    """Which each worker would do anew, for as long as a dozen simulations take."""
+    pytest.importorskip("pandas")
+    command = [sys.executable, "-c", WRITES, str(tmp_path / "runs")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["2", "False"]
+
+
 def test_failures_are_kept_with_their_sentence(tmp_path, hanging):
     cases = [{}, {"parameters": {"mass": -1.0}}]
     arguments = {"inputs": {"muscle.command": 4 * BAR}, "duration": 0.01}
