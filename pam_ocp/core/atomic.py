@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import re
-import secrets
 import stat
 import sys
 from collections.abc import Iterator
@@ -137,7 +136,7 @@ def _beside(place: Path) -> str:
 def _made(place: Path) -> tuple[Path, int | None]:
     """A new empty file, and the handle whose lock says that its writer lives."""
     while True:
-        temporary = place.with_name(f"{_beside(place)}{secrets.token_hex(6)}{place.suffix[:20]}")
+        temporary = place.with_name(f"{_beside(place)}{os.urandom(6).hex()}{place.suffix[:20]}")
         handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         if sys.platform == "win32":  # an open file could not be renamed there
             os.close(handle)

@@ -59,9 +59,9 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
 
     noun : what one of them is called ("load"). argument : of plants and components that takes one
     (or several), by which a problem file finds this registry.
-    room : package whose modules define them; all are imported when the registry is first read, so
-    that a new file needs no mention anywhere. default : the one that a file means by a table
-    without ``kind``, where there are several.
+    room : package whose modules define them; all are imported when the registry is first asked for
+    more than a name that it knows already, so that a new file needs no mention anywhere.
+    default : the one that a file means by a table without ``kind``, where there are several.
 
         LOADS: Registry[type[Load]] = Registry("load", "pam_ocp.plants", argument="loads")
 
@@ -139,13 +139,12 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         return len(self._all())
 
     def __contains__(self, name: object) -> bool:
-        return name in self._all()
+        return name in self._kinds or name in self._all()
 
     def __getitem__(self, name: str) -> Kind:
-        kinds = self._all()
-        if name not in kinds:
-            raise _NotThere(self.noun, name, sorted(kinds))
-        return kinds[name]
+        if name not in self:
+            raise _NotThere(self.noun, name, sorted(self))
+        return self._kinds[name]
 
     def find(self, where: str, name: object, *more: str) -> Kind:
         """The one that :meth:`name` means."""

@@ -48,6 +48,15 @@ def test_files_of_a_room_are_found_by_themselves(gears):
     assert registry_of("gears") is None
 
 
+def test_a_name_that_is_known_imports_nothing_else(gears):
+    gears.register("Rack")(object)
+    assert "Rack" in gears
+    assert gears["Rack"] is not None
+    assert "gear_room.spur" not in sys.modules
+    assert "SpurGear" in gears  # which is found in its file
+    assert {"gear_room.spur", "gear_room.inner.worm"} <= set(sys.modules)
+
+
 def test_a_name_may_be_written_in_either_way(gears):
     assert gears.find("gear", "worm_gear") is gears["WormGear"]
     assert gears.name("gear", "SpurGear") == "SpurGear"

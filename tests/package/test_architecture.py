@@ -187,6 +187,22 @@ def test_an_import_loads_names_only_when_they_are_used(name):
     assert set(done.stdout.split()) == {*face, name}
 
 
+def test_a_first_plan_loads_nothing_that_it_does_not_use():
+    """Files, other laws, fatrop's order of stages and NumPy's random numbers are for others."""
+    code = (
+        "import sys, pam_ocp as pam; muscle = pam.muscle('DMSP-20-200N'); "
+        "slide = pam.AntagonisticSlide(muscle, mass=2.0, pre_contraction=0.1); "
+        "assert pam.plan(slide, [{'x': -0.01}, {'x': 0.01}]).verified; print(*sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    unused = ("planning.problem.problem_file", "planning.solvers.fatrop", "plants.plant_file")
+    loaded = set(done.stdout.split())
+    assert "pam_ocp.planning.planner" in loaded
+    assert not loaded & {"numpy.random", "secrets", *(f"pam_ocp.{name}" for name in unused)}
+
+
 def test_a_name_that_a_module_does_not_have_is_an_attribute_error():
     import pam_ocp.fitting
 

@@ -119,3 +119,30 @@ def test_unknowns_are_unpacked_interval_by_interval(cart):
     assert found.states == pytest.approx(np.array(states))
     assert found.t == pytest.approx(np.array(times))
     assert found.inputs.coefficients[:, 0, 0] == pytest.approx(np.array(inputs))
+
+
+def test_a_motion_that_is_a_polynomial_has_no_defects_whatever_the_degrees(cart):
+    """x = t^2 / 2 under a force of 1 N, unknown by unknown, on intervals of several degrees."""
+    planner = pam.Planner(cart, FAR, method=Collocation(4, 2))
+    problem, mesh = planner._program.problem, planner._program.mesh
+    degrees = [3, 2, 2, 5]
+    parts = tuple(replace(i, degree=d) for i, d in zip(mesh.intervals, degrees, strict=True))
+    program = transcribe(problem, replace(mesh, intervals=parts))
+    nominal = cart.vector("state", attribute="nominal")
+    force = cart.variable("u").nominal
+    duration, w = 0.8, [0.0, 0.0]
+    for k, degree in enumerate(degrees):
+        for tau in mesh.form.state_taus(degree):
+            t = duration * (k + tau) / 4
+            w += [t**2 / 2 / nominal[0], t / nominal[1]]
+        w.append(1.0 / force)
+    rows = ca.Function("g", [program.nlp["x"], program.nlp["p"]], [program.nlp["g"]])
+
+    def defects(last: float) -> float:
+        values = np.array([*w, last / problem.time_nominals[0], *np.zeros(problem.m.numel())])
+        g = np.asarray(rows(values, program.parameters())).ravel()
+        kinds = np.concatenate([np.full(row.size, row.kind) for row in program.rows])
+        return float(np.abs(g[kinds == "defect"]).max())
+
+    assert defects(duration) == pytest.approx(0.0, abs=1e-13)
+    assert defects(1.1 * duration) > 1e-2

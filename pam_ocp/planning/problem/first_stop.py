@@ -62,7 +62,7 @@ def with_given_pressures(
     """
     plant = problem.plant
     weights = statement.weights
-    asked = [n for n in COSTS if COSTS[n].from_supply and weights.get(n)]
+    asked = [n for n in weights if weights[n] and n in COSTS and COSTS[n].from_supply]
     if not asked or statement.cyclic:
         return problem
     places = {n for p in positions for n in (p.name, *p.velocities)}

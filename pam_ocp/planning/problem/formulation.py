@@ -253,8 +253,9 @@ def _require_an_end(statement: Statement, legs: Sequence[Leg]) -> None:
     ended = statement.track or "time" in (statement.budgets or {})
     more = statement.integrand is not None or statement.final is not None or ended
     free = any(leg.duration[1] > leg.duration[0] for leg in legs)
-    endless = {"rate", *(name for name in COSTS if COSTS[name].slower_is_less)}
-    if free and asked and not more and asked <= endless:
+    if not free or more or not asked:
+        return
+    if all(term == "rate" or (term in COSTS and COSTS[term].slower_is_less) for term in asked):
         term = min(asked)
         raise InputError(
             f"minimise = {term!r} needs a fixed duration (a slower motion always takes less); "

@@ -141,7 +141,7 @@ def objective(
     for argument, given in (("integrand", integrand), ("final", final)):
         if given is not None:
             require_expression(plant, argument, given)
-    economical = sum(weights.get(name, 0.0) for name in COSTS if COSTS[name].economical)
+    economical = sum(weights[n] for n in weights if n in COSTS and COSTS[n].economical)
     if economical:
         running += FLAT * economical * _squared_inputs(plant)
     if not (any(weights.values()) or track or integrand is not None or final is not None):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_flag
 from ..transcription.transcription import Program
-from .fatrop import Fatrop
 from .ipopt_options import Start
 from .solver import SOLVERS, Ipopt, Outcome, Progress, Solver
+
+if TYPE_CHECKING:
+    from .fatrop import Fatrop
 
 __all__ = ["Backend", "Solver", "SolverName"]
 
@@ -86,6 +88,8 @@ def fatrop_first(
 ) -> Solver:
     """fatrop, which works stage by stage, in a process of its own; IPOPT where it gives no
     solution."""
+    from .fatrop import Fatrop  # with the order of stages, which nobody else needs
+
     return _FatropFirst(Fatrop(program, options), Ipopt(program, progress=progress))
 
 

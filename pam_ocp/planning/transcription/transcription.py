@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..problem.problem import Budget, Condition, Problem, limits
 from .mesh import Interval, Mesh
 from .stage import Stage, nominals
+from .unknowns import Unknowns
 
 __all__ = ["Group", "Program", "Row", "later", "sampled", "transcribe", "with_design"]
 
@@ -118,55 +119,6 @@ class Program:
 
 
 @dataclass(frozen=True)
-class _Unknowns:
-    """Scaled symbols of the program, interval by interval; then durations, design, peaks."""
-
-    start: ca.MX
-    states: list[ca.MX]
-    """nx x points each; the last column is the interval's end."""
-    inputs: list[ca.MX]
-    """nu x columns each."""
-    auxiliaries: list[ca.MX]
-    """As many columns each as costs have points."""
-    durations: ca.MX
-    design: ca.MX
-    peaks: ca.MX
-
-    def begin(self, k: int) -> ca.MX:
-        """State at the start of interval k (its end for k = number of intervals)."""
-        return self.start if k == 0 else self.states[k - 1][:, -1]
-
-    @property
-    def w(self) -> ca.MX:
-        every = zip(self.states, self.inputs, self.auxiliaries, strict=True)
-        along = (part for parts in every for part in parts)
-        return ca.veccat(self.start, *along, self.durations, self.design, self.peaks)
-
-
-def _unknowns(problem: Problem, mesh: Mesh) -> _Unknowns:
-    nx, nu = len(problem.plant.states), len(problem.plant.inputs)
-    form = mesh.form
-    return _Unknowns(
-        ca.MX.sym("x0", nx),
-        [
-            ca.MX.sym(f"x{k}", nx, len(form.state_taus(i.degree)))
-            for k, i in enumerate(mesh.intervals)
-        ],
-        [
-            ca.MX.sym(f"u{k}", nu, len(form.input_taus(i.degree)))
-            for k, i in enumerate(mesh.intervals)
-        ],
-        [
-            ca.MX.sym(f"a{k}", len(problem.auxiliaries), form.cost_points(i.degree))
-            for k, i in enumerate(mesh.intervals)
-        ],
-        ca.MX.sym("T", len(problem.legs)),
-        ca.MX.sym("design", len(problem.design)),
-        ca.MX.sym("peaks", problem.m.numel()),
-    )
-
-
-@dataclass(frozen=True)
 class _Clock:
     """Times of the mesh as expressions: lengths and starts of intervals, and the end [s]."""
 
@@ -177,23 +129,17 @@ class _Clock:
     @classmethod
     def of(cls, mesh: Mesh, durations: ca.MX) -> _Clock:
         """From the durations of the legs [s]."""
-        begins = [ca.MX(0)]
-        for i in range(durations.numel()):
-            begins.append(begins[-1] + durations[i])
-        lengths, starts, passed, leg = [], [], 0.0, 0
-        for interval in mesh.intervals:
-            if interval.leg != leg:
-                passed, leg = 0.0, interval.leg
-            lengths.append(durations[leg] * interval.fraction)
-            starts.append(begins[leg] + durations[leg] * passed if passed else begins[leg])
-            passed += interval.fraction
-        return cls(lengths, starts, begins[-1])
+        lengths, starts = (
+            ca.MX(ca.sparsify(ca.DM(w))) for w in mesh.clock(np.ones(durations.numel()))
+        )
+        *begins, end = ca.vertsplit(starts @ durations)
+        return cls(ca.vertsplit(lengths @ durations), begins, end)
 
 
 def transcribe(problem: Problem, mesh: Mesh) -> Program:
     """State the NLP: defects, path conditions, stops, closing, budgets, objective."""
     plant = problem.plant
-    z = _unknowns(problem, mesh)
+    z = Unknowns.of(problem, mesh)
     p, q = ca.MX.sym("p", len(plant.parameters)), ca.MX.sym("q", problem.q.numel())
     chosen = with_design(problem, p, z.design)
     durations = z.durations * problem.time_nominals
@@ -277,7 +223,7 @@ class _Made:
 
 
 def _stages(
-    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+    problem: Problem, mesh: Mesh, z: Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
 ) -> _Made:
     """Defects and path conditions of all intervals, mapped over those that are alike."""
     made = _Made([], [], [], ca.MX(0), ca.MX(len(problem.budgets), 1), [])
@@ -288,18 +234,9 @@ def _stages(
         mapped = stage.function.map(len(members))
         taus = stage.profile_taus
         h, t = (ca.horzcat(*(each[k] for k in members)) for each in (clock.lengths, clock.starts))
-        arguments = [
-            ca.horzcat(*(z.begin(k) for k in members)),
-            ca.horzcat(*(ca.vec(z.states[k]) for k in members)),
-            ca.horzcat(*(ca.vec(z.inputs[k]) for k in members)),
-            h,
-            t,
-            given[0],
-            sampled(profiles, h, t, taus),
-            given[1],
-            z.peaks,
-        ]
-        auxiliaries = ca.horzcat(*(ca.vec(z.auxiliaries[k]) for k in members))
+        *own, auxiliaries = z.columns(members)
+        profiled = sampled(profiles, h, t, taus)
+        arguments = [*own, h, t, given[0], profiled, given[1], z.peaks]
         defects, path, cost, budgets = mapped(*arguments, auxiliaries)
         if problem.auxiliaries:
             values = stage.completing.map(len(members))(*arguments)
@@ -352,7 +289,7 @@ def sampled(profiles: Sequence[ca.Function], h: ca.MX, t: ca.MX, taus: Array) ->
 
 
 def _nodes(
-    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+    problem: Problem, mesh: Mesh, z: Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
 ) -> list[tuple[ca.MX, Row]]:
     """Conditions at the stops, and the closing of a cycle."""
     x_nominal, _ = nominals(problem)
@@ -369,7 +306,7 @@ def _nodes(
         closed = [names.index(name) for name in problem.closing]
         image = ca.vertcat(
             *(
-                sign * z.start[names.index(other)] * x_nominal[names.index(other)] / x_nominal[i]
+                sign * z.begin(0)[names.index(other)] * x_nominal[names.index(other)] / x_nominal[i]
                 for i, (sign, other) in zip(closed, problem.closing.values(), strict=True)
             )
         )
@@ -379,7 +316,7 @@ def _nodes(
 
 
 def _point(
-    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX], k: int
+    problem: Problem, mesh: Mesh, z: Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX], k: int
 ) -> tuple[ca.MX, ...]:
     """Arguments of a Problem's function at the start of interval k, or at the end of the motion."""
     x_nominal, u_nominal = nominals(problem)
@@ -392,7 +329,7 @@ def _point(
     return z.begin(k) * x_nominal, u, given[0], time, ca.MX(profiles), given[1], z.peaks
 
 
-def _continuity(problem: Problem, mesh: Mesh, z: _Unknowns) -> list[tuple[ca.MX, Row]]:
+def _continuity(problem: Problem, mesh: Mesh, z: Unknowns) -> list[tuple[ca.MX, Row]]:
     """Linear inputs do not jump; nor do polynomial ones whose rate is penalised, nor held ones
     inside what was one interval.
     """
@@ -405,9 +342,9 @@ def _continuity(problem: Problem, mesh: Mesh, z: _Unknowns) -> list[tuple[ca.MX,
     return [(jumps, Row("continuity of the inputs", "defect", jumps.numel()))]
 
 
-def _input(mesh: Mesh, z: _Unknowns, k: int, tau: float) -> ca.MX:
+def _input(mesh: Mesh, z: Unknowns, k: int, tau: float) -> ca.MX:
     """The (scaled) inputs in interval k at tau."""
-    return z.inputs[k] @ mesh.form.weights(mesh.intervals[k].degree, tau)
+    return z.inputs(k) @ mesh.form.weights(mesh.intervals[k].degree, tau)
 
 
 def _budgets(problem: Problem, values: ca.MX) -> list[tuple[ca.MX, Row]]:
@@ -417,7 +354,7 @@ def _budgets(problem: Problem, values: ca.MX) -> list[tuple[ca.MX, Row]]:
 
 
 def _other_costs(
-    problem: Problem, mesh: Mesh, z: _Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
+    problem: Problem, mesh: Mesh, z: Unknowns, clock: _Clock, given: tuple[ca.MX, ca.MX]
 ) -> ca.MX:
     """Time, the last node, peaks, and jumps of the inputs where their rate is penalised."""
     goal = problem.objective
@@ -432,7 +369,7 @@ def _other_costs(
     return total
 
 
-def _jumps(mesh: Mesh, z: _Unknowns, clock: _Clock) -> ca.MX:
+def _jumps(mesh: Mesh, z: Unknowns, clock: _Clock) -> ca.MX:
     """Squared jumps over the mean length of what is held beside: the rate of a joined signal."""
     total, firsts = ca.MX(0), mesh.held()
     ends = pairwise([*firsts, len(mesh.intervals)])
