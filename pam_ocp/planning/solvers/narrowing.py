@@ -96,6 +96,8 @@ def narrowing(
     while last.success and here < 1.0:
         there = min(1.0, here + step)
         outcome = solved(there, last.w, "along", last)
+        if not outcome.ended:  # others are active there
+            outcome = solved(there, last.w, "dash")
         if outcome.success:
             last, here, step = outcome, there, 1.5 * step
             continue
