@@ -109,7 +109,7 @@ class Approach:
     def _onward(self, part: float) -> Solved:
         """The next place of the path, from the multipliers of this one."""
         here = self._here.outcome
-        return self._on(self.run, part, here.w, "along", here)
+        return self._on(self.run, part, here.w, "along" if part < 1.0 else "last", here)
 
     def _on(
         self, run: Run, part: float, guess: Array, how: Start, warm: Outcome | None = None

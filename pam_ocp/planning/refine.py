@@ -50,6 +50,8 @@ ROUGH = 0.3
 """Replay error in units of nominal from which a mesh does not resolve the motion at all: the solver
 has made use of its errors, and finer meshes have other optima.
 """
+PLAIN_ROUNDS = 3
+"""Of refinement alone; then defects are corrected of all motions."""
 CORRECTIONS = 4
 """On one mesh, at most; each leaves a part of the error, ``LEFT`` of it at most."""
 LEFT = 0.5
@@ -72,7 +74,7 @@ class Refinement:
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
-        self._warm: Start = "along" if self.kinks else "warm"
+        self._warm: Start = "last" if self.kinks else "warm"
         self.cut = False
         """Whether a time limit ended it."""
         try:
@@ -160,7 +162,7 @@ class Refinement:
         for i in range(1, most + 1):
             if self.met() or self.iterations > iterations:
                 return
-            if self.corrects:
+            if self.corrects or i > PLAIN_ROUNDS:
                 current = self._corrected(current)
             if self.met():
                 return
@@ -192,7 +194,7 @@ class Refinement:
             outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             if not outcome.ended and self._warm == "warm":
                 self.iterations += outcome.iterations
-                self._warm = "along"
+                self._warm = "last"
                 outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             # the costs of economical motions are sought on finer meshes first
             economical = program.problem.objective.economical

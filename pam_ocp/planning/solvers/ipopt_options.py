@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, TypeAlias
 
-__all__ = ["BARRIER_OF_TIME", "DAMPED", "DEFAULTS", "STARTS", "WANDERING", "Start"]
+__all__ = ["BARRIER_OF_TIME", "DAMPED", "DEFAULTS", "ROUGHLY", "STARTS", "WANDERING", "Start"]
 
 DEFAULTS: dict[str, Any] = {
     "tol": 1e-9,
@@ -78,7 +78,7 @@ WANDERING: dict[str, Any] = {
 that is let down takes no work, whenever it goes), so Newton's steps are long, and each leads off
 the constraints by its square. It is settled then, see ``DAMPED``.
 """
-DAMPED: dict[str, float] = {"along": 1e-4, "finer": 1e-4, "settled": 1e-2}
+DAMPED: dict[str, float] = {"along": 1e-4, "last": 1e-4, "finer": 1e-4, "settled": 1e-2}
 """Added to the Hessian's diagonal for starts that are near: steps along which costs are flat become
 short (K. Levenberg, Quart. Appl. Math. 2 (1944) 164-168), and the solution is one that lies near.
 Gradients, and so optima, stay as they are.
@@ -91,6 +91,9 @@ ALONG: dict[str, Any] = {**WARM, "max_iter": 150, **ROUGHLY}
 """From one place of a path to the next on the same mesh, by its multipliers: a sixth of the
 iterations of a step without, whose first curvature is wrong.
 """
+
+LAST: dict[str, Any] = {**WANDERING, **WARM, "max_iter": 150}
+"""To the end of a path: the same, and costs are at their least."""
 
 FINER: dict[str, Any] = {**STEP, **ROUGHLY}
 """From one mesh to the next at a place that is left again."""
@@ -108,7 +111,7 @@ residual that is asked of fatrop's solutions.
 """
 
 Start: TypeAlias = Literal[
-    "cold", "adaptive", "near", "step", "dash", "warm", "along", "finer", "settled"
+    "cold", "adaptive", "near", "step", "dash", "warm", "along", "last", "finer", "settled"
 ]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": WANDERING,
@@ -118,6 +121,7 @@ STARTS: dict[Start, dict[str, Any]] = {
     "dash": {**WANDERING, **DASH},
     "warm": {**WANDERING, **WARM},
     "along": ALONG,
+    "last": LAST,
     "finer": FINER,
     "settled": SETTLED,
 }

@@ -95,7 +95,7 @@ def narrowing(
     failed = last
     while last.success and here < 1.0:
         there = min(1.0, here + step)
-        outcome = solved(there, last.w, "along", last)
+        outcome = solved(there, last.w, "along" if there < 1.0 else "last", last)
         if not outcome.ended:  # others are active there
             outcome = solved(there, last.w, "dash")
         if outcome.success:

@@ -21,7 +21,7 @@ from ...numerics.solvers import Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
-from .ipopt_options import BARRIER_OF_TIME, DAMPED, DEFAULTS, STARTS, WANDERING, Start
+from .ipopt_options import BARRIER_OF_TIME, DAMPED, DEFAULTS, ROUGHLY, STARTS, WANDERING, Start
 
 if TYPE_CHECKING:  # loaded with the first re-solve
     from .newton import Newton
@@ -51,6 +51,8 @@ STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
 """IPOPT's return status when somebody stopped it."""
 ACCEPTABLE, SETTLED = "Solved_To_Acceptable_Level", "Settled"
 ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded")
+ON_A_WAY = ROUGHLY["acceptable_dual_inf_tol"], 1e-8
+"""Residuals of stationarity and constraints that do for places that are left again."""
 CLOSE = 1e-2, 1.0
 """Residuals of stationarity and constraints from which damped steps end a solve in 20 iterations or
 so that went to and fro for hundreds.
@@ -94,14 +96,15 @@ class Outcome:
     def wandered(self) -> bool:
         """Whether it ended at an optimum that is no one place; see ``WANDERING``."""
         kept = WANDERING["acceptable_dual_inf_tol"], WANDERING["acceptable_constr_viol_tol"]
-        return self.status == ACCEPTABLE or self._within(*kept)
+        return self.status == ACCEPTABLE or self.within(*kept)
 
     @property
     def close(self) -> bool:
         """Whether it ended for want of time near an optimum."""
-        return self._within(*CLOSE)
+        return self.within(*CLOSE)
 
-    def _within(self, stationarity: float, violation: float) -> bool:
+    def within(self, stationarity: float, violation: float) -> bool:
+        """Whether it ended for want of time with residuals of that size, at most."""
         if self.status not in ENDED_LATE or not self.log:
             return False
         last = self.log[-1]
@@ -254,10 +257,13 @@ class Ipopt:
         LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
         if start == "settled" or (start in DAMPED and not outcome.wandered):
             return outcome
-        return self.settled(program, outcome)
+        return self.settled(program, outcome, start)
 
-    def settled(self, program: Program, outcome: Outcome) -> Outcome:
-        """The outcome, brought to a place where it wandered; a failure where that fails."""
+    def settled(self, program: Program, outcome: Outcome, start: Start = "cold") -> Outcome:
+        """The outcome, brought to a place where it wandered; a failure where that fails.
+
+        Places on a way that are left again need not have their costs at the least.
+        """
         asked = any(name.startswith("acceptable") for name in self._given)
         if asked or not (outcome.wandered or outcome.close):
             return outcome
@@ -270,8 +276,9 @@ class Ipopt:
             "seconds": outcome.seconds + found.seconds,
             "log": (*outcome.log, *found.log),
         }
-        if found.success:
-            return replace(found, status=SETTLED, **spent)
+        rough = start in ("along", "finer") and found.within(*ON_A_WAY)
+        if found.success or rough:
+            return replace(found, success=True, status=SETTLED, **spent)
         if found.stopped:
             return replace(found, **spent)
         status = outcome.status if outcome.status != ACCEPTABLE else ENDED_LATE[0]
