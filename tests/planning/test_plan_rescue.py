@@ -138,18 +138,19 @@ def test_a_solver_at_its_limit_is_no_conflict():
     assert "seems to exist" in explanation("cart", outcome, (), feasible=True)
 
 
-def test_no_place_of_the_path_is_tried_twice_with_the_same_guess(monkeypatch):
+def test_no_place_of_the_path_is_tried_twice_from_the_same_guess_in_one_way(monkeypatch):
     tried = []
     monkeypatch.setattr(narrowing, "rounded_at", lambda program, part: part)
 
-    def solver(program, guess, start):
+    def solver(program, guess, start, warm=None):
         part = program if isinstance(program, float) else 1.0
-        tried.append((part, guess))
+        tried.append((part, guess, start))
         good = part < 0.8
         return narrowing.Outcome(part, 0.0, "s", good, 1, 0.0, None, None)
 
     narrowing.narrowing(solver, "own", -1.0, "cold")
     assert len(tried) == len(set(tried))
+    assert {start for _, _, start in tried[1:]} == {"along", "last", "dash"}
 
 
 # ---- Ctrl-C --------------------------------------------------------------------------------------
