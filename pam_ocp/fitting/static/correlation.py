@@ -93,7 +93,8 @@ def sequences(*tables: ForceTable) -> list[Order]:
 def _orders(table: ForceTable) -> list[Order]:
     n = len(table)
     branch, run = (
-        np.unique(a or ("",) * n, return_inverse=True)[1] for a in (table.branch, table.run)
+        np.unique(a, return_inverse=True)[1] if a else np.zeros(n, dtype=np.intp)
+        for a in (table.branch, table.run)
     )
     branch_run = branch * (int(np.max(run, initial=0)) + 1) + run
     level = table.levels()

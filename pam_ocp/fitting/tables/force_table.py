@@ -119,9 +119,9 @@ class ForceTable:
             self.force[index],
             self.rest_length,
             self.source,
-            tuple(self.branch[i] for i in index if self.branch),
-            tuple(self.run[i] for i in index if self.run),
-            tuple(self.file[i] for i in index if self.file),
+            tuple(self.branch[i] for i in index) if self.branch else (),
+            tuple(self.run[i] for i in index) if self.run else (),
+            tuple(self.file[i] for i in index) if self.file else (),
             None if self.scatter is None else self.scatter[index],
             None if self.error is None else self.error[index],
             self.notes,
@@ -145,12 +145,13 @@ class ForceTable:
         ``tolerance`` of the lowest of their level count as one level.
         """
         order = np.argsort(self.contraction, kind="stable")
-        numbers = np.zeros(len(self), dtype=np.intp)
-        current, first = -1, -np.inf
-        for i in order:
-            if self.contraction[i] > first + tolerance:
-                current, first = current + 1, self.contraction[i]
-            numbers[i] = current
+        rising = self.contraction[order]
+        firsts, place = [], 0
+        while place < len(rising):  # from the lowest of a level to that of the next
+            firsts.append(place)
+            place = int(np.searchsorted(rising, rising[place] + tolerance, side="right"))
+        numbers = np.empty(len(self), dtype=np.intp)
+        numbers[order] = np.searchsorted(firsts, np.arange(len(order)), side="right") - 1
         return numbers
 
     def __len__(self) -> int:
