@@ -127,6 +127,42 @@ def test_what_does_not_settle_has_failed(monkeypatch):
     assert failed.status == "Maximum_Iterations_Exceeded"
 
 
+def test_what_ends_close_to_an_optimum_is_led_to_it():
+    program = work_program(10)
+    solver = Ipopt(program)
+    found = solver(program, by_stops(program.problem, program.mesh, balanced=True))
+    assert found.success
+    low, high = program.bounds()
+    scatter = np.random.default_rng(2).uniform(-3e-3, 3e-3, len(found.w))
+    log = ({"inf_pr": 0.5, "inf_du": 5e-3},)
+    near = replace(
+        found,
+        w=np.clip(found.w + scatter, low, high),
+        status="Maximum_CpuTime_Exceeded",
+        success=False,
+        log=log,
+    )
+    assert near.close
+    assert not near.wandered
+    again = solver.settled(program, near, "cold")
+    assert again.success
+    violation, slope = kkt(program, again)
+    assert violation <= 1e-7
+    assert slope <= 2e-6
+    assert again.objective == pytest.approx(found.objective, rel=1e-4)
+
+
+def test_who_says_when_a_solve_ends_is_obeyed():
+    program = work_program(4)
+    guess = by_stops(program.problem, program.mesh, balanced=True)
+    short = Ipopt(program, {"max_iter": 3})(program, guess)
+    assert (short.success, short.iterations) == (False, 3)
+    ours = [n for n in WANDERING if n != "acceptable_iter"]
+    chosen = Ipopt(program, {"acceptable_iter": 5})._options("cold")["ipopt"]
+    assert chosen["acceptable_iter"] == 5
+    assert not set(ours) & set(chosen)  # IPOPT's own, as it is documented
+
+
 def test_options_of_ones_own_are_not_second_guessed():
     program = work_program(4)
     rough = {f"acceptable_{n}": 1e2 for n in ("tol", "dual_inf_tol", "constr_viol_tol")}

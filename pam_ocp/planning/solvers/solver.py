@@ -50,6 +50,8 @@ def limit(program: Program) -> float:
 STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
 """IPOPT's return status when somebody stopped it."""
 ACCEPTABLE, SETTLED = "Solved_To_Acceptable_Level", "Settled"
+LIMITS = "max_iter", "max_cpu_time", "max_wall_time"
+"""Options whose values, where a user gives them, end all work on a solve."""
 ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded")
 ON_A_WAY = ROUGHLY["acceptable_dual_inf_tol"], 1e-8
 """Residuals of stationarity and constraints that do for places that are left again."""
@@ -134,8 +136,8 @@ class Solver(Protocol):
         keeps them; its multipliers have CasADi's signs (zeros where a solver has none).
 
         start : where the guess comes from; see ``STARTS``. A solver may take each of them as
-        "cold". warm : the outcome whose multipliers may be used, for the starts "warm", "along" and
-            "settled".
+        "cold". warm : the outcome whose multipliers may be used, for the starts "warm", "along",
+            "last" and "settled".
 
         A solver never raises because it found nothing: it says so in the outcome. InputError is for
         options that it does not know.
@@ -180,10 +182,18 @@ class Ipopt:
             self._solvers.clear()
         self._first = self._solver("cold")
 
+    @property
+    def _acceptance_given(self) -> bool:
+        """Whether the user says what is acceptable: then it is."""
+        return any(n.startswith("acceptable") for n in self._given)
+
     def _options(self, name: Start) -> dict[str, Any]:
         """Of the solver of this name, but for its functions."""
         time = limit(self.program) * (1.0 if name == "cold" else PATIENCE)
-        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **STARTS[name], "max_cpu_time": time}
+        own = STARTS[name]
+        if self._acceptance_given:
+            own = {n: v for n, v in own.items() if not n.startswith("acceptable")}
+        chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **own, "max_cpu_time": time}
         chosen |= self._given
         goal = self.program.problem.objective
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
@@ -264,13 +274,12 @@ class Ipopt:
 
         Places on a way that are left again need not have their costs at the least.
         """
-        asked = any(name.startswith("acceptable") for name in self._given)
-        if asked or not (outcome.wandered or outcome.close):
+        out_of_limit = outcome.status in ENDED_LATE and any(n in self._given for n in LIMITS)
+        if self._acceptance_given or out_of_limit or not (outcome.wandered or outcome.close):
             return outcome
-        if outcome.wandered:
-            found = self(program, outcome.w, "settled", outcome)
-        else:
-            found = self(program, outcome.w, "finer")
+        # what is only close is led on with costs at their least in the end
+        following: Start = "settled" if outcome.wandered else "last"
+        found = self(program, outcome.w, following, outcome)
         spent: dict[str, Any] = {
             "iterations": outcome.iterations + found.iterations,
             "seconds": outcome.seconds + found.seconds,
