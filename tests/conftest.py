@@ -6,7 +6,8 @@ import locale
 import os
 import random
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,33 @@ def benchmark_slide(feed: Any = None, muscle: pam.Muscle | None = None) -> pam.P
         damping=pam.losses.ConstantDamping(20.0),
         feed=feed or pam.feeds.Regulator(0.05, max_pressure=6 * BAR, max_rate=40 * BAR),
     )
+
+
+def hardening_cart(limit: float = 10.0) -> pam.Plant:
+    """A mass on a hardening spring, pushed by a force."""
+    plant = pam.Plant("cart")
+    x = plant.state("x", unit="m", nominal=0.4)
+    v = plant.state("v", unit="m/s", nominal=2.5)
+    u = plant.input("u", unit="N", min=-limit, max=limit, nominal=3.0)
+    m = plant.parameter("mass", 1.5, unit="kg", min=0.1)
+    k = plant.parameter("stiffness", 0.7, unit="N/m", min=0.0)
+    plant.der(x, v)
+    plant.der(v, (u - k * x * (1 + x**2)) / m)
+    plant.output("power", u * v, unit="W")
+    return plant
+
+
+@contextmanager
+def dask_client() -> Iterator[Any]:
+    """Of a cluster of two workers on this machine; the test is skipped where there is no Dask."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
 
 
 def flat(value: Any) -> Any:

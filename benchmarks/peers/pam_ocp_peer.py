@@ -5,6 +5,7 @@ from time import perf_counter
 
 import equations as e
 import numpy as np
+from pam_ocp_slide import slide
 
 import pam_ocp as pam
 
@@ -22,14 +23,7 @@ METHODS = {
 def main():
     method, name = METHODS[sys.argv[1] if len(sys.argv) > 1 else "held"]
     begin = e.clock()
-    plant = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        e.MASS,
-        e.CONTRACTION,
-        stroke=e.STROKE,
-        damping=pam.losses.ConstantDamping(e.DAMPING),
-        feed=pam.feeds.Regulator(e.LAG, max_pressure=1e5 * e.LARGEST, max_rate=1e5 * e.RATE),
-    )
+    plant = slide()
     stops, seconds = [{"x": -e.STOP}, {"x": e.STOP}], []
     for again in range(3):
         ready, wall = e.clock(), perf_counter()

@@ -4,6 +4,7 @@ import sys
 
 import equations as e
 import numpy as np
+from pam_ocp_slide import slide
 
 import pam_ocp as pam
 
@@ -11,14 +12,7 @@ import pam_ocp as pam
 def main():
     compiled = sys.argv[1:] == ["compiled"]
     begin, seconds = e.clock(), []
-    plant = pam.AntagonisticSlide(
-        pam.muscle("DMSP-20-200N"),
-        e.MASS,
-        e.CONTRACTION,
-        stroke=e.STROKE,
-        damping=pam.losses.ConstantDamping(e.DAMPING),
-        feed=pam.feeds.Regulator(e.LAG, max_pressure=1e5 * e.LARGEST, max_rate=1e5 * e.RATE),
-    )
+    plant = slide()
     commands = 1e5 * np.array([e.command(t) for t in e.TIMES]).T
     size = np.array([1, 1, 1e5, 1e5])
     names = [s.name for s in plant.states]

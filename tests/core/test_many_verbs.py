@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import dask_client
 
 import pam_ocp as pam
 from pam_ocp.core.errors import OutOfTime
@@ -28,13 +29,7 @@ PLACES = [2, "threads", "pool", pytest.param("dask", marks=pytest.mark.slow)]
 def place(where: Any) -> Iterator[Any]:
     """An executor by its kind."""
     if where == "dask":
-        distributed = pytest.importorskip("distributed")
-        with (
-            distributed.LocalCluster(
-                n_workers=2, threads_per_worker=1, dashboard_address=None
-            ) as cluster,
-            distributed.Client(cluster) as client,
-        ):
+        with dask_client() as client:
             yield client
     elif isinstance(where, str):
         kinds: dict[str, Callable[[int], Executor]] = {

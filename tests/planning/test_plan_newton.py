@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import hardening_cart as cart
 
 import pam_ocp as pam
 from pam_ocp import Collocation, Shooting
@@ -15,20 +16,6 @@ from pam_ocp.planning.solvers.optimality import Optimality
 MOVE = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]
 EFFORT = {"rest": False, "duration": 1.0, "minimise": "effort"}
 STOPS = [{"x": -0.015}, {"x": 0.015}]
-
-
-def cart() -> pam.Plant:
-    """A mass on a hardening spring, pushed by a force."""
-    plant = pam.Plant("cart")
-    x = plant.state("x", unit="m", nominal=0.4)
-    v = plant.state("v", unit="m/s", nominal=2.5)
-    u = plant.input("u", unit="N", min=-10.0, max=10.0, nominal=3.0)
-    m = plant.parameter("mass", 1.5, unit="kg", min=0.1)
-    k = plant.parameter("stiffness", 0.7, unit="N/m", min=0.0)
-    plant.der(x, v)
-    plant.der(v, (u - k * x * (1 + x**2)) / m)
-    plant.output("power", u * v, unit="W")
-    return plant
 
 
 # {name: (stops, keywords of a planner, what changes)}

@@ -8,6 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import hardening_cart as cart
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
@@ -17,20 +18,6 @@ from pam_ocp.planning.transcription.guess import by_stops
 from pam_ocp.planning.transcription.stage_order import stage_ordered
 
 STOPS = [{"x": -0.015}, {"x": 0.015}]
-
-
-def cart(limit: float = 10.0) -> pam.Plant:
-    """A mass on a spring, pushed by a force."""
-    plant = pam.Plant("cart")
-    x = plant.state("x", unit="m", nominal=0.4)
-    v = plant.state("v", unit="m/s", nominal=2.5)
-    u = plant.input("u", unit="N", min=-limit, max=limit, nominal=3.0)
-    m = plant.parameter("mass", 1.5, unit="kg", min=0.1)
-    k = plant.parameter("stiffness", 0.7, unit="N/m", min=0.0)
-    plant.der(x, v)
-    plant.der(v, (u - k * x * (1 + x**2)) / m)
-    plant.output("power", u * v, unit="W")
-    return plant
 
 
 MOVE = [{"x": 0.0, "v": 0.0}, {"x": 1.0, "v": 0.0}]

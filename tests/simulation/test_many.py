@@ -4,7 +4,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from conftest import BAR
+from conftest import BAR, dask_client
 
 import pam_ocp as pam
 from pam_ocp import InputError
@@ -80,13 +80,7 @@ def test_a_case_with_a_wrong_key_is_refused(hanging):
 
 @pytest.mark.slow
 def test_a_dask_cluster_serves_as_executor(hanging):
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with dask_client() as client:
         many = pam.simulate_many(
             hanging,
             pam.simulation.sweep(mass=[10.0, 20.0, 30.0]),
