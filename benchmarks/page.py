@@ -159,7 +159,7 @@ def table(result: dict[str, Any]) -> str:
 
 def growth(result: dict[str, Any]) -> str:
     """All curves as numbers, and their slopes."""
-    lines = [row("growth", "size: median", "slope at the end"), "|---|---|---|"]
+    lines = [row("growth", "size: median", "slope over the largest three"), "|---|---|---|"]
     for _, over, names in shown(result["figures"]).values():
         for name in names:
             sizes, values = curve(result["figures"], name)

@@ -373,8 +373,9 @@ def mode_map(
     if len(grid) != 2:
         raise InputError(f"mode_map takes two axes; {len(grid)} given")
     (outer, rows), (inner, columns) = grid.items()
-    if not len(rows) or not len(columns):
-        raise InputError(f"axes of mode_map hold {len(rows)} and {len(columns)} values; give some")
+    for name, values in grid.items():
+        if not len(values):
+            raise InputError(f"axis {name!r} of mode_map holds no value; give one, at least")
     work = partial(
         _modes_of_row, plant, dict(conditions or {}), outer, inner, columns, free, within
     )

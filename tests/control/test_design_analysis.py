@@ -156,6 +156,11 @@ def test_every_figure_is_drawn_without_pyplot(slide, hanging):
         plots.plot_tracking({}, ["x"])
 
 
+def test_a_mode_map_names_the_axis_that_is_empty(hanging):
+    with pytest.raises(InputError, match="axis 'muscle.command' of mode_map holds no value"):
+        mode_map(hanging, {"muscle.command": [], "x": [0.02, 0.03]})
+
+
 def test_what_is_no_system_is_refused_in_a_sentence(slide, tmp_path):
     with pytest.raises(InputError, match=r"margins: loop is a dict, not a control\.StateSpace"):
         margins({})
