@@ -157,7 +157,7 @@ def test_every_figure_is_drawn_without_pyplot(slide, hanging):
 
 
 def test_a_mode_map_names_the_axis_that_is_empty(hanging):
-    with pytest.raises(InputError, match="axis 'muscle.command' of mode_map holds no value"):
+    with pytest.raises(InputError, match=r"axis 'muscle\.command' of mode_map holds no value"):
         mode_map(hanging, {"muscle.command": [], "x": [0.02, 0.03]})
 
 
