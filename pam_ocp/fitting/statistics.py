@@ -293,7 +293,8 @@ class Linearisation:
     def condition(self) -> float:
         """Condition number of the Jacobian with columns of unit length."""
         s = self.decomposition[1]
-        return float(s[0] / s[-1]) if s.size and s[-1] > 0 else float("inf")
+        with np.errstate(over="ignore"):  # a column all but without entries
+            return float(s[0] / s[-1]) if s.size and s[-1] > 0 else float("inf")
 
     @property
     def _root(self) -> Array:

@@ -185,3 +185,12 @@ def test_what_hangs_on_one_hold_has_the_interval_of_the_others():
     open_fit = replace(fit, linearisation=replace(linear, jacobian=rows))
     assert np.isinf(open_fit.interval("b")[1])
     assert "hangs on few holds" in open_fit.report()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_coefficient_all_but_without_influence_has_an_infinite_condition():
+    """Squares of 1e-320 are zero, so that the column keeps its length: 1 / 1e-320 is no number."""
+    rows = np.array([[1.0, 0.0], [1.0, 1e-320], [1.0, 0.0]])
+    linear = Linearisation(("a", "b"), np.zeros(2), ("1",) * 2, rows, 0.2, 1)
+    assert linear.condition == np.inf
+    assert linear.rank == 1

@@ -169,7 +169,8 @@ def _follow(
             step = np.linalg.solve(normal, right)[:, :, 0]
         except np.linalg.LinAlgError:  # somewhere the others are not determined
             step = (np.linalg.pinv(normal, hermitian=True) @ right)[:, :, 0]
-        z = z + step / norms
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is not good
+            z = z + step / norms
     return z, problem.squares(_rows(best, free, z))
 
 
