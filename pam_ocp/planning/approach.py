@@ -7,12 +7,14 @@ motion is resolved before each step, most steps take some ten.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .correction import CORRECTABLE
+from .landing import landed
 from .renewal import on_mesh
 from .replay import chosen_plant, interval_errors
 from .result import Solved
@@ -42,6 +44,10 @@ FASTER, SLOWER = 1.4, 0.4
 """Of these parts, after a step that led to a solution, and after one that did not."""
 REFINEMENTS = 4
 """At each place, at most."""
+NEAR_ENOUGH = 0.5
+"""Part of the path from which on its motions differ so little from those at its end that inputs
+need little change to land these.
+"""
 EFFORT = 1.2e7
 """Iterations times unknowns of the way, at most: a minute or so."""
 
@@ -90,6 +96,14 @@ class Approach:
                 self._resolve()
         return self._here
 
+    def landed(self, tolerance: float) -> Solved | None:
+        """Where the way is blocked: the motion of its last place, landed with the plant's own
+        roundings to a tolerance [nominals]; None where the way is long yet, or no motion is found.
+        """
+        if self._part < NEAR_ENOUGH:
+            return None
+        return landed(replace(self._here, program=self.run.program), tolerance)
+
     def _resolve(self) -> None:
         """Finer meshes, until the motion is resolved; where one fails, the one before it."""
         problem = self.run.program.problem
@@ -101,7 +115,7 @@ class Approach:
             if sum(errors) <= RESOLVED or finer == mesh or self._effort > EFFORT:
                 return
             run = Run(transcribe(problem, finer), self.backend)
-            found = self._on(run, self._part, from_solution(problem, finer, solution), "finer")
+            found = self._on(run, self._part, from_solution(problem, finer, solution), "between")
             if not found.outcome.success:
                 return
             self.run, self._here = run, found

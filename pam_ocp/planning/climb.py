@@ -24,7 +24,7 @@ from .solvers.narrowing import has_kinks
 from .transcription.mesh import Mesh, coarsened, doubled
 from .transcription.transcription import transcribe
 
-__all__ = ["Climb", "ladder"]
+__all__ = ["FLOOR", "Climb", "ladder"]
 
 FEWEST = 10
 """Intervals of a leg, on the coarsest mesh."""

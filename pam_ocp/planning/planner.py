@@ -208,6 +208,12 @@ def _nothing_yet(plant: Plant) -> PlanError:
     )
 
 
+LOOSER = 5.0
+"""Tolerances to which motions with wide roundings settle: what is left is gained with the plant's
+own, on finer meshes than the way there needs.
+"""
+
+
 class Planner:
     """A planning problem that is built once and solved many times.
 
@@ -436,19 +442,25 @@ class Planner:
             return self._searched(first, None, starts, figures, climb, False)
 
         for each in climb.reached(search, top, meshes, False):
-            wide = each if tolerance is None else climb.settled(each, tolerance)
-            reached = self._from_wide(run, wide, climb)
+            wide = each if tolerance is None else climb.settled(each, LOOSER * tolerance)
+            reached = self._from_wide(run, wide, climb, tolerance)
             if reached is not None:
                 return [reached]
             if wide.outcome.stopped:
                 return [wide]
         return []
 
-    def _from_wide(self, run: Run, wide: Solved, climb: Climb) -> Solved | None:
-        """From a solution with wide roundings to the plant's own; None where that is blocked."""
+    def _from_wide(
+        self, run: Run, wide: Solved, climb: Climb, tolerance: float | None = None
+    ) -> Solved | None:
+        """From a solution with wide roundings to the plant's own; None where that is blocked, and
+        no motion near the end of the way is landed to a tolerance.
+        """
         approach = Approach(run, wide, self._backend.near())
         reached = approach.solved()
         climb.iterations += approach.iterations
+        if reached is None and tolerance is not None:
+            return approach.landed(CLOSER * tolerance)
         return reached
 
     def _searched(

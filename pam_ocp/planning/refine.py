@@ -13,6 +13,7 @@ from .approach import Approach
 from .arcs import BY_ARCS, guarded
 from .arcs_search import ArcSearch
 from .checked import Checked, checked
+from .climb import FLOOR
 from .correction import CORRECTABLE, Corrected, corrected
 from .landing import landed
 from .renewal import on_mesh
@@ -26,7 +27,7 @@ from .transcription.mesh import Mesh, halved, held, refined, watched
 from .transcription.solution import unpack
 from .transcription.transcription import transcribe
 
-__all__ = ["Refinement"]
+__all__ = ["CLOSER", "Refinement"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -55,6 +56,8 @@ PLAIN_ROUNDS = 3
 CORRECTIONS = 4
 """On one mesh, at most; each leaves a part of the error, ``LEFT`` of it at most."""
 LEFT = 0.5
+NEARLY = 10.0
+"""Tolerances that a motion with kinks may miss, to be landed before its mesh is solved again."""
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is slow to solve."""
 
@@ -152,7 +155,7 @@ class Refinement:
         if not wide.outcome.success:
             return None
         approach = Approach(run, wide, self.backend)
-        found = approach.solved()
+        found = approach.solved() or approach.landed(self.tolerance)
         self.iterations += approach.iterations
         return None if found is None else self._taken(found)
 
@@ -183,9 +186,14 @@ class Refinement:
 
     def _corrected(self, current: Checked) -> Checked:
         """The solution with its mesh's defects corrected; itself where that does not pay."""
+        tried = False
         for _ in range(CORRECTIONS):
             if not self.tolerance < _missed(current) <= CORRECTABLE:
                 break
+            if self.kinks and not tried and _missed(current) <= NEARLY * self.tolerance:
+                tried = True
+                if self._landed(current, self.tolerance):
+                    break
             found = current.found
             program = corrected(found.program, found.solution)
             if program is None:
@@ -196,26 +204,32 @@ class Refinement:
                 self.iterations += outcome.iterations
                 self._warm = "last"
                 outcome = solver(program, found.outcome.w, self._warm, found.outcome)
-            # the costs of economical motions are sought on finer meshes first
-            economical = program.problem.objective.economical
-            if not outcome.ended and not economical and self._landed(current):
-                break
+            if not outcome.ended and not tried:
+                # dearer economical motions are sought on finer meshes first
+                economical = program.problem.objective.economical
+                if self._landed(current, self.tolerance if economical else np.inf):
+                    break
             solution = unpack(program.problem, program.mesh, outcome.w)
             now = self._taken(Solved(program, outcome, solution))
             if now is None:
                 break
             current, before = now, current
-            if _missed(now) > LEFT * _missed(before):
+            if _missed(current) > LEFT * _missed(before):
                 break
         return current
 
-    def _landed(self, current: Checked) -> bool:
-        """Whether the motion, integrated and brought to its stops, meets the tolerance."""
+    def _landed(self, current: Checked, dearer: float = np.inf) -> bool:
+        """Whether the motion, integrated and brought to its stops, meets the tolerance.
+
+        dearer : part of the objective that this may cost.
+        """
         if not self.tolerance < _missed(current) <= CORRECTABLE:
             return False
         found = landed(current.found, self.tolerance)
         if found is not None:
-            self._taken(found)
+            before, now = current.found.outcome.objective, found.outcome.objective
+            if now - before <= dearer * max(abs(before), FLOOR):
+                self._taken(found)
         return self.met()
 
     def _meshes(self, current: Checked, i: int) -> list[Mesh]:

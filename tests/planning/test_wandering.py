@@ -70,7 +70,7 @@ def test_a_flat_optimum_ends_at_a_place_and_is_an_optimum():
     assert other.objective == pytest.approx(found.objective, rel=1e-5)
 
 
-@pytest.mark.parametrize("start", ["along", "finer", "settled"])
+@pytest.mark.parametrize("start", ["along", "between", "finer", "settled", "still", "back"])
 def test_damping_moves_no_optimum(start):
     planner = pam.Planner(
         load(),
@@ -86,7 +86,7 @@ def test_damping_moves_no_optimum(start):
     scatter = np.random.default_rng(5).uniform(-1e-4, 1e-4, len(exact.w))
     low, high = program.bounds()
     guess = np.clip(exact.w + scatter, low, high)
-    again = solver(program, guess, start, None if start == "finer" else exact)
+    again = solver(program, guess, start, None if start in ("between", "finer") else exact)
     assert again.success
     assert again.objective == pytest.approx(exact.objective, rel=1e-7)
     assert kkt(program, again)[1] <= 2e-6

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import Any, Literal, TypeAlias
 
-__all__ = ["BARRIER_OF_TIME", "DAMPED", "DEFAULTS", "ROUGHLY", "STARTS", "WANDERING", "Start"]
+__all__ = [
+    "BARRIER_OF_TIME",
+    "DAMPED",
+    "DEFAULTS",
+    "STARTS",
+    "WANDERING",
+    "Start",
+]
 
 DEFAULTS: dict[str, Any] = {
     "tol": 1e-9,
@@ -78,7 +85,11 @@ WANDERING: dict[str, Any] = {
 that is let down takes no work, whenever it goes), so Newton's steps are long, and each leads off
 the constraints by its square. It is settled then, see ``DAMPED``.
 """
-DAMPED: dict[str, float] = {"along": 1e-4, "last": 1e-4, "finer": 1e-4, "settled": 1e-2}
+DAMPED: dict[str, float] = {
+    **dict.fromkeys(("along", "last", "between", "finer"), 1e-4),
+    "settled": 1e-2,
+    **dict.fromkeys(("still", "back"), 1.0),
+}
 """Added to the Hessian's diagonal for starts that are near: steps along which costs are flat become
 short (K. Levenberg, Quart. Appl. Math. 2 (1944) 164-168), and the solution is one that lies near.
 Gradients, and so optima, stay as they are.
@@ -96,22 +107,48 @@ LAST: dict[str, Any] = {**WANDERING, **WARM, "max_iter": 150}
 """To the end of a path: the same, and costs are at their least."""
 
 FINER: dict[str, Any] = {**STEP, **ROUGHLY}
-"""From one mesh to the next at a place that is left again."""
+"""From one mesh to the next. Ends as soon as at a place that is left again ("between"), which this
+need not be: then costs are brought to their least.
+"""
 
 SETTLED: dict[str, Any] = {
     **WARM,
     "acceptable_iter": 1,
     "acceptable_tol": 1e-6,
     "acceptable_dual_inf_tol": 1e-6,
-    "acceptable_constr_viol_tol": 1e-8,
+    "acceptable_constr_viol_tol": 1e-4,
     "acceptable_compl_inf_tol": DEFAULTS["compl_inf_tol"],
 }
-"""After a solve that went to and fro: a motion as exact as any, with costs at their least to the
-residual that is asked of fatrop's solutions.
+"""After a solve that went to and fro: costs at their least to the residual that is asked of
+fatrop's solutions. Where they are flat this goes on for ever in small steps, each of which leaves
+the constraints again.
 """
 
+STILL: dict[str, Any] = {**SETTLED, "acceptable_constr_viol_tol": 1e-8, "max_iter": 20}
+"""From there back to the constraints by the shortest way: a motion as exact as any."""
+
+BACK: dict[str, Any] = {
+    **STILL,
+    **dict.fromkeys(("acceptable_tol", "acceptable_dual_inf_tol"), 1e-5),
+    "acceptable_constr_viol_tol": 1e-6,
+    "acceptable_compl_inf_tol": WANDERING["acceptable_compl_inf_tol"],
+}
+"""The same at once, for places on a way that are left again."""
+
 Start: TypeAlias = Literal[
-    "cold", "adaptive", "near", "step", "dash", "warm", "along", "last", "finer", "settled"
+    "cold",
+    "adaptive",
+    "near",
+    "step",
+    "dash",
+    "warm",
+    "along",
+    "last",
+    "between",
+    "finer",
+    "settled",
+    "still",
+    "back",
 ]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": WANDERING,
@@ -122,6 +159,9 @@ STARTS: dict[Start, dict[str, Any]] = {
     "warm": {**WANDERING, **WARM},
     "along": ALONG,
     "last": LAST,
+    "between": FINER,
     "finer": FINER,
     "settled": SETTLED,
+    "still": STILL,
+    "back": BACK,
 }

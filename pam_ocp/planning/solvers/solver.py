@@ -21,7 +21,15 @@ from ...numerics.solvers import Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
-from .ipopt_options import BARRIER_OF_TIME, DAMPED, DEFAULTS, ROUGHLY, STARTS, WANDERING, Start
+from .ipopt_options import (
+    BARRIER_OF_TIME,
+    DAMPED,
+    DEFAULTS,
+    ROUGHLY,
+    STARTS,
+    WANDERING,
+    Start,
+)
 
 if TYPE_CHECKING:  # loaded with the first re-solve
     from .newton import Newton
@@ -53,8 +61,17 @@ ACCEPTABLE, SETTLED = "Solved_To_Acceptable_Level", "Settled"
 LIMITS = "max_iter", "max_cpu_time", "max_wall_time"
 """Options whose values, where a user gives them, end all work on a solve."""
 ENDED_LATE = ("Maximum_Iterations_Exceeded", "Maximum_CpuTime_Exceeded")
-ON_A_WAY = ROUGHLY["acceptable_dual_inf_tol"], 1e-8
-"""Residuals of stationarity and constraints that do for places that are left again."""
+ENDED_BLOCKED = ("Infeasible_Problem_Detected", "Restoration_Failed")
+"""Return status where long steps found no way back to the constraints; short ones may, from a
+violation of ``LITTLE`` at most.
+"""
+LITTLE = 1e-3
+SETTLING = ("settled", "still", "back")
+"""Starts of what brings an outcome to a place."""
+ON_A_WAY = ("along", "between")
+"""Starts to places that are left again."""
+EXACT = STARTS["still"]["acceptable_constr_viol_tol"]
+"""Residual of the constraints of what has been settled."""
 CLOSE = 1e-2, 1.0
 """Residuals of stationarity and constraints from which damped steps end a solve in 20 iterations or
 so that went to and fro for hundreds.
@@ -97,17 +114,27 @@ class Outcome:
     @property
     def wandered(self) -> bool:
         """Whether it ended at an optimum that is no one place; see ``WANDERING``."""
-        kept = WANDERING["acceptable_dual_inf_tol"], WANDERING["acceptable_constr_viol_tol"]
-        return self.status == ACCEPTABLE or self.within(*kept)
+        return self.astray("cold")
+
+    def astray(self, start: Start) -> bool:
+        """The same for any start: places on a way that are left again are less of an optimum."""
+        wanted = ROUGHLY if start in ON_A_WAY else WANDERING
+        slope, violation = (wanted[f"acceptable_{n}"] for n in ("dual_inf_tol", "constr_viol_tol"))
+        late, blocked = self.within(slope, violation), self.within(slope, LITTLE, ENDED_BLOCKED)
+        return self.status == ACCEPTABLE or late or blocked
 
     @property
     def close(self) -> bool:
         """Whether it ended for want of time near an optimum."""
         return self.within(*CLOSE)
 
-    def within(self, stationarity: float, violation: float) -> bool:
-        """Whether it ended for want of time with residuals of that size, at most."""
-        if self.status not in ENDED_LATE or not self.log:
+    def within(
+        self, stationarity: float, violation: float, ended: tuple[str, ...] = ENDED_LATE
+    ) -> bool:
+        """Whether it ended, for want of time or as ``ended`` says, with residuals of that size, at
+        most.
+        """
+        if self.status not in ended or not self.log:
             return False
         last = self.log[-1]
         return last["inf_du"] <= stationarity and last["inf_pr"] <= violation
@@ -265,7 +292,7 @@ class Ipopt:
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
         LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
-        if start == "settled" or (start in DAMPED and not outcome.wandered):
+        if start in SETTLING or (start in DAMPED and not outcome.astray(start)):
             return outcome
         return self.settled(program, outcome, start)
 
@@ -275,19 +302,27 @@ class Ipopt:
         Places on a way that are left again need not have their costs at the least.
         """
         out_of_limit = outcome.status in ENDED_LATE and any(n in self._given for n in LIMITS)
-        if self._acceptance_given or out_of_limit or not (outcome.wandered or outcome.close):
+        astray = outcome.astray(start)
+        if self._acceptance_given or out_of_limit or not (astray or outcome.close):
             return outcome
-        # what is only close is led on with costs at their least in the end
-        following: Start = "settled" if outcome.wandered else "last"
-        found = self(program, outcome.w, following, outcome)
+        starts: tuple[Start, ...] = ("settled", "still")
+        if not astray:  # led on with costs at their least in the end
+            starts = ("last", "still")
+        elif start in ON_A_WAY:
+            starts = ("back",)
+        found, solves = outcome, [outcome]
+        for following in starts:
+            found = self(program, found.w, following, found)
+            solves.append(found)
+            if not found.success or found.log[-1]["inf_pr"] <= EXACT:
+                break
         spent: dict[str, Any] = {
-            "iterations": outcome.iterations + found.iterations,
-            "seconds": outcome.seconds + found.seconds,
-            "log": (*outcome.log, *found.log),
+            "iterations": sum(each.iterations for each in solves),
+            "seconds": sum(each.seconds for each in solves),
+            "log": tuple(line for each in solves for line in each.log),
         }
-        rough = start in ("along", "finer") and found.within(*ON_A_WAY)
-        if found.success or rough:
-            return replace(found, success=True, status=SETTLED, **spent)
+        if found.success:
+            return replace(found, status=SETTLED, **spent)
         if found.stopped:
             return replace(found, **spent)
         status = outcome.status if outcome.status != ACCEPTABLE else ENDED_LATE[0]
