@@ -1,14 +1,19 @@
 """Motions that are brought to their stops by exact runs where a mesh does not resolve them."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import pam_ocp as pam
+from pam_ocp.planning import refine
+from pam_ocp.planning.approach import Approach
 from pam_ocp.planning.checked import checked
 from pam_ocp.planning.landing import landed
 from pam_ocp.planning.planner import Planner
+from pam_ocp.planning.refine import Refinement
 from pam_ocp.planning.run import Run
 from pam_ocp.planning.solvers.backend import Backend
 from pam_ocp.planning.transcription.mesh import Collocation
@@ -16,14 +21,18 @@ from pam_ocp.planning.transcription.mesh import Collocation
 MASS, LAG, RUB, SPEED = 2.0, 0.05, 3.0, 0.02
 
 
-def rubbing():
-    """m v' = f - RUB tanh(v/SPEED), LAG f' = u - f: kinks that six intervals do not resolve."""
+def rubbing(widest=0.0):
+    """m v' = f - RUB tanh(v/SPEED), LAG f' = u - f: kinks that six intervals do not resolve.
+
+    widest : where the way of plans begins [m/s].
+    """
     plant = pam.Plant("rubbing")
+    speed = plant.parameter("speed", SPEED, min=0.0, unit="m/s", widest=widest)
     x, v = plant.state("x", nominal=0.1), plant.state("v", nominal=0.5)
     f = plant.state("f", nominal=10.0)
     u = plant.input("u", min=-20.0, max=20.0, nominal=10.0)
     plant.der(x, v)
-    plant.der(v, (f - RUB * ca.tanh(v / SPEED)) / MASS)
+    plant.der(v, (f - RUB * ca.tanh(v / speed)) / MASS)
     plant.der(f, (u - f) / LAG)
     return plant
 
@@ -95,3 +104,53 @@ def test_a_cycle_ends_where_it_begins():
 
 def test_budgets_are_left_alone():
     assert landed(coarse(budgets={"effort": (None, 5.0)}), 1e-3) is None
+
+
+def blocked(monkeypatch, part):
+    """A way from a wide rounding to the plant's own whose places beyond a part are not found."""
+    planner = Planner(
+        rubbing(widest=0.3),
+        [{"x": 0.0}, {"x": 0.1}],
+        method=Collocation(15, 3),
+        duration=0.6,
+        minimise="effort",
+    )
+    run = Run(planner._program, Backend().near())
+    (wide, *_), _ = run.several(1, wide=True)
+    onward = Approach._onward
+
+    def ends(self, there):
+        found = onward(self, there)
+        if there < part:
+            return found
+        return replace(found, outcome=replace(found.outcome, success=False, status="lost"))
+
+    monkeypatch.setattr(Approach, "_onward", ends)
+    way = Approach(run, wide, run.backend)
+    assert way.solved() is None
+    return way
+
+
+def test_a_way_that_is_blocked_near_its_end_is_landed(monkeypatch):
+    """By SciPy the motion rests at its stop under the narrow kink, which no solve has met."""
+    way, scale = blocked(monkeypatch, 0.8), [0.1, 0.5, 10.0]
+    assert max(abs(flown(way._here.solution) - [0.1, 0.0, 0.0]) / scale) > 2e-3
+    found = way.landed(1e-3)
+    assert found.program.problem.plant.variable("speed").start == SPEED
+    assert max(abs(flown(found.solution) - [0.1, 0.0, 0.0]) / scale) < 1.1e-3
+
+
+def test_a_way_that_has_only_begun_is_not_landed(monkeypatch):
+    assert blocked(monkeypatch, 0.3).landed(1e-3) is None
+
+
+@pytest.mark.parametrize(("dearer", "takes"), [(1.1e-2, True), (0.9e-2, False)])
+def test_what_costs_more_than_it_may_is_not_taken(monkeypatch, dearer, takes):
+    """Landed where finer meshes are still to be tried, at 1 % more than the mesh's optimum."""
+    found = coarse()
+    refinement = Refinement(checked(found), np.inf, Backend())
+    refinement.tolerance = 1e-3
+    good = landed(found, 1e-3)
+    costly = replace(good.outcome, objective=1.01 * found.outcome.objective)
+    monkeypatch.setattr(refine, "landed", lambda *_: replace(good, outcome=costly))
+    assert refinement._landed(refinement.best, dearer) is takes

@@ -171,3 +171,56 @@ def test_options_of_ones_own_are_not_second_guessed():
     found = solver(program, by_stops(program.problem, program.mesh, balanced=True))
     assert found.status == "Solved_To_Acceptable_Level"
     assert found.success
+
+
+def test_short_steps_lead_back_to_the_constraints():
+    """To the nearest motion, and no nearer to the optimum than the place was."""
+    program = work_program(10)
+    solver = Ipopt(program)
+    found = solver(program, by_stops(program.problem, program.mesh, balanced=True))
+    low, high = program.bounds()
+    scatter = np.random.default_rng(8).uniform(-1e-4, 1e-4, len(found.w))
+    scattered = np.clip(found.w + scatter, low, high)
+    g = ca.Function("g", [program.nlp["x"], program.nlp["p"]], [program.nlp["g"]])
+    least, most = program.limits()
+
+    def violation(w):
+        values = np.asarray(g(w, program.parameters()), float).ravel()
+        return np.maximum(least - values, values - most).max()
+
+    assert violation(scattered) > 1e-5
+    for start, exact in (("still", 1e-8), ("back", 1e-6)):
+        back = solver(program, scattered, start, found)
+        assert back.success
+        assert violation(back.w) <= exact
+        assert np.linalg.norm(back.w - scattered) <= 1.5 * np.linalg.norm(found.w - scattered)
+
+
+@pytest.mark.parametrize(
+    ("status", "violation", "wanders"),
+    [
+        ("Infeasible_Problem_Detected", 1e-4, True),
+        ("Restoration_Failed", 1e-4, True),
+        ("Infeasible_Problem_Detected", 1e-2, False),
+        ("Invalid_Number_Detected", 1e-4, False),
+    ],
+)
+def test_an_optimum_beside_its_constraints_is_no_contradiction(status, violation, wanders):
+    """Steps so long that no way back was found; what is far from its constraints contradicts."""
+    program = work_program(4)
+    found = Ipopt(program)(program, by_stops(program.problem, program.mesh, balanced=True))
+    log = ({"inf_pr": violation, "inf_du": 1e-7},)
+    assert replace(found, status=status, success=False, log=log).wandered is wanders
+
+
+def test_places_on_a_way_are_less_of_an_optimum():
+    program = work_program(4)
+    found = Ipopt(program)(program, by_stops(program.problem, program.mesh, balanced=True))
+    log = ({"inf_pr": 1e-4, "inf_du": 5e-6},)
+    late = replace(found, status="Maximum_Iterations_Exceeded", success=False, log=log)
+    assert [late.astray(s) for s in ("along", "between", "finer", "last")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
