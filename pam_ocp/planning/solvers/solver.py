@@ -70,8 +70,8 @@ SETTLING = ("settled", "still", "back")
 """Starts of what brings an outcome to a place."""
 ON_A_WAY = ("along", "between")
 """Starts to places that are left again."""
-EXACT = STARTS["still"]["acceptable_constr_viol_tol"]
-"""Residual of the constraints of what has been settled."""
+EXACT = 1e-7
+"""Residual of the constraints from which on what has settled is not led on for more."""
 CLOSE = 1e-2, 1.0
 """Residuals of stationarity and constraints from which damped steps end a solve in 20 iterations or
 so that went to and fro for hundreds.
