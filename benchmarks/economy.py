@@ -101,7 +101,7 @@ def finer(plant, stops, wanted, plan):
         found.append(pam.plan(plant, stops, **wanted, guess=plan, **equal).objective)
     coarse = plan._solved
     program = transcribe(coarse.program.problem, doubled(coarse.program.mesh))
-    outcome = Run(program, Backend().near()).directly(coarse).outcome
+    outcome = Run(program, Backend().near()).refined(coarse, again=False).outcome
     return min([*found, *([outcome.objective] if outcome.success else [])], default=np.nan)
 
 

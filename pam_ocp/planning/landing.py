@@ -26,6 +26,7 @@ from .correction import Corrected, left_as
 from .problem.problem import Condition
 from .replay import TOLERANCE, chosen_plant
 from .result import Solved
+from .transcription.mesh import Mesh
 from .transcription.solution import Solution, pack
 from .transcription.stage import nominals
 
@@ -56,8 +57,7 @@ def landed(found: Solved, tolerance: float) -> Solved | None:
     Motions with budgets are left alone.
     """
     problem = found.program.problem
-    control = found.program.mesh.form.control
-    if problem.budgets or control not in ("constant", "polynomial"):
+    if problem.budgets:
         return None
     try:
         return _Landing.of(found).solved(tolerance)
@@ -67,7 +67,8 @@ def landed(found: Solved, tolerance: float) -> Solved | None:
 
 @dataclass(frozen=True, eq=False)
 class _Landing:
-    """shapes : (changes, intervals, nu) what each unknown adds to the inputs, in SI.
+    """shapes : (changes, intervals, 1 or 2, nu) what each unknown adds to the inputs' coefficients,
+    in SI: a step on each interval, or lines that join each other.
 
     starts : states that begin where they like (those of a cycle), unknowns behind the others, in
     nominals.
@@ -84,26 +85,23 @@ class _Landing:
         closing = problem.closing or {}
         count = sum(len(c) for c in problem.nodes[1:]) + len(closing)
         nominal = np.asarray(problem.plant.vector("input", attribute="nominal"))
-        middles = (inputs.breaks[:-1] + inputs.breaks[1:]) / 2
-        own = np.maximum.accumulate(
-            [0 if i.joined else k for k, i in enumerate(mesh.intervals)]
-        )  # inputs that are held over several intervals have one value
         each = max(LEAST, -(-PER_CONDITION * count // max(len(nominal), 1)))
         # close to each stop: what is changed early goes through all kinks that follow
         ends = inputs.breaks[[mesh.first(i) for i in range(len(problem.nodes))]]
         near = 1 - NEARER ** np.arange(each)
         knots = np.concatenate([a + (b - a) * near for a, b in pairwise(ends)] + [ends[-1:]])
-        hats = np.array([np.interp(middles[own], knots, row) for row in np.eye(len(knots))])
+        hats = [_Hat(knots, row) for row in np.eye(len(knots))]
         shapes = []
         for i, free in enumerate(_free(found).T):
             for hat in hats:
-                shape = np.zeros((len(middles), len(nominal)))
-                shape[:, i] = hat * free * nominal[i]
+                added = hat.coefficients(mesh, inputs.breaks, free)
+                shape = np.zeros((*added.shape, len(nominal)))
+                shape[..., i] = added * nominal[i]
                 if np.any(shape):
                     shapes.append(shape)
         names = [v.name for v in problem.plant.states]
         starts = np.array([names.index(n) for n in closing], dtype=np.intp)
-        return cls(found, np.array(shapes).reshape(-1, len(middles), len(nominal)), starts)
+        return cls(found, np.array(shapes), starts)
 
     def solved(self, tolerance: float) -> Solved | None:
         z = np.zeros(len(self.shapes) + len(self.starts))
@@ -129,7 +127,9 @@ class _Landing:
     def _inputs(self, z: Array) -> PiecewisePolynomial:
         before = self.found.solution.inputs
         coefficients = before.coefficients.copy()
-        coefficients[:, 0] += np.tensordot(z[: len(self.shapes)], self.shapes, 1)
+        if len(self.shapes):
+            added = np.tensordot(z[: len(self.shapes)], self.shapes, 1)
+            coefficients[:, : added.shape[1]] += added
         return PiecewisePolynomial(before.breaks, coefficients)
 
     def _begin(self, z: Array) -> Array:
@@ -215,6 +215,26 @@ class _Landing:
         objective = float(cost(w, program.parameters()))
         outcome = replace(self.found.outcome, w=w, objective=objective)
         return Solved(program, outcome, solution)
+
+
+@dataclass(frozen=True)
+class _Hat:
+    """A function of time, linear between its knots."""
+
+    knots: Array
+    values: Array
+
+    def coefficients(self, mesh: Mesh, breaks: Array, free: NDArray[np.bool_]) -> Array:
+        """(intervals, 1 or 2) what it adds on intervals that are free, elsewhere nothing."""
+        if mesh.form.control == "linear":  # inputs stay continuous
+            open_ends = np.append(True, free) & np.append(free, True)
+            ends = np.interp(breaks, self.knots, self.values) * open_ends
+            return np.column_stack([ends[:-1], np.diff(ends) / np.diff(breaks)])
+        middles = (breaks[:-1] + breaks[1:]) / 2
+        own = np.maximum.accumulate(
+            [0 if i.joined else k for k, i in enumerate(mesh.intervals)]
+        )  # inputs that are held over several intervals have one value
+        return (np.interp(middles[own], self.knots, self.values) * free)[:, None]
 
 
 def _free(found: Solved) -> NDArray[np.bool_]:

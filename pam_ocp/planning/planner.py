@@ -36,6 +36,7 @@ from .climb import Climb, ladder
 from .keywords import SEARCH, PlanKeywords, require_known
 from .opened import guess_in_openings
 from .problem.formulation import formulate
+from .problem.objective import follows_inputs
 from .problem.statement import Cyclic, Statement
 from .problem.wording import Avoid, Constraint, Phase, Stop
 from .refine import CLOSER, Refinement
@@ -130,7 +131,7 @@ def plan(
     design : {parameter of the plant: (low, high)}: chosen with the motion.
     integrand, final : further running cost, and cost of the end: CasADi expressions of the plant's
         symbols (``plant.expression("v") ** 2``, say) and ``pam_ocp.TIME``.
-    method : ``Collocation(intervals=50, degree=3, control="constant", points="radau")`` per leg, or
+    method : ``Collocation(intervals=50, degree=3, control=None, points="radau")`` per leg, or
         ``Shooting(intervals=50, steps=4)``, or ``Arcs()``: intervals that end where inputs switch.
     tolerance : of the plan's verdict, in units of nominal: how far a tight integration of the
         planned inputs may leave the planned motion, and exceed limits, stops and budgets, between
@@ -208,6 +209,18 @@ def _nothing_yet(plant: Plant) -> PlanError:
     )
 
 
+def _stated(
+    plant: Plant, statement: Statement, method: Method | Arcs | None
+) -> tuple[Statement, Method | Arcs]:
+    """The statement with whether inputs may jump, and the method with its kind of inputs."""
+    method = method or Collocation()
+    if isinstance(method, Collocation):
+        if method.control is None and follows_inputs(plant, statement.weights):
+            method = replace(method, control="linear")
+        statement = replace(statement, jumps=method.control != "linear")
+    return statement, method
+
+
 LOOSER = 5.0
 """Tolerances to which motions with wide roundings settle: what is left is gained with the plant's
 own, on finer meshes than the way there needs.
@@ -250,11 +263,10 @@ class Planner:
             )
         self.plant = plant
         self._said = stops, dict(keywords)
-        jumps = not (isinstance(method, Collocation) and method.control == "linear")
-        self._statement = Statement(stops, jumps=jumps, **said)
+        self._statement, method = _stated(plant, Statement(stops, **said), method)
         self._backend = Backend(**search)
         problem = formulate(plant, self._statement)
-        mesh = (method or Collocation()).mesh(len(problem.legs))
+        mesh = method.mesh(len(problem.legs))
         self._program = transcribe(problem, mesh)
         self._solver = self._backend.build(self._program)
         self._finer: deque[Program] = deque(maxlen=KEPT)

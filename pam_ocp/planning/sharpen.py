@@ -1,4 +1,4 @@
-"""Where a mesh of held inputs keeps an objective from falling, and a mesh that is finer there.
+"""Where a mesh of held or linear inputs keeps an objective from falling, and a finer mesh there.
 
 An input that could change inside its interval would lower the objective by the gradient of the
 Lagrangian by it at the points of the interval (Pontryagin's switching function there), times the
@@ -32,7 +32,7 @@ LEAST_CHANGE = 0.02
 
 @dataclass(frozen=True)
 class _Freed(Form):
-    """Held inputs that have a value at each point of their interval; all rows stay as they are."""
+    """Inputs that have a value at each point of their interval; all rows stay as they are."""
 
     def input_taus(self, degree: int) -> Array:
         return self.collocated(degree)
@@ -42,13 +42,15 @@ def gains(found: Solved) -> Array | None:
     """What each interval keeps the objective from, by the first order: an estimate, good to a
     factor of two or so.
 
-    None where inputs are not held, or the interval knows no points (shooting, degree 1).
+    None where inputs are neither held nor linear, or the interval knows no points (shooting).
     """
     mesh, problem = found.program.mesh, found.program.problem
     form = mesh.form
-    if form.control != "constant" or form.scheme == "shooting" or not problem.plant.inputs:
+    if form.control == "polynomial" or form.scheme == "shooting" or not problem.plant.inputs:
         return None
-    freed = transcribe(problem, Mesh(mesh.intervals, _Freed(form.scheme, "constant", form.guarded)))
+    freed = transcribe(
+        problem, Mesh(mesh.intervals, _Freed(form.scheme, form.control, form.guarded))
+    )
     unknowns, at = _spread(found)
     nlp = freed.nlp
     lam = ca.MX.sym("lam", nlp["g"].numel())
@@ -72,11 +74,14 @@ def _spread(found: Solved) -> tuple[Array, list[int]]:
     for interval in mesh.intervals:
         states = nx * len(mesh.form.state_taus(interval.degree))
         others = len(problem.auxiliaries) * mesh.form.cost_points(interval.degree)
-        inputs = w[old + states : old + states + nu]
-        rest = w[old + states + nu : old + states + nu + others]
-        parts += [w[old : old + states], np.tile(inputs, interval.degree), rest]
+        values = len(mesh.form.input_taus(interval.degree))
+        end = old + states + nu * values
+        inputs = w[old + states : end].reshape(values, nu)
+        taus = mesh.form.collocated(interval.degree).tolist()
+        at = [np.asarray(mesh.form.weights(interval.degree, tau)).ravel() for tau in taus]
+        parts += [w[old : old + states], (np.array(at) @ inputs).ravel(), w[end : end + others]]
         places.append(new + states)
-        old += states + nu + others
+        old = end + others
         new += states + nu * interval.degree + others
     return np.concatenate([*parts, w[old:]]), places
 
@@ -92,12 +97,18 @@ def _changes(found: Solved) -> tuple[Array, Array]:
     low, high = (bounds[[i.leg for i in mesh.intervals]] / nominal[:, None]).transpose(2, 0, 1)
     scale = np.asarray(solution.durations) / problem.time_nominals
     lengths, starts = mesh.clock(problem.time_nominals)
-    middles = starts[:-1] @ scale + lengths @ scale / 2
+    middles, spans = starts[:-1] @ scale + lengths @ scale / 2, (lengths @ scale)[:, None]
     u = solution.inputs(middles) / nominal
-    jumps = np.abs(np.diff(u, axis=0))
+    if mesh.form.control == "constant":
+        jumps, least = np.abs(np.diff(u, axis=0)), LEAST_CHANGE
+        before, after = jumps, jumps
+    else:  # from one slope to that beside it, half an interval away
+        slopes = solution.inputs.coefficients[:, 1] / nominal
+        kinks, least = np.abs(np.diff(slopes, axis=0)), 0.0
+        before, after = kinks * spans[1:] / 2, kinks * spans[:-1] / 2
     none = np.zeros((1, len(nominal)))
-    beside = np.maximum(np.vstack([none, jumps]), np.vstack([jumps, none]))
-    change = np.maximum(beside, LEAST_CHANGE)
+    beside = np.maximum(np.vstack([none, before]), np.vstack([after, none]))
+    change = np.maximum(beside, least)
     below, above = np.maximum(u - low, 0.0), np.maximum(high - u, 0.0)
     # half of it to either side, and more to one where a bound leaves less to the other
     lower = np.minimum(below, np.maximum(change / 2, change - above))

@@ -37,25 +37,24 @@ def rubbing(widest=0.0):
     return plant
 
 
-def coarse(stops=({"x": 0.0}, {"x": 0.1}), **more):
+def coarse(stops=({"x": 0.0}, {"x": 0.1}), control="constant", **more):
     wish = {"duration": 0.6, "minimise": "effort", **more}
-    planner = Planner(rubbing(), list(stops), method=Collocation(8, 3), **wish)
+    planner = Planner(rubbing(), list(stops), method=Collocation(8, 3, control), **wish)
     run = Run(planner._program, Backend(), planner._solver)
     return run.solve(None)
 
 
 def flown(solution):
-    """The end of SciPy's integration of the inputs, held on each interval."""
+    """The end of SciPy's integration of the inputs, held or linear on each interval."""
     x, breaks = solution.states[0], solution.inputs.breaks
-    for k, u in enumerate(solution.inputs.coefficients[:, 0, 0]):
-        x = solve_ivp(
-            lambda t, z, u=u: [z[1], (z[2] - RUB * np.tanh(z[1] / SPEED)) / MASS, (u - z[2]) / LAG],
-            breaks[k : k + 2],
-            x,
-            method="Radau",
-            rtol=1e-9,
-            atol=1e-11,
-        ).y[:, -1]
+    for k, powers in enumerate(solution.inputs.coefficients[:, :, 0]):
+
+        def rate(t, z, begin=breaks[k], powers=powers):
+            u = np.polynomial.polynomial.polyval(t - begin, powers)
+            return [z[1], (z[2] - RUB * np.tanh(z[1] / SPEED)) / MASS, (u - z[2]) / LAG]
+
+        ends = breaks[k : k + 2]
+        x = solve_ivp(rate, ends, x, method="Radau", rtol=1e-9, atol=1e-11).y[:, -1]
     return x
 
 
@@ -75,6 +74,22 @@ def test_a_landed_motion_ends_where_it_shall():
     replay = checked(closed).replay
     assert replay.error < 1e-6
     assert replay.violation < 1e-3
+
+
+def test_linear_inputs_stay_continuous_and_inside_their_bounds():
+    found = coarse(control="linear")
+    before = flown(found.solution)
+    assert max(abs(before - [0.1, 0.0, 0.0]) / [0.1, 0.5, 10.0]) > 1.5e-3
+    closed = landed(found, 1e-3)
+    after = flown(closed.solution)
+    assert max(abs(after - [0.1, 0.0, 0.0]) / [0.1, 0.5, 10.0]) < 1.1e-3
+    inputs = closed.solution.inputs
+    lengths = np.diff(inputs.breaks)
+    ends = inputs.coefficients[:, 0, 0] + inputs.coefficients[:, 1, 0] * lengths
+    begins = inputs.coefficients[:, 0, 0]
+    assert ends[:-1] == pytest.approx(begins[1:], abs=1e-6)
+    assert np.all(np.abs([ends, begins]) <= 20.0)
+    assert np.abs(ends - begins).max() > 0.1  # not held
 
 
 def test_the_objective_is_that_of_the_landed_motion():

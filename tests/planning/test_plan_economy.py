@@ -91,6 +91,63 @@ def test_the_gradients_inside_the_intervals_tell_what_finer_meshes_gain(plant, s
     assert 0.5 * gained < gains(coarse._solved).sum() < 2 * gained
 
 
+@pytest.mark.parametrize("cyclic", [False, True])
+def test_work_with_pressures_as_inputs_settles_on_linear_ones(cyclic):
+    """Each jump of a held pressure costs work: on 360 held intervals it is 15 % more."""
+    plant = pam.AntagonisticSlide(MUSCLE, 2.0, feed=pam.feeds.IdealPressure())
+    stops, wanted = [{"x": -0.01}, {"x": 0.01}], {"duration": 0.4, "minimise": "work"}
+    plan = pam.plan(plant, stops, **wanted, cyclic=cyclic)
+    assert plan.verified
+    assert plan.statistics["objective_gap"] < 1e-3
+    assert plan.objective == pytest.approx(positive_work(plant, plan), rel=1e-3)
+    mesh, near = doubled(plan._solved.program.mesh), plan._solved
+    run = Run(transcribe(near.program.problem, mesh), Backend().near())
+    finer = run.refined(near, again=False).outcome
+    assert finer.success
+    assert finer.objective <= plan.objective < finer.objective * (1 + 1e-3)
+    if not cyclic:
+        held = pam.plan(plant, stops, **wanted, method=pam.Collocation(50, 3, "constant"))
+        assert held.objective > 1.05 * plan.objective
+
+
+def test_the_gradients_tell_what_is_gained_on_finer_meshes_of_linear_inputs():
+    plant = pam.AntagonisticSlide(MUSCLE, 2.0, feed=pam.feeds.IdealPressure())
+    wanted = {"duration": 0.4, "minimise": "work", "tolerance": None}
+    coarse = pam.plan(plant, [{"x": -0.01}, {"x": 0.01}], **wanted)._solved
+    assert coarse.program.mesh.form.control == "linear"
+    estimates, values = [], []
+    for _ in range(6):
+        estimates.append(gains(coarse).sum())
+        values.append(coarse.outcome.objective)
+        mesh = sharpened(coarse.program.mesh, gains(coarse))
+        coarse = Run(transcribe(coarse.program.problem, mesh), Backend()).refined(coarse)
+    left = np.array(values) - coarse.outcome.objective  # on a mesh that leaves 1e-3 of it
+    assert np.all(left[:4] > 0)
+    assert np.all((np.array(estimates[:4]) > left[:4]) & (np.array(estimates[:4]) < 6 * left[:4]))
+
+
+@pytest.mark.parametrize(
+    ("feed", "minimise", "control"),
+    [
+        (pam.feeds.IdealPressure(), "work", "linear"),
+        (pam.feeds.IdealPressure(), {"time": 1.0, "work": 0.1}, "linear"),
+        (pam.feeds.IdealPressure(), "effort", "constant"),
+        (pam.feeds.Regulator(), "work", "constant"),
+        (pam.feeds.SpoolValve(), "work", "constant"),
+    ],
+)
+def test_inputs_are_linear_where_their_jumps_cost_work(feed, minimise, control):
+    plant = pam.HangingLoad(MUSCLE, 10.0, feed=feed)
+    stops = [{"x": 0.01}, {"x": 0.03}]
+    wanted = {"minimise": minimise, "duration": 0.4}
+    planner = pam.Planner(plant, stops, **wanted, method=pam.Collocation(10))
+    assert planner._program.mesh.form.control == control
+    assert planner._statement.jumps == (control != "linear")
+    asked = pam.Collocation(10, 3, "polynomial")
+    said = pam.Planner(plant, stops, **wanted, method=asked)
+    assert said._program.mesh.form.control == "polynomial"
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_input_that_stays_on_its_bound_keeps_nothing_back(sign):
     """Of x' = sign u with a free end, the integral of x is least where u is 0 all the way, on any

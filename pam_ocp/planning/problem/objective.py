@@ -16,7 +16,7 @@ from .problem import Budget, Objective
 from .symbols import Symbols
 from .wording import require_expression, subject, times_seconds
 
-__all__ = ["FORMS", "Symbols", "budget", "objective"]
+__all__ = ["FORMS", "Symbols", "budget", "follows_inputs", "objective"]
 
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
@@ -68,9 +68,7 @@ def _total(plant: Plant, kind: str, term: str) -> ca.SX:
 @running_cost("work", unit="J", economical=True)
 def _work(plant: Plant, symbols: Symbols) -> ca.SX:
     """Mechanical work out of the muscles, each counted where its power is positive."""
-    outputs = {v.name for v in plant.outputs}
-    names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
-    muscles = [n for n in names if f"{n}.contraction" in outputs]
+    muscles = _muscles(plant)
     if not muscles:
         raise InputError(f"'work': plant {plant.name!r} has no muscle with force and contraction")
     total = ca.SX(0)
@@ -78,6 +76,19 @@ def _work(plant: Plant, symbols: Symbols) -> ca.SX:
         variable = Variable(f"{name}.power", "output", unit="W", nominal=POWER)
         total += symbols.positive(variable, _power(plant, name))
     return total
+
+
+def _muscles(plant: Plant) -> list[str]:
+    """Names of what has a force and a contraction."""
+    outputs = {v.name for v in plant.outputs}
+    names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
+    return [n for n in names if f"{n}.contraction" in outputs]
+
+
+def follows_inputs(plant: Plant, weights: Mapping[str, float]) -> bool:
+    """Whether costs are counted that jump with an input: work of muscles whose pressure it is."""
+    powers = (_power(plant, name) for name in _muscles(plant)) if "work" in weights else ()
+    return any(bool(ca.depends_on(each, plant.u)) for each in powers)
 
 
 def _power(plant: Plant, muscle: str) -> ca.SX:

@@ -316,6 +316,9 @@ class Ipopt:
             solves.append(found)
             if not found.success or found.log[-1]["inf_pr"] <= EXACT:
                 break
+        if start == "finer" and found.status in ENDED_LATE:  # it ended too soon to be settled
+            found = self(program, found.w, "last", found)
+            solves.append(found)
         spent: dict[str, Any] = {
             "iterations": sum(each.iterations for each in solves),
             "seconds": sum(each.seconds for each in solves),

@@ -220,7 +220,8 @@ class Collocation:
 
     control : inputs "constant" on each interval (as a digital controller holds them), "linear" and
         continuous, or "polynomial" with a value at each collocation point (few intervals of high
-        degree then go a long way: 6 of degree 9, say).
+        degree then go a long way: 6 of degree 9, say). None: constant, but linear where the least
+        work is asked of muscles whose pressure is an input: each jump of it costs work.
     points : "radau" (stiffly accurate; the end of an interval is a point) or "gauss" (Legendre;
         order 2 degree instead of 2 degree - 1; Biegler, Nonlinear Programming, 2010, sect. 10.2).
     guarded : bounds of polynomial inputs, and path constraints that depend on them, are asked for
@@ -236,23 +237,22 @@ class Collocation:
 
     intervals: int = 50
     degree: int = 3
-    control: Control = "constant"
+    control: Control | None = None
     points: Literal["radau", "gauss"] = "radau"
     guarded: bool = True
 
     def __post_init__(self) -> None:
         require_count("intervals", self.intervals)
         require_count("degree", self.degree, 1, HIGHEST_DEGREE)
-        if self.control not in CONTROLS:
+        if self.control is not None and self.control not in CONTROLS:
             raise InputError(f"control = {self.control!r}: choose one of {', '.join(CONTROLS)}")
         if self.points not in ("radau", "gauss"):
             raise InputError(f"points = {self.points!r}: choose 'radau' or 'gauss'")
 
     def mesh(self, legs: int) -> Mesh:
         """Equal intervals on each leg."""
-        return _equal(
-            self.intervals, self.degree, legs, Form(self.points, self.control, self.guarded)
-        )
+        form = Form(self.points, self.control or "constant", self.guarded)
+        return _equal(self.intervals, self.degree, legs, form)
 
 
 @dataclass(frozen=True)
