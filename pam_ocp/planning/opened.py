@@ -1,4 +1,4 @@
-"""A plan's first guess for muscles fed by valves: the same plan with openings as inputs.
+"""A plan for muscles fed by valves with openings as inputs: where to start in commands.
 
 In commands a solver has to cross dead zones without slope, and each is a place to get stuck; in
 openings there is none. What it finds there is taken back to commands by the exact inverse.
@@ -6,7 +6,7 @@ openings there is none. What it finds there is taken back to commands by the exa
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,12 +23,44 @@ from .solvers.narrowing import has_kinks, narrowing, widened
 from .transcription.guess import by_stops, from_solution, wants_balance
 from .transcription.leading import by_leading
 from .transcription.mesh import Mesh
-from .transcription.solution import unpack
+from .transcription.solution import Solution, unpack
 from .transcription.transcription import transcribe
 
-__all__ = ["guess_in_openings"]
+__all__ = ["Opened", "guess_in_openings"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Opened:
+    """The same problem with openings as inputs, and the way back."""
+
+    problem: Problem
+    inversion: Inversion
+
+    @classmethod
+    def of(cls, plant: Plant, statement: Statement) -> Opened | None:
+        """None where the plant has no openings, or the statement speaks of commands as openings
+        cannot.
+        """
+        inversion = Inversion(plant)
+        if not inversion:
+            return None
+        bounds = statement.bounds
+        try:
+            said = replace(statement, bounds=_bounds(plant, inversion, bounds))
+            return cls(formulate(inversion.inner, said), inversion)
+        except InputError:  # names or symbols of commands
+            return None
+
+    def guess(self, problem: Problem, mesh: Mesh, found: Solution) -> Array:
+        """Scaled unknowns of the problem in commands along a solution in openings."""
+
+        def commands(t: Array) -> Array:
+            return self.inversion.sent(found.inputs(t))
+
+        sent: Any = commands  # all that is asked of the inputs is their values
+        return from_solution(problem, mesh, replace(found, inputs=sent))
 
 
 def guess_in_openings(
@@ -40,17 +72,10 @@ def guess_in_openings(
     or no optimum is found in openings. Terms on inputs ("effort", "rate") count openings there; so
     this is where to start ("near"), not the plan. wide : with the widest roundings.
     """
-    plant = problem.plant
-    inversion = Inversion(plant)
-    if not inversion:
+    opened = Opened.of(problem.plant, statement)
+    if opened is None:
         return None
-    try:
-        inner = formulate(
-            inversion.inner,
-            replace(statement, bounds=_bounds(plant, inversion, statement.bounds)),
-        )
-    except InputError:  # names or symbols of commands
-        return None
+    inner = opened.problem
     program = transcribe(inner, mesh)
     solver, usual = backend.build(program), wants_balance(inner)
     guess = by_stops(inner, mesh, balanced=usual)
@@ -64,13 +89,7 @@ def guess_in_openings(
         outcome = narrowing(solver, program, outcome.w, "step")
     if not outcome.success:
         return None
-    found = unpack(inner, mesh, outcome.w)
-
-    def commands(t: Array) -> Array:
-        return inversion.sent(found.inputs(t))
-
-    sent: Any = commands  # all that is asked of the inputs is their values
-    return from_solution(problem, mesh, replace(found, inputs=sent))
+    return opened.guess(problem, mesh, unpack(inner, mesh, outcome.w))
 
 
 def _bounds(plant: Plant, inversion: Inversion, bounds: Any) -> dict[str, Any] | None:

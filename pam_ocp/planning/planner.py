@@ -34,7 +34,7 @@ from .assembly import assembled, trust
 from .checked import checked
 from .climb import Climb, ladder
 from .keywords import SEARCH, PlanKeywords, require_known
-from .opened import guess_in_openings
+from .opened import Opened, guess_in_openings
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
 from .problem.statement import Cyclic, Statement
@@ -418,6 +418,10 @@ class Planner:
             found = self._climbed_widely(run, starts, figures, climb, meshes, tolerance)
             if found:
                 return found
+        if meshes and guess is None and tolerance is not None:
+            opened = self._climbed_in_openings(run, starts, figures, climb, meshes, tolerance)
+            if opened is not None:
+                return [opened]
         if meshes and guess is None:
             coarse: list[Solved] = []
 
@@ -434,6 +438,44 @@ class Planner:
             if found:
                 return found
         return self._searched(run, guess, starts, figures, climb, partly)
+
+    def _climbed_in_openings(
+        self,
+        run: Run,
+        starts: int | None,
+        figures: dict[str, Any],
+        climb: Climb,
+        meshes: list[Mesh],
+        tolerance: float,
+    ) -> Solved | None:
+        """Least work with valves: the climb with openings as inputs until it has settled, and from
+        there to commands; None where there are no openings, or the way is blocked.
+
+        Work says nothing of a valve that is closed, nor has its dead zone a slope: in commands
+        motions got stuck at up to twice the least work.
+        """
+        problem = run.program.problem
+        if "work" not in self._statement.weights or has_kinks(problem):
+            return None
+        opened = Opened.of(problem.plant, self._statement)
+        if opened is None:
+            return None
+        top = Run(transcribe(opened.problem, run.program.mesh), self._backend.near())
+
+        def search(first: Run) -> list[Solved]:
+            return self._searched(first, None, starts, figures, climb, False)
+
+        for each in climb.reached(search, top, meshes, True)[:1]:
+            if not each.outcome.success:
+                return None
+            fine = climb.settled(each, tolerance)
+            mesh = fine.program.mesh
+            own = Run(transcribe(problem, mesh), self._backend.near())
+            found = own.from_guess(opened.guess(problem, mesh, fine.solution), "near")
+            climb.iterations += found.outcome.iterations
+            if found.outcome.success:
+                return found
+        return None
 
     def _climbed_widely(
         self,

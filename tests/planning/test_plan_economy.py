@@ -110,6 +110,19 @@ def test_work_with_pressures_as_inputs_settles_on_linear_ones(cyclic):
         assert held.objective > 1.05 * plan.objective
 
 
+@pytest.mark.slow
+def test_the_least_work_with_a_spool_is_that_with_two_valves_of_its_conductance():
+    """Filling and venting at once, as only two valves can, takes no less work."""
+    stops, wanted = [{"x": -0.01}, {"x": 0.01}], {"duration": 0.4, "minimise": "work"}
+    spool, two = (
+        pam.plan(pam.AntagonisticSlide(MUSCLE, 2.0, feed=feed), stops, **wanted)
+        for feed in (pam.feeds.SpoolValve(), pam.feeds.OnOffValves())
+    )
+    assert spool.verified
+    assert two.verified
+    assert spool.objective == pytest.approx(two.objective, rel=5e-3)
+
+
 def test_the_gradients_tell_what_is_gained_on_finer_meshes_of_linear_inputs():
     plant = pam.AntagonisticSlide(MUSCLE, 2.0, feed=pam.feeds.IdealPressure())
     wanted = {"duration": 0.4, "minimise": "work", "tolerance": None}
