@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..core.cases import Place
 from ..core.errors import (
     InputError,
+    OutOfTime,
     PlanError,
     PlanWarning,
     require_count,
@@ -25,7 +26,7 @@ from ..core.errors import (
     require_positive,
 )
 from ..core.plausible import outside
-from ..core.stop import TimeIsUp, deadline, spared, turns, verb
+from ..core.stop import TimeIsUp, deadline, limited, spared, turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from .approach import Approach, resolvable
@@ -419,7 +420,12 @@ class Planner:
             if found:
                 return found
         if meshes and guess is None and tolerance is not None:
-            opened = self._climbed_in_openings(run, starts, figures, climb, meshes, tolerance)
+            own, left = Climb(self._backend), deadline().remaining()
+            opened, share = None, max(left / 2, 1e-3) if left < np.inf else None
+            # of a time limit half is left for commands
+            with contextlib.suppress(OutOfTime), limited(share):
+                opened = self._climbed_in_openings(run, starts, figures, own, meshes, tolerance)
+            climb.iterations += own.iterations
             if opened is not None:
                 return [opened]
         if meshes and guess is None:
@@ -465,17 +471,15 @@ class Planner:
         def search(first: Run) -> list[Solved]:
             return self._searched(first, None, starts, figures, climb, False)
 
-        for each in climb.reached(search, top, meshes, True)[:1]:
-            if not each.outcome.success:
-                return None
-            fine = climb.settled(each, tolerance)
-            mesh = fine.program.mesh
-            own = Run(transcribe(problem, mesh), self._backend.near())
-            found = own.from_guess(opened.guess(problem, mesh, fine.solution), "near")
-            climb.iterations += found.outcome.iterations
-            if found.outcome.success:
-                return found
-        return None
+        reached = climb.reached(search, top, meshes, True)
+        if not reached or not reached[0].outcome.success:
+            return None
+        fine = climb.settled(reached[0], tolerance)
+        mesh = fine.program.mesh
+        own = Run(transcribe(problem, mesh), self._backend.near())
+        found = own.from_guess(opened.guess(problem, mesh, fine.solution), "near")
+        climb.iterations += found.outcome.iterations
+        return found if found.outcome.success else None
 
     def _climbed_widely(
         self,

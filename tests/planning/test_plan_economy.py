@@ -123,6 +123,24 @@ def test_the_least_work_with_a_spool_is_that_with_two_valves_of_its_conductance(
     assert spool.objective == pytest.approx(two.objective, rel=5e-3)
 
 
+def test_where_openings_take_half_of_a_time_limit_commands_have_the_rest(monkeypatch):
+    from pam_ocp.core.stop import check
+
+    late = []
+
+    def climbed(self, *_):
+        late.append(True)
+        while True:  # until the time is up
+            check()
+
+    monkeypatch.setattr(pam.Planner, "_climbed_in_openings", climbed)
+    plant = pam.HangingLoad(MUSCLE, 8.0, feed=pam.feeds.SpoolValve())
+    wanted = {"duration": 0.4, "minimise": "work", "method": pam.Collocation(20), "starts": 1}
+    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], **wanted, time_limit=6.0)
+    assert late
+    assert plan.success
+
+
 def test_the_gradients_tell_what_is_gained_on_finer_meshes_of_linear_inputs():
     plant = pam.AntagonisticSlide(MUSCLE, 2.0, feed=pam.feeds.IdealPressure())
     wanted = {"duration": 0.4, "minimise": "work", "tolerance": None}
