@@ -69,6 +69,10 @@ APPROACHES = 2
 """Solutions with wide roundings from which the plant's own are approached, at most."""
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
+LOOSER = 5.0
+"""Tolerances to which motions with wide roundings settle: what is left is gained with the plant's
+own, on finer meshes than the way there needs.
+"""
 
 
 @verb
@@ -220,12 +224,6 @@ def _stated(
             method = replace(method, control="linear")
         statement = replace(statement, jumps=method.control != "linear")
     return statement, method
-
-
-LOOSER = 5.0
-"""Tolerances to which motions with wide roundings settle: what is left is gained with the plant's
-own, on finer meshes than the way there needs.
-"""
 
 
 class Planner:
@@ -445,6 +443,12 @@ class Planner:
                 return found
         return self._searched(run, guess, starts, figures, climb, partly)
 
+    def _from_stops(
+        self, starts: int | None, figures: dict[str, Any], climb: Climb, first: Run
+    ) -> list[Solved]:
+        """What a climb begins with, on the coarsest of its meshes."""
+        return self._searched(first, None, starts, figures, climb, False)
+
     def _climbed_in_openings(
         self,
         run: Run,
@@ -468,9 +472,7 @@ class Planner:
             return None
         top = Run(transcribe(opened.problem, run.program.mesh), self._backend.near())
 
-        def search(first: Run) -> list[Solved]:
-            return self._searched(first, None, starts, figures, climb, False)
-
+        search = functools.partial(self._from_stops, starts, figures, climb)
         reached = climb.reached(search, top, meshes, True)
         if not reached or not reached[0].outcome.success:
             return None
@@ -496,9 +498,7 @@ class Planner:
         problem = widened(run.program).problem
         top = Run(transcribe(problem, run.program.mesh), self._backend.near())
 
-        def search(first: Run) -> list[Solved]:
-            return self._searched(first, None, starts, figures, climb, False)
-
+        search = functools.partial(self._from_stops, starts, figures, climb)
         for each in climb.reached(search, top, meshes, False):
             wide = each if tolerance is None else climb.settled(each, LOOSER * tolerance)
             reached = self._from_wide(run, wide, climb, tolerance)
