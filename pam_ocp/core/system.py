@@ -6,7 +6,7 @@ Rooms below the plants (and the parts that a plant is made of) name these protoc
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from .variables import Causality, Variable
 
-__all__ = ["Declares", "HasInputs", "System"]
+__all__ = ["Declares", "HasInputs", "PathOf", "System", "Way"]
+
+Way = Literal["filling", "venting"]
+"""The part of an opening above zero, and that below."""
+PathOf: TypeAlias = "Callable[[ca.SX], ca.SX] | Way"
+"""What stands in a plant's equations, of an opening."""
 
 Part = TypeVar("Part")
 
@@ -46,7 +51,7 @@ class Declares(Protocol):
         commands: Sequence[ca.SX],
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
-        paths: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        paths: Sequence[tuple[ca.SX, PathOf]],
         **attributes: Any,
     ) -> list[ca.SX]: ...
 

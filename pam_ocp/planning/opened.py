@@ -2,6 +2,10 @@
 
 In commands a solver has to cross dead zones without slope, and each is a place to get stuck; in
 openings there is none. What it finds there is taken back to commands by the exact inverse.
+
+An opening is rounded at zero, over a thousandth of its range, where closed valves give a little
+back to the supply. Where air is what a motion costs, that would be worth having: there the two ways
+of each opening are inputs of their own, and that both are open never pays.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..plants.inversion import Inversion
+from ..plants.opening import WAYS
 from ..plants.plant import Plant
 from .problem.formulation import formulate
 from .problem.problem import Problem
@@ -33,23 +38,27 @@ Array: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Opened:
-    """The same problem with openings as inputs, and the way back."""
+    """The same problem with openings as inputs, or with their ways; and the way back."""
 
     problem: Problem
     inversion: Inversion
 
     @classmethod
-    def of(cls, plant: Plant, statement: Statement) -> Opened | None:
-        """None where the plant has no openings, or the statement speaks of commands as openings
-        cannot.
+    def of(cls, plant: Plant, statement: Statement, ways: bool = False) -> Opened | None:
+        """None where the plant has no openings, the statement speaks of commands as openings
+        cannot, or the commands are the ways themselves.
         """
         inversion = Inversion(plant)
         if not inversion:
             return None
-        bounds = statement.bounds
+        if ways and all(len(o.commands) > 1 for o in plant.openings):
+            return None
+        inner = plant.in_ways() if ways else inversion.inner
         try:
-            said = replace(statement, bounds=_bounds(plant, inversion, bounds))
-            return cls(formulate(inversion.inner, said), inversion)
+            bounds = _bounds(plant, inversion, statement.bounds)
+            if bounds is not None and ways:
+                bounds = _of_ways(bounds, inversion.inner, inner)
+            return cls(formulate(inner, replace(statement, bounds=bounds)), inversion)
         except InputError:  # names or symbols of commands
             return None
 
@@ -57,10 +66,22 @@ class Opened:
         """Scaled unknowns of the problem in commands along a solution in openings."""
 
         def commands(t: Array) -> Array:
-            return self.inversion.sent(found.inputs(t))
+            return self.inversion.sent(self._openings(found.inputs(t)))
 
         sent: Any = commands  # all that is asked of the inputs is their values
         return from_solution(problem, mesh, replace(found, inputs=sent))
+
+    def _openings(self, inputs: Array) -> Array:
+        """Columns of openings from those of their ways."""
+        columns = dict(zip([v.name for v in self.problem.plant.inputs], inputs.T, strict=True))
+        found = []
+        for name in (v.name for v in self.inversion.inner.inputs):
+            if name in columns:
+                found.append(columns[name])
+            else:
+                filling, venting = (columns[f"{name}.{way}"] for way in WAYS)
+                found.append(filling - venting)
+        return np.column_stack(found)
 
 
 def guess_in_openings(
@@ -90,6 +111,17 @@ def guess_in_openings(
     if not outcome.success:
         return None
     return opened.guess(problem, mesh, unpack(inner, mesh, outcome.w))
+
+
+def _of_ways(bounds: dict[str, Any], openings: Plant, ways: Plant) -> dict[str, Any]:
+    """Bounds of openings said of their ways: the larger of what is left to each."""
+    names = {v.name for v in openings.inputs} - {v.name for v in ways.inputs}
+    found = {n: pair for n, pair in bounds.items() if n not in names}
+    for name in names & set(bounds):
+        low, high = bounds[name]
+        for way, (least, most) in zip(WAYS, ((low, high), (-high, -low)), strict=True):
+            found[f"{name}.{way}"] = (max(least, 0.0), max(most, 0.0))
+    return found
 
 
 def _bounds(plant: Plant, inversion: Inversion, bounds: Any) -> dict[str, Any] | None:

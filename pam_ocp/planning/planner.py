@@ -36,6 +36,7 @@ from .checked import checked
 from .climb import Climb, ladder
 from .keywords import SEARCH, PlanKeywords, require_known
 from .opened import Opened, guess_in_openings
+from .problem.costs import COSTS
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
 from .problem.statement import Cyclic, Statement
@@ -465,9 +466,11 @@ class Planner:
         motions got stuck at up to twice the least work.
         """
         problem = run.program.problem
-        if "work" not in self._statement.weights or has_kinks(problem):
+        weights = self._statement.weights
+        air = any(term in COSTS and COSTS[term].from_supply for term in weights)
+        if not (air or "work" in weights) or has_kinks(problem):
             return None
-        opened = Opened.of(problem.plant, self._statement)
+        opened = Opened.of(problem.plant, self._statement, air)
         if opened is None:
             return None
         top = Run(transcribe(opened.problem, run.program.mesh), self._backend.near())

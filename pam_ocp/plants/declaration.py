@@ -11,6 +11,7 @@ import casadi as ca
 from ..core.errors import InputError, UnknownNameError
 from ..core.expressions import scalar_expression
 from ..core.stop import locked
+from ..core.system import PathOf
 from ..core.variables import Causality, Variable
 from ..muscles.dead_zone import dead_zone, dead_zone_inverse
 from ..muscles.pneumatic_muscle import Muscle
@@ -18,7 +19,7 @@ from .damping import Loss
 from .dead_time import DeadTime, DelayLine, as_dead_time, delay_line
 from .equations import CHANGEABLE, DEFINED, Equations
 from .feeds import AttachedMuscle, Feed, attach
-from .opening import FlowPath, Opening, checked_commands
+from .opening import FlowPath, Opening, checked_commands, flow_path
 from .sensors import Sensor, as_sensor
 
 __all__ = ["Declaration"]
@@ -85,7 +86,7 @@ class Declaration:
         commands: Sequence[ca.SX],
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
-        paths: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        paths: Sequence[tuple[ca.SX, PathOf]],
         **attributes: Any,
     ) -> list[ca.SX]:
         """Declare an input w that controllers choose in place of commands that have a dead zone.
@@ -93,7 +94,7 @@ class Declaration:
         commands : symbols of the inputs. forward : w as an expression of them and of parameters.
         inverse : w -> the commands that give it. paths : what stands in the plant's equations, each
         as (expression of the commands, w -> the same of w); returns their symbols, to be used
-        there.
+        there. In place of w -> ... "filling" or "venting": the part of w above or below zero.
         attributes : of the variable w; see :class:`Variable`. See :meth:`in_openings`.
         """
         self._open()
@@ -107,8 +108,7 @@ class Declaration:
         self._openings += (opening,)
         symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(paths))]
         self._flow_paths += tuple(
-            FlowPath(s, ca.SX(way), ca.SX(of(symbol)))
-            for s, (way, of) in zip(symbols, paths, strict=True)
+            flow_path(s, way, opening, of) for s, (way, of) in zip(symbols, paths, strict=True)
         )
         return symbols
 

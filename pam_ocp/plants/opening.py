@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import get_args
 
 import casadi as ca
 
 from ..core.errors import InputError
+from ..core.system import PathOf, Way
 from ..core.variables import Variable
+from ..muscles.dead_zone import two_ways
 
-__all__ = ["FlowPath", "Opening", "checked_commands"]
+__all__ = ["WAYS", "FlowPath", "Instead", "Opening", "checked_commands", "flow_path"]
+
+WAYS: tuple[Way, ...] = get_args(Way)
 
 
 @dataclass(frozen=True)
@@ -35,11 +40,30 @@ class Opening:
 
 @dataclass(frozen=True)
 class FlowPath:
-    """A symbol in the plant's equations, and what it is in commands and in openings."""
+    """A symbol in the plant's equations, and what it is in commands and in openings.
+
+    opening : the name of the one it belongs to. way : which part of that, above or below zero; None
+    for a path that is neither.
+    """
 
     symbol: ca.SX
     in_commands: ca.SX
     in_openings: ca.SX
+    opening: str
+    way: Way | None = None
+
+
+def flow_path(symbol: ca.SX, way: ca.SX, opening: Opening, of: PathOf) -> FlowPath:
+    """A path by what it is of the opening: a way of it, or any function. InputError for others."""
+    if isinstance(of, str):
+        if of not in WAYS:
+            raise InputError(
+                f"opening {opening.name!r}: a path is {of!r}; give 'filling' or 'venting', or a "
+                "function of the opening"
+            )
+        part = two_ways(opening.symbol)[WAYS.index(of)]
+        return FlowPath(symbol, ca.SX(way), part, opening.name, of)
+    return FlowPath(symbol, ca.SX(way), ca.SX(of(opening.symbol)), opening.name)
 
 
 def checked_commands(name: str, commands: list[str], known: Mapping[str, Variable]) -> None:
@@ -50,3 +74,69 @@ def checked_commands(name: str, commands: list[str], known: Mapping[str, Variabl
             f"opening {name!r} stands in for {', '.join(wrong) or 'nothing'}; give inputs of the "
             "plant"
         )
+
+
+@dataclass(frozen=True)
+class Instead:
+    """What takes the place of an opening's commands: itself, or its ways where it has some.
+
+    inputs : (variable, symbol) by name. value : the opening. paths : what its flow paths are.
+    """
+
+    opening: Opening
+    inputs: Mapping[str, tuple[Variable, ca.SX]]
+    value: ca.SX
+    paths: tuple[tuple[ca.SX, ca.SX], ...]
+
+    @classmethod
+    def whole(cls, opening: Opening, paths: Iterable[FlowPath]) -> Instead:
+        """The opening itself."""
+        own = tuple((p.symbol, p.in_openings) for p in paths if p.opening == opening.name)
+        return cls(opening, {opening.name: (opening.variable, opening.symbol)}, opening.symbol, own)
+
+    @classmethod
+    def ways(cls, opening: Opening, paths: Iterable[FlowPath]) -> Instead:
+        """Its ways, each from 0 to what the opening has of it, whose difference it is;
+        the opening itself where another path than a way depends on it.
+        """
+        own = [path for path in paths if path.opening == opening.name]
+        if not own or any(path.way is None for path in own):
+            return cls.whole(opening, own)
+        symbols = {way: ca.SX.sym(f"{opening.name}.{way}") for way in WAYS}
+        value = symbols["filling"] - symbols["venting"]
+        ends = {"filling": opening.variable.max, "venting": -opening.variable.min}
+        words = opening.variable.description
+        inputs = {
+            f"{opening.name}.{way}": (
+                replace(
+                    opening.variable,
+                    name=f"{opening.name}.{way}",
+                    min=0.0,
+                    max=max(ends[way], 0.0),
+                    start=0.0,
+                    description=f"{words}; the part for {way}",
+                ),
+                symbol,
+            )
+            for way, symbol in symbols.items()
+        }
+        return cls(opening, inputs, value, tuple((p.symbol, symbols[p.way]) for p in own if p.way))
+
+    def starting(self, value: float) -> dict[str, Variable]:
+        """Its variables, with the start values that give the opening this value."""
+        low, high = self.opening.variable.min, self.opening.variable.max
+        value = min(max(value, low), high)
+        if len(self.inputs) == 1:
+            return {n: v.with_start(value) for n, (v, _) in self.inputs.items()}
+        parts = max(value, 0.0), max(-value, 0.0)
+        pairs = zip(self.inputs.items(), parts, strict=True)
+        return {n: v.with_start(part) for (n, (v, _)), part in pairs}
+
+    def mirrored(self, sign: float, other: Instead) -> dict[str, tuple[float, str]]:
+        """The mirror map of its inputs where that of the opening is ``sign`` times another."""
+        names = list(other.inputs)
+        if len(names) == 1:
+            return dict.fromkeys(self.inputs, (sign, names[0]))
+        if sign < 0:
+            names.reverse()
+        return {n: (abs(sign), m) for n, m in zip(self.inputs, names, strict=True)}

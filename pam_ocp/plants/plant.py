@@ -19,7 +19,7 @@ from ..core.shown import shown
 from ..core.stop import locked
 from ..core.variables import Causality
 from ..muscles.pneumatic_muscle import Muscle
-from .opening import Opening
+from .opening import Instead, Opening
 from .sketch import Sketch
 from .stillness import Position, resting
 from .travelling import Travelling
@@ -260,20 +260,16 @@ class Plant(Travelling):
         zero the flow goes with a slope: there a linear model and a solver see what the valve can
         do. The plant itself where it declares no openings. Values, names and order are kept.
         """
-        if not self._openings:
-            return self
-        template = self.cached("in openings", self._in_openings)
-        other = self._sharing(template)
-        other._variables = {n: self._variables.get(n, v) for n, v in template._variables.items()}
-        p = self.vector("parameter")
-        for opening in self._openings:
-            commands = ca.vertcat(*(self._symbols[c] for c in opening.commands))
-            start = ca.Function("start", [commands, self.p], [opening.forward])
-            value = float(start([self._variables[c].start or 0.0 for c in opening.commands], p))
-            variable = opening.variable
-            value = min(max(value, variable.min), variable.max)
-            other._variables[opening.name] = variable.with_start(value)
-        return other
+        return self._with_inputs("in openings", Instead.whole)
+
+    def in_ways(self) -> Plant:
+        """The same plant with the two ways of each opening as inputs of their own, 0 or more.
+
+        A valve-fed muscle has ``<name>.opening.filling`` and ``<name>.opening.venting``, 0 .. 1:
+        the flow through each has no rounding at zero, so that what air costs is exact. Nothing but
+        that keeps them from being open at once. Openings without such ways stay whole.
+        """
+        return self._with_inputs("in ways", Instead.ways)
 
     def in_commands(self) -> Plant:
         """The same plant without openings: controllers then choose its commands as they are."""
@@ -289,31 +285,55 @@ class Plant(Travelling):
         other.__dict__.update(template.__dict__)
         return other
 
-    def _in_openings(self) -> Plant:
+    def _with_inputs(self, key: str, make: Callable[..., Instead]) -> Plant:
+        """With other inputs in place of the commands of openings; the template is made once."""
+        if not self._openings:
+            return self
+
+        def build() -> tuple[Plant, list[Instead]]:
+            made = [make(opening, self._flow_paths) for opening in self._openings]
+            return self._in_place_of_commands(made), made
+
+        template, made = self.cached(key, build)
+        other = self._sharing(template)
+        other._variables = {n: self._variables.get(n, v) for n, v in template._variables.items()}
+        p = self.vector("parameter")
+        for each in made:
+            commands = ca.vertcat(*(self._symbols[c] for c in each.opening.commands))
+            start = ca.Function("start", [commands, self.p], [each.opening.forward])
+            sent = [self._variables[c].start or 0.0 for c in each.opening.commands]
+            other._variables |= each.starting(float(start(sent, p)))
+        return other
+
+    def _in_place_of_commands(self, made: list[Instead]) -> Plant:
         other = self._sharing(self)
         other.__dict__.pop("positions", None)
-        instead = {o.commands[0]: o for o in self._openings}
-        gone = {c: o for o in self._openings for c in o.commands}
-        other._variables, other._symbols = {}, {}
+        first = {each.opening.commands[0]: each for each in made}
+        gone = {c: each for each in made for c in each.opening.commands}
+        other._variables, other._symbols, other._mirror = {}, {}, {}
         for name, variable in self._variables.items():
-            if name in instead:
-                opening = instead[name]
-                other._variables[opening.name] = opening.variable
-                other._symbols[opening.name] = opening.symbol
+            if name in first:
+                other._variables |= {n: v for n, (v, _) in first[name].inputs.items()}
+                other._symbols |= {n: s for n, (_, s) in first[name].inputs.items()}
             elif name not in gone:
                 other._variables[name] = variable
                 if name in self._symbols:
                     other._symbols[name] = self._symbols[name]
-        commands = [self._symbols[c] for o in self._openings for c in o.commands]
-        inverse = [e for o in self._openings for e in o.inverse]
-        paths = [w.symbol for w in self._flow_paths], [w.in_openings for w in self._flow_paths]
-        other._expressions = self._replaced(paths[0] + commands, paths[1] + inverse)
-        other._mirror = {
-            gone[n].name if n in gone else n: (sign, gone[m].name if m in gone else m)
-            for n, (sign, m) in self._mirror.items()
-        }
+        for n, (sign, m) in self._mirror.items():
+            other._mirror |= gone[n].mirrored(sign, gone[m]) if n in gone else {n: (sign, m)}
+        replaced = [pair for each in made for pair in (*each.paths, *self._sent(each))]
+        other._expressions = self._replaced(
+            [old for old, _ in replaced], [new for _, new in replaced]
+        )
         other._openings, other._flow_paths, other._system = (), (), None
         return other
+
+    def _sent(self, instead: Instead) -> list[tuple[ca.SX, ca.SX]]:
+        """(symbol of a command, what is sent), of all that an opening stands in for."""
+        opening = instead.opening
+        symbols = (self._symbols[c] for c in opening.commands)
+        sent = ca.substitute(list(opening.inverse), [opening.symbol], [instead.value])
+        return list(zip(symbols, sent, strict=True))
 
     def __repr__(self) -> str:
         kinds: tuple[Causality, ...] = ("state", "input", "parameter", "output")

@@ -27,6 +27,7 @@ class Travelling(Declaration):
             "function": self._travelling(),
             "delay_lines": self._delay_lines,
             "openings": [(o.variable, o.commands) for o in self._openings],
+            "paths": [(way.opening, way.way) for way in self._flow_paths],
         }
 
     def _travelling(self) -> ca.Function:
@@ -54,22 +55,22 @@ class Travelling(Declaration):
         if not state.get("openings"):
             values = state["function"](*known)
         else:
-            values = self._with_openings(state["function"], known, state["openings"])
+            values = self._with_openings(state, known)
         for kind, column in zip(DEFINED, values, strict=True):
             for i, variable in enumerate(self._of(kind)):
                 self._expressions[variable.name] = column[i]
 
-    def _with_openings(
-        self, function: ca.Function, known: list[ca.SX], openings: list[Any]
-    ) -> tuple[ca.SX, ...]:
+    def _with_openings(self, state: dict[str, Any], known: list[ca.SX]) -> tuple[ca.SX, ...]:
         """Openings and paths from what has travelled; gives the columns of the equations."""
+        function, openings = state["function"], state["openings"]
         symbols = [ca.SX.sym(v.name) for v, _ in openings]
         paths = [ca.SX.sym(f"way{i}") for i in range(function.numel_in(4))]
         *columns, in_commands, in_openings, forward, inverse = function(
             *known, ca.vertcat(*symbols), ca.vertcat(*paths)
         )
         self._flow_paths = tuple(
-            FlowPath(s, in_commands[i], in_openings[i]) for i, s in enumerate(paths)
+            FlowPath(s, in_commands[i], in_openings[i], *state["paths"][i])
+            for i, s in enumerate(paths)
         )
         parts = iter(ca.vertsplit(inverse))
         self._openings = tuple(

@@ -11,7 +11,7 @@ import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.system import Declares
-from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse, two_ways
+from ..muscles.dead_zone import LEAST_OVERLAP, beyond_dead_zone, dead_zone_inverse
 from ..muscles.gas import Chamber, Gas, conductance_from_flow, specific_exergy
 from ..muscles.pneumatic_muscle import Muscle
 from .airflow import Air, Place, Stream, boundless, holding, through
@@ -368,7 +368,7 @@ class SpoolValve(GasFeed):
             [command],
             supply - exhaust,
             lambda w: [inverse(w)],
-            [(supply, lambda w: two_ways(w)[0]), (exhaust, lambda w: two_ways(w)[1])],
+            [(supply, "filling"), (exhaust, "venting")],
             **_opening(name),
         )
         return filling, venting
@@ -445,7 +445,7 @@ class OnOffValves(GasFeed):
             [fill, vent],
             fill - vent,
             lambda w: [ca.fmax(w, 0), ca.fmax(-w, 0)],
-            [(fill, lambda w: two_ways(w)[0]), (vent, lambda w: two_ways(w)[1])],
+            [(fill, "filling"), (vent, "venting")],
             **_opening(name),
         )
         return filling, venting
