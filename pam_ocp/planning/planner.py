@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from ..core.cases import Place
 from ..core.errors import (
     InputError,
-    OutOfTime,
     PlanError,
     PlanWarning,
     require_count,
@@ -26,17 +25,15 @@ from ..core.errors import (
     require_positive,
 )
 from ..core.plausible import outside
-from ..core.stop import TimeIsUp, deadline, limited, spared, turns, verb
+from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from .approach import Approach, resolvable
+from .approach import resolvable
 from .arcs import Arcs
 from .assembly import assembled, trust
 from .checked import checked
-from .climb import Climb, ladder
+from .climb import Climb
 from .keywords import SEARCH, PlanKeywords, require_known
-from .opened import Opened, guess_in_openings
-from .problem.costs import COSTS
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
 from .problem.statement import Cyclic, Statement
@@ -45,14 +42,14 @@ from .refine import CLOSER, Refinement
 from .renewal import renewed
 from .result import Plan, Solved
 from .run import Run
-from .shortcuts import by_coarser, carried
+from .search import Search
+from .shortcuts import carried
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import explanation
-from .solvers.narrowing import has_kinks, widened
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
-from .starts import MOST, Ends, number_of_starts
-from .transcription.mesh import Collocation, Mesh, Method, Shooting
+from .starts import MOST
+from .transcription.mesh import Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
 from .verdict import TOLERANCE
 
@@ -66,14 +63,8 @@ Array: TypeAlias = NDArray[np.float64]
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
 
-APPROACHES = 2
-"""Solutions with wide roundings from which the plant's own are approached, at most."""
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
-LOOSER = 5.0
-"""Tolerances to which motions with wide roundings settle: what is left is gained with the plant's
-own, on finer meshes than the way there needs.
-"""
 
 
 @verb
@@ -318,7 +309,7 @@ class Planner:
         require_instance("guess", guess, Plan, "give what plan() returned", none=True)
         if starts is not None:
             require_count("starts", starts, 1, MOST)
-        program = self._with(values, changed)
+        program, statement = self._with(values, changed)
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
@@ -327,7 +318,7 @@ class Planner:
             if finer is not None:
                 return self._result(finer, climb, figures, begin, tolerance)
         try:
-            found = self._found(run, guess, starts, figures, climb, tolerance)
+            found = Search(run, statement, climb, starts, tolerance, figures).found(guess)
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
@@ -399,198 +390,6 @@ class Planner:
             warnings.warn(message, PlanWarning, stacklevel=outside())
         return result
 
-    def _found(
-        self,
-        run: Run,
-        guess: Plan | None,
-        starts: int | None,
-        figures: dict[str, Any],
-        climb: Climb,
-        tolerance: float | None,
-    ) -> list[Solved]:
-        """Solutions, the best first, of economical motions by way of coarser meshes.
-
-        With a tolerance, a mesh coarser than the one asked for will do where that leads to nothing.
-        """
-        program, partly = run.program, tolerance is not None
-        meshes = ladder(program.mesh) if program.problem.objective.economical else []
-        if meshes and guess is None and has_kinks(program.problem):
-            found = self._climbed_widely(run, starts, figures, climb, meshes, tolerance)
-            if found:
-                return found
-        if meshes and guess is None and tolerance is not None:
-            own, left = Climb(self._backend), deadline().remaining()
-            opened, share = None, max(left / 2, 1e-3) if left < np.inf else None
-            # of a time limit half is left for commands
-            with contextlib.suppress(OutOfTime), limited(share):
-                opened = self._climbed_in_openings(run, starts, figures, own, meshes, tolerance)
-            climb.iterations += own.iterations
-            if opened is not None:
-                return [opened]
-        if meshes and guess is None:
-            coarse: list[Solved] = []
-
-            def search(first: Run) -> list[Solved]:
-                coarse[:] = self._searched(first, None, starts, figures, climb, partly)
-                return coarse
-
-            try:
-                found = climb.reached(search, run, meshes, partly)
-            except TimeIsUp:
-                found = [each for each in coarse if each.outcome.success]
-                if not found:
-                    raise
-            if found:
-                return found
-        return self._searched(run, guess, starts, figures, climb, partly)
-
-    def _from_stops(
-        self, starts: int | None, figures: dict[str, Any], climb: Climb, first: Run
-    ) -> list[Solved]:
-        """What a climb begins with, on the coarsest of its meshes."""
-        return self._searched(first, None, starts, figures, climb, False)
-
-    def _climbed_in_openings(
-        self,
-        run: Run,
-        starts: int | None,
-        figures: dict[str, Any],
-        climb: Climb,
-        meshes: list[Mesh],
-        tolerance: float,
-    ) -> Solved | None:
-        """Least work with valves: the climb with openings as inputs until it has settled, and from
-        there to commands; None where there are no openings, or the way is blocked.
-
-        Work says nothing of a valve that is closed, nor has its dead zone a slope: in commands
-        motions got stuck at up to twice the least work.
-        """
-        problem = run.program.problem
-        weights = self._statement.weights
-        air = any(term in COSTS and COSTS[term].from_supply for term in weights)
-        if not (air or "work" in weights) or has_kinks(problem):
-            return None
-        opened = Opened.of(problem.plant, self._statement, air)
-        if opened is None:
-            return None
-        top = Run(transcribe(opened.problem, run.program.mesh), self._backend.near())
-
-        search = functools.partial(self._from_stops, starts, figures, climb)
-        reached = climb.reached(search, top, meshes, True)
-        if not reached or not reached[0].outcome.success:
-            return None
-        fine = climb.settled(reached[0], tolerance)
-        mesh = fine.program.mesh
-        own = Run(transcribe(problem, mesh), self._backend.near())
-        found = own.from_guess(opened.guess(problem, mesh, fine.solution), "near")
-        climb.iterations += found.outcome.iterations
-        return found if found.outcome.success else None
-
-    def _climbed_widely(
-        self,
-        run: Run,
-        starts: int | None,
-        figures: dict[str, Any],
-        climb: Climb,
-        meshes: list[Mesh],
-        tolerance: float | None,
-    ) -> list[Solved]:
-        """Economical motions with kinks: the climb with wide roundings all the way until it has
-        settled, and from there to the plant's own, once; empty where that is blocked.
-        """
-        problem = widened(run.program).problem
-        top = Run(transcribe(problem, run.program.mesh), self._backend.near())
-
-        search = functools.partial(self._from_stops, starts, figures, climb)
-        for each in climb.reached(search, top, meshes, False):
-            wide = each if tolerance is None else climb.settled(each, LOOSER * tolerance)
-            reached = self._from_wide(run, wide, climb, tolerance)
-            if reached is not None:
-                return [reached]
-            if wide.outcome.stopped:
-                return [wide]
-        return []
-
-    def _from_wide(
-        self, run: Run, wide: Solved, climb: Climb, tolerance: float | None = None
-    ) -> Solved | None:
-        """From a solution with wide roundings to the plant's own; None where that is blocked, and
-        no motion near the end of the way is landed to a tolerance.
-        """
-        approach = Approach(run, wide, self._backend.near())
-        reached = approach.solved()
-        climb.iterations += approach.iterations
-        if reached is None and tolerance is not None:
-            return approach.landed(CLOSER * tolerance)
-        return reached
-
-    def _searched(
-        self,
-        run: Run,
-        guess: Plan | None,
-        starts: int | None,
-        figures: dict[str, Any],
-        climb: Climb,
-        partly: bool,
-    ) -> list[Solved]:
-        """Solutions, the best first; or the one failure that stands for all."""
-        program = run.program
-        near = guess._near(program) if guess is not None else None
-        count = starts or (1 if near is not None else number_of_starts(program.problem.plant))
-        if partly and near is None and resolvable(program):
-            return self._approached(run, count, figures, climb)
-        if count == 1:
-            short = by_coarser(run, climb) if near is None else None
-            return [short or run.solve(near)]
-        opened = self._opened(run) if near is None else None
-        found, ends = run.several(count if opened is None else count - 1)
-        ours = run.from_another(near) if near is not None else opened
-        if ours is not None:
-            ends, found = Ends((*ends.outcomes, ours.outcome)), [*found, ours]
-        figures |= ends.figures()
-        good = [each for each in found if each.outcome.success]
-        if good:
-            return sorted(good, key=lambda each: each.outcome.objective)
-        stopped = [each for each in found if each.outcome.stopped]
-        return stopped or [run.after(found[0])]
-
-    def _approached(
-        self, run: Run, count: int, figures: dict[str, Any], climb: Climb
-    ) -> list[Solved]:
-        """By meshes that resolve kinks, from the best solutions with wide roundings; where none
-        leads on so, on the mesh as it is; or the one failure that stands for all.
-        """
-        program = run.program
-        opened = None
-        if count > 1:
-            args = (program.problem, program.mesh, self._statement, self._backend)
-            guess = guess_in_openings(*args, wide=True)
-            opened = None if guess is None else run.wide_from(guess)
-        found, ends = run.several(max(count - (opened is not None), 1), wide=True)
-        if opened is not None:
-            ends, found = Ends((*ends.outcomes, opened.outcome)), [*found, opened]
-        if count > 1:
-            figures |= ends.figures()
-        if any(each.outcome.stopped for each in found):
-            return [each for each in found if each.outcome.stopped]
-        good = [each for each in found if each.outcome.success]
-        if not good and (led := run.led_widely()) is not None:
-            good = [led]
-        for wide in sorted(good, key=lambda each: each.outcome.objective)[:APPROACHES]:
-            reached = self._from_wide(run, wide, climb)
-            if reached is not None:
-                return [reached]
-        narrow = run.narrowed(good) if good else found[0]
-        return [narrow if narrow.outcome.ended else run.after(narrow)]
-
-    def _opened(self, run: Run) -> Solved | None:
-        """From the optimum in openings of valves; None where there are none,
-        or it helps nothing.
-        """
-        program = run.program
-        guess = guess_in_openings(program.problem, program.mesh, self._statement, self._backend)
-        return None if guess is None else run.from_guess(guess, "near")
-
     def _refined(
         self, found: Sequence[Solved], tolerance: float | None, climb: Climb
     ) -> Refinement:
@@ -629,10 +428,10 @@ class Planner:
                 break
         return min(tried, key=lambda refinement: refinement.best.miss)
 
-    def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
-        """The program with other numbers."""
+    def _with(self, values: Values | None, changed: Mapping[str, Any]) -> tuple[Program, Statement]:
+        """The program with other numbers, and what it states."""
         if not values and not changed:
-            return self._program
+            return self._program, self._statement
         allowed = ("stops", "duration", "bounds", "budgets", "track", "memory")
         for name in changed:
             if name not in allowed:
@@ -641,8 +440,8 @@ class Planner:
                     "make a new Planner"
                 )
         plant = self.plant.with_values(values) if values else self.plant
-        problem = formulate(plant, replace(self._statement, **changed))
-        return renewed(self._program, problem)
+        statement = replace(self._statement, **changed)
+        return renewed(self._program, formulate(plant, statement)), statement
 
 
 def _again(plant: Plant, stops: Sequence[Any], keywords: dict[str, Any]) -> Planner:

@@ -10,7 +10,9 @@ from pam_ocp.core.errors import OutOfTime
 from pam_ocp.core.signals import signals
 from pam_ocp.core.stop import deadline
 from pam_ocp.planning import climb
+from pam_ocp.planning.opened import Opened
 from pam_ocp.planning.run import Run
+from pam_ocp.planning.search import Search
 from pam_ocp.planning.sharpen import gains, sharpened
 from pam_ocp.planning.solvers.backend import Backend
 from pam_ocp.planning.transcription.mesh import doubled
@@ -125,6 +127,68 @@ def test_the_least_work_with_a_spool_is_that_with_two_valves_of_its_conductance(
     assert spool.objective == pytest.approx(two.objective, rel=5e-3)
 
 
+@pytest.mark.slow
+def test_a_spool_needs_as_much_for_a_cycle_as_two_valves_of_its_conductance():
+    """To fill and to vent at once, as only two valves can, is a waste of air."""
+    stops, wanted = [{"x": -0.009}, {"x": 0.009}], {"duration": 0.4, "minimise": "exergy"}
+    spool, two = (
+        pam.plan(pam.AntagonisticSlide(MUSCLE, 2.0, feed=feed), stops, **wanted, cyclic=True)
+        for feed in (pam.feeds.SpoolValve(), pam.feeds.OnOffValves())
+    )
+    assert spool.verified
+    assert two.verified
+    assert spool.statistics["objective_gap"] < 1e-3
+    assert spool.objective == pytest.approx(two.objective, rel=1e-3)
+
+
+def test_a_lapped_valve_lives_on_no_air_that_it_gives_back():
+    """With rounded openings the optimum lets air out through the supply."""
+    feeds = pam.feeds.SpoolValve(overlap=0.0), pam.feeds.OnOffValves()
+    stops, wanted = [{"x": 0.01}, {"x": 0.03}], {"duration": 0.4, "minimise": "air"}
+    lapped, two = (
+        pam.plan(pam.HangingLoad(MUSCLE, 8.0, feed=feed), stops, **wanted) for feed in feeds
+    )
+    assert lapped.verified
+    assert min(lapped.trajectory["muscle.supply_flow"]) > -1e-9
+    assert lapped.objective == pytest.approx(two.objective, rel=1e-3)
+
+
+def test_openings_are_sought_for_the_stops_that_were_asked_for(monkeypatch):
+    stated = []
+    of = Opened.of.__func__
+
+    def told(cls, plant, statement, ways=False):
+        stated.append(statement.stops)
+        return of(cls, plant, statement, ways)
+
+    monkeypatch.setattr(Opened, "of", classmethod(told))
+    plant = pam.HangingLoad(MUSCLE, 8.0, feed=pam.feeds.SpoolValve())
+    wanted = {"duration": 0.4, "minimise": "work", "method": pam.Collocation(20)}
+    planner = pam.Planner(plant, [{"x": 0.01}, {"x": 0.03}], **wanted)
+    other = [{"x": 0.01}, {"x": 0.025}]
+    plan = planner(stops=other, starts=1)
+    assert stated
+    assert all(stops == other for stops in stated)
+    assert plan.objective == pytest.approx(pam.plan(plant, other, **wanted).objective, rel=1e-4)
+
+
+@pytest.mark.parametrize(("minimise", "most"), [("work", 0.15), ("air", 0.05)])
+def test_bounds_of_commands_hold_where_openings_are_sought(minimise, most):
+    plant = pam.HangingLoad(MUSCLE, 8.0, feed=pam.feeds.SpoolValve())
+    wanted = {"duration": 0.4, "minimise": minimise, "method": pam.Collocation(20)}
+    stops = [{"x": 0.01}, {"x": 0.03}]
+    plan, free = (
+        pam.plan(plant, stops, **wanted, bounds=bounds)
+        for bounds in ({"muscle.command": (-0.05, most)}, None)
+    )
+    assert plan.verified
+    command = plan.trajectory["muscle.command"]
+    assert np.max(command) == pytest.approx(most, abs=2e-3)
+    assert np.min(command) > -0.05 - 1e-6
+    assert np.max(free.trajectory["muscle.command"]) > 1.2 * most
+    assert free.objective < plan.objective * (1 + 1e-3)
+
+
 def test_openings_take_half_of_a_time_limit_and_commands_have_the_rest(monkeypatch):
     left = []
 
@@ -132,7 +196,7 @@ def test_openings_take_half_of_a_time_limit_and_commands_have_the_rest(monkeypat
         left.append(deadline().remaining())
         raise OutOfTime("half of it is over")
 
-    monkeypatch.setattr(pam.Planner, "_climbed_in_openings", climbed)
+    monkeypatch.setattr(Search, "_back_from", climbed)
     plant = pam.HangingLoad(MUSCLE, 8.0, feed=pam.feeds.SpoolValve())
     wanted = {"duration": 0.4, "minimise": "work", "method": pam.Collocation(20), "starts": 1}
     plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.03}], **wanted, time_limit=1000.0)

@@ -68,6 +68,71 @@ def test_the_plant_in_openings_obeys_the_same_equations():
     assert inner.in_openings() is inner
 
 
+def on_both_sides():
+    """Two chambers with a valve each; p' = 3 filling - 7 venting - leak, the valve rounded at 0."""
+    plant = pam.Plant("pair")
+    for name in ("one", "two"):
+        p = plant.state(f"{name}.p", unit="bar")
+        c = plant.input(f"{name}.command", min=-2.0, max=1.0)
+        plant.dead_zone(plant.input(f"{name}.other"), 0.1, f"{name}.effect")
+        half = c / 2
+        up, down = plant.opening(
+            f"{name}.way",
+            [c],
+            half,
+            lambda w: [2 * w],
+            [(ca.fmax(half, 0), "filling"), (ca.fmax(-half, 0), "venting")],
+            min=-1.0,
+            max=0.5,
+            nominal=0.1,
+        )
+        plant.der(p, 3 * up - 7 * down - p)
+        plant.output(f"{name}.flow", 3 * up)
+    pairs = {"p": "p", "command": "command", "other": "other"}
+    plant.mirror({f"one.{n}": (1.0, f"two.{m}") for n, m in pairs.items()})
+    return plant
+
+
+def test_ways_are_inputs_of_their_own_and_give_nothing_back():
+    plant = on_both_sides().with_values({"one.command": -0.4, "two.command": 0.6})
+    for made in (plant.in_ways(), pickle.loads(pickle.dumps(plant)).in_ways()):
+        assert [v.name for v in made.inputs] == [
+            f"{name}.{way}"
+            for name in ("one", "two")
+            for way in ("way.filling", "way.venting", "effect")
+        ]
+        ranges = {v.name: (v.min, v.max, v.start) for v in made.inputs}
+        assert ranges["one.way.filling"] == pytest.approx((0.0, 0.5, 0.0))
+        assert ranges["one.way.venting"] == pytest.approx((0.0, 1.0, 0.2))
+        assert ranges["two.way.filling"] == pytest.approx((0.0, 0.5, 0.3))
+        assert made.openings == ()
+        assert made.mirror_map["one.way.venting"] == (1.0, "two.way.venting")
+        small = [1e-5, 0.0, 0.0, 0.0, 1e-5, 0.0]
+        slopes, flows, _ = made.function([0.1, 0.2], small, plant.vector("parameter"))
+        assert flat(slopes) == pytest.approx([3e-5 - 0.1, -7e-5 - 0.2], rel=1e-12)
+        assert flat(flows) == pytest.approx([3e-5, 0.0], abs=1e-15)
+    rounded = plant.in_openings()
+    flows = rounded.function([0.1, 0.2], [1e-5, 0.0, -1e-5, 0.0], rounded.vector("parameter"))[1]
+    assert flat(flows)[1] < -1e-6  # what a motion would live on where air is what it costs
+
+
+def test_ways_change_places_in_a_mirror_that_turns_the_sign():
+    plant = on_both_sides()
+    plant.mirror({"one.command": (-1.0, "two.command"), "two.command": (-1.0, "one.command")})
+    found = plant.in_ways().mirror_map
+    assert found["one.way.filling"] == (1.0, "two.way.venting")
+    assert found["two.way.filling"] == (1.0, "one.way.venting")
+
+
+def test_a_path_is_a_way_or_a_function():
+    plant = pam.Plant("wrong")
+    u = plant.input("u")
+    with pytest.raises(InputError, match="'leaking'; give 'filling' or 'venting'"):
+        plant.opening("w", [u], u, lambda w: [w], [(u, "leaking")])
+    assert valved().in_ways().inputs[0].name == "way"
+    assert carriage().in_commands().in_ways().inputs[1].name == "axis.a"
+
+
 def test_openings_start_where_the_commands_do_with_the_plants_own_values():
     other = carriage().with_values({"w": 0.4, "axis.a": -0.9, "b": 1.5, "k": 7.0}).in_openings()
     starts = {v.name: v.start for v in (*other.inputs, *other.parameters)}
