@@ -17,18 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.signals import PiecewisePolynomial
 from ..plants.inversion import Inversion
 from ..plants.opening import WAYS
 from ..plants.plant import Plant
 from .problem.formulation import formulate
 from .problem.problem import Problem
 from .problem.statement import Statement
+from .result import Solved
+from .run import Run
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks, narrowing, widened
 from .transcription.guess import by_stops, from_solution, wants_balance
 from .transcription.leading import by_leading
 from .transcription.mesh import Mesh
-from .transcription.solution import Solution, unpack
+from .transcription.solution import Solution, pack, unpack
 from .transcription.transcription import transcribe
 
 __all__ = ["Opened", "guess_in_openings"]
@@ -70,6 +73,22 @@ class Opened:
 
         sent: Any = commands  # all that is asked of the inputs is their values
         return from_solution(problem, mesh, replace(found, inputs=sent))
+
+    def sent(self, run: Run, found: Solved) -> Solved | None:
+        """A solution in openings on the same mesh, its commands sent: the same motion, with the
+        multipliers of its equations; None where inputs are not held, or the equations are others.
+        """
+        program, solution = run.program, found.solution
+        held = solution.inputs.coefficients
+        rows = program.nlp["g"].numel()
+        if held.shape[1] > 1 or found.outcome.lam_g.size != rows:
+            return None
+        commands = self.inversion.sent(self._openings(held[:, 0]))
+        inputs = PiecewisePolynomial(solution.inputs.breaks, commands[:, None])
+        same = replace(solution, inputs=inputs)
+        w = program.completed(pack(program.problem, program.mesh, same))
+        outcome = replace(found.outcome, w=w, lam_x=np.zeros(w.size))
+        return Solved(program, outcome, same)
 
     def _openings(self, inputs: Array) -> Array:
         """Columns of openings from those of their ways."""

@@ -60,7 +60,12 @@ class Run:
 
     def directly(self, coarse: Solved) -> Solved:
         """The same with the plant's own roundings at once, or not at all."""
-        guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
+        return self.straight(
+            from_solution(self.program.problem, self.program.mesh, coarse.solution)
+        )
+
+    def straight(self, guess: Array) -> Solved:
+        """From a guess on a motion that is all but solved, with the plant's own roundings."""
         return self._solution(self.solver(self.program, guess, "finer"))
 
     def widely(self, coarse: Solved) -> Solved:

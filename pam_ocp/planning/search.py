@@ -15,6 +15,7 @@ from ..core.errors import OutOfTime
 from ..core.stop import TimeIsUp, deadline, limited
 from .approach import Approach, resolvable
 from .climb import Climb, ladder
+from .landing import landed
 from .opened import Opened, guess_in_openings
 from .problem.costs import COSTS
 from .problem.statement import Statement
@@ -62,13 +63,13 @@ class Search:
         meshes = ladder(program.mesh) if program.problem.objective.economical else []
         if not meshes or guess is not None:
             return self._searched(self.run, guess, self.tolerance is not None)
+        opened = self._climbed_in_openings(meshes)
+        if opened is not None:
+            return [opened]
         if has_kinks(program.problem):
             found = self._climbed_widely(meshes)
             if found:
                 return found
-        opened = self._climbed_in_openings(meshes)
-        if opened is not None:
-            return [opened]
         return self._climbed(meshes) or self._searched(self.run, None, self.tolerance is not None)
 
     # ---- by way of coarser meshes -----------------------------------------------------------
@@ -98,7 +99,7 @@ class Search:
         """
         problem, weights = self.run.program.problem, self.statement.weights
         air = any(term in COSTS and COSTS[term].from_supply for term in weights)
-        if self.tolerance is None or has_kinks(problem) or not (air or "work" in weights):
+        if self.tolerance is None or not (air or "work" in weights):
             return None
         opened = Opened.of(problem.plant, self.statement, air)
         if opened is None:
@@ -114,16 +115,30 @@ class Search:
             self.climb.iterations += own.climb.iterations
 
     def _back_from(self, opened: Opened, meshes: list[Mesh], tolerance: float) -> Solved | None:
-        top = Run(transcribe(opened.problem, self.run.program.mesh), self.run.backend.near())
-        reached = self.climb.reached(self._from_stops, top, meshes, True)
-        if not reached or not reached[0].outcome.success:
+        """From openings to commands: solved there or, where a solver leaves that motion, landed."""
+        top = Run(transcribe(opened.problem, self.run.program.mesh), self.run.backend)
+        fine = replace(self, run=top)._settled(meshes, tolerance)
+        if fine is None or not fine.outcome.success:
             return None
-        fine = self.climb.settled(reached[0], tolerance)
         problem, mesh = self.run.program.problem, fine.program.mesh
         run = Run(transcribe(problem, mesh), self.run.backend.near())
-        found = run.from_guess(opened.guess(problem, mesh, fine.solution), "near")
+        guess = opened.guess(problem, mesh, fine.solution)
+        found = run.straight(guess) if has_kinks(problem) else run.from_guess(guess, "near")
         self.climb.iterations += found.outcome.iterations
-        return found if found.outcome.success else None
+        if found.outcome.ended:
+            return found if found.outcome.success else None
+        same = opened.sent(run, fine)
+        return landed(same, CLOSER * tolerance) if same is not None else None
+
+    def _settled(self, meshes: list[Mesh], tolerance: float) -> Solved | None:
+        """The best solution of the climb, on a mesh where it has settled."""
+        if has_kinks(self.run.program.problem):
+            return next(iter(self._climbed_widely(meshes)), None)
+        near = Run(self.run.program, self.run.backend.near())
+        reached = self.climb.reached(self._from_stops, near, meshes, True)
+        if not reached or not reached[0].outcome.success:
+            return None
+        return self.climb.settled(reached[0], tolerance)
 
     def _climbed_widely(self, meshes: list[Mesh]) -> list[Solved]:
         """Motions with kinks: the climb with wide roundings all the way until it has settled, and

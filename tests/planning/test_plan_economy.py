@@ -279,7 +279,8 @@ def test_kinks_are_approached_from_the_finer_mesh_that_the_climb_has_settled_on(
     run = Run(planner._program, planner._backend)
     found, _ = run.several(1, wide=True)
     wide = climb.Climb(planner._backend)._on(doubled(doubled(planner._program.mesh)), found[0])
-    own = planner._from_wide(run, wide, climb.Climb(planner._backend))
+    search = Search(run, planner._statement, climb.Climb(planner._backend), None, None, {})
+    own = search._from_wide(run, wide)
     assert own.outcome.success
     assert len(own.program.mesh.intervals) >= 40
     assert (
