@@ -185,6 +185,10 @@ class Climb:
             self.rungs.append(found)
         return found
 
+    def follow(self, other: Climb) -> None:
+        """From here on what another climb settled on is what counts."""
+        self.rungs, self.gap, self.change = other.rungs, other.gap, other.change
+
     def above(self, found: Solved) -> float:
         """What a solution may lie above the least, as a part of the objective: by what finer meshes
         may gain, and by the best that was found.

@@ -46,10 +46,11 @@ from .search import Search
 from .shortcuts import carried
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import explanation
+from .solvers.narrowing import has_kinks
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
 from .starts import MOST
-from .transcription.mesh import Collocation, Method, Shooting
+from .transcription.mesh import Collocation, Method, Shooting, doubled
 from .transcription.transcription import Program, transcribe
 from .verdict import TOLERANCE
 
@@ -63,6 +64,10 @@ Array: TypeAlias = NDArray[np.float64]
 GRACE = 1.0
 """Seconds for the replay of a solution that was found when the time was up."""
 
+MISLED = 1e-2
+"""Part of the objective by which refinement may make an economical motion dearer, before its mesh
+is held too coarse to have led anywhere.
+"""
 OTHERS = 3
 """Solutions from different starts that are refined, at most, where the best cannot be verified."""
 
@@ -330,6 +335,15 @@ class Planner:
             failed = assembled(found[0], figures, conflicts=run.conflicts)
             words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
             raise PlanError(words, failed)
+        refinement = self._brought(found, program, climb, tolerance)
+        if climb.rungs and tolerance is not None and guess is None:
+            refinement = self._resolved(refinement, run, statement, climb, starts, tolerance)
+        return self._result(refinement, climb, figures, begin, tolerance)
+
+    def _brought(
+        self, found: list[Solved], program: Program, climb: Climb, tolerance: float | None
+    ) -> Refinement:
+        """Solutions brought to a tolerance: settled where economical, and refined."""
         base = found[0]
         if program.problem.objective.economical and tolerance is not None:
             with contextlib.suppress(TimeIsUp):
@@ -341,7 +355,42 @@ class Planner:
         if resolvable(program) and meshes[0] != program.mesh:  # kinks were approached on finer ones
             meshes = [program.mesh, *meshes]
         refinement.meshes, refinement.first = meshes, first
-        return self._result(refinement, climb, figures, begin, tolerance)
+        return refinement
+
+    def _resolved(
+        self,
+        refinement: Refinement,
+        run: Run,
+        statement: Statement,
+        climb: Climb,
+        starts: int | None,
+        tolerance: float,
+    ) -> Refinement:
+        """Where refinement made an economical motion another, settled and refined once more; where
+        it made it dearer by ``MISLED``, sought on a mesh twice as fine as well.
+
+        Coarse meshes that do not resolve a motion have optima of their own, which cost less than
+        any motion does, and may lie elsewhere.
+        """
+        found, program = refinement.best.found, run.program
+        if not refinement.met() or has_kinks(program.problem):
+            return refinement
+        if climb.worse(found) <= tolerance:
+            return refinement
+        try:
+            if climb.worse(found) > MISLED:
+                own = Climb(self._backend)
+                finer = Run(transcribe(program.problem, doubled(program.mesh)), self._backend)
+                others = Search(finer, statement, own, starts, tolerance, {}).found(None)
+                climb.iterations += own.iterations
+                if others[0].outcome.success:
+                    other = self._brought(others, finer.program, own, tolerance)
+                    if _less(other, refinement):
+                        climb.follow(own)
+                        refinement = _after(refinement, other)
+            return self._resettled(refinement, tolerance, climb)
+        except TimeIsUp:
+            return refinement
 
     def _carried(
         self, program: Program, guess: Plan, tolerance: float, climb: Climb
@@ -428,6 +477,19 @@ class Planner:
                 break
         return min(tried, key=lambda refinement: refinement.best.miss)
 
+    def _resettled(self, refinement: Refinement, tolerance: float, climb: Climb) -> Refinement:
+        """Settled from its own mesh, and refined again."""
+        found, own = refinement.best.found, Climb(self._backend)
+        if climb.worse(found) <= tolerance:
+            return refinement
+        finer = own.settled(found, tolerance)
+        climb.iterations += own.iterations
+        climb.follow(own)
+        if finer is found:
+            return refinement
+        again = Refinement(checked(finer), tolerance, self._backend)
+        return _after(refinement, again) if _less(again, refinement) else refinement
+
     def _with(self, values: Values | None, changed: Mapping[str, Any]) -> tuple[Program, Statement]:
         """The program with other numbers, and what it states."""
         if not values and not changed:
@@ -442,6 +504,19 @@ class Planner:
         plant = self.plant.with_values(values) if values else self.plant
         statement = replace(self._statement, **changed)
         return renewed(self._program, formulate(plant, statement)), statement
+
+
+def _less(one: Refinement, other: Refinement) -> bool:
+    """Whether a refinement that is met is less dear than another."""
+    costs = [each.best.found.outcome.objective for each in (one, other)]
+    return one.met() and costs[0] < costs[1]
+
+
+def _after(first: Refinement, then: Refinement) -> Refinement:
+    """The second, with the meshes of both."""
+    then.meshes = [*first.meshes, *then.meshes]
+    then.first, then.iterations = first.first, first.iterations + then.iterations
+    return then
 
 
 def _again(plant: Plant, stops: Sequence[Any], keywords: dict[str, Any]) -> Planner:
