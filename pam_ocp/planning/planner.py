@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import time
 import warnings
@@ -25,32 +24,30 @@ from ..core.errors import (
     require_positive,
 )
 from ..core.plausible import outside
-from ..core.stop import TimeIsUp, deadline, spared, turns, verb
+from ..core.stop import TimeIsUp, deadline, turns, verb
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
-from .approach import resolvable
 from .arcs import Arcs
 from .assembly import assembled, trust
-from .checked import checked
 from .climb import Climb
 from .keywords import SEARCH, PlanKeywords, require_known
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
 from .problem.statement import Cyclic, Statement
 from .problem.wording import Avoid, Constraint, Phase, Stop
-from .refine import CLOSER, Refinement
+from .refine import Refinement
 from .renewal import renewed
-from .result import Plan, Solved
+from .result import Plan
 from .run import Run
 from .search import Search
+from .settling import Settling
 from .shortcuts import carried
 from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import explanation
-from .solvers.narrowing import has_kinks
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
 from .starts import MOST
-from .transcription.mesh import Collocation, Method, Shooting, doubled
+from .transcription.mesh import Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
 from .verdict import TOLERANCE
 
@@ -60,16 +57,6 @@ if TYPE_CHECKING:
 __all__ = ["Planner", "plan"]
 
 Array: TypeAlias = NDArray[np.float64]
-
-GRACE = 1.0
-"""Seconds for the replay of a solution that was found when the time was up."""
-
-MISLED = 1e-2
-"""Part of the objective by which refinement may make an economical motion dearer, before its mesh
-is held too coarse to have led anywhere.
-"""
-OTHERS = 3
-"""Solutions from different starts that are refined, at most, where the best cannot be verified."""
 
 
 @verb
@@ -322,8 +309,9 @@ class Planner:
             finer = self._carried(program, guess, tolerance, climb)
             if finer is not None:
                 return self._result(finer, climb, figures, begin, tolerance)
+        search = Search(run, statement, climb, starts, tolerance, figures)
         try:
-            found = Search(run, statement, climb, starts, tolerance, figures).found(guess)
+            found = search.found(guess)
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
@@ -335,62 +323,11 @@ class Planner:
             failed = assembled(found[0], figures, conflicts=run.conflicts)
             words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
             raise PlanError(words, failed)
-        refinement = self._brought(found, program, climb, tolerance)
-        if climb.rungs and tolerance is not None and guess is None:
-            refinement = self._resolved(refinement, run, statement, climb, starts, tolerance)
+        settling = Settling(search)
+        refinement = settling.brought(found)
+        if guess is None:
+            refinement = settling.resolved(refinement)
         return self._result(refinement, climb, figures, begin, tolerance)
-
-    def _brought(
-        self, found: list[Solved], program: Program, climb: Climb, tolerance: float | None
-    ) -> Refinement:
-        """Solutions brought to a tolerance: settled where economical, and refined."""
-        base = found[0]
-        if program.problem.objective.economical and tolerance is not None:
-            with contextlib.suppress(TimeIsUp):
-                found = [climb.settled(base, tolerance), *found[1:]]
-        refinement = self._refined(found, tolerance, climb)
-        meshes, first = refinement.meshes, refinement.first
-        if any(first is each for each in climb.rungs[1:]):
-            first, meshes = base, [base.program.mesh, *meshes]
-        if resolvable(program) and meshes[0] != program.mesh:  # kinks were approached on finer ones
-            meshes = [program.mesh, *meshes]
-        refinement.meshes, refinement.first = meshes, first
-        return refinement
-
-    def _resolved(
-        self,
-        refinement: Refinement,
-        run: Run,
-        statement: Statement,
-        climb: Climb,
-        starts: int | None,
-        tolerance: float,
-    ) -> Refinement:
-        """Where refinement made an economical motion another, settled and refined once more; where
-        it made it dearer by ``MISLED``, sought on a mesh twice as fine as well.
-
-        Coarse meshes that do not resolve a motion have optima of their own, which cost less than
-        any motion does, and may lie elsewhere.
-        """
-        found, program = refinement.best.found, run.program
-        if not refinement.met() or has_kinks(program.problem):
-            return refinement
-        if climb.worse(found) <= tolerance:
-            return refinement
-        try:
-            if climb.worse(found) > MISLED:
-                own = Climb(self._backend)
-                finer = Run(transcribe(program.problem, doubled(program.mesh)), self._backend)
-                others = Search(finer, statement, own, starts, tolerance, {}).found(None)
-                climb.iterations += own.iterations
-                if others[0].outcome.success:
-                    other = self._brought(others, finer.program, own, tolerance)
-                    if _less(other, refinement):
-                        climb.follow(own)
-                        refinement = _after(refinement, other)
-            return self._resettled(refinement, tolerance, climb)
-        except TimeIsUp:
-            return refinement
 
     def _carried(
         self, program: Program, guess: Plan, tolerance: float, climb: Climb
@@ -439,57 +376,6 @@ class Planner:
             warnings.warn(message, PlanWarning, stacklevel=outside())
         return result
 
-    def _refined(
-        self, found: Sequence[Solved], tolerance: float | None, climb: Climb
-    ) -> Refinement:
-        """The best solution, refined; where that is not verified, the next best that is.
-
-        Of the climb's solutions a coarser one stands before a finer one that is no better and not
-        verified, and before all that cannot be.
-        """
-        wanted = tolerance or float("inf")
-        try:
-            finest = checked(found[0])
-        except TimeIsUp:
-            with spared(GRACE):
-                finest = checked(found[0])
-        if finest.miss > CLOSER * wanted:
-            with contextlib.suppress(TimeIsUp):
-                for each in climb.rungs[-2::-1]:
-                    if climb.worse(each) > wanted:
-                        break
-                    if (other := checked(each)).miss <= CLOSER * wanted:
-                        return Refinement(other, wanted, self._backend)
-        first = Refinement(finest, wanted, self._backend)
-        if first.met():
-            return first
-        with contextlib.suppress(TimeIsUp):
-            for other in map(checked, climb.rungs[-2::-1]):
-                if other.miss <= CLOSER * wanted:
-                    return Refinement(other, wanted, self._backend)
-        tried = [first]
-        for each in found[1:OTHERS]:
-            try:
-                tried.append(Refinement(checked(each), wanted, self._backend))
-            except TimeIsUp:
-                break
-            if tried[-1].met():
-                break
-        return min(tried, key=lambda refinement: refinement.best.miss)
-
-    def _resettled(self, refinement: Refinement, tolerance: float, climb: Climb) -> Refinement:
-        """Settled from its own mesh, and refined again."""
-        found, own = refinement.best.found, Climb(self._backend)
-        if climb.worse(found) <= tolerance:
-            return refinement
-        finer = own.settled(found, tolerance)
-        climb.iterations += own.iterations
-        climb.follow(own)
-        if finer is found:
-            return refinement
-        again = Refinement(checked(finer), tolerance, self._backend)
-        return _after(refinement, again) if _less(again, refinement) else refinement
-
     def _with(self, values: Values | None, changed: Mapping[str, Any]) -> tuple[Program, Statement]:
         """The program with other numbers, and what it states."""
         if not values and not changed:
@@ -504,19 +390,6 @@ class Planner:
         plant = self.plant.with_values(values) if values else self.plant
         statement = replace(self._statement, **changed)
         return renewed(self._program, formulate(plant, statement)), statement
-
-
-def _less(one: Refinement, other: Refinement) -> bool:
-    """Whether a refinement that is met is less dear than another."""
-    costs = [each.best.found.outcome.objective for each in (one, other)]
-    return one.met() and costs[0] < costs[1]
-
-
-def _after(first: Refinement, then: Refinement) -> Refinement:
-    """The second, with the meshes of both."""
-    then.meshes = [*first.meshes, *then.meshes]
-    then.first, then.iterations = first.first, first.iterations + then.iterations
-    return then
 
 
 def _again(plant: Plant, stops: Sequence[Any], keywords: dict[str, Any]) -> Planner:

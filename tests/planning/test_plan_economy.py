@@ -141,6 +141,31 @@ def test_a_spool_needs_as_much_for_a_cycle_as_two_valves_of_its_conductance():
     assert spool.objective == pytest.approx(two.objective, rel=1e-3)
 
 
+def test_what_refinement_made_dearer_is_settled_on_the_mesh_that_resolves_it():
+    plant = pam.HangingLoad(MUSCLE, 1.0, feed=pam.feeds.OnOffValves())
+    stops, wanted = [{"x": 0.01}, {"x": 0.035}], {"duration": 1.0, "minimise": "air"}
+    rough, fine = (pam.plan(plant, stops, **wanted, method=pam.Collocation(k)) for k in (10, 100))
+    assert rough.verified
+    assert rough.statistics["objective_gap"] < 1e-3
+    assert rough.objective == pytest.approx(fine.objective, rel=5e-5)  # 1.1e-4 unsettled
+
+
+@pytest.mark.slow
+def test_a_mesh_too_coarse_to_lead_anywhere_is_not_all_that_is_searched():
+    """Ten oscillations on 50 intervals: unresolved, they cost less than any, and end elsewhere."""
+    stops, wanted = [{"x": 0.005}, {"x": 0.035}], {"duration": 2.0, "minimise": "exergy"}
+    rough, fine = (
+        pam.plan(pam.SpringOverMuscle(MUSCLE, 1.7, feed=feed), stops, **wanted, method=method)
+        for feed, method in (
+            (pam.feeds.SpoolValve(), None),
+            (pam.feeds.OnOffValves(), pam.Collocation(100)),
+        )
+    )
+    assert rough.verified
+    assert rough.statistics["objective_gap"] < 1e-3
+    assert rough.objective == pytest.approx(fine.objective, rel=1e-3)  # 5e-3 without
+
+
 def test_a_lapped_valve_lives_on_no_air_that_it_gives_back():
     """With rounded openings the optimum lets air out through the supply."""
     feeds = pam.feeds.SpoolValve(overlap=0.0), pam.feeds.OnOffValves()
