@@ -301,7 +301,8 @@ class Planner:
         require_instance("guess", guess, Plan, "give what plan() returned", none=True)
         if starts is not None:
             require_count("starts", starts, 1, MOST)
-        program, statement = self._with(values, changed)
+        program = self._with(values, changed)
+        statement = replace(self._statement, **changed)
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
@@ -376,10 +377,10 @@ class Planner:
             warnings.warn(message, PlanWarning, stacklevel=outside())
         return result
 
-    def _with(self, values: Values | None, changed: Mapping[str, Any]) -> tuple[Program, Statement]:
-        """The program with other numbers, and what it states."""
+    def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:
+        """The program with other numbers."""
         if not values and not changed:
-            return self._program, self._statement
+            return self._program
         allowed = ("stops", "duration", "bounds", "budgets", "track", "memory")
         for name in changed:
             if name not in allowed:
@@ -388,8 +389,8 @@ class Planner:
                     "make a new Planner"
                 )
         plant = self.plant.with_values(values) if values else self.plant
-        statement = replace(self._statement, **changed)
-        return renewed(self._program, formulate(plant, statement)), statement
+        problem = formulate(plant, replace(self._statement, **changed))
+        return renewed(self._program, problem)
 
 
 def _again(plant: Plant, stops: Sequence[Any], keywords: dict[str, Any]) -> Planner:
