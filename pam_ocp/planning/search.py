@@ -15,6 +15,7 @@ from ..core.errors import OutOfTime
 from ..core.stop import TimeIsUp, deadline, limited
 from .approach import Approach, resolvable
 from .climb import Climb, ladder
+from .correction import Corrected
 from .landing import landed
 from .opened import Opened, guess_in_openings
 from .problem.costs import COSTS
@@ -115,18 +116,21 @@ class Search:
             self.climb.iterations += own.climb.iterations
 
     def _back_from(self, opened: Opened, meshes: list[Mesh], tolerance: float) -> Solved | None:
-        """From openings to commands: solved there or, where a solver leaves that motion, landed."""
+        """From openings to commands: solved there or, where a solver leaves that motion, landed;
+        at once where it was landed in openings.
+        """
         top = Run(transcribe(opened.problem, self.run.program.mesh), self.run.backend)
         fine = replace(self, run=top)._settled(meshes, tolerance)
         if fine is None or not fine.outcome.success:
             return None
         problem, mesh = self.run.program.problem, fine.program.mesh
         run = Run(transcribe(problem, mesh), self.run.backend.near())
-        guess = opened.guess(problem, mesh, fine.solution)
-        found = run.straight(guess) if has_kinks(problem) else run.from_guess(guess, "near")
-        self.climb.iterations += found.outcome.iterations
-        if found.outcome.ended:
-            return found if found.outcome.success else None
+        if not isinstance(fine.program, Corrected):
+            guess = opened.guess(problem, mesh, fine.solution)
+            found = run.straight(guess) if has_kinks(problem) else run.from_guess(guess, "near")
+            self.climb.iterations += found.outcome.iterations
+            if found.outcome.ended:
+                return found if found.outcome.success else None
         same = opened.sent(run, fine)
         return landed(same, CLOSER * tolerance) if same is not None else None
 
