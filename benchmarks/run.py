@@ -27,9 +27,9 @@ import os
 import platform
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
+import zipfile
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -206,13 +206,13 @@ def measure(
 
 def unpacked(revision: str, folder: Path) -> Path:
     """The package as it was at a commit, in a folder; SystemExit(2) where git knows none."""
-    git = ["git", "-C", str(TREE), "archive", "--format=tar", revision, "pam_ocp", "fmu"]
+    git = ["git", "-C", str(TREE), "archive", "--format=zip", revision, "pam_ocp", "fmu"]
     done = subprocess.run(git, capture_output=True)
     if done.returncode:
         print(f"--against-commit {revision}: {done.stderr.decode().strip()}", file=sys.stderr)
         raise SystemExit(2)
-    with tarfile.open(fileobj=io.BytesIO(done.stdout)) as packed:
-        packed.extractall(folder, filter="data")
+    with zipfile.ZipFile(io.BytesIO(done.stdout)) as packed:
+        packed.extractall(folder)
     return folder
 
 

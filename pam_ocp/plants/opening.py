@@ -13,7 +13,7 @@ from ..core.system import PathOf, Way
 from ..core.variables import Variable
 from ..muscles.dead_zone import two_ways
 
-__all__ = ["WAYS", "FlowPath", "Instead", "Opening", "checked_commands", "flow_path"]
+__all__ = ["WAYS", "FlowPath", "Instead", "Opening", "checked_commands", "flow_path", "path_of"]
 
 WAYS: tuple[Way, ...] = get_args(Way)
 
@@ -53,17 +53,22 @@ class FlowPath:
     way: Way | None = None
 
 
+def path_of(of: PathOf, opening: ca.SX) -> ca.SX:
+    """What a path is of an opening: a way of it, or any function. InputError for other words."""
+    if not isinstance(of, str):
+        return ca.SX(of(opening))
+    if of not in WAYS:
+        raise InputError(
+            f"a path of an opening is {of!r}; give 'filling' or 'venting', or a function of the "
+            "opening"
+        )
+    return two_ways(opening)[WAYS.index(of)]
+
+
 def flow_path(symbol: ca.SX, way: ca.SX, opening: Opening, of: PathOf) -> FlowPath:
-    """A path by what it is of the opening: a way of it, or any function. InputError for others."""
-    if isinstance(of, str):
-        if of not in WAYS:
-            raise InputError(
-                f"opening {opening.name!r}: a path is {of!r}; give 'filling' or 'venting', or a "
-                "function of the opening"
-            )
-        part = two_ways(opening.symbol)[WAYS.index(of)]
-        return FlowPath(symbol, ca.SX(way), part, opening.name, of)
-    return FlowPath(symbol, ca.SX(way), ca.SX(of(opening.symbol)), opening.name)
+    """A path of an opening, with ``way`` what it is of the commands."""
+    named = of if isinstance(of, str) else None
+    return FlowPath(symbol, ca.SX(way), path_of(of, opening.symbol), opening.name, named)
 
 
 def checked_commands(name: str, commands: list[str], known: Mapping[str, Variable]) -> None:

@@ -9,10 +9,11 @@ from typing import Any, cast
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
-from ..core.system import Declares
+from ..core.system import Declares, PathOf
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import FEEDS
+from .opening import path_of
 from .valves import GAS_UNITS, Filling, SpoolValve
 
 __all__ = ["ServoValve"]
@@ -162,9 +163,9 @@ class _Looped:
         commands: Sequence[ca.SX],
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
-        paths: Sequence[tuple[ca.SX, Callable[[ca.SX], ca.SX]]],
+        paths: Sequence[tuple[ca.SX, PathOf]],
         **attributes: Any,
     ) -> list[ca.SX]:
         """What is asked for is the opening itself: the dead zone is inverted."""
         (asked,) = commands
-        return [ca.SX(of(asked)) for _, of in paths]
+        return [path_of(of, asked) for _, of in paths]

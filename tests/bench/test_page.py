@@ -227,6 +227,7 @@ def test_every_field_and_button_has_a_name_and_keys_do_what_the_mouse_does(hand,
         assert hand.driver.execute_script(nameless) == []
     assert hand.driver.execute_script("return document.documentElement.lang")
     hand.press("Data")
+    hand.until(lambda: hand.shown("table button"))
     hand.shown("table button")[0].send_keys(Keys.ENTER)
     ActionChains(hand.driver).key_down(Keys.CONTROL).send_keys("z").key_up(Keys.CONTROL).perform()
     hand.until(lambda: server.state(hand.session)["data"] == [])

@@ -127,7 +127,7 @@ def test_ways_change_places_in_a_mirror_that_turns_the_sign():
 def test_a_path_is_a_way_or_a_function():
     plant = pam.Plant("wrong")
     u = plant.input("u")
-    with pytest.raises(InputError, match="'leaking'; give 'filling' or 'venting'"):
+    with pytest.raises(InputError, match="is 'leaking'; give 'filling' or 'venting'"):
         plant.opening("w", [u], u, lambda w: [w], [(u, "leaking")])
     assert valved().in_ways().inputs[0].name == "way"
     assert carriage().in_commands().in_ways().inputs[1].name == "axis.a"
