@@ -54,8 +54,8 @@ class FlowPath:
 
 
 def path_of(of: PathOf, opening: ca.SX) -> ca.SX:
-    """What a path is of an opening: a way of it, or any function. InputError for other words."""
-    if not isinstance(of, str):
+    """What a path is of an opening: a way of it, or any function. InputError for all else."""
+    if callable(of):
         return ca.SX(of(opening))
     if of not in WAYS:
         raise InputError(
@@ -83,7 +83,7 @@ def checked_commands(name: str, commands: list[str], known: Mapping[str, Variabl
 
 @dataclass(frozen=True)
 class Instead:
-    """What takes the place of an opening's commands: itself, or its ways where it has some.
+    """What takes the place of an opening's commands: itself, or its ways where it has them.
 
     inputs : (variable, symbol) by name. value : the opening. paths : what its flow paths are.
     """

@@ -124,11 +124,15 @@ def test_ways_change_places_in_a_mirror_that_turns_the_sign():
     assert found["two.way.filling"] == (1.0, "one.way.venting")
 
 
-def test_a_path_is_a_way_or_a_function():
+@pytest.mark.parametrize("of", ["leaking", 3, None])
+def test_a_path_is_a_way_or_a_function(of):
     plant = pam.Plant("wrong")
     u = plant.input("u")
-    with pytest.raises(InputError, match="is 'leaking'; give 'filling' or 'venting'"):
-        plant.opening("w", [u], u, lambda w: [w], [(u, "leaking")])
+    with pytest.raises(InputError, match=f"is {of!r}; give 'filling' or 'venting'"):
+        plant.opening("w", [u], u, lambda w: [w], [(u, of)])
+
+
+def test_openings_without_ways_stay_whole():
     assert valved().in_ways().inputs[0].name == "way"
     assert carriage().in_commands().in_ways().inputs[1].name == "axis.a"
 
