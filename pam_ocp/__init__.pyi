@@ -44,6 +44,12 @@ from .fitting.tables.force_table import ForceTable as ForceTable
 from .fitting.tables.force_table import read_table as read_table
 from .fitting.tables.records import read_record as read_record
 from .fitting.tables.records import read_records as read_records
+from .judge.statement import TIME as TIME
+from .judge.statement import Avoid as Avoid
+from .judge.statement import Constraint as Constraint
+from .judge.statement import Phase as Phase
+from .judge.statement import Profile as Profile
+from .judge.statement import Stop as Stop
 from .muscles import gas as gas
 from .muscles import laws as laws
 from .muscles.catalogue import muscle as muscle
@@ -59,13 +65,7 @@ from .operating.several import equilibria as equilibria
 from .planning.arcs import Arcs as Arcs
 from .planning.planner import Planner as Planner
 from .planning.planner import plan as plan
-from .planning.problem.problem import TIME as TIME
 from .planning.problem.problem_file import load_problem as load_problem
-from .planning.problem.profile import Profile as Profile
-from .planning.problem.wording import Avoid as Avoid
-from .planning.problem.wording import Constraint as Constraint
-from .planning.problem.wording import Phase as Phase
-from .planning.problem.wording import Stop as Stop
 from .planning.result import Plan as Plan
 from .planning.saved_plan import load_plan as load_plan
 from .planning.studies.front import pareto as pareto

@@ -8,8 +8,8 @@ from typing import Any
 
 import tomli_w
 
+from ..judge.statement import Stop
 from ..operating.linear import equilibrium
-from ..planning.problem.wording import Stop
 from ..plants.plant import Plant
 from ..studies.steps.measured import TableStep
 from .jobs.control import lqr_arguments, mpc_arguments, side_state

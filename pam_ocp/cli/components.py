@@ -57,9 +57,9 @@ def groups() -> tuple[tuple[Registry[Any], str], ...]:
     """(registry, where its names are given), in the order of the page."""
     from ..control.kinds import BLOCKS, CONTROLLERS, ESTIMATORS
     from ..control.mpc.sqp import QP_SOLVERS
+    from ..judge.costs import COSTS
     from ..muscles.gas import GASES, HEATS, RUBBERS, VOLUMES
     from ..muscles.law import LAWS
-    from ..planning.problem.costs import COSTS
     from ..planning.solvers.solver import SOLVERS
     from ..plants.kinds import (
         DAMPINGS,

@@ -1,15 +1,15 @@
 # Names of pam_ocp.planning, loaded at their first use.
+from ..judge.statement import TIME as TIME
+from ..judge.statement import Avoid as Avoid
+from ..judge.statement import Constraint as Constraint
+from ..judge.statement import Phase as Phase
+from ..judge.statement import Profile as Profile
+from ..judge.statement import Stop as Stop
 from .arcs import Arc as Arc
 from .arcs import Arcs as Arcs
 from .planner import Planner as Planner
 from .planner import plan as plan
-from .problem.problem import TIME as TIME
 from .problem.problem_file import load_problem as load_problem
-from .problem.profile import Profile as Profile
-from .problem.wording import Avoid as Avoid
-from .problem.wording import Constraint as Constraint
-from .problem.wording import Phase as Phase
-from .problem.wording import Stop as Stop
 from .result import Plan as Plan
 from .saved_plan import load_plan as load_plan
 from .studies.front import Pareto as Pareto

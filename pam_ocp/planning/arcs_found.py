@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .problem.problem import TIME, Condition, Leg, Problem
+from ..judge.statement import TIME
+from .problem.problem import Condition, Leg, Problem
 from .transcription.stage import nominals
 
 if TYPE_CHECKING:

@@ -15,9 +15,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..judge.statement import TIME
 from .arcs import FORM
 from .arcs_found import Chains, Section, Touch, limits_of
-from .problem.problem import TIME, Condition, Leg, Problem
+from .problem.problem import Condition, Leg, Problem
 from .transcription.mesh import Interval, Mesh
 from .transcription.solution import Solution
 

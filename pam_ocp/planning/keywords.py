@@ -6,8 +6,8 @@ import difflib
 from collections.abc import Mapping
 from typing import Any
 
+from ..judge.statement import StatementKeywords
 from .arcs import Arcs
-from .problem.statement import StatementKeywords
 from .result import Plan
 from .solvers.backend import SolverName
 from .solvers.solver import Progress

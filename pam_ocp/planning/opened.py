@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.signals import PiecewisePolynomial
+from ..judge.statement import Statement
 from ..plants.inversion import Inversion
 from ..plants.opening import WAYS
 from ..plants.plant import Plant
 from .problem.formulation import formulate
 from .problem.problem import Problem
-from .problem.statement import Statement
 from .result import Solved
 from .run import Run
 from .solvers.backend import Backend

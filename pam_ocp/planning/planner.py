@@ -25,6 +25,7 @@ from ..core.errors import (
 )
 from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, turns, verb
+from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, Stop
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from .arcs import Arcs
@@ -33,8 +34,6 @@ from .climb import Climb
 from .keywords import SEARCH, PlanKeywords, require_known
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
-from .problem.statement import Cyclic, Statement
-from .problem.wording import Avoid, Constraint, Phase, Stop
 from .refine import Refinement
 from .renewal import renewed
 from .result import Plan

@@ -13,13 +13,13 @@ import numpy as np
 
 from ..core.errors import OutOfTime
 from ..core.stop import TimeIsUp, deadline, limited
+from ..judge.costs import COSTS
+from ..judge.statement import Statement
 from .approach import Approach, resolvable
 from .climb import Climb, ladder
 from .correction import Corrected
 from .landing import landed
 from .opened import Opened, guess_in_openings
-from .problem.costs import COSTS
-from .problem.statement import Statement
 from .refine import CLOSER
 from .result import Plan, Solved
 from .run import Run

@@ -128,7 +128,7 @@ def test_names_are_known_whatever_was_imported_first():
     for module, name, expected in (
         ("muscles.law", "LAWS", "thick-wall"),
         ("plants.kinds", "FEEDS", "SpoolValve"),
-        ("planning.problem.costs", "COSTS", "exergy"),
+        ("judge.costs", "COSTS", "exergy"),
         ("planning.solvers.solver", "SOLVERS", "fatrop"),
     ):
         text = textwrap.dedent(code.format(module=module, name=name))

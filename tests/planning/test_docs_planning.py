@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import pam_ocp as pam
-from pam_ocp.planning.problem.costs import COSTS
+from pam_ocp.judge.costs import COSTS
 from pam_ocp.planning.problem.objective import FORMS
 from pam_ocp.planning.problem.problem_file import _READERS
 

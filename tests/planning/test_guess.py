@@ -7,8 +7,8 @@ import pytest
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
 from pam_ocp.core.signals import PiecewisePolynomial
+from pam_ocp.judge.statement import Statement
 from pam_ocp.planning.problem.formulation import formulate
-from pam_ocp.planning.problem.statement import Statement
 from pam_ocp.planning.solvers.narrowing import has_kinks, widened
 from pam_ocp.planning.starts import tasks
 from pam_ocp.planning.transcription.guess import (

@@ -21,8 +21,8 @@ from scipy.integrate import solve_ivp
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, PlanWarning
 from pam_ocp.core.signals import PiecewisePolynomial
+from pam_ocp.judge.statement import Statement
 from pam_ocp.planning.problem.formulation import formulate
-from pam_ocp.planning.problem.statement import Statement
 from pam_ocp.planning.replay import interval_errors, replayed
 from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh
 from pam_ocp.planning.transcription.solution import Solution

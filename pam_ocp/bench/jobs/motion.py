@@ -26,10 +26,10 @@ from ...core.errors import InputError, PlanError
 from ...core.trajectory import Trajectory
 from ...figures.plan import panels_of
 from ...figures.scene import scene_of
+from ...judge.costs import COSTS
+from ...judge.statement import Stop
 from ...planning.active import limits_along
 from ...planning.planner import Planner, plan
-from ...planning.problem.costs import COSTS
-from ...planning.problem.wording import Stop
 from ...planning.result import Plan
 from ...planning.transcription.mesh import Collocation, Method, Shooting
 from ...plants.plant import Plant

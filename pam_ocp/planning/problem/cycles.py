@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ...core.errors import InputError
+from ...judge.statement import Cyclic, Stop
 from ...plants.plant import Plant
 from ...plants.stillness import totals
 from .limits import range_of
 from .problem import Condition
-from .statement import Cyclic
-from .wording import Stop
 
 __all__ = ["closing_states", "not_implied"]
 

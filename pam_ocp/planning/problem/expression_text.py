@@ -10,8 +10,8 @@ from typing import Any
 import casadi as ca
 
 from ...core.errors import InputError, UnknownNameError
+from ...judge.statement import TIME
 from ...plants.plant import Plant
-from .problem import TIME
 
 __all__ = ["expression_of"]
 

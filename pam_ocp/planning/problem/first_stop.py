@@ -10,14 +10,13 @@ import casadi as ca
 
 from ...core.errors import InputError, PlanWarning
 from ...core.plausible import outside
+from ...judge.costs import COSTS
+from ...judge.statement import Statement, Stop, subject
 from ...operating.held import held
 from ...plants.plant import Plant
 from ...plants.stillness import Position, settled_names, totals
 from ..transcription.guess import rest_point
-from .costs import COSTS
 from .problem import Condition, Problem, Range
-from .statement import Statement
-from .wording import Stop, subject
 
 __all__ = ["left_by_the_past", "with_given_pressures"]
 

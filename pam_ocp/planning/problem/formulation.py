@@ -11,16 +11,15 @@ import casadi as ca
 
 from ...core.errors import InputError, require_positive
 from ...core.quantities import is_quantity
+from ...judge.costs import COSTS
+from ...judge.statement import Statement, Stop, subject
 from ...plants.plant import Plant, require_plant
-from .costs import COSTS
 from .cycles import closing_states, not_implied
 from .first_stop import left_by_the_past, with_given_pressures
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
 from .problem import Condition, Leg, Problem, Range
 from .rest_conditions import Holding, at_rest, resting_positions
-from .statement import Statement
-from .wording import Stop, subject
 
 __all__ = ["formulate"]
 

@@ -9,13 +9,19 @@ from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
-from ...core.errors import InputError, require_finite
+from ...core.errors import InputError, require_finite, require_positive
 from ...core.variables import Variable
+from ...judge.statement import (
+    TIME,
+    Avoid,
+    Constraint,
+    Profile,
+    require_expression,
+    subject,
+)
 from ...plants.plant import Plant
 from .objective import Symbols
 from .problem import Condition, Range
-from .profile import Profile
-from .wording import Avoid, Constraint, subject
 
 __all__ = [
     "Limits",
@@ -165,10 +171,49 @@ def range_of(argument: str, value: Any, variable: Variable) -> Range:
 def conditions_of(plant: Plant, given: Sequence[Constraint | Avoid]) -> list[Condition]:
     found: list[Condition] = []
     for constraint in given:
-        if not isinstance(constraint, Constraint | Avoid):
+        if isinstance(constraint, Constraint):
+            found.append(_kept_within(plant, constraint))
+        elif isinstance(constraint, Avoid):
+            found.append(_kept_outside(plant, constraint))
+        else:
             raise InputError(f"constraints: {constraint!r} is neither a Constraint nor an Avoid")
-        found += constraint.conditions(plant)
     return found
+
+
+def _kept_within(plant: Plant, given: Constraint) -> Condition:
+    argument = f"Constraint {given.name!r}"
+    require_expression(plant, argument, given.expression)
+    low, high = (
+        default if value is None else require_finite(argument, value, given.unit)
+        for value, default in ((given.low, -INF), (given.high, INF))
+    )
+    if low > high or (given.low is None and given.high is None):
+        raise InputError(
+            f"{argument}: low = {given.low}, high = {given.high}; give one of them, or both with "
+            "low <= high"
+        )
+    shown = Variable("value", "constraint", unit=given.unit, nominal=given.nominal)
+    return Condition(given.name, given.expression, low, high, given.nominal, shown)
+
+
+def _kept_outside(plant: Plant, given: Avoid) -> Condition:
+    if not given.region:
+        raise InputError("Avoid: the region is empty; give {'x': (centre, half width)}")
+    distance = ca.SX(0)
+    for key, value in given.region.items():
+        if not (isinstance(value, Sequence) and len(value) == 2):
+            raise InputError(f"Avoid: {key} = {value!r}: give (centre, half width)")
+        if key == "time":
+            unit, expression = "s", TIME
+        else:
+            variable, expression = subject(plant, key)
+            unit = variable.unit
+        centre = require_finite(f"Avoid: centre of {key}", value[0], unit)
+        width = require_positive(f"Avoid: half width of {key}", value[1], unit)
+        distance += ((expression - centre) / width) ** 2
+    shown = Variable("distance", "constraint")
+    # the root grows evenly with the distance, so a solver far inside sees a slope of order one
+    return Condition(given.name, ca.sqrt(distance + 1e-12), 1.0, INF, 1.0, shown)
 
 
 def design_ranges(plant: Plant, design: Mapping[str, Any]) -> dict[str, Range]:

@@ -10,19 +10,17 @@ import casadi as ca
 
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.variables import Variable
+from ...judge.costs import COSTS, mechanical_power, muscles_of
+from ...judge.statement import require_expression, subject, times_seconds
 from ...plants.plant import Plant
-from .costs import COSTS, running_cost
 from .problem import Budget, Objective
 from .symbols import Symbols
-from .wording import require_expression, subject, times_seconds
 
 __all__ = ["FORMS", "Symbols", "budget", "follows_inputs", "objective"]
 
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
 
-POWER = 10.0
-"""A typical power of a muscle [W]."""
 FLAT = 1e-5
 """Weight of the squared inputs, in units of their largest values, beside economical terms. These
 are often the same for many motions (a load that is let down takes no work at all): then a solver
@@ -30,76 +28,12 @@ has no way to choose, and wanders. It adds less than 1e-3 of what such objective
 """
 
 
-@running_cost("time", unit="s")
-def _time(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Duration of the whole motion."""
-    return ca.SX(1)
-
-
-@running_cost("effort", unit="s", slower_is_less=True)
-def _effort(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Integral of the squared inputs, in units of their nominals."""
-    return ca.sumsqr(plant.u / plant.vector("input", attribute="nominal"))
-
-
-@running_cost("air", unit="kg", nominal=1e-3, from_supply=True, economical=True)
-def _air(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Air drawn from the supply, of muscles fed by valves."""
-    return _total(plant, "supply_flow", "air")
-
-
-@running_cost("exergy", unit="J", nominal=10.0, from_supply=True, economical=True)
-def _exergy(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Work that the air drawn from the supply could do."""
-    return _total(plant, "exergy_flow", "exergy")
-
-
-def _total(plant: Plant, kind: str, term: str) -> ca.SX:
-    """Sum of the outputs ``<muscle>.<kind>``."""
-    found = [v.name for v in plant.outputs if v.name.endswith(f".{kind}")]
-    if not found:
-        raise InputError(
-            f"{term!r} needs the outputs '<muscle>.{kind}', which plant {plant.name!r} has not; "
-            "feed its muscles by valves (feed=SpoolValve(...)), or give an expression as integrand"
-        )
-    return ca.sum1(ca.vertcat(*(plant.expression(name) for name in found)))
-
-
-@running_cost("work", unit="J", economical=True)
-def _work(plant: Plant, symbols: Symbols) -> ca.SX:
-    """Mechanical work out of the muscles, each counted where its power is positive."""
-    muscles = _muscles(plant)
-    if not muscles:
-        raise InputError(f"'work': plant {plant.name!r} has no muscle with force and contraction")
-    total = ca.SX(0)
-    for name in muscles:
-        variable = Variable(f"{name}.power", "output", unit="W", nominal=POWER)
-        total += symbols.positive(variable, _power(plant, name))
-    return total
-
-
-def _muscles(plant: Plant) -> list[str]:
-    """Names of what has a force and a contraction."""
-    outputs = {v.name for v in plant.outputs}
-    names = [v.name.removesuffix(".force") for v in plant.outputs if v.name.endswith(".force")]
-    return [n for n in names if f"{n}.contraction" in outputs]
-
-
 def follows_inputs(plant: Plant, weights: Mapping[str, float]) -> bool:
     """Whether costs are counted that jump with an input: work of muscles whose pressure it is."""
-    powers = (_power(plant, name) for name in _muscles(plant)) if "work" in weights else ()
-    return any(bool(ca.depends_on(each, plant.u)) for each in powers)
-
-
-def _power(plant: Plant, muscle: str) -> ca.SX:
-    """Mechanical power out of a muscle [W]: its output, or force times speed of shortening."""
-    if any(v.name == f"{muscle}.power" for v in plant.outputs):
-        return plant.expression(f"{muscle}.power")
-    xdot = plant.function(plant.x, plant.u, plant.p)[0]
-    rate = ca.jtimes(plant.expression(f"{muscle}.contraction"), plant.x, xdot)
-    return ca.SX(
-        plant.expression(f"{muscle}.force") * rate * plant.expression(f"{muscle}.rest_length")
+    powers = (
+        (mechanical_power(plant, name) for name in muscles_of(plant)) if "work" in weights else ()
     )
+    return any(bool(ca.depends_on(each, plant.u)) for each in powers)
 
 
 def _running(

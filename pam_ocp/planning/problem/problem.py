@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.variables import Variable
+from ...judge.statement import TIME, Profile
 from ...plants.plant import Plant
-from .profile import Profile
 
 __all__ = [
-    "TIME",
     "Auxiliary",
     "Budget",
     "Condition",
@@ -28,9 +27,6 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 Range: TypeAlias = tuple[float, float]
-
-TIME = ca.SX.sym("time")
-"""Seconds since the motion began, for expressions of a plan's costs and constraints."""
 
 
 @dataclass(frozen=True, eq=False)

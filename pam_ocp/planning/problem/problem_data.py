@@ -14,9 +14,9 @@ import casadi as ca
 
 from ...core.errors import InputError
 from ...core.variables import variable_of
+from ...judge.statement import TIME, Profile
 from ...plants.plant import Plant
-from .problem import TIME, Auxiliary, Budget, Condition, Leg, Objective, Problem
-from .profile import Profile
+from .problem import Auxiliary, Budget, Condition, Leg, Objective, Problem
 
 __all__ = ["data_of", "problem_of"]
 

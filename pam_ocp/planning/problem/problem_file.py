@@ -13,14 +13,13 @@ import casadi as ca
 from ...core.errors import InputError, UnknownNameError
 from ...core.files import read_toml, reading
 from ...core.quantities import known_keys, pair, quantity, table
+from ...judge.statement import Avoid, Constraint, Phase, Profile, Stop, subject
 from ...plants.plant import Plant
 from ...plants.plant_file import plant_of, require_allowed
 from ..arcs import Arcs
 from ..transcription.mesh import Collocation, Shooting
 from .expression_text import expression_of
 from .objective import budget
-from .profile import Profile
-from .wording import Avoid, Constraint, Phase, Stop, subject
 
 __all__ = ["load_problem", "plan_arguments"]
 

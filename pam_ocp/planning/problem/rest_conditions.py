@@ -9,11 +9,11 @@ import casadi as ca
 
 from ...core.errors import InputError
 from ...core.variables import Variable
+from ...judge.statement import Stop, subject, times_seconds
 from ...plants.plant import Plant
 from ...plants.stillness import Position, rate_of, rest_rows
 from .objective import Symbols
 from .problem import Condition, Range
-from .wording import Stop, subject, times_seconds
 
 __all__ = ["Holding", "at_rest", "resting_positions"]
 

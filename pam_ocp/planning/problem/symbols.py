@@ -9,8 +9,8 @@ import casadi as ca
 
 from ...core.errors import require_finite
 from ...core.variables import Variable
+from ...judge.statement import Profile
 from .problem import Auxiliary, Condition
-from .profile import Profile
 
 __all__ = ["Symbols"]
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from ...core.errors import InputError
+from ...judge.statement import Avoid, Constraint, Phase, Stop
 from ...plants.ensemble import Ensemble
-from ..problem.wording import Avoid, Constraint, Phase, Stop
 
 __all__ = ["ensemble_arguments", "ensemble_stop"]
 

@@ -21,11 +21,11 @@ from ...core.progress import counted
 from ...core.shown import shown
 from ...core.stop import TimeIsUp, deadline, verb
 from ...core.variables import Variable
+from ...judge.statement import Stop, subject
 from ...plants.plant import Plant, require_plant
 from ..keywords import PlanKeywords
 from ..planner import Planner
 from ..problem.objective import budget
-from ..problem.wording import Stop, subject
 from ..result import Plan
 from ..transcription.guess import from_solution
 

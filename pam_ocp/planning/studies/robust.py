@@ -24,12 +24,12 @@ from ...core.plausible import outside
 from ...core.progress import counted
 from ...core.stop import TimeIsUp, verb
 from ...core.trajectory import Trajectory
+from ...judge.statement import Stop
 from ...plants.ensemble import Ensemble
 from ...plants.plant import Plant, require_plant
 from ...simulation.simulator import evaluated
 from ..keywords import SolveKeywords
 from ..planner import plan
-from ..problem.wording import Stop
 from ..result import Plan, Solved
 from .ensemble_problem import ensemble_arguments, ensemble_stop
 from .robust_result import RobustPlan, RobustVerdict, Round

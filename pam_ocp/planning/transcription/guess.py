@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, PamError
+from ...judge.statement import subject
 from ...numerics.solvers import nlpsol
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows
 from ..problem.problem import Problem, limits
-from ..problem.wording import subject
 from ..solvers.narrowing import has_roundings
 from .mesh import Mesh
 from .solution import Solution

@@ -1,0 +1,311 @@
+"""The statement of a motion in a user's words: stops, phases, constraints, profiles, keywords.
+
+What a plan is asked for, what a planner reads and what a judge reads, each by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias, TypedDict
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.errors import InputError, require_instance, require_positive
+from ..core.variables import Variable
+from ..operating.held import Memory
+from ..plants.plant import Plant
+
+__all__ = [
+    "TIME",
+    "Avoid",
+    "Constraint",
+    "Cyclic",
+    "Phase",
+    "Profile",
+    "Statement",
+    "StatementKeywords",
+    "Stop",
+    "require_expression",
+    "subject",
+    "times_seconds",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+
+TIME = ca.SX.sym("time")
+"""Seconds since the motion began, for expressions of a plan's costs and constraints."""
+
+Duration: TypeAlias = "float | tuple[float, float] | None"
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A point that the motion visits; a plain mapping is a Stop with all else at its default.
+
+    values : {state, input or output: value, or (low, high) with None for an open end}, SI.
+    rest : all positions have zero velocity and acceleration there (or inputs that would hold them
+        so, where an input sets the acceleration at once); False makes it a via point. None follows
+        the plan's own ``rest``.
+    dwell : how long the motion stays [s], or (shortest, longest); all named values are then held.
+    within : how far they may stray during the dwell, in units of their nominals.
+
+    Examples
+    --------
+    >>> held = pam.Stop({"x": 0.01}, dwell=0.05)
+    >>> stay = pam.plan(slide, [{"x": -0.01}, held, {"x": -0.01}])
+    >>> len(stay.durations)  # the dwell is a leg of its own
+    3
+    """
+
+    values: Mapping[str, Any]
+    rest: bool | None = None
+    dwell: float | tuple[float, float] = 0.0
+    within: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.values, Mapping):
+            raise InputError(f"Stop({self.values!r}): give a mapping, such as Stop({{'x': 0.01}})")
+        ends = self.dwell if isinstance(self.dwell, tuple) else (self.dwell,)
+        dwell = tuple(require_positive("Stop.dwell", v, "s", zero=True) for v in ends)
+        object.__setattr__(self, "dwell", dwell if isinstance(self.dwell, tuple) else dwell[0])
+        require_positive("Stop.within", self.within)
+
+    @property
+    def dwells(self) -> bool:
+        """Whether the motion stays here for a time."""
+        return isinstance(self.dwell, tuple) or self.dwell > 0
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """low <= expression <= high all along, for an expression of one's own.
+
+    expression : of the plant's symbols (``plant.expression(NAME)``) and ``pam_ocp.TIME``.
+    low, high : numbers, None for an open end. nominal : a typical size of the expression.
+
+    Examples
+    --------
+    >>> net = slide.expression("muscle1.force") - slide.expression("muscle2.force")
+    >>> limit = pam.Constraint(net, -300.0, 300.0, name="net force", nominal=100.0, unit="N")
+    >>> gentle = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], constraints=[limit])
+    >>> gentle.duration > plan.duration
+    True
+    """
+
+    expression: ca.SX
+    low: float | None = None
+    high: float | None = None
+    name: str = "constraint"
+    nominal: float = 1.0
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class Avoid:
+    """A forbidden region: an ellipsoid around a point in any states, inputs or outputs.
+
+    region : {name: (centre, half width)}; sum of ((value - centre)/half width)^2 >= 1 all along.
+        "time" may be one of the names: a place that is taken for a while.
+
+    Examples
+    --------
+    >>> fast = pam.Avoid({"x": (0.0, 0.004), "v": (0.6, 0.2)}, name="fast in the middle")
+    >>> slower = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], constraints=[fast])
+    >>> slower.verified, slower.duration > plan.duration
+    (True, True)
+    """
+
+    region: Mapping[str, tuple[float, float]]
+    name: str = "forbidden region"
+
+
+@dataclass(frozen=True)
+class Phase:
+    """What holds on one leg of the motion only, over what holds on all.
+
+    duration : seconds, (shortest, longest), or None for free.
+    bounds : as for :func:`pam_ocp.plan`. constraints : Constraint and Avoid.
+
+    Examples
+    --------
+    >>> slow = pam.Phase(bounds={"v": (-0.2, 0.2)})
+    >>> stops = [{"x": -0.01}, {"x": 0.01}, {"x": -0.01}]
+    >>> there = pam.plan(slide, stops, phases=[slow, None])
+    >>> there.durations[0] > there.durations[1]
+    True
+    """
+
+    duration: Duration = None
+    bounds: Mapping[str, Any] = field(default_factory=dict)
+    constraints: Sequence[Constraint | Avoid] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Values over the time since the motion began: a bound or an aim for :func:`pam_ocp.plan`.
+
+    t : (n,) rising times [s], n >= 2. values : (n,) values in SI.
+    smooth : a cubic spline through the values (n >= 4), two times differentiable, which solvers
+        like; by default straight lines. Before the first and behind the last time the end values
+        are held.
+
+    Raises InputError for times that do not rise, values that are not finite, or lengths that
+    differ.
+
+    Examples
+    --------
+    >>> roof = pam.Profile([0.0, 0.03, 0.2], [0.0, 0.011, 0.011])
+    >>> under = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], bounds={"x": (None, roof)})
+    >>> under.verified
+    True
+    """
+
+    t: Array
+    values: Array
+    smooth: bool = False
+
+    def __init__(self, t: ArrayLike, values: ArrayLike, smooth: bool = False) -> None:
+        times, samples = np.asarray(t, float), np.asarray(values, float)
+        if times.ndim != 1 or times.shape != samples.shape or len(times) < 2:
+            raise InputError(
+                f"Profile: {times.shape} times and {samples.shape} values; give two lists of equal "
+                "length, at least two entries each"
+            )
+        if not (np.all(np.isfinite(samples)) and np.all(np.diff(times) > 0)):
+            raise InputError("Profile: the times must rise and all values be finite")
+        if smooth and len(times) < 4:
+            raise InputError(f"Profile: smooth=True needs at least 4 values, not {len(times)}")
+        for name, value in (("t", times), ("values", samples), ("smooth", bool(smooth))):
+            object.__setattr__(self, name, value)
+
+    def function(self) -> ca.Function:
+        """CasADi function t [s] -> value, for use in a symbolic graph."""
+        kind = "bspline" if self.smooth else "linear"
+        table = ca.interpolant("profile", kind, [self.t.tolist()], self.values.tolist())
+        t = ca.MX.sym("t")
+        held = ca.fmin(ca.fmax(t, self.t[0]), self.t[-1])
+        return ca.Function("profile", [t], [table(held)])
+
+    def __call__(self, t: Any) -> Array:
+        """Values at times [s] (any shape)."""
+        times = np.asarray(t, float)
+        found = np.asarray(self.function()(times.reshape(1, -1)), float)
+        return found.reshape(times.shape)
+
+
+Cyclic: TypeAlias = 'bool | Literal["mirrored"]'
+
+
+class StatementKeywords(TypedDict, total=False):
+    """The keywords of :func:`pam_ocp.plan` that say what is asked of the motion; see there."""
+
+    cyclic: Cyclic
+    duration: Any
+    minimise: str | Mapping[str, float]
+    bounds: Mapping[str, Any] | None
+    rest: bool
+    memory: Memory
+    phases: Sequence[Phase | None] | None
+    constraints: Sequence[Constraint | Avoid]
+    track: Mapping[str, Any] | None
+    budgets: Mapping[str, Any] | None
+    design: Mapping[str, tuple[float, float]] | None
+    integrand: ca.SX | None
+    final: ca.SX | None
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What is asked of a motion: the arguments of :func:`pam_ocp.plan` that say it; see there."""
+
+    stops: Sequence[Mapping[str, Any] | Stop]
+    cyclic: Cyclic = False
+    duration: Any = None
+    minimise: str | Mapping[str, float] = "time"
+    bounds: Mapping[str, Any] | None = None
+    rest: bool = True
+    memory: Memory = "virgin"
+    jumps: bool = True
+    """Whether inputs may jump at the stops."""
+    phases: Sequence[Phase | None] | None = None
+    constraints: Sequence[Constraint | Avoid] = ()
+    track: Mapping[str, Any] | None = None
+    budgets: Mapping[str, Any] | None = None
+    design: Mapping[str, tuple[float, float]] | None = None
+    integrand: ca.SX | None = None
+    final: ca.SX | None = None
+
+    def __post_init__(self) -> None:
+        lists = (list, tuple)
+        shown = 'give a list of mappings, such as [{"x": 0.0}, {"x": 0.02}]'
+        require_instance("stops", self.stops, (*lists, Mapping), shown)
+        require_instance(
+            "minimise", self.minimise, (str, Mapping), "give a term, or {term: weight}"
+        )
+        for argument in ("bounds", "track", "budgets", "design"):
+            value = getattr(self, argument)
+            require_instance(argument, value, Mapping, "give a mapping by name", none=True)
+        require_instance("phases", self.phases, lists, "give a list of Phase or None", none=True)
+        for i, phase in enumerate(self.phases or ()):
+            require_instance(f"phases[{i}]", phase, Phase, "give a Phase or None", none=True)
+        remedy = "give a list of Constraint and Avoid"
+        require_instance("constraints", self.constraints, lists, remedy)
+
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """The terms of the objective by name."""
+        return {self.minimise: 1.0} if isinstance(self.minimise, str) else self.minimise
+
+    @property
+    def inputs_jump(self) -> bool:
+        """Whether inputs may jump: linear ones cannot, and where their rate costs they better do
+        not.
+        """
+        return self.jumps and "rate" not in self.weights
+
+
+def times_seconds(unit: str, power: int = 1) -> str:
+    """The unit of an integral over time (power 1) or of a rate (-1): "N/m" -> "N.s/m",
+    "N/(m.s)".
+    """
+    numerator, _, denominator = unit.partition("/")
+    factors = [f for f in denominator.strip("()").split(".") if f]
+    if power > 0:
+        numerator = "s" if numerator == "1" else f"{numerator}.s"
+    else:
+        factors.append("s")
+    below = ".".join(factors)
+    return f"{numerator}/({below})" if len(factors) > 1 else f"{numerator}/{below}".rstrip("/")
+
+
+def subject(plant: Plant, name: str) -> tuple[Variable, ca.SX]:
+    """The variable and expression behind NAME or der(NAME)."""
+    expression = plant.expression(name)
+    if not name.startswith("der("):
+        return plant.variable(name), expression
+    state = plant.variable(name[4:-1])
+    variable = Variable(
+        f"der_{state.name}",
+        "constraint",
+        unit=times_seconds(state.unit, -1),
+        nominal=10 * state.nominal,
+    )
+    return variable, expression
+
+
+def require_expression(plant: Plant, argument: str, expression: Any) -> None:
+    """InputError unless this is a scalar expression of the plant's symbols and TIME."""
+    if not isinstance(expression, ca.SX) or expression.shape != (1, 1):
+        raise InputError(
+            f"{argument} = {expression!r}: give a scalar CasADi SX expression of the plant"
+        )
+    known = {s.name() for s in ca.symvar(ca.vertcat(plant.x, plant.u, plant.p, TIME))}
+    foreign = {s.name() for s in ca.symvar(expression)} - known
+    if foreign:
+        raise InputError(
+            f"{argument} holds symbols that are not the plant's: {', '.join(sorted(foreign))}; "
+            "build it from plant.expression(NAME)"
+        )
