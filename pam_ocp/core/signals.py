@@ -19,7 +19,7 @@ from .quantities import is_quantity, quantity
 from .system import HasInputs
 from .variables import Causality
 
-__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "joined", "signals"]
+__all__ = ["Inputs", "Interpolation", "PiecewisePolynomial", "joined", "merged", "signals"]
 
 Array: TypeAlias = NDArray[np.float64]
 Interpolation: TypeAlias = Literal["previous", "linear"]

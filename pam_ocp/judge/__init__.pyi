@@ -1,2 +1,7 @@
 # Names of pam_ocp.judge, loaded at their first use.
+from .motion import Finding as Finding
+from .motion import Judgement as Judgement
+from .motion import Motion as Motion
+from .motion import judge as judge
 from .statement import Statement as Statement
+from .verdict import Verdict as Verdict

@@ -5,6 +5,7 @@ from ..judge.statement import Constraint as Constraint
 from ..judge.statement import Phase as Phase
 from ..judge.statement import Profile as Profile
 from ..judge.statement import Stop as Stop
+from ..judge.verdict import Verdict as Verdict
 from .arcs import Arc as Arc
 from .arcs import Arcs as Arcs
 from .planner import Planner as Planner
@@ -19,4 +20,3 @@ from .studies.robust_result import RobustPlan as RobustPlan
 from .studies.spread import Spread as Spread
 from .transcription.mesh import Collocation as Collocation
 from .transcription.mesh import Shooting as Shooting
-from .verdict import Verdict as Verdict

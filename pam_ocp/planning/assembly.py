@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ..judge.motion import judge
+from ..judge.statement import Statement
+from ..judge.verdict import TOLERANCE
 from ..simulation.simulator import evaluated
 from .checked import Checked
 from .climb import Climb
 from .correction import Corrected
 from .refine import Refinement
-from .result import Plan, Solved
+from .result import Plan, Solved, motion_of
 from .solvers.diagnosis import Conflict
 from .transcription.mesh import Mesh
-from .verdict import TOLERANCE
 
 __all__ = ["assembled", "trust"]
 
@@ -22,6 +24,7 @@ BETWEEN = "costs are counted at the points of the mesh, so plan on a finer one"
 
 def assembled(
     found: Solved,
+    statement: Statement,
     figures: Mapping[str, Any],
     check: Checked | None = None,
     meshes: tuple[Mesh, ...] = (),
@@ -46,6 +49,11 @@ def assembled(
         "intervals": len(program.mesh.intervals),
     }
     design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
+    meshes = meshes or (program.mesh,)
+    judgement = None
+    if check:
+        motion = motion_of(samples, meshes[-1], solution.durations)
+        judgement = judge(plant, statement, motion, samples)
     return Plan(
         plant,
         outcome.success,
@@ -55,11 +63,13 @@ def assembled(
         design,
         statistics,
         check.replay if check else None,
-        meshes or (program.mesh,),
+        judgement,
+        meshes,
         outcome.log,
         conflicts,
         tolerance or TOLERANCE,
         samples,
+        statement,
         problem,
         found,
         coarse,

@@ -26,6 +26,7 @@ from ..core.errors import (
 from ..core.plausible import outside
 from ..core.stop import TimeIsUp, deadline, turns, verb
 from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, Stop
+from ..judge.verdict import TOLERANCE
 from ..operating.held import Memory
 from ..plants.plant import Plant, Values
 from .arcs import Arcs
@@ -48,7 +49,6 @@ from .solvers.solver import Progress
 from .starts import MOST
 from .transcription.mesh import Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
-from .verdict import TOLERANCE
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -308,7 +308,7 @@ class Planner:
         if tolerance is not None and guess is not None and starts in (None, 1):
             finer = self._carried(program, guess, tolerance, climb)
             if finer is not None:
-                return self._result(finer, climb, figures, begin, tolerance)
+                return self._result(finer, statement, climb, figures, begin, tolerance)
         search = Search(run, statement, climb, starts, tolerance, figures)
         try:
             found = search.found(guess)
@@ -320,14 +320,14 @@ class Planner:
         figures["iterations"] = outcome.iterations
         if not outcome.success:
             figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
-            failed = assembled(found[0], figures, conflicts=run.conflicts)
+            failed = assembled(found[0], statement, figures, conflicts=run.conflicts)
             words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
             raise PlanError(words, failed)
         settling = Settling(search)
         refinement = settling.brought(found)
         if guess is None:
             refinement = settling.resolved(refinement)
-        return self._result(refinement, climb, figures, begin, tolerance)
+        return self._result(refinement, statement, climb, figures, begin, tolerance)
 
     def _carried(
         self, program: Program, guess: Plan, tolerance: float, climb: Climb
@@ -351,6 +351,7 @@ class Planner:
     def _result(
         self,
         refinement: Refinement,
+        statement: Statement,
         climb: Climb,
         figures: dict[str, Any],
         begin: float,
@@ -366,7 +367,7 @@ class Planner:
         figures |= seconds
         best = refinement.best.explained(tolerance or TOLERANCE)
         meshes, first = tuple(refinement.meshes), refinement.first
-        result = assembled(best.found, figures, best, meshes, first, tolerance)
+        result = assembled(best.found, statement, figures, best, meshes, first, tolerance)
         program = best.found.program
         known = (self._program, *self._finer)
         if best.found.multiplied and not any(program.nlp is each.nlp for each in known):

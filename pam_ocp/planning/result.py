@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,14 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import courtesy
-from ..core.errors import InputError, PlanError
+from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.shown import shown
+from ..core.signals import PiecewisePolynomial
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
+from ..judge.motion import Judgement, Motion
+from ..judge.statement import Statement
+from ..judge.verdict import TOLERANCE, Verdict
 from ..plants.plant import Plant
 from .arcs import Arc
+from .problem.formulation import formulate
 from .problem.problem import Problem
-from .problem.problem_data import data_of, problem_of
+from .problem.statement_data import data_of, statement_of
 from .replay import Replay
 from .solvers import duals
 from .solvers.diagnosis import Conflict
@@ -26,13 +33,12 @@ from .solvers.solver import Ipopt, Outcome
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.transcription import Program
-from .verdict import TOLERANCE, Verdict
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["Plan", "Solved"]
+__all__ = ["Plan", "Solved", "motion_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -49,6 +55,20 @@ class Solved:
     def multiplied(self) -> bool:
         """Whether its multipliers are known: those of a plan by arcs are not."""
         return bool(np.isfinite(self.outcome.lam_g).all())
+
+
+def motion_of(samples: Trajectory, mesh: Mesh, durations: Iterable[float]) -> Motion:
+    """What a plant is driven by: held inputs have one piece for each of their values."""
+    inputs = samples.signals
+    assert inputs is not None  # a plan's inputs are known in between
+    if mesh.form.control == "constant":
+        first = mesh.held()
+        breaks = np.append(inputs.breaks[first], inputs.breaks[-1])
+        inputs = PiecewisePolynomial(breaks, inputs.coefficients[first])
+    variables = [v for v in samples.variables if v.causality == "state"]
+    # a solver may leave the range by rounding
+    start = [np.clip(samples[v.name][0], v.min, v.max) for v in variables]
+    return Motion(np.array(start, float), inputs, tuple(map(float, durations)))
 
 
 @shown
@@ -83,6 +103,9 @@ class Plan:
     statistics: dict[str, Any]
     """iterations, seconds to build and to solve, size of the program."""
     replay: Replay | None
+    """What the planner's own replay says of its mesh, interval by interval."""
+    judgement: Judgement | None
+    """What the judge says of the motion; None of a failed plan."""
     meshes: tuple[Mesh, ...]
     """The mesh of each round of refinement; the last is the plan's."""
     log: tuple[dict[str, float], ...] = field(repr=False)
@@ -94,6 +117,7 @@ class Plan:
     tolerance: float = TOLERANCE
     """What the plan is judged by, in units of nominal."""
     _samples: Trajectory = field(repr=False, default=None)  # type: ignore[assignment]
+    _statement: Statement | None = field(repr=False, default=None)
     _problem: Problem | None = field(repr=False, default=None)
     _solved: Solved | None = field(repr=False, default=None)
     _coarse: Solved | None = field(repr=False, default=None)
@@ -106,12 +130,23 @@ class Plan:
         """Whether the plan can be trusted, with all figures;
         ``print(plan.verdict)`` is a sentence.
         """
-        nan, r = float("nan"), self.replay
-        figures = (r.error, r.state, r.violation, r.constraint) if r else (nan, "", nan, "")
+        nan, j = float("nan"), self.judgement
+        figures = (j.error, j.state, j.violation, j.constraint) if j else (nan, "", nan, "")
         ended = str(self.statistics.get("ended", ""))
-        local = r.local if r else nan
+        local = self.replay.local if self.replay else nan
         corrected = bool(self.statistics.get("corrected", False))
-        return Verdict(self.status, self.solved, *figures, self.tolerance, ended, local, corrected)
+        begins = tuple(f.label for f in j.said if f.by > self.tolerance) if j else ()
+        return Verdict(
+            self.status, self.solved, *figures, self.tolerance, ended, local, corrected, begins
+        )
+
+    @property
+    def motion(self) -> Motion:
+        """What the plant is driven by: start, inputs as they run, durations; what the judge sees.
+
+        Raises PlanError when the plan failed.
+        """
+        return motion_of(self.trajectory, self.meshes[-1], self.durations)
 
     @property
     def verified(self) -> bool:
@@ -152,7 +187,7 @@ class Plan:
     @property
     def replay_error(self) -> float:
         """Largest deviation of the replay from the plan, in units of nominal (NaN when failed)."""
-        return self.replay.error if self.replay else float("nan")
+        return self.judgement.error if self.judgement else float("nan")
 
     def unverified(self) -> Trajectory:
         """What the solver left, whether it is a solution or not."""
@@ -241,18 +276,21 @@ class Plan:
         """Symbols do not travel between processes: the problem goes as data, a copy there knows no
         multipliers."""
         figures = ("costates", "sensitivities", "stop_sensitivities")
-        lost = ("_problem", "_solved", "_coarse", "_multiplied", *figures)
+        lost = ("_problem", "_statement", "_solved", "_coarse", "_multiplied", *figures)
         kept = {k: v for k, v in self.__dict__.items() if k not in lost}
         try:
-            said = data_of(self._problem) if self._problem else None
+            said = data_of(self.plant, self._statement) if self._statement else None
         except InputError:
             said = None
         return {**kept, "_solved": None, "_coarse": None, "conflicts": (), "statement": said}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         said = state.pop("statement")
-        problem = problem_of(state["plant"], said) if said else None
-        self.__dict__.update(state, _problem=problem)
+        statement = statement_of(state["plant"], said) if said else None
+        with warnings.catch_warnings():  # said where the plan was made
+            warnings.simplefilter("ignore", PlanWarning)
+            problem = formulate(state["plant"], statement) if statement else None
+        self.__dict__.update(state, _statement=statement, _problem=problem)
 
     # ---- files and figures ----------------------------------------------------------------------
     def save(self, path: str | Path) -> Path:
@@ -304,10 +342,11 @@ class Plan:
             f"design     {name} = {self.plant.variable(name).shown(value)}"
             for name, value in self.design.items()
         ]
-        if self.replay:
-            worst = f" ({self.replay.constraint})" if self.replay.constraint else ""
+        if self.judgement:
+            judged = self.judgement
+            worst = f" ({judged.constraint})" if judged.constraint else ""
             lines += [
-                f"replay     error {self.replay.error:.2e} of nominal ({self.replay.state})",
-                f"bounds     largest violation {self.replay.violation:.2e} of nominal{worst}",
+                f"replay     error {judged.error:.2e} of nominal ({judged.state})",
+                f"bounds     largest violation {judged.violation:.2e} of nominal{worst}",
             ]
         return "\n".join(lines)

@@ -16,13 +16,15 @@ from ..core.files import read_npz, reading, require_format, write_npz
 from ..core.plausible import outside
 from ..core.signals import PiecewisePolynomial
 from ..core.stop import verb
+from ..judge.motion import judge
 from ..plants.plant import Plant, require_plant
 from ..simulation.simulator import evaluated
 from .correction import CORRECTABLE, left_as
+from .problem.formulation import formulate
 from .problem.problem import Problem
-from .problem.problem_data import data_of, problem_of
+from .problem.statement_data import data_of, statement_of
 from .replay import chosen_plant, explained, interval_errors, replayed
-from .result import Plan
+from .result import Plan, motion_of
 from .transcription.mesh import Form, Interval, Mesh
 from .transcription.solution import Solution, pack
 from .transcription.transcription import Program, transcribe
@@ -31,8 +33,8 @@ __all__ = ["load_plan", "save_plan"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-FORMAT = "pam_ocp plan 2"
-FORMER = "pam_ocp plan 1"
+FORMAT = "pam_ocp plan 3"
+FORMER = ("pam_ocp plan 1", "pam_ocp plan 2")
 AGREE = 1e-5
 """How far what a file says twice may differ, in units of nominal; solvers leave 1e-6 and less."""
 
@@ -44,7 +46,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         raise InputError(f"path = {str(path)!r}: a plan is written as .npz")
     motion = plan.trajectory
     assert motion.signals is not None  # a plan that was solved has them
-    if plan._problem is None:
+    if plan._statement is None:
         raise PlanError(
             "this plan does not know its problem any more; save it where it was made", plan
         )
@@ -54,7 +56,7 @@ def save_plan(plan: Plan, path: str | Path) -> Path:
         "states": motion.named("state"),
         "inputs": motion.named("input"),
         "parameters": {v.name: v.start for v in plan.plant.parameters},
-        "problem": data_of(plan._problem),
+        "statement": data_of(plan.plant, plan._statement),
         "status": plan.status,
         "objective": plan.objective,
         "durations": plan.durations,
@@ -113,7 +115,10 @@ def load_plan(path: str | Path, plant: Plant) -> Plan:
 def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant: Plant) -> Plan:
     _require_same_names(path, meta, plant)
     plant = plant.with_values(meta["parameters"])
-    problem = problem_of(plant, meta["problem"])
+    statement = statement_of(plant, meta["statement"])
+    with warnings.catch_warnings():  # said where the plan was made
+        warnings.simplefilter("ignore", PlanWarning)
+        problem = formulate(plant, statement)
     meshes = tuple(_mesh(m) for m in meta["meshes"])
     mesh = meshes[-1]
     solution = Solution(
@@ -135,6 +140,7 @@ def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant
     samples = evaluated(plant, solution.t, solution.states, solution.inputs)
     tolerance = float(meta["tolerance"])
     replay = replayed(problem, plant, mesh, samples, solution)
+    motion = motion_of(samples, mesh, solution.durations)
     return Plan(
         plant,
         True,
@@ -144,11 +150,13 @@ def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant
         {n: float(v) for n, v in zip(problem.design, solution.design, strict=True)},
         dict(meta["statistics"]),
         explained(replay, plant, mesh, solution, tolerance),
+        judge(plant, statement, motion, samples),
         meshes,
         tuple(meta["log"]),
         (),
         tolerance,
         samples,
+        statement,
         problem,
         None,
         None,
@@ -268,10 +276,10 @@ def _require_solution(path: str, program: Program, solution: Solution, objective
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """(meta data, arrays) of a file."""
     meta, arrays = read_npz(path, "a plan file")
-    if meta.get("format") == FORMER:
+    if meta.get("format") in FORMER:
         raise InputError(
-            f"{path} was written by a former version, which did not keep what was asked for; plan "
-            "anew"
+            f"{path} was written by a former version, which did not keep what was asked for in "
+            "words that can be judged; plan anew"
         )
     remedy = f"save one of this version ({FORMAT}) by plan.save(...)"
     return require_format(path, meta, "a plan file", FORMAT, remedy), arrays

@@ -58,6 +58,8 @@ class Verdict:
     them (iterated defect correction, where kinks are resolved slowly): then the motion is the
     plant's, on a mesh that would not resolve it, and is optimal as that mesh knows the plant.
     """
+    begins: tuple[str, ...] = ()
+    """What differs from rest at the start because the statement says so."""
 
     @property
     def verified(self) -> bool:
@@ -99,10 +101,12 @@ class Verdict:
             return f"not verified: {' and '.join(failed)}"
         if failed:
             return f"not verified: {' and '.join(failed)}, more than {within}{self._growing()}"
-        mesh = "; the mesh's defects were corrected" if self.corrected else ""
+        more = "; the mesh's defects were corrected" if self.corrected else ""
+        if self.begins:
+            more += f"; it does not begin at rest, as was said ({', '.join(self.begins)})"
         return (
             f"verified: its replay agrees to {self.error:.1e} of nominal and keeps all limits to "
-            f"{self.violation:.1e}, within {within}{mesh}"
+            f"{self.violation:.1e}, within {within}{more}"
         )
 
     def _growing(self) -> str:

@@ -1,0 +1,350 @@
+"""What a statement asks of a motion, read from its words alone: points, limits, sums.
+
+A planner reads the same words into conditions of its own; nothing of that is seen here, so that
+what one of them overlooks the other names.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+from ..core.errors import InputError, UnknownNameError, require_finite
+from ..core.variables import Variable
+from ..plants.plant import Plant
+from .costs import COSTS
+from .statement import (
+    TIME,
+    Avoid,
+    Constraint,
+    Phase,
+    Profile,
+    Statement,
+    Stop,
+    require_expression,
+    subject,
+    times_seconds,
+)
+
+__all__ = ["Asked", "Goal", "Limit", "Point", "Span", "Sum", "asked", "unit_of_sum"]
+
+INF = math.inf
+End: TypeAlias = "float | Profile"
+_FORM = re.compile(r"(integral|square|final|peak)\((.+)\)$")
+
+
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """low <= expression <= high; an end may be a Profile over time."""
+
+    label: str
+    expression: ca.SX
+    low: End
+    high: End
+    nominal: float
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A stop at its time [s]."""
+
+    time: float
+    label: str
+    stop: Stop
+    rest: bool
+    limits: tuple[Limit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """What is limited from one time to another [s]."""
+
+    begin: float
+    end: float
+    limits: tuple[Limit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sum:
+    """low <= integral of the integrand over the motion <= high."""
+
+    label: str
+    integrand: ca.SX
+    low: float
+    high: float
+    nominal: float
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """The objective: ``time`` T + integral + final + peaks + ``rate`` times that of the inputs."""
+
+    time: float
+    rate: float
+    integrand: ca.SX
+    final: ca.SX
+    peaks: tuple[tuple[float, ca.SX], ...]
+    tracked: tuple[tuple[float, ca.SX, End], ...]
+    """(weight, value in nominals, aim in nominals or Profile over nominal 1)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A statement, read for a motion whose legs take given times."""
+
+    points: tuple[Point, ...]
+    spans: tuple[Span, ...]
+    sums: tuple[Sum, ...]
+    goal: Goal
+    times: dict[str, tuple[float, float, float]]
+    """{leg: (its duration, shortest, longest)} [s]."""
+    design: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+
+class _AsItIs:
+    """Running costs with max(., 0) as it stands."""
+
+    def positive(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        return ca.fmax(expression, 0)
+
+
+def asked(plant: Plant, statement: Statement, durations: Sequence[float]) -> Asked:
+    """What is asked of a motion of this plant.
+
+    durations : of each leg, dwells among them [s].
+
+    Raises InputError where the words mean nothing for this plant, or the motion has other legs.
+    """
+    stops = [s if isinstance(s, Stop) else Stop(s) for s in statement.stops]
+    route = [(f"stop {i}", stop) for i, stop in enumerate(stops, start=1)]
+    if statement.cyclic is True:
+        route.append(route[0])
+    points, legs = _laid_out(plant, statement, route, durations)
+    common = _limits(plant, statement.bounds or {}, statement.constraints, _own(plant))
+    phases = list(statement.phases or [None] * (len(route) - 1))
+    lengths = statement.duration
+    each = lengths if isinstance(lengths, list) else [lengths] * (len(route) - 1)
+    spans, times = [], {}
+    for begin, end, leg, held in legs:
+        phase = None if held else phases[leg]
+        limits = common
+        if isinstance(phase, Phase):
+            limits = _limits(plant, phase.bounds, phase.constraints, common)
+        spans.append(Span(begin, end, (*limits.values(), *held)))
+        wanted = each[leg] if not held else None
+        wanted = phase.duration if phase is not None and phase.duration is not None else wanted
+        if wanted is not None:
+            low, high = wanted if isinstance(wanted, tuple) else (wanted, wanted)
+            low, high = (require_finite("duration", v, "s") for v in (low, high))
+            times[f"duration of leg {leg + 1}"] = (end - begin, low, high)
+    sums = tuple(s for t, v in (statement.budgets or {}).items() for s in [_sum(plant, t, v)])
+    design = {
+        plant.variable(n).name: _ends(plant.variable(n), f"design[{n!r}]", v)
+        for n, v in (statement.design or {}).items()
+    }
+    goal = _goal(plant, statement)
+    return Asked(tuple(points), tuple(spans), sums, goal, times, design)  # type: ignore[arg-type]
+
+
+_Leg: TypeAlias = "tuple[float, float, int, tuple[Limit, ...]]"
+
+
+def _laid_out(
+    plant: Plant,
+    statement: Statement,
+    route: Sequence[tuple[str, Stop]],
+    durations: Sequence[float],
+) -> tuple[list[Point], list[_Leg]]:
+    """(points, legs (begin, end, number among motions, what a dwell holds)) in time."""
+    points, legs, now, rest = [], [], 0.0, iter(durations)
+    try:
+        for i, (label, stop) in enumerate(route):
+            still = statement.rest if stop.rest is None else stop.rest
+            named = tuple(_named(plant, label, stop))
+            points.append(Point(now, label, stop, still, named))
+            last = i == len(route) - 1
+            if stop.dwells and not (statement.cyclic is True and last):
+                then = now + next(rest)
+                margins = (stop.within * limit.nominal for limit in named)
+                held = tuple(
+                    replace(c, label=f"dwell at {c.label}", low=c.low - m, high=c.high + m)  # type: ignore[operator]
+                    for c, m in zip(named, margins, strict=True)
+                )
+                legs.append((now, then, min(i, len(route) - 2), held))
+                now = then
+                points.append(Point(now, label, stop, still, named))
+            if not last:
+                then = now + next(rest)
+                legs.append((now, then, i, ()))
+                now = then
+    except StopIteration:
+        rest = iter([None])  # type: ignore[list-item]
+    if next(rest, None) is not None or now == 0.0 or len(legs) != len(durations):
+        raise InputError(
+            f"durations: {len(durations)} legs for {len(route)} stops; give one for each motion "
+            "between two stops, and one for each dwell"
+        )
+    return points, legs
+
+
+def _named(plant: Plant, label: str, stop: Stop) -> Iterator[Limit]:
+    for name, value in stop.values.items():
+        variable, expression = subject(plant, name)
+        low, high = _ends(variable, f"{label}: {name}", value)
+        yield Limit(f"{label}: {name}", expression, low, high, variable.nominal)
+
+
+# ---- limits -----------------------------------------------------------------------------------
+def _own(plant: Plant) -> dict[str, Limit]:
+    """The plant's own: ranges of states and inputs, path constraints."""
+    found = {}
+    for v in (*plant.states, *plant.inputs, *plant.constraints):
+        low, high = (float(v.start or 0.0),) * 2 if v.disturbance else (v.min, v.max)
+        found[v.name] = Limit(v.name, plant.expression(v.name), low, high, v.nominal)
+    return found
+
+
+def _limits(
+    plant: Plant,
+    bounds: Mapping[str, Any],
+    constraints: Sequence[Constraint | Avoid],
+    common: Mapping[str, Limit],
+) -> dict[str, Limit]:
+    """Limits by name, narrowed by a user's bounds and constraints."""
+    found = dict(common)
+    for name, value in bounds.items():
+        variable, expression = subject(plant, name)
+        key = name if name.startswith("der(") else variable.name
+        low, high = _ends(variable, f"bounds[{name!r}]", value)
+        if variable.disturbance:
+            found[key] = Limit(key, expression, low, high, variable.nominal)
+            continue
+        ends: tuple[tuple[End, End, str], ...] = ((low, INF, "above"), (-INF, high, "below"))
+        for least, most, side in ends:
+            old = found.get(key)
+            changing = isinstance(least, Profile) or isinstance(most, Profile)
+            name = f"{key} {side} its profile" if changing else key
+            if changing or old is None:
+                found[name] = Limit(name, expression, least, most, variable.nominal)
+            else:
+                least, most = max(least, old.low), min(most, old.high)  # type: ignore[type-var]
+                found[name] = replace(old, low=least, high=most)
+    for i, given in enumerate(constraints):
+        limit = _region(plant, given) if isinstance(given, Avoid) else _constraint(plant, given)
+        found[f"{len(found)}.{i} {limit.label}"] = limit
+    return found
+
+
+def _constraint(plant: Plant, given: Constraint) -> Limit:
+    argument = f"Constraint {given.name!r}"
+    require_expression(plant, argument, given.expression)
+    low, high = (
+        default if v is None else require_finite(argument, v, given.unit)
+        for v, default in ((given.low, -INF), (given.high, INF))
+    )
+    return Limit(given.name, given.expression, low, high, given.nominal)
+
+
+def _region(plant: Plant, given: Avoid) -> Limit:
+    """Outside of an ellipsoid: the distance from its centre in half widths is one or more."""
+    squares = ca.SX(0)
+    for name, (centre, width) in given.region.items():
+        unit, expression = (
+            ("s", TIME) if name == "time" else ((pair := subject(plant, name))[0].unit, pair[1])
+        )
+        middle, half = (require_finite(f"Avoid: {name}", v, unit) for v in (centre, width))
+        squares += ((expression - middle) / half) ** 2
+    return Limit(given.name, ca.sqrt(squares), 1.0, INF, 1.0)
+
+
+def _ends(variable: Variable, argument: str, value: Any) -> tuple[End, End]:
+    """(low, high) from a value, a pair with None for an open end, or a Profile."""
+    if isinstance(value, Profile):
+        return value, value
+    pair = isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 2
+    given = value if pair else (value, value)
+    low, high = (
+        v if isinstance(v, Profile) else default if v is None else _number(variable, argument, v)
+        for v, default in zip(given, (-INF, INF), strict=True)
+    )
+    return low, high
+
+
+def _number(variable: Variable, argument: str, value: Any) -> float:
+    if isinstance(value, float | int) and math.isinf(value):
+        return float(value)
+    return require_finite(argument, value, variable.unit)
+
+
+# ---- sums -------------------------------------------------------------------------------------
+def _running(plant: Plant, term: str) -> tuple[ca.SX, float, str]:
+    """(integrand in SI, nominal and unit of its integral) of a running term."""
+    if term in COSTS:
+        total = COSTS[term].total
+        return COSTS[term].expression(plant, _AsItIs()), total.nominal, total.unit
+    form = _FORM.match(term)
+    if not form or form[1] not in ("integral", "square"):
+        raise UnknownNameError(
+            "objective", term, (*COSTS, "rate", "integral(NAME)", "square(NAME)")
+        )
+    variable, expression = subject(plant, form[2])
+    if form[1] == "square":
+        return (expression / variable.nominal) ** 2, 1.0, "s"
+    return expression, variable.nominal, times_seconds(variable.unit)
+
+
+def unit_of_sum(plant: Plant, term: str) -> str:
+    """The unit of the integral of a running term."""
+    return _running(plant, term)[2]
+
+
+def _sum(plant: Plant, term: str, value: Any) -> Sum:
+    integrand, nominal, unit = _running(plant, term)
+    least, most = value if isinstance(value, tuple | list) else (None, value)
+    low, high = (
+        default if v is None else require_finite(f"budgets[{term!r}]", v, unit)
+        for v, default in ((least, -INF), (most, INF))
+    )
+    return Sum(f"budget of {term}", integrand, low, high, nominal)
+
+
+def _goal(plant: Plant, statement: Statement) -> Goal:
+    integrand, final = ca.SX(0), ca.SX(0)
+    peaks, tracked = [], []
+    for term, weight in statement.weights.items():
+        form = _FORM.match(term)
+        if form and form[1] in ("final", "peak"):
+            variable, expression = subject(plant, form[2])
+            if form[1] == "final":
+                final += weight * expression / variable.nominal
+            elif weight:
+                peaks.append((float(weight), expression / variable.nominal))
+        elif term not in ("time", "rate"):
+            value, nominal, _ = _running(plant, term)
+            integrand += weight * value / nominal
+    for name, wanted in (statement.track or {}).items():
+        variable = plant.variable(name)
+        aim, weight = wanted if isinstance(wanted, tuple) else (wanted, 1.0)
+        value = plant.expression(variable.name) / variable.nominal
+        if not isinstance(aim, Profile):
+            aim = require_finite(f"track[{name!r}]", aim, variable.unit) / variable.nominal
+            integrand += weight * (value - aim) ** 2
+        else:
+            scaled = Profile(aim.t, aim.values / variable.nominal, aim.smooth)
+            tracked.append((float(weight), value, scaled))
+    integrand += 0 if statement.integrand is None else statement.integrand
+    final += 0 if statement.final is None else statement.final
+    weights = statement.weights
+    return Goal(
+        float(weights.get("time", 0.0)),
+        float(weights.get("rate", 0.0)),
+        integrand,
+        final,
+        tuple(peaks),
+        tuple(tracked),
+    )

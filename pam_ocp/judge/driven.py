@@ -1,0 +1,150 @@
+"""A plant driven by given inputs: integrated tightly, looked at densely, on both sides of jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import SimulationError
+from ..core.signals import PiecewisePolynomial, merged
+from ..core.trajectory import Trajectory
+from ..plants.plant import Plant
+from ..simulation.integrate import Integration
+from ..simulation.simulator import evaluated, simulate
+from .statement import TIME
+
+__all__ = ["Driven", "driven"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+TOLERANCE = 1e-11
+"""Of the integrator, relative to states and their nominals."""
+PARTS = 100
+"""Parts of a motion, at least, each with the points of Lobatto's rule."""
+LEAST = 2
+"""Parts of a piece of the inputs, at least."""
+_TAUS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
+_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
+"""Lobatto's rule with five points, exact to degree 7."""
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """A motion in cells between jumps; the points of a cell hold its ends, seen from inside.
+
+    t : (cells, 5) times [s]. x : (nx, cells, 5) states. u, slope : (nu, cells, 5) inputs, and their
+        rates.
+    """
+
+    plant: Plant
+    trajectory: Trajectory
+    t: Array
+    x: Array
+    u: Array
+    slope: Array
+
+    @cached_property
+    def _arguments(self) -> list[ca.SX]:
+        return [self.plant.x, self.plant.u, self.plant.p, TIME]
+
+    def values(self, expressions: Sequence[ca.SX]) -> Array:
+        """(expressions, cells, 5) values of expressions of the plant's symbols and TIME."""
+        if not expressions:
+            return np.zeros((0, *self.t.shape))
+        column = ca.densify(ca.vertcat(*expressions))
+        function = ca.Function("along", self._arguments, [column])
+        p = self.plant.vector("parameter")
+        flat = (self.x.reshape(len(self.x), -1), self.u.reshape(len(self.u), -1))
+        found = np.asarray(function(*flat, p, self.t.reshape(1, -1)), float)
+        return found.reshape(len(expressions), *self.t.shape)
+
+    def integral(self, integrands: Sequence[ca.SX]) -> Array:
+        """(integrands,) over the whole motion."""
+        return self.summed(self.values(integrands))
+
+    def summed(self, values: Array) -> Array:
+        """(n,) integrals of values (n, cells, 5)."""
+        h = self.t[:, -1] - self.t[:, 0]
+        return np.asarray(np.einsum("nck,k,c->n", values, _WEIGHTS, h))
+
+    def sides(self, time: float) -> list[tuple[Array, Array, Array]]:
+        """(states, inputs, their rates) at the ends of the cells that meet at a time."""
+        near = 1e-9 * max(float(self.t[-1, -1]), 1e-9)
+        found = []
+        for place in (-1, 0):
+            for cell in np.flatnonzero(np.abs(self.t[:, place] - time) <= near):
+                at = (slice(None), cell, place)
+                found.append((self.x[at], self.u[at], self.slope[at]))
+        return found
+
+
+def driven(
+    plant: Plant,
+    start: Array,
+    inputs: PiecewisePolynomial,
+    times: Sequence[float],
+    further: Array | None = None,
+) -> tuple[Driven, Array]:
+    """Integrate a plant from ``start`` under ``inputs``; ``times`` [s] stand among the ends of
+    cells, the first and the last are those of the motion. And its states at ``further`` times.
+
+    Raises SimulationError (with the time reached) where the integrator gives up.
+    """
+    begin, end = times[0], times[-1]
+    inside = inputs.breaks[(inputs.breaks > begin) & (inputs.breaks < end)]
+    near = 1e-9 * (end - begin)
+    ends = _apart(np.sort(np.concatenate([times, inside])), near)
+    cells = []
+    for left, right in pairwise(ends):
+        count = max(LEAST, int(np.ceil(PARTS * (right - left) / (end - begin))))
+        cells += list(pairwise(np.linspace(left, right, count + 1)))
+    edges = np.array(cells)
+    t = edges[:, :1] + (edges[:, 1:] - edges[:, :1]) * _TAUS
+    every = np.append(t[:, :-1].ravel(), end)
+    asked = np.zeros(0) if further is None else np.clip(further, begin, end)
+    both = merged(np.concatenate([every, asked]))
+    run = Integration.over(plant, inputs, both, np.asarray(start, float), rtol=TOLERANCE)
+    states = run()
+    if states is None:
+        names = [v.name for v in plant.states]
+        at = dict(zip(names, np.asarray(start, float), strict=True))
+        simulate(plant, inputs, t=every, rtol=TOLERANCE, start=at)
+        raise SimulationError("the integrator gave up", float(begin), None)
+    beside = run.at(asked, states)
+    states = run.at(every, states)
+    trajectory = evaluated(plant, every, states, inputs)
+    x = np.concatenate(
+        [states[:-1].reshape(len(t), -1, states.shape[1]), states[4::4, None]], axis=1
+    )
+    u, slope = _inputs(inputs, t)
+    return Driven(plant, trajectory, t, x.transpose(2, 0, 1), u, slope), beside
+
+
+def _apart(times: Array, near: float) -> Array:
+    """Rising times, without those that another one stands for."""
+    kept = [float(times[0])]
+    for time in times[1:]:
+        if time - kept[-1] > near:
+            kept.append(float(time))
+    kept[-1] = float(times[-1])
+    return np.array(kept)
+
+
+def _inputs(inputs: PiecewisePolynomial, t: Array) -> tuple[Array, Array]:
+    """(values, rates) (nu, cells, 5) of each cell's own piece of the inputs."""
+    middle = np.clip(t.mean(axis=1), inputs.breaks[0], inputs.breaks[-1])
+    piece = np.clip(np.searchsorted(inputs.breaks, middle, side="right") - 1, 0, None)
+    piece = np.minimum(piece, len(inputs.breaks) - 2)
+    since = (t - inputs.breaks[piece][:, None])[..., None]
+    powers = np.arange(inputs.degree + 1)
+    c = inputs.coefficients[piece]
+    values = np.einsum("cpj,cji->icp", since**powers, c)
+    rates = np.einsum("cpj,cji->icp", powers[1:] * since ** (powers[1:] - 1), c[:, 1:])
+    return values, rates

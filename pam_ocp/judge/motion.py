@@ -1,0 +1,272 @@
+"""The judge of a planned motion: it drives the plant by the planned inputs, and looks at what the
+statement asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import SimulationError
+from ..core.signals import PiecewisePolynomial
+from ..core.stop import verb
+from ..core.trajectory import Trajectory
+from ..plants.plant import Plant, require_plant
+from ..plants.stillness import totals
+from .asked import Asked, Goal, Limit, Span, asked
+from .driven import Driven, driven
+from .rest import begun, rest_at, rows_of
+from .statement import Profile, Statement
+
+__all__ = ["Finding", "Judgement", "Motion", "judge"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a plant is driven by. start : (nx,) states; inputs : over the whole motion, from time 0;
+    durations : of each leg between two stops, dwells among them [s].
+
+    Examples
+    --------
+    >>> own = plan.motion
+    >>> len(own.durations), own.start.shape
+    (1, (4,))
+    """
+
+    start: Array
+    inputs: PiecewisePolynomial
+    durations: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something asked for that the motion does not keep. by : in units of nominal."""
+
+    label: str
+    by: float
+    said: bool = False
+    """Whether the statement itself says so: then it is told, and counts for nothing."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a tight integration of the inputs says of all that was asked for."""
+
+    findings: tuple[Finding, ...]
+    """What is not kept, the worst first."""
+    objective: float
+    """Of the motion, in the statement's words."""
+    trajectory: Trajectory | None = field(repr=False)
+    stopped: str = ""
+    """Where the integration could not go on."""
+    error: float = float("nan")
+    """Largest deviation of a state from the motion that was claimed, in units of nominal."""
+    state: str = ""
+    """The state that deviates most."""
+
+    @property
+    def violation(self) -> float:
+        """The worst that counts, in units of nominal."""
+        return float("inf") if self.stopped else max((f.by for f in self._counted), default=0.0)
+
+    @property
+    def constraint(self) -> str:
+        """What is violated most ("" when nothing is)."""
+        if self.stopped:
+            return self.stopped
+        worst = max(self._counted, key=lambda f: f.by, default=None)
+        return worst.label if worst else ""
+
+    @property
+    def said(self) -> tuple[Finding, ...]:
+        """What differs from rest at the start because the statement says so."""
+        return tuple(f for f in self.findings if f.said)
+
+    @property
+    def _counted(self) -> list[Finding]:
+        return [f for f in self.findings if not f.said]
+
+
+@verb
+def judge(
+    plant: Plant, statement: Statement, motion: Motion, claimed: Trajectory | None = None
+) -> Judgement:
+    """Drive a plant by a motion's inputs, and look at all that the statement asks for.
+
+    Stops (values; rates and accelerations of all positions), the start (a state that the plant
+    comes to and keeps while its inputs are held), ranges, bounds, constraints and forbidden regions
+    between all points and on both sides of jumps, durations, the closing of a cycle, budgets, the
+    objective.
+
+    statement : stops and keywords as :func:`pam_ocp.plan` takes them.
+    claimed : states that the motion is said to run through.
+
+    Raises InputError where the statement means nothing for the plant or the motion has other legs.
+
+    Examples
+    --------
+    >>> from pam_ocp.judge import Statement, judge
+    >>> found = judge(slide, Statement([{"x": -0.01}, {"x": 0.01}]), plan.motion)
+    >>> found.violation < 1e-3
+    True
+    """
+    require_plant(plant)
+    wanted = asked(plant, statement, motion.durations)
+    times = [point.time for point in wanted.points]
+    try:
+        further = None if claimed is None else claimed.t
+        run, states = driven(plant, motion.start, motion.inputs, times, further)
+    except SimulationError as error:
+        part = error.trajectory
+        words = f"the integration of its inputs stops at t = {error.time:g} s"
+        return Judgement((), float("nan"), part, words, float("inf"), words)
+    found = [Finding(label, by) for label, by in _kept(run, wanted)]
+    found += [Finding(label, by) for label, by in _stops(run, statement, wanted)]
+    found += [Finding(label, by) for label, by in _closed(run, statement)]
+    found += _start(run, statement, wanted)
+    ordered = sorted((f for f in found if not f.by <= 0.0), key=lambda f: -f.by)
+    objective = _objective(run, wanted.goal, motion.inputs)
+    deviation = _deviation(run, states, claimed)
+    return Judgement(tuple(ordered), objective, run.trajectory, "", *deviation)
+
+
+def _deviation(run: Driven, states: Array, claimed: Trajectory | None) -> tuple[float, str]:
+    """(largest deviation of the motion from the claimed one in nominals, of which state)."""
+    if claimed is None:
+        return float("nan"), ""
+    names = [v.name for v in run.plant.states]
+    nominal = run.plant.vector("state", attribute="nominal")
+    worst = np.max(np.abs(states - claimed.array(names)) / nominal, axis=0)
+    i = int(np.argmax(worst))
+    return float(worst[i]), names[i]
+
+
+def _kept(run: Driven, wanted: Asked) -> Iterator[tuple[str, float]]:
+    """Limits along the motion, budgets, durations, design."""
+    for span in wanted.spans:
+        yield from _along(run, span)
+    if wanted.sums:
+        spent = run.integral([s.integrand for s in wanted.sums])
+        for each, value in zip(wanted.sums, spent, strict=True):
+            yield each.label, _excess(value, each.low, each.high) / each.nominal
+    for label, (value, low, high) in wanted.times.items():
+        yield label, _excess(value, low, high) / max(high, 1e-3)
+    for name, (low, high) in wanted.design.items():
+        variable = run.plant.variable(name)
+        by = _excess(float(variable.start or 0.0), low, high)
+        yield f"design: {name}", by / variable.nominal
+
+
+def _along(run: Driven, span: Span) -> Iterator[tuple[str, float]]:
+    """What is limited from one stop to the next, at all points of the cells between."""
+    middle = run.t.mean(axis=1)
+    own = (middle > span.begin) & (middle < span.end)
+    values = run.values([limit.expression for limit in span.limits])[:, own]
+    t = run.t[own]
+    for limit, value in zip(span.limits, values, strict=True):
+        low, high = (e(t) if isinstance(e, Profile) else e for e in (limit.low, limit.high))
+        yield limit.label, _excess(value, low, high) / limit.nominal
+
+
+def _excess(value: Array | float, low: Array | float, high: Array | float) -> float:
+    """By how much a value is outside, at most; infinite where it is no number."""
+    beyond = np.maximum(np.maximum(low - value, value - high), 0.0)
+    worst = float(np.max(beyond, initial=0.0))
+    return float("inf") if np.isnan(worst) else worst
+
+
+def _stops(run: Driven, statement: Statement, wanted: Asked) -> Iterator[tuple[str, float]]:
+    """Values at the stops, and rest there."""
+    for point, span in zip(wanted.points, (*wanted.spans, wanted.spans[-1]), strict=False):
+        sides = run.sides(point.time)
+        plant, p = run.plant, run.plant.vector("parameter")
+        column = ca.vertcat(*(limit.expression for limit in point.limits))
+        function = ca.Function("stop", [plant.x, plant.u, plant.p], [column])
+        for x, u, _ in sides[-1:]:
+            values = np.asarray(function(x, u, p), float).ravel()
+            for limit, value in zip(point.limits, values, strict=True):
+                yield limit.label, _at(limit, value, point.time)
+        if point.rest:
+            names = {_key(plant, n) for n in point.stop.values}
+            rows = rows_of(plant, wanted.points, dict.fromkeys(names))
+            yield from rest_at(run, point, rows, _inputs_and_path(run, span))
+
+
+def _key(plant: Plant, name: str) -> str:
+    return name if name.startswith("der(") else plant.variable(name).name
+
+
+def _at(limit: Limit, value: float, time: float) -> float:
+    low, high = (float(e(time)) if isinstance(e, Profile) else e for e in (limit.low, limit.high))
+    return _excess(value, low, high) / limit.nominal
+
+
+def _inputs_and_path(run: Driven, span: Span) -> list[Limit]:
+    """What admissible inputs keep: their own ranges, and what depends on them."""
+    return [c for c in span.limits if ca.depends_on(c.expression, run.plant.u)]
+
+
+def _closed(run: Driven, statement: Statement) -> Iterator[tuple[str, float]]:
+    """A cycle ends where it began, or in its mirror image."""
+    if not statement.cyclic:
+        return
+    plant = run.plant
+    names = [v.name for v in plant.states]
+    mirror = (plant.mirror_map or {}) if statement.cyclic == "mirrored" else {}
+    first, last = run.x[:, 0, 0], run.x[:, -1, -1]
+    for i, variable in enumerate(plant.states):
+        if variable.name in totals(plant):
+            continue
+        sign, image = mirror.get(variable.name, (1.0, variable.name))
+        gap = abs(float(last[i] - sign * first[names.index(image)]))
+        yield f"closing of the cycle: {variable.name}", gap / variable.nominal
+
+
+def _start(run: Driven, statement: Statement, wanted: Asked) -> list[Finding]:
+    """What the plant had not come to before the motion."""
+    if statement.cyclic:
+        return []
+    first = wanted.points[0]
+    limits = _inputs_and_path(run, wanted.spans[0])
+    found = begun(run, first, statement.memory, limits)
+    return [Finding(label, by, said or not first.rest) for label, by, said in found]
+
+
+# ---- the objective ------------------------------------------------------------------------------
+def _objective(run: Driven, goal: Goal, inputs: PiecewisePolynomial) -> float:
+    total = goal.time * float(run.t[-1, -1] - run.t[0, 0])
+    if not goal.integrand.is_zero():
+        total += float(run.integral([goal.integrand])[0])
+    if not goal.final.is_zero():
+        total += float(run.values([goal.final])[0, -1, -1])
+    for weight, value in goal.peaks:
+        total += weight * float(np.max(run.values([value])))
+    for weight, value, aim in goal.tracked:
+        wanted = aim(run.t) if isinstance(aim, Profile) else aim
+        total += weight * float(run.summed((run.values([value]) - wanted) ** 2)[0])
+    return total + goal.rate * _rate(run.plant, inputs) if goal.rate else total
+
+
+def _rate(plant: Plant, inputs: PiecewisePolynomial) -> float:
+    """Integral of the squared rate of the inputs in nominals; of held ones, that of the lines that
+    join the middles of their pieces.
+    """
+    nominal = plant.vector("input", attribute="nominal")
+    h = np.diff(inputs.breaks)
+    c = inputs.coefficients / nominal
+    if inputs.degree == 0:
+        jumps = np.sum(np.diff(c[:, 0], axis=0) ** 2, axis=1)
+        return float(np.sum(jumps / ((h[:-1] + h[1:]) / 2)))
+    taus, weights = np.polynomial.legendre.leggauss(inputs.degree + 1)
+    total, j = 0.0, np.arange(1, inputs.degree + 1)
+    for tau, weight in zip((taus + 1) / 2, weights / 2, strict=True):
+        slopes = np.einsum("kj,kji->ki", j * (tau * h)[:, None] ** (j - 1), c[:, 1:])
+        total += weight * float(np.sum(h * np.sum(slopes**2, axis=1)))
+    return total

@@ -1,0 +1,265 @@
+"""Whether a plant rests: at stops along a motion, and before it begins.
+
+At a stop every position stands still for a moment: its rate and its acceleration, found along the
+run, are zero, or there are admissible inputs that make them so at once. Before the first stop the
+plant has rested: there are admissible inputs under which nothing moves, and what no input could
+have brought about is what its surroundings bring about by themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ..core.errors import SimulationError
+from ..operating.held import Memory, held
+from ..plants.plant import Plant
+from ..plants.stillness import settled_names, totals
+from ..simulation.simulator import simulate
+from .asked import Limit, Point
+from .driven import Driven
+from .statement import Profile, subject
+
+__all__ = ["Rows", "begun", "rest_at", "rows_of"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+LONG = 300.0
+"""Seconds after which surroundings have settled."""
+NEUTRAL = 1e-6
+"""Rates [1/s] below which a state keeps whatever it is given."""
+SPEED = 10.0
+"""Times its nominal in a second: the unit of a state's rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """What vanishes where positions rest: (label, expression, nominal, by inputs at once)."""
+
+    rows: tuple[tuple[str, ca.SX, float, bool], ...]
+
+
+def rows_of(plant: Plant, points: Sequence[Point], names: Mapping[str, object]) -> Rows:
+    """Rate and acceleration of each position, but for what a stop says itself (``names``)."""
+    named = _spoken(plant, points)
+    positions = plant.resting(named)
+    rates = plant.function(plant.x, plant.u, plant.p)[0]
+    order = [v.name for v in plant.states]
+    found = []
+    for position in positions:
+        i = order.index(position.name)
+        variable, rate = plant.states[i], rates[i]
+        literal = [v for v in plant.states if ca.is_equal(rate, plant.expression(v.name))]
+        speed = literal[0].nominal if literal else SPEED * variable.nominal
+        words = literal[0].name if literal else f"der({variable.name})"
+        velocities = position.velocities
+        jumps = _by_inputs(plant, rate)
+        said = f"der({position.name})" in names or (velocities and set(velocities) <= set(names))
+        if not said:
+            found.append((words, rate, speed, jumps))
+        if jumps or position.driven or {f"der({v})" for v in velocities} <= set(names):
+            continue
+        second = ca.jtimes(rate, plant.x, rates)
+        found.append((f"der({words})", second, SPEED * speed, _by_inputs(plant, second)))
+    if not positions:  # a level of a tank, a sum of states: what stops name stands still
+        for name in dict.fromkeys(n for p in points for n in p.stop.values if "(" not in n):
+            variable, expression = subject(plant, name)
+            rate = ca.jtimes(expression, plant.x, rates)
+            row = (f"der({variable.name})", rate, SPEED * variable.nominal, _by_inputs(plant, rate))
+            found.append(row)
+    return Rows(tuple(found))
+
+
+def _spoken(plant: Plant, points: Sequence[Point]) -> list[str]:
+    """The states that stops speak of."""
+    limits = [limit.expression for p in points for limit in p.limits]
+    if not limits:
+        return []
+    spoken = ca.which_depends(ca.vertcat(*limits), plant.x, 1, False)
+    return [v.name for v, is_spoken in zip(plant.states, spoken, strict=False) if is_spoken]
+
+
+def _by_inputs(plant: Plant, expression: ca.SX) -> bool:
+    chosen = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+    return bool(chosen) and bool(ca.depends_on(expression, plant.u[chosen]))
+
+
+def rest_at(
+    run: Driven, point: Point, rows: Rows, limits: Sequence[Limit]
+) -> Iterator[tuple[str, float]]:
+    """(what moves at a stop, by how much in nominals)."""
+    plant, p = run.plant, run.plant.vector("parameter")
+    label = f"{point.label}: {{}} at rest".format
+    direct = [row for row in rows.rows if not row[3]]
+    if direct:
+        every = ca.vertcat(*(e / nominal for _, e, nominal, _ in direct))
+        function = ca.Function("moving", [plant.x, plant.u, plant.p], [every])
+        for x, u, _ in run.sides(point.time):
+            values = np.abs(np.asarray(function(x, u, p), float).ravel())
+            yield from ((label(row[0]), float(v)) for row, v in zip(direct, values, strict=True))
+    jumping = [row for row in rows.rows if row[3]]
+    if jumping:
+        x, u, _ = run.sides(point.time)[-1]
+        every = ca.vertcat(*(e / nominal for _, e, nominal, _ in jumping))
+        best = _holding(plant, every, x, u, limits, point.time)[1]
+        yield from ((label(row[0]), float(v)) for row, v in zip(jumping, best, strict=True))
+
+
+def _holding(
+    plant: Plant,
+    wanted: ca.SX,
+    x: Array,
+    near: Array,
+    limits: Sequence[Limit],
+    time: float,
+) -> tuple[Array, Array]:
+    """(admissible inputs that bring ``wanted`` next to zero, what is left of it, or of a limit)."""
+    p = plant.vector("parameter")
+    own = {v.name: limit for v in plant.inputs for limit in limits if limit.label == v.name}
+    free = [i for i, v in enumerate(plant.inputs) if not v.disturbance]
+    nominal = plant.vector("input", attribute="nominal")[free]
+    ends = [(own[plant.inputs[i].name].low, own[plant.inputs[i].name].high) for i in free]
+    low, high = (np.array([_end(e, time) for e in side]) for side in zip(*ends, strict=True))
+    moving = ca.vertcat(*(plant.u[i] for i in free))
+    others = [c for c in limits if c.label not in own and ca.depends_on(c.expression, moving)]
+    column = ca.vertcat(wanted, *(c.expression / c.nominal for c in others))
+    function = ca.Function(
+        "held", [plant.x, plant.u, plant.p], [column, ca.jacobian(column, moving)]
+    )
+    floor = np.array([_end(c.low, time) / c.nominal for c in others])
+    roof = np.array([_end(c.high, time) / c.nominal for c in others])
+    rows = wanted.numel()
+
+    def at(w: Array) -> tuple[Array, Array]:
+        u = np.array(near, float)
+        u[free] = w * nominal
+        value, slope = (np.asarray(e, float) for e in function(x, u, p))
+        value, slope = value.ravel(), slope * nominal
+        beyond = np.maximum(floor - value[rows:], 0.0) - np.maximum(value[rows:] - roof, 0.0)
+        return (
+            np.concatenate([value[:rows], beyond]),
+            np.vstack([slope[:rows], np.where(beyond[:, None] != 0, -slope[rows:], 0.0)]),
+        )
+
+    wide = np.maximum(high - low, 1e-9 * nominal)
+    box = (low / nominal, (low + wide) / nominal)
+    best: tuple[Array, Array] | None = None
+    starts = plant.vector("input")[free]
+    for guess in (
+        near[free],
+        starts,
+        (low + high) / 2 if np.isfinite(low + high).all() else starts,
+    ):
+        w = np.clip(guess / nominal, box[0], box[1])
+        found = least_squares(
+            lambda w: at(w)[0],
+            w,
+            lambda w: at(w)[1],
+            bounds=box,
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
+        )
+        residual = np.abs(at(found.x)[0])
+        if best is None or residual.max(initial=0.0) < best[1].max(initial=0.0):
+            u = np.array(near, float)
+            u[free] = found.x * nominal
+            best = (u, residual)
+        if best[1].max(initial=0.0) < 1e-9:
+            break
+    assert best is not None
+    left = best[1][:rows]
+    worst = best[1][rows:].max(initial=0.0)
+    return best[0], np.maximum(left, worst)
+
+
+def _end(end: float | Profile, time: float) -> float:
+    return float(end(time)) if isinstance(end, Profile) else float(end)
+
+
+# ---- before the first stop ----------------------------------------------------------------------
+def begun(
+    run: Driven, point: Point, memory: Memory, limits: Sequence[Limit]
+) -> Iterator[tuple[str, float, bool]]:
+    """(what the plant had not come to before the motion, by how much in nominals, whether the stop
+    says so).
+    """
+    plant = run.plant
+    x, u, _ = run.sides(point.time)[-1]
+    nominal = plant.vector("state", attribute="nominal")
+    names = [v.name for v in plant.states]
+    places = {p.name for p in plant.resting(_spoken(plant, [point]))}
+    said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
+    for name, value in (held(plant, memory) | _sums(plant)).items():
+        i = names.index(name)
+        off = abs(float(x[i]) - value) / float(nominal[i])
+        yield f"{point.label}: {name} at the start", off, name in said
+    kept = [i for i, n in enumerate(names) if n not in {*held(plant, memory), *_sums(plant)}]
+    rates = plant.function(plant.x, plant.u, plant.p)[0]
+    wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
+    still = _still(plant, x, u, wanted, limits, point.time)
+    moving = any(n.startswith("der(") for n in point.stop.values)
+    for i, rate, far in zip(kept, *_away(plant, x, still, kept), strict=True):
+        off = max(rate, far)
+        yield f"{point.label}: {names[i]} settled", off, moving or names[i] in said
+    for name, off in _unreached(plant, x, still):
+        yield f"{point.label}: {name} as its surroundings leave it", off, name in said
+
+
+def _still(
+    plant: Plant, x: Array, u: Array, wanted: ca.SX, limits: Sequence[Limit], time: float
+) -> Array:
+    """Inputs under which nothing moves, as far as there are any."""
+    if not any(not v.disturbance for v in plant.inputs) or not wanted.numel():
+        return np.asarray(u, float)
+    return _holding(plant, wanted, x, u, [c for c in limits if c.nominal], time)[0]
+
+
+def _sums(plant: Plant) -> dict[str, float]:
+    """Totals begin at their start values."""
+    return {n: float(plant.variable(n).start or 0.0) for n in totals(plant)}
+
+
+def _away(plant: Plant, x: Array, u: Array, kept: Sequence[int]) -> tuple[Array, Array]:
+    """(rates, distances from the nearest state where all of them vanish), in nominals.
+
+    The distance is Newton's step of least norm; directions in which nothing pulls count as none.
+    """
+    nominal = plant.vector("state", attribute="nominal")[list(kept)]
+    p = plant.vector("parameter")
+    rates = np.asarray(plant.function(x, u, p)[0], float).ravel()[list(kept)] / nominal
+    slopes = np.asarray(plant.jacobians(x, u, p)[0], float)[np.ix_(kept, kept)]
+    slopes = slopes * nominal / nominal[:, None]
+    left, sizes, right = np.linalg.svd(slopes)
+    pulled = sizes > NEUTRAL
+    step = right[pulled].T @ ((left[:, pulled].T @ rates) / sizes[pulled])
+    return np.abs(rates) / SPEED, np.abs(step)
+
+
+def _unreached(plant: Plant, x: Array, u: Array) -> Iterator[tuple[str, float]]:
+    """(state, by how much it is off in nominals) of those that keep what they are given, and that
+    the plant brings elsewhere from its start values.
+    """
+    names = [v.name for v in plant.states]
+    marked = [names.index(n) for n in settled_names(plant)]
+    if not marked:
+        return
+    p = plant.vector("parameter")
+    own = np.abs(np.diag(np.asarray(plant.jacobians(x, u, p)[0], float)))
+    idle = [i for i in marked if own[i] <= NEUTRAL]
+    if not idle:
+        return
+    inputs = {v.name: float(value) for v, value in zip(plant.inputs, u, strict=True)}
+    try:
+        run = simulate(plant, inputs, t=[0.0, LONG], rtol=1e-8)
+    except SimulationError:
+        return
+    for i in idle:
+        nominal = plant.states[i].nominal
+        yield names[i], abs(float(run[names[i]][-1]) - float(x[i])) / nominal
