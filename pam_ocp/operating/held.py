@@ -11,16 +11,28 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError
+from ..core.errors import InputError, SimulationError
 from ..plants.plant import Plant
+from ..plants.stillness import settled_names
+from ..simulation.simulator import simulate
 
-__all__ = ["Memory", "carried", "held", "held_names"]
+__all__ = ["Memory", "carried", "driven_names", "held", "held_names", "surroundings"]
 
 Array: TypeAlias = NDArray[np.float64]
 Memory: TypeAlias = 'Literal["virgin", "above", "below"] | Mapping[str, float]'
 
 SIDES = {"above": -1.0, "below": 1.0}
 """Way in which the positions moved before they came to rest."""
+LONG = 300.0
+"""Seconds in which what settles by itself has settled."""
+PLACES = 41
+"""Values of a state, all over its range, at which it is asked whether it would stay."""
+APART = 0.05
+"""Distance from where it came to, in units of nominal, that counts as elsewhere."""
+IDLE = 1e-6
+"""Rates [nominal/s] at which a state stays."""
+BIG = 1e12
+"""Ends of a range that has none."""
 NOTHING = 1e-9
 """A slope below this part of the largest one of its row counts as zero."""
 
@@ -59,6 +71,59 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
     for name, drive in zip(found, _drives(plant) * SIDES[memory], strict=True):
         if drive:
             found[name] = variables[name].max if drive > 0 else variables[name].min
+    return found
+
+
+def driven_names(plant: Plant) -> tuple[str, ...]:
+    """The states that inputs or positions move, at once or by way of others: all but those that run
+    by themselves.
+    """
+    count, depends = len(plant.states), _dependence(plant)
+    chosen = {count + i for i, v in enumerate(plant.inputs) if not v.disturbance}
+    places = {n for p in plant.resting() for n in (p.name, *p.velocities)}
+    moved = {i for i, v in enumerate(plant.states) if v.name in places}
+    while True:
+        more = {i for i in range(count) if i not in moved and depends[i] & (chosen | moved)}
+        if not more:
+            return tuple(v.name for i, v in enumerate(plant.states) if i in moved)
+        moved |= more
+
+
+def surroundings(plant: Plant) -> dict[str, float]:
+    """{state: value} of what settles by itself but could stand elsewhere as well: it is where the
+    plant comes to from its start values with its inputs at theirs.
+
+    A receiver above the pressure at which its compressor stops stays there, but nothing brings it
+    there; air without heat transfer keeps any temperature.
+    """
+    key = ("surroundings", *(tuple(plant.vector(c)) for c in ("parameter", "state", "input")))
+    found: dict[str, float] = plant.cached(key, lambda: _surroundings(plant))
+    return found
+
+
+def _surroundings(plant: Plant) -> dict[str, float]:
+    places = {p.name for p in plant.resting()}
+    marked = [n for n in settled_names(plant) if n not in places]
+    if not marked:
+        return {}
+    names = [v.name for v in plant.states]
+    u, p = plant.vector("input"), plant.vector("parameter")
+    try:
+        run = simulate(plant, t=[0.0, LONG], rtol=1e-8)
+    except SimulationError:
+        return {}
+    x = np.array([run[n][-1] for n in names])
+    found = {}
+    for name in marked:
+        i = names.index(name)
+        low, high = max(plant.states[i].min, -BIG), min(plant.states[i].max, BIG)
+        elsewhere = np.linspace(low, high, PLACES)
+        elsewhere = elsewhere[np.abs(elsewhere - x[i]) > APART * plant.states[i].nominal]
+        columns = np.tile(x[:, None], len(elsewhere))
+        columns[i] = elsewhere
+        rates = np.asarray(plant.function(columns, u, p)[0], float)[i] / plant.states[i].nominal
+        if np.min(np.abs(rates), initial=np.inf) <= IDLE:
+            found[name] = float(x[i])
     return found
 
 

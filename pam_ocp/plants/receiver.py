@@ -102,7 +102,7 @@ class Receiver:
             max=1.2 * max(self.pressure, highest, 1e5),
             start=self.pressure,
             nominal=1e5,
-            memory="" if self.source is None else "settling",
+            memory="held" if self.source is None else "settling",
             description=f"gauge pressure in {self.name}",
         )
         volume = declare("volume", self.volume, unit="m3", min=1e-9, nominal=1e-3)

@@ -12,20 +12,20 @@ from ...core.errors import InputError, PlanWarning
 from ...core.plausible import outside
 from ...judge.costs import COSTS
 from ...judge.statement import Statement, Stop, subject
-from ...operating.held import held
+from ...operating.held import driven_names, held, held_names, surroundings
 from ...plants.plant import Plant
 from ...plants.stillness import Position, settled_names, totals
 from ..transcription.guess import rest_point
 from .problem import Condition, Problem, Range
 
-__all__ = ["left_by_the_past", "with_given_pressures"]
+__all__ = ["left_by_the_past", "settled_before", "with_given_pressures"]
 
 
 def left_by_the_past(
     plant: Plant, statement: Statement, first: Stop, bounds: Mapping[str, Range]
 ) -> list[Condition]:
-    """What the past left at the first stop, of states that nobody could set: memories, lags,
-    totals.
+    """What the past left at the first stop, of states that nobody could set: memories, totals, what
+    keeps whatever its surroundings left there; without rest, lags that have settled.
     """
 
     def condition(name: str, words: str, low: float, high: float) -> Condition:
@@ -46,9 +46,29 @@ def left_by_the_past(
             )
         ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
         return conditions + [condition(n, "in its range", *ends) for n, ends in ranges.items()]
+    memory |= {n: v for n, v in surroundings(plant).items() if n not in first.values}
     conditions += [condition(n, "held", value, value) for n, value in memory.items()]
-    settled = [n for n in settled_names(plant) if n not in first.values]
+    if first.rest:
+        return conditions
+    settled = [n for n in settled_names(plant) if n not in {*first.values, *memory}]
     return conditions + [condition(f"der({n})", "settled", 0.0, 0.0) for n in settled]
+
+
+def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -> list[Condition]:
+    """What stands still besides the positions where a plant has rested before a motion: pressures,
+    temperatures, spools, lags, all that inputs or positions move. What the first stop names of
+    those that settle by themselves is as it says, and so is what it names the rate of.
+    """
+    places = {n for p in positions for n in (p.name, *p.velocities)}
+    kept = {*places, *totals(plant), *held_names(plant), *surroundings(plant)}
+    own = {n for n in settled_names(plant) if n in first.values}
+    moved = [n for n in driven_names(plant) if n not in kept and n not in own]
+    rates = [f"der({n})" for n in moved if f"der({n})" not in first.values]
+    return [
+        Condition(f"stop 1: {rate} settled", expression, 0.0, 0.0, variable.nominal, variable)
+        for rate in rates
+        for variable, expression in [subject(plant, rate)]
+    ]
 
 
 def with_given_pressures(
@@ -96,6 +116,6 @@ def with_given_pressures(
     kept = [
         c
         for c in problem.nodes[0]
-        if not (c.label.endswith("at rest") and ca.depends_on(c.expression, symbols))
+        if not (c.label.endswith(("at rest", "settled")) and ca.depends_on(c.expression, symbols))
     ]
     return replace(problem, nodes=((*kept, *given), *problem.nodes[1:]))

@@ -15,7 +15,7 @@ from ...judge.costs import COSTS
 from ...judge.statement import Statement, Stop, subject
 from ...plants.plant import Plant, require_plant
 from .cycles import closing_states, not_implied
-from .first_stop import left_by_the_past, with_given_pressures
+from .first_stop import left_by_the_past, settled_before, with_given_pressures
 from .limits import Limits, common_limits, conditions_of, design_ranges, key_of, narrowed, range_of
 from .objective import Symbols, budget, objective
 from .problem import Condition, Leg, Problem, Range
@@ -124,7 +124,9 @@ def _laid_out(
         closes = bool(statement.cyclic) and i == len(route) - 1
         # rest at the end of a cycle follows from that at its beginning
         asked = replace(stop, rest=False) if closes else stop
-        conditions = tuple(_conditions(plant, label, asked, bounds, holding))
+        begins = i == 0 and not statement.cyclic and asked.rest
+        settled = settled_before(plant, stop, holding.positions) if begins else []
+        conditions = tuple(_conditions(plant, label, asked, bounds, holding, settled))
         nodes.append(conditions)
         values.append(dict(stop.values))
         closes = closes and statement.cyclic is True
@@ -165,6 +167,7 @@ def _conditions(
     stop: Stop,
     bounds: Mapping[str, Range],
     holding: Holding,
+    settled: Sequence[Condition],
 ) -> list[Condition]:
     if not stop.values:
         raise InputError(f"{label} is empty; name at least one variable, as in {{'x': 0.01}}")
@@ -183,7 +186,7 @@ def _conditions(
         conditions.append(
             Condition(f"{label}: {name}", expression, low, high, variable.nominal, variable)
         )
-    return conditions + (at_rest(plant, label, stop, holding) if stop.rest else [])
+    return conditions + (at_rest(plant, label, stop, holding, settled) if stop.rest else [])
 
 
 # ---- legs -------------------------------------------------------------------------------------

@@ -107,8 +107,12 @@ class Holding:
         return plant.u, instead, conditions
 
 
-def at_rest(plant: Plant, label: str, stop: Stop, holding: Holding) -> list[Condition]:
-    """Rate and acceleration of every position are zero, where the stop says nothing else."""
+def at_rest(
+    plant: Plant, label: str, stop: Stop, holding: Holding, settled: Sequence[Condition] = ()
+) -> list[Condition]:
+    """Rate and acceleration of every position are zero, where the stop says nothing else; and with
+    the same inputs what else has settled there.
+    """
     conditions = []
     positions = holding.positions
     for position, order, expression in plant.cached(
@@ -130,6 +134,7 @@ def at_rest(plant: Plant, label: str, stop: Stop, holding: Holding) -> list[Cond
         conditions.append(
             Condition(f"{label}: {name} at rest", expression, 0.0, 0.0, variable.nominal, variable)
         )
+    conditions += settled
     u, held, beside = holding.inputs(label, [c.expression for c in conditions])
     if not beside:
         return conditions
