@@ -61,7 +61,7 @@ class Driven:
         column = ca.densify(ca.vertcat(*expressions))
         function = ca.Function("along", self._arguments, [column])
         p = self.plant.vector("parameter")
-        flat = (self.x.reshape(len(self.x), -1), self.u.reshape(len(self.u), -1))
+        flat = (part.reshape(len(part), self.t.size) for part in (self.x, self.u))
         found = np.asarray(function(*flat, p, self.t.reshape(1, -1)), float)
         return found.reshape(len(expressions), *self.t.shape)
 

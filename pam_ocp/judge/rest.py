@@ -24,7 +24,7 @@ from ..plants.stillness import settled_names, totals
 from ..simulation.simulator import simulate
 from .asked import Limit, Point
 from .driven import Driven
-from .statement import Profile, subject
+from .statement import TIME, Profile, subject
 
 __all__ = ["Rows", "begun", "rest_at", "rows_of"]
 
@@ -139,7 +139,7 @@ def _holding(
     def at(w: Array) -> tuple[Array, Array]:
         u = np.array(near, float)
         u[free] = w * nominal
-        value, slope = (np.asarray(e, float) for e in function(x, u, p))
+        value, slope = (np.asarray(e, float) for e in function(x, u, p, time))
         value, slope = value.ravel(), slope * nominal
         beyond = np.maximum(floor - value[rows:], 0.0) - np.maximum(value[rows:] - roof, 0.0)
         return (
@@ -147,25 +147,15 @@ def _holding(
             np.vstack([slope[:rows], np.where(beyond[:, None] != 0, -slope[rows:], 0.0)]),
         )
 
-    wide = np.maximum(high - low, 1e-9 * nominal)
-    box = (low / nominal, (low + wide) / nominal)
+    high = np.maximum(high, low + 1e-9 * nominal)
+    box = (low / nominal, high / nominal)
     best: tuple[Array, Array] | None = None
-    starts = plant.vector("input")[free]
-    for guess in (
-        near[free],
-        starts,
-        (low + high) / 2 if np.isfinite(low + high).all() else starts,
-    ):
+    starts, tight = plant.vector("input")[free], dict.fromkeys(("xtol", "ftol", "gtol"), 1e-14)
+    known = np.isfinite(low) & np.isfinite(high)
+    middle = np.where(known, (np.where(known, low, 0.0) + np.where(known, high, 0.0)) / 2, starts)
+    for guess in (near[free], starts, middle):
         w = np.clip(guess / nominal, box[0], box[1])
-        found = least_squares(
-            lambda w: at(w)[0],
-            w,
-            lambda w: at(w)[1],
-            bounds=box,
-            xtol=1e-14,
-            ftol=1e-14,
-            gtol=1e-14,
-        )
+        found = least_squares(lambda w: at(w)[0], w, lambda w: at(w)[1], bounds=box, **tight)
         residual = np.abs(at(found.x)[0])
         if best is None or residual.max(initial=0.0) < best[1].max(initial=0.0):
             u = np.array(near, float)

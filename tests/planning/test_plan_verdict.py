@@ -420,7 +420,7 @@ def cheaper(said):
 
 
 def elsewhere(said):
-    said["problem"]["nodes"][-1][0]["low"] = said["problem"]["nodes"][-1][0]["high"] = 1.001
+    said["statement"]["stops"][-1]["values"]["x"] = 1.001
 
 
 @pytest.mark.parametrize(
@@ -436,7 +436,7 @@ def elsewhere(said):
         ({"meta": cheaper}, "its objective is"),
         ({"meta": elsewhere}, "stop 2: x"),
         ({"meta": lambda said: said.update(format="pam_ocp plan 1")}, "by a former version"),
-        ({"meta": lambda said: said.pop("problem")}, "cannot be read as a plan file"),
+        ({"meta": lambda said: said.pop("statement")}, "cannot be read as a plan file"),
     ],
 )
 def test_a_file_that_contradicts_itself_is_refused(moved, tmp_path, what, message):
