@@ -129,9 +129,8 @@ def _holding(
     moving = ca.vertcat(*(plant.u[i] for i in free))
     others = [c for c in limits if c.label not in own and ca.depends_on(c.expression, moving)]
     column = ca.vertcat(wanted, *(c.expression / c.nominal for c in others))
-    function = ca.Function(
-        "held", [plant.x, plant.u, plant.p], [column, ca.jacobian(column, moving)]
-    )
+    arguments = [plant.x, plant.u, plant.p, TIME]
+    function = ca.Function("held", arguments, [column, ca.jacobian(column, moving)])
     floor = np.array([_end(c.low, time) / c.nominal for c in others])
     roof = np.array([_end(c.high, time) / c.nominal for c in others])
     rows = wanted.numel()
