@@ -185,11 +185,14 @@ def begun(
     names = [v.name for v in plant.states]
     places = {p.name for p in plant.resting(_spoken(plant, [point]))}
     said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
-    for name, value in (held(plant, memory) | _sums(plant)).items():
+    given = held(plant, memory) | _sums(plant)
+    for name, value in given.items():
+        if name in plant.copies:
+            continue
         i = names.index(name)
         off = abs(float(x[i]) - value) / float(nominal[i])
         yield f"{point.label}: {name} at the start", off, name in said
-    kept = [i for i, n in enumerate(names) if n not in {*held(plant, memory), *_sums(plant)}]
+    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies}]
     rates = plant.function(plant.x, plant.u, plant.p)[0]
     wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
     still = _still(plant, x, u, wanted, limits, point.time)
@@ -198,6 +201,8 @@ def begun(
         off = max(rate, far)
         yield f"{point.label}: {names[i]} settled", off, moving or names[i] in said
     for name, off in _unreached(plant, x, still):
+        if name in plant.copies:
+            continue
         yield f"{point.label}: {name} as its surroundings leave it", off, name in said
 
 

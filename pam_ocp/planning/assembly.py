@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from ..judge.motion import judge
 from ..judge.statement import Statement
 from ..judge.verdict import TOLERANCE
@@ -50,15 +52,17 @@ def assembled(
     }
     design = {n: float(plant.variable(n).start or 0.0) for n in problem.design}
     meshes = meshes or (program.mesh,)
-    judgement = None
+    judgement, objective = None, outcome.objective
     if check:
         motion = motion_of(samples, meshes[-1], solution.durations)
         judgement = judge(plant, statement, motion, samples)
+        if np.isfinite(judgement.objective):
+            statistics["objective_on_mesh"], objective = objective, judgement.objective
     return Plan(
         plant,
         outcome.success,
         outcome.status,
-        outcome.objective,
+        objective,
         tuple(float(d) for d in solution.durations),
         design,
         statistics,

@@ -96,6 +96,9 @@ class Plan:
     status: str
     """The solver's return status."""
     objective: float
+    """Of the motion, in the statement's words, as the judge finds it; ``statistics`` has what the
+    solver minimised on its mesh. Of a failed plan the solver's.
+    """
     durations: tuple[float, ...]
     """Of each leg, dwells among them [s]."""
     design: dict[str, float]

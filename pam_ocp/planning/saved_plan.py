@@ -136,11 +136,14 @@ def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant
     program = transcribe(problem, mesh)
     if meta["statistics"].get("corrected"):
         program = _corrected(path, program, solution)
-    objective = _require_solution(path, program, solution, float(meta["objective"]))
+    _require_solution(path, program, solution)
     samples = evaluated(plant, solution.t, solution.states, solution.inputs)
     tolerance = float(meta["tolerance"])
     replay = replayed(problem, plant, mesh, samples, solution)
-    motion = motion_of(samples, mesh, solution.durations)
+    judgement = judge(plant, statement, motion_of(samples, mesh, solution.durations), samples)
+    objective, claimed = judgement.objective, float(meta["objective"])
+    if not abs(objective - claimed) <= AGREE * max(1.0, abs(objective)):
+        raise _contradiction(path, f"its objective is {objective:.6g}, not {claimed:.6g}")
     return Plan(
         plant,
         True,
@@ -150,7 +153,7 @@ def _plan(path: str, meta: Mapping[str, Any], arrays: Mapping[str, Array], plant
         {n: float(v) for n, v in zip(problem.design, solution.design, strict=True)},
         dict(meta["statistics"]),
         explained(replay, plant, mesh, solution, tolerance),
-        judge(plant, statement, motion, samples),
+        judgement,
         meshes,
         tuple(meta["log"]),
         (),
@@ -246,12 +249,12 @@ def _corrected(path: str, program: Program, solution: Solution) -> Program:
     return left_as(program, solution)
 
 
-def _require_solution(path: str, program: Program, solution: Solution, objective: float) -> float:
-    """The objective of a motion that meets the problem's constraints and has this objective."""
+def _require_solution(path: str, program: Program, solution: Solution) -> None:
+    """The motion meets the problem's constraints."""
     w = program.completed(pack(program.problem, program.mesh, solution))
     nlp = program.nlp
-    values = ca.Function("values", [nlp["x"], nlp["p"]], [nlp["f"], nlp["g"]])
-    f, g = (np.asarray(v, float).ravel() for v in values(w, program.parameters()))
+    values = ca.Function("values", [nlp["x"], nlp["p"]], [nlp["g"]])
+    g = np.asarray(values(w, program.parameters()), float).ravel()
     at = 0
     low, high = program.limits()
     missed = np.maximum(low - g, g - high)
@@ -268,9 +271,6 @@ def _require_solution(path: str, program: Program, solution: Solution, objective
     least, most = program.bounds()
     if not np.max(np.maximum(least - w, w - most), initial=0.0) <= AGREE:
         raise _contradiction(path, "its motion does not keep the bounds of its variables")
-    if not abs(f[0] - objective) <= AGREE * max(1.0, abs(f[0])):
-        raise _contradiction(path, f"its objective is {f[0]:.6g}, not {objective:.6g}")
-    return float(f[0])
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

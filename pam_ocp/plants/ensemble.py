@@ -110,6 +110,11 @@ class Ensemble(Plant):
         """The nominal plant's."""
         return tuple(q for q in super().resting(named) if not _COPY.search(q.name))
 
+    @property
+    def copies(self) -> frozenset[str]:
+        """The states of the draws."""
+        return frozenset(v.name for v in self.states if _COPY.search(v.name))
+
     # ---- what is said of the plant, said of the ensemble ---------------------------------------
     def images(self, name: str) -> list[str]:
         """What a variable (or der(NAME)) of the plant is called in the copies; [] when shared."""

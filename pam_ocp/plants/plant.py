@@ -243,6 +243,11 @@ class Plant(Travelling):
         return resting(self, named)
 
     @property
+    def copies(self) -> frozenset[str]:
+        """States of further specimens, of which nothing is asked but what a statement says."""
+        return frozenset()
+
+    @property
     def mirror_map(self) -> dict[str, tuple[float, str]]:
         """The declared symmetry, or {} when the plant has none."""
         return dict(self._mirror)

@@ -46,7 +46,8 @@ def left_by_the_past(
             )
         ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
         return conditions + [condition(n, "in its range", *ends) for n, ends in ranges.items()]
-    memory |= {n: v for n, v in surroundings(plant).items() if n not in first.values}
+    left = {n: v for n, v in surroundings(plant).items() if n not in plant.copies}
+    memory |= {n: v for n, v in left.items() if n not in first.values}
     conditions += [condition(n, "held", value, value) for n, value in memory.items()]
     if first.rest:
         return conditions
@@ -60,7 +61,7 @@ def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -
     those that settle by themselves is as it says, and so is what it names the rate of.
     """
     places = {n for p in positions for n in (p.name, *p.velocities)}
-    kept = {*places, *totals(plant), *held_names(plant), *surroundings(plant)}
+    kept = {*places, *totals(plant), *held_names(plant), *surroundings(plant), *plant.copies}
     own = {n for n in settled_names(plant) if n in first.values}
     moved = [n for n in driven_names(plant) if n not in kept and n not in own]
     rates = [f"der({n})" for n in moved if f"der({n})" not in first.values]
