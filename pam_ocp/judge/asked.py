@@ -161,34 +161,34 @@ def _laid_out(
     durations: Sequence[float],
 ) -> tuple[list[Point], list[_Leg]]:
     """(points, legs (begin, end, number among motions, what a dwell holds)) in time."""
-    points, legs, now, rest = [], [], 0.0, iter(durations)
-    try:
-        for i, (label, stop) in enumerate(route):
-            still = statement.rest if stop.rest is None else stop.rest
-            named = tuple(_named(plant, label, stop))
-            points.append(Point(now, label, stop, still, named))
-            last = i == len(route) - 1
-            if stop.dwells and not (statement.cyclic is True and last):
-                then = now + next(rest)
-                margins = (stop.within * limit.nominal for limit in named)
-                held = tuple(
-                    replace(c, label=f"dwell at {c.label}", low=c.low - m, high=c.high + m)  # type: ignore[operator]
-                    for c, m in zip(named, margins, strict=True)
-                )
-                legs.append((now, then, min(i, len(route) - 2), held))
-                now = then
-                points.append(Point(now, label, stop, still, named))
-            if not last:
-                then = now + next(rest)
-                legs.append((now, then, i, ()))
-                now = then
-    except StopIteration:
-        rest = iter([None])  # type: ignore[list-item]
-    if next(rest, None) is not None or now == 0.0 or len(legs) != len(durations):
+    last = len(route) - 1
+    dwells = [
+        s.dwells and not (statement.cyclic is True and i == last) for i, (_, s) in enumerate(route)
+    ]
+    if len(durations) != last + sum(dwells) or last < 1:
         raise InputError(
-            f"durations: {len(durations)} legs for {len(route)} stops; give one for each motion "
-            "between two stops, and one for each dwell"
+            f"durations: {len(durations)} legs for {len(statement.stops)} stops; give one for each "
+            "motion between two stops, and one for each dwell"
         )
+    points, legs, now, rest = [], [], 0.0, iter(durations)
+    for i, (label, stop) in enumerate(route):
+        still = statement.rest if stop.rest is None else stop.rest
+        named = tuple(_named(plant, label, stop))
+        points.append(Point(now, label, stop, still, named))
+        if dwells[i]:
+            then = now + next(rest)
+            margins = (stop.within * limit.nominal for limit in named)
+            held = tuple(
+                replace(c, label=f"dwell at {c.label}", low=c.low - m, high=c.high + m)  # type: ignore[operator]
+                for c, m in zip(named, margins, strict=True)
+            )
+            legs.append((now, then, min(i, last - 1), held))
+            now = then
+            points.append(Point(now, label, stop, still, named))
+        if i < last:
+            then = now + next(rest)
+            legs.append((now, then, i, ()))
+            now = then
     return points, legs
 
 

@@ -1,0 +1,214 @@
+"""The judge of motions, beside motions that are known by hand, and what a start must be."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.core.errors import InputError
+from pam_ocp.core.signals import PiecewisePolynomial
+from pam_ocp.judge import Motion, Statement, judge
+
+A, WAY = 4.0, 1.0
+TIME = 2 * np.sqrt(WAY / A)
+"""Quickest way of a cart from rest to rest with an acceleration of at most A."""
+
+
+def cart(**output) -> pam.Plant:
+    plant = pam.Plant("cart")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    u = plant.input("u", unit="m/s2", min=-A, max=A)
+    plant.der(x, v)
+    plant.der(v, u)
+    plant.output("power", u * v, unit="W/kg" if output else "1")
+    return plant
+
+
+def bang_bang(time: float = TIME, size: float = A, x0: float = 0.0, v0: float = 0.0) -> Motion:
+    breaks = np.array([0.0, time / 2, time])
+    signals = PiecewisePolynomial(breaks, np.array([[[size]], [[-size]]]))
+    return Motion(np.array([x0, v0]), signals, (time,))
+
+
+STOPS = [{"x": 0.0}, {"x": WAY}]
+
+
+def found(motion: Motion, stops=STOPS, **words) -> dict[str, float]:
+    return {f.label: f.by for f in judge(cart(), Statement(stops, **words), motion).findings}
+
+
+def worst(motion: Motion, stops=STOPS, **words) -> tuple[str, float]:
+    judgement = judge(cart(), Statement(stops, **words), motion)
+    return judgement.constraint, judgement.violation
+
+
+def test_a_motion_known_by_hand_keeps_all_and_costs_what_theory_says():
+    weights = {"time": 2.0, "effort": 1.0, "square(v)": 3.0, "final(x)": 5.0, "peak(v)": 7.0}
+    judgement = judge(cart(), Statement(STOPS, minimise=weights), bang_bang())
+    assert judgement.violation < 1e-8
+    top = np.sqrt(A * WAY)  # v(T/2)
+    squares = 2 * A**2 * (TIME / 2) ** 3 / 3
+    expected = 2 * TIME + A**2 * TIME + 3 * squares + 5 * WAY + 7 * top
+    assert judgement.objective == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("motion", "label", "by"),
+    [
+        (bang_bang(x0=0.01), "stop 1: x", 0.01),
+        (bang_bang(v0=0.02), "stop 2: x", 0.02 * TIME),
+        (bang_bang(size=1.1 * A), "u", 0.1 * A),
+        (bang_bang(time=1.01 * TIME), "stop 2: x", 0.0201 * WAY),
+    ],
+)
+def test_what_a_hand_made_motion_misses_is_found_to_its_size(motion, label, by):
+    assert found(motion)[label] == pytest.approx(by, rel=1e-6)
+
+
+def test_a_velocity_at_a_stop_is_no_rest():
+    faster = bang_bang(v0=0.05)
+    assert found(faster)["stop 1: v at rest"] == pytest.approx(0.05)
+    assert found(faster)["stop 2: v at rest"] == pytest.approx(0.05)
+    via = [pam.Stop({"x": 0.0}, rest=False), pam.Stop({"x": (None, None)}, rest=False)]
+    assert not any("rest" in label for label in found(faster, via))
+
+
+def test_an_input_may_jump_to_what_holds_the_plant_but_only_where_it_may_go():
+    """The cart's input sets its acceleration at once: zero holds it, unless zero is forbidden."""
+    assert worst(bang_bang())[1] < 1e-8
+    plant = cart()
+    forbidden = pam.Constraint(plant.expression("u") ** 2, low=1.0, name="never idle")
+    said = Statement(STOPS, constraints=[forbidden])
+    labels = {f.label for f in judge(plant, said, bang_bang()).findings if f.by > 0.05}
+    assert "stop 2: der(v) at rest" in labels
+
+
+def test_an_acceleration_behind_a_lag_must_have_gone():
+    """With a lag before the force the input cannot take it away at once: 121 m/s2 is no rest."""
+    plant = pam.Plant("lagged")
+    x, v, f = plant.state("x", unit="m"), plant.state("v"), plant.state("f", start=0.0)
+    u = plant.input("u", min=-10.0, max=10.0)
+    plant.der(x, v)
+    plant.der(v, f)
+    plant.der(f, (u - f) / 0.05)
+    steady = PiecewisePolynomial(np.array([0.0, 1.0]), np.array([[[2.0]]]))
+    motion = Motion(np.array([0.0, 0.0, 2.0]), steady, (1.0,))
+    said = Statement([{"x": 0.0}, pam.Stop({"x": 1.0}, rest=False)])
+    judgement = judge(plant, said, motion)
+    by = {f.label: f.by for f in judgement.findings}
+    assert by["stop 1: der(v) at rest"] == pytest.approx(0.2)  # 2 m/s2 of 10 nominals a second
+    assert by["stop 1: v settled"] == pytest.approx(0.2, rel=1e-2)  # no input keeps it there
+
+
+def test_limits_hold_between_points_and_on_both_sides_of_a_jump():
+    top = np.sqrt(A * WAY)
+    assert found(bang_bang(), bounds={"v": (None, 1.5)})["v"] == pytest.approx(top - 1.5, rel=1e-6)
+    power = found(bang_bang(), bounds={"power": (None, 1.0)})["power"]
+    assert power == pytest.approx(A * top - 1.0, rel=1e-6)  # the left side of the jump alone
+    roof = pam.Profile([0.0, TIME], [0.0, 1.0])
+    beside = found(bang_bang(), bounds={"x": (None, roof)})
+    assert beside["x below its profile"] == pytest.approx(1 / 8, rel=1e-4)  # 1 - 2 s^2 - (1 - s)
+
+
+def test_forbidden_regions_budgets_durations_and_cycles_are_judged():
+    block = pam.Avoid({"x": (0.5, 0.1)}, name="block")
+    assert found(bang_bang(), constraints=[block])["block"] == pytest.approx(1.0)
+    spent = found(bang_bang(), budgets={"effort": 1.0})["budget of effort"]
+    assert spent == pytest.approx(A**2 * TIME - 1.0, rel=1e-9)
+    late = found(bang_bang(), duration=0.5 * TIME)["duration of leg 1"]
+    assert late == pytest.approx(0.5 * TIME / (0.5 * TIME))
+    there = replace(bang_bang(), durations=(TIME / 2, TIME / 2))
+    cycle = found(there, [{"x": 0.0}, pam.Stop({"x": 0.5}, rest=False)], cyclic=True)
+    assert cycle["closing of the cycle: x"] == pytest.approx(WAY)
+
+
+def test_a_motion_with_other_legs_is_refused():
+    with pytest.raises(InputError, match="durations: 1 legs for 3 stops"):
+        judge(cart(), Statement([*STOPS, {"x": 0.0}]), bang_bang())
+
+
+def test_the_judge_finds_what_a_planner_forgets(monkeypatch):
+    """A planner without rows of rest: the motion arrives, and does not stop."""
+    from pam_ocp.planning.problem import formulation
+
+    monkeypatch.setattr(formulation, "at_rest", lambda *given: [])
+    with pytest.warns(pam.PlanWarning, match="at rest"):
+        plan = pam.plan(cart(), STOPS, method=pam.Collocation(10, 3), tolerance=None)
+    assert not plan.verified
+    assert plan.replay.violation < 1e-6  # by its own conditions all is well
+
+
+# ---- the start ----------------------------------------------------------------------------------
+def heated(**supply) -> pam.Plant:
+    gas = pam.gas.Gas(heat=pam.muscles.ConstantHeatTransfer(5.0))
+    feed = pam.feeds.SpoolValve(gas=gas, **supply)
+    return pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+
+
+def test_a_heated_muscle_begins_at_the_temperature_of_its_surroundings():
+    plan = pam.plan(heated(), [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
+    assert plan.verified
+    start = plan.trajectory["muscle.temperature"][0]
+    assert start == pytest.approx(pam.muscles.gas.REFERENCE_TEMPERATURE, abs=0.01)
+
+
+def test_a_warm_start_is_told_where_it_was_said():
+    warm = {"x": 0.01, "muscle.temperature": 330.0, "der(muscle.pressure)": (None, None)}
+    plan = pam.plan(heated(), [warm, {"x": 0.04}], method=pam.Collocation(15, 3))
+    assert plan.trajectory["muscle.temperature"][0] == pytest.approx(330.0, abs=1e-3)
+    assert "muscle.temperature" in str(plan.verdict)
+
+
+@pytest.mark.parametrize(
+    ("source", "pressure", "expected"),
+    [
+        (pam.feeds.Compressor(pressure=6e5), 6e5, 6e5),
+        (pam.feeds.Compressor(pressure=6e5), 4e5, 6e5),
+        (None, 5e5, 5e5),
+    ],
+)
+def test_a_receiver_begins_where_its_source_or_its_filling_leaves_it(source, pressure, expected):
+    tank = pam.feeds.Receiver(2e-3, pressure=pressure, source=source)
+    feed = pam.feeds.SpoolValve(supply=tank)
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
+    assert plan.verified
+    assert plan.trajectory["receiver.air_pressure"][0] == pytest.approx(expected, abs=50.0)
+
+
+def test_a_tank_that_begins_fuller_than_its_compressor_makes_it_is_named():
+    tank = pam.feeds.Receiver(2e-3, source=pam.feeds.Compressor(pressure=6e5))
+    feed = pam.feeds.SpoolValve(supply=tank)
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    rest = plant.equilibrium(x=0.02)
+    start = np.array([rest[v.name] for v in plant.states], float)
+    start[[v.name for v in plant.states].index("receiver.air_pressure")] = 7e5
+    closed = PiecewisePolynomial(np.array([0.0, 0.5]), np.zeros((1, 1, 1)))
+    stay = Statement([{"x": 0.02}, {"x": 0.02}])
+    constraint = judge(plant, stay, Motion(start, closed, (0.5,))).constraint
+    assert constraint == "stop 1: receiver.air_pressure as its surroundings leave it"
+
+
+def test_a_spool_stands_where_its_command_holds_it_before_a_motion():
+    feed = pam.feeds.SpoolValve(spool=pam.feeds.FirstOrderSpool(time=0.01))
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
+    assert plan.verified
+    assert abs(plan.trajectory["muscle.valve.spool"][0]) < 0.021  # closed, or in its overlap
+
+
+def test_a_plan_from_a_file_is_judged_by_the_words_in_it(tmp_path):
+    plant = cart()
+    limit = pam.Constraint(plant.expression("x") * pam.TIME, high=2.0, name="late and far")
+    words = {"constraints": [limit, pam.Avoid({"v": (0.0, 0.5), "x": (0.5, 0.1)})]}
+    words |= {"bounds": {"v": (None, "1.9 m/s")}, "minimise": {"time": 1.0, "effort": 1e-3}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        plan = pam.plan(plant, STOPS, **words)
+        again = pam.load_plan(plan.save(tmp_path / "plan.npz"), cart())
+    assert again.judgement.objective == pytest.approx(plan.judgement.objective, rel=1e-9)
+    assert [f.label for f in again.judgement.findings] == [f.label for f in plan.judgement.findings]
