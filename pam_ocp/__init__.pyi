@@ -3,6 +3,7 @@ from . import control as control
 from . import export as export
 from . import figures as figures
 from . import fitting as fitting
+from . import judge as judge
 from . import muscles as muscles
 from . import operating as operating
 from . import planning as planning

@@ -47,7 +47,14 @@ class Motion:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something asked for that the motion does not keep. by : in units of nominal."""
+    """Something asked for that the motion does not keep. by : in units of nominal.
+
+    Examples
+    --------
+    >>> late = pam.judge.Statement([{"x": -0.01}, {"x": 0.02}])
+    >>> pam.judge.judge(slide, late, plan.motion).findings[0].label
+    'stop 2: x'
+    """
 
     label: str
     by: float
@@ -57,7 +64,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a tight integration of the inputs says of all that was asked for."""
+    """What a tight integration of the inputs says of all that was asked for.
+
+    Examples
+    --------
+    >>> plan.judgement.violation < 1e-3, bool(abs(plan.judgement.objective - plan.duration) < 1e-12)
+    (True, True)
+    """
 
     findings: tuple[Finding, ...]
     """What is not kept, the worst first."""
@@ -112,9 +125,8 @@ def judge(
 
     Examples
     --------
-    >>> from pam_ocp.judge import Statement, judge
-    >>> found = judge(slide, Statement([{"x": -0.01}, {"x": 0.01}]), plan.motion)
-    >>> found.violation < 1e-3
+    >>> said = pam.judge.Statement([{"x": -0.01}, {"x": 0.01}])
+    >>> pam.judge.judge(slide, said, plan.motion).violation < 1e-3
     True
     """
     require_plant(plant)

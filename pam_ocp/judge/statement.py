@@ -219,7 +219,13 @@ class StatementKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Statement:
-    """What is asked of a motion: the arguments of :func:`pam_ocp.plan` that say it; see there."""
+    """What is asked of a motion: the arguments of :func:`pam_ocp.plan` that say it; see there.
+
+    Examples
+    --------
+    >>> pam.judge.Statement([{"x": -0.01}, {"x": 0.01}], minimise="effort").weights
+    {'effort': 1.0}
+    """
 
     stops: Sequence[Mapping[str, Any] | Stop]
     cyclic: Cyclic = False
