@@ -30,13 +30,13 @@ __all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "tota
 Array: TypeAlias = NDArray[np.float64]
 Pattern: TypeAlias = NDArray[np.bool_]
 
-POINTS = 24
+POINTS = 16
 """Spread over the region of operation."""
 REACHES = (0.3, 1.0, 3.0, np.inf)
 """How far from the start values the points lie, in turn: in nominals, inside the bounds."""
 WIDEST, OPEN = 100.0, 3.0
 """How many nominals the region goes from the start values: to bounds, and where there are none."""
-LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
+LEVELS = np.linspace(0.0, 1.0, 5)
 """Of the region's width: the values that one variable is given while the others stay."""
 STEPS = 30
 """Of Newton's method towards points where equations hold."""
@@ -136,13 +136,17 @@ class _Region:
         """
         base, slopes = self.at(z)
         level = NONE * np.abs(slopes).sum(axis=2).T + ROUNDING * self.size[:, None]
+        columns = np.flatnonzero(self.pattern.any(axis=0) & self.free)
         found = np.zeros(self.pattern.shape, bool)
-        for j in np.flatnonzero(self.pattern.any(axis=0) & self.free):
-            for part in LEVELS:
-                varied = z.copy()
-                varied[j] = self.low[j] + part * (self.high[j] - self.low[j])
-                change = np.abs(np.asarray(self._values(varied, self._p), float) - base)
-                found[:, j] |= np.any(np.isfinite(change) & (change > level), axis=1)
+        if not columns.size or not z.size:
+            return found
+        varied = np.tile(z[:, None, None, :], (1, len(columns), len(LEVELS), 1))
+        for k, j in enumerate(columns):
+            varied[j, k] = (self.low[j] + LEVELS * (self.high[j] - self.low[j]))[:, None]
+        values = np.asarray(self._values(varied.reshape(len(z), -1), self._p), float)
+        change = np.abs(values.reshape(-1, *varied.shape[1:]) - base[:, None, None])
+        beyond = np.isfinite(change) & (change > level[:, None, None])
+        found[:, columns] = beyond.any(axis=(2, 3))
         return found & self.pattern
 
     @cached_property
