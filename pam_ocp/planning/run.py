@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.stop import TimeIsUp
-from ..plants.stillness import acting
 from .result import Solved
 from .solvers.backend import Backend, Solver
 from .solvers.diagnosis import Conflict, elastic
@@ -142,15 +141,10 @@ class Run:
         return found if found.outcome.ended else self.after(found)
 
     def after(self, found: Solved) -> Solved:
-        """After a start that failed: where more of what acts does, coarser meshes, another guess,
-        the elastic re-solve's; then failure.
+        """After a start that failed: coarser meshes, another guess, the elastic re-solve's; then
+        failure.
         """
         problem, mesh = self.program.problem, self.program.mesh
-        beside = acting(problem.plant, problem.plant.resting())
-        if beside:
-            again = self.from_guess(by_stops(problem, mesh, beside=beside))
-            if again.outcome.ended:
-                return again
         wide = self.led_widely()
         if wide is not None:
             again = self.narrowed([wide]) if has_kinks(problem) else wide

@@ -25,15 +25,7 @@ from numpy.typing import NDArray
 from ..core import units
 from ..core.system import System
 
-__all__ = [
-    "Position",
-    "acting",
-    "rate_of",
-    "rest_rows",
-    "resting",
-    "settled_names",
-    "totals",
-]
+__all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "totals"]
 
 Array: TypeAlias = NDArray[np.float64]
 Pattern: TypeAlias = NDArray[np.bool_]
@@ -315,33 +307,6 @@ def _rest_rows(
             kept.append(i)
     order = {p.name: i for i, p in enumerate(positions)}
     return sorted((rows[i] for i in kept), key=lambda row: (order[row[0].name], row[1]))
-
-
-def acting(plant: System, positions: tuple[Position, ...]) -> dict[str, float]:
-    """Values of the other states and inputs at which more of what can accelerate the positions does
-    than at the start values (in a dead band nothing does); {} where there are none.
-    """
-    accelerations = [row for _, order, row in rest_rows(plant, positions) if order == 2]
-    if not accelerations:
-        return {}
-    region, variables = _Region(plant, ca.vertcat(*accelerations)), (*plant.states, *plant.inputs)
-    placed = {n for p in positions for n in (p.name, *p.velocities)}
-    free = [
-        j
-        for j in np.flatnonzero(region.pattern.any(axis=0) & region.free)
-        if variables[j].name not in placed and not variables[j].memory
-    ]
-    z, parts, found = region.start.copy(), np.linspace(0.05, 0.95, 10), {}
-    for j in free:  # one by one: each where it and those before it act
-        tried = np.tile(z[:, None], len(parts) + 1)
-        tried[j, 1:] = region.low[j] + parts * (region.high[j] - region.low[j])
-        values, slopes = region.at(tried)
-        shown = np.abs(slopes) > NONE * region.size[:, None] + ROUNDING
-        count = np.where(np.isfinite(values).all(axis=0), shown[:, :, free].sum(axis=(1, 2)), -1)
-        if count.max() > count[0]:
-            best = np.flatnonzero(count == count.max())
-            z[j] = found[variables[j].name] = float(tried[j, best[len(best) // 2]])
-    return found
 
 
 def _structure(plant: System) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -66,23 +66,15 @@ def from_solution(problem: Problem, mesh: Mesh, solution: Solution) -> Array:
     return _sampled(problem, mesh, durations, states, solution.inputs, design, peaks)
 
 
-def by_stops(
-    problem: Problem,
-    mesh: Mesh,
-    balanced: bool = False,
-    stretch: float = 1.0,
-    beside: Mapping[str, float] | None = None,
-) -> Array:
+def by_stops(problem: Problem, mesh: Mesh, balanced: bool = False, stretch: float = 1.0) -> Array:
     """Scaled unknowns along minimum-jerk paths between the stops, all else at its start.
 
     balanced : other states run between the equilibria at the stops instead, and the inputs are
         those that move them so. stretch : of durations that are free, from the usual ones.
-    beside : values of states and inputs in place of their start values.
     """
     shortest, longest = np.array([leg.duration for leg in problem.legs]).T
     durations = np.clip(stretch * problem.time_nominals, shortest, longest)
-    stops = [{**(beside or {}), **stop} for stop in problem.stops]
-    path = Path(problem, [_node(problem, stop, balanced) for stop in stops], durations)
+    path = Path(problem, [_node(problem, stop, balanced) for stop in problem.stops], durations)
     inputs = path.driving_inputs() if balanced else path.inputs
     return sampled_along(problem, mesh, durations, path.states, inputs)
 
