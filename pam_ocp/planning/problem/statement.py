@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias, TypedDict
 
 import casadi as ca
 
-from ...core.errors import require_instance
+from ...core.errors import require_flag, require_instance
 from ...operating.held import Memory
 from .wording import Avoid, Constraint, Phase, Stop
 
@@ -63,6 +63,7 @@ class Statement:
         require_instance(
             "minimise", self.minimise, (str, Mapping), "give a term, or {term: weight}"
         )
+        require_flag("rest", self.rest)
         for argument in ("bounds", "track", "budgets", "design"):
             value = getattr(self, argument)
             require_instance(argument, value, Mapping, "give a mapping by name", none=True)
