@@ -140,7 +140,10 @@ def asked(plant: Plant, statement: Statement, durations: Sequence[float]) -> Ask
         wanted = phase.duration if phase is not None and phase.duration is not None else wanted
         if wanted is not None:
             low, high = wanted if isinstance(wanted, tuple) else (wanted, wanted)
-            low, high = (require_finite("duration", v, "s") for v in (low, high))
+            low, high = (
+                end if v is None else require_finite("duration", v, "s")
+                for v, end in ((low, 0.0), (high, INF))
+            )
             times[f"duration of leg {leg + 1}"] = (end - begin, low, high)
     sums = tuple(s for t, v in (statement.budgets or {}).items() for s in [_sum(plant, t, v)])
     design = {

@@ -169,7 +169,7 @@ def _kept(run: Driven, wanted: Asked) -> Iterator[tuple[str, float]]:
         for each, value in zip(wanted.sums, spent, strict=True):
             yield each.label, _excess(value, each.low, each.high) / each.nominal
     for label, (value, low, high) in wanted.times.items():
-        yield label, _excess(value, low, high) / max(high, 1e-3)
+        yield label, _excess(value, low, high) / max(value, 1e-3)
     for name, (low, high) in wanted.design.items():
         variable = run.plant.variable(name)
         by = _excess(float(variable.start or 0.0), low, high)

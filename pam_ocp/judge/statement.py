@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError, require_instance, require_positive
+from ..core.errors import InputError, require_flag, require_instance, require_positive
 from ..core.variables import Variable
 from ..operating.held import Memory
 from ..plants.plant import Plant
@@ -251,6 +251,7 @@ class Statement:
         require_instance(
             "minimise", self.minimise, (str, Mapping), "give a term, or {term: weight}"
         )
+        require_flag("rest", self.rest)
         for argument in ("bounds", "track", "budgets", "design"):
             value = getattr(self, argument)
             require_instance(argument, value, Mapping, "give a mapping by name", none=True)

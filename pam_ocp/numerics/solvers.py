@@ -13,7 +13,11 @@ import casadi as ca
 from ..core.stop import ask, native
 from .blas import one_thread
 
-__all__ = ["Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ipopt", "stoppable"]
+__all__ = ["UNSAID", "Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ipopt", "stoppable"]
+
+
+UNSAID = {"inputs_check": False}
+"""Options of ``casadi.nlpsol``: its check of the numbers prints lines that a solver's status says."""
 
 
 class Native:
@@ -130,12 +134,13 @@ def nlpsol(
     sizes: tuple[int, int, int] | None = None,
     report: Callable[[Any, Any, Any], None] | None = None,
 ) -> Nlp:
-    """``casadi.nlpsol``.
+    """``casadi.nlpsol``, which prints nothing of programs with more equations than unknowns.
 
     sizes : numbers of unknowns, constraints and parameters, where ``problem`` does not show them.
     report : called with (x, f, g) at each iteration of IPOPT.
     """
     one_thread()
+    options = {**UNSAID, **options}
     watch = None
     if plugin == "ipopt":
         shown = sizes or tuple(problem[k].numel() if k in problem else 0 for k in ("x", "g", "p"))

@@ -165,8 +165,18 @@ class Plan:
 
     def _near(self, program: Program) -> Solved | None:
         """Where a solve of ``program`` may start from this plan: warm,
-        if it solved the same one.
+        if it solved the same one. InputError where it is of a plant with other variables.
         """
+        own, other = (
+            [v.name for v in (*plant.states, *plant.inputs)]
+            for plant in (self.plant, program.problem.plant)
+        )
+        if own != other:
+            raise InputError(
+                f"guess: a plan of {self.plant.name!r}, with {', '.join(own)}, cannot start one of "
+                f"{program.problem.plant.name!r}, with {', '.join(other)}; give a plan of a plant "
+                "with these states and inputs, or none"
+            )
         if self._coarse is not None and self._coarse.program.nlp is program.nlp:
             return self._coarse
         return self._solved

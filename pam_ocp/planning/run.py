@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from ..core.stop import TimeIsUp
 from .result import Solved
 from .solvers.backend import Backend, Solver
-from .solvers.diagnosis import Conflict, elastic
+from .solvers.diagnosis import Conflict, advice, elastic
 from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, narrowing, widened
 from .solvers.side_by_side import solved_side_by_side
@@ -159,7 +160,9 @@ class Run:
         feasible = self._diagnosed()
         if feasible is not None:
             again = self.from_guess(feasible, "adaptive")
-        return again if again.outcome.ended else found
+        if again.outcome.ended:
+            return again
+        return replace(found, outcome=replace(found.outcome, advice=advice(self.program)))
 
     def _from_coarser(self) -> Solved | None:
         """From solutions on coarser meshes, which are found sooner (few unknowns, and numerical

@@ -3,15 +3,20 @@
 Coordinates are a matter of taste: velocities may be states in other units, momenta, combinations
 (x' = v + w) or functions (x' = T(q) w, x' = sinh(v)). What tells a position from a lag, a pressure
 or a velocity is this: where its rate vanishes, the rate stays zero whatever the position is.
+
+No single point answers that: where muscles are slack there, or a dead band is not left, an
+equation says nothing. What a rate depends on is the sparsity of its expression; that a dependence
+goes at rest, or that one equation follows from others, is believed only where it is seen at points
+all over the region of operation, and where the same points do show what is said to have gone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass
 from functools import cached_property
 from random import Random  # NumPy's take 8 ms to load
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -19,18 +24,24 @@ from numpy.typing import NDArray
 
 from ..core import units
 from ..core.system import System
-from ..numerics.newton import iterate, least_squares
 
 __all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "totals"]
 
 Array: TypeAlias = NDArray[np.float64]
+Pattern: TypeAlias = NDArray[np.bool_]
 
-POINTS = 3
-"""Points of rest at which slopes are looked at: what vanishes at all of them vanishes."""
+POINTS = 16
+"""Spread over the region of operation."""
+REACHES = (0.3, 1.0, 3.0, np.inf)
+"""How far from the start values the points lie, in turn: in nominals, inside the bounds."""
+WIDEST, OPEN = 100.0, 3.0
+"""How many nominals the region goes from the start values: to bounds, and where there are none."""
+LEVELS = np.linspace(0.0, 1.0, 5)
+"""Of the region's width: the values that one variable is given while the others stay."""
 STEPS = 30
-"""Of Newton's method towards such a point."""
-NONE = 1e-7
-"""Slopes below this part of the largest of their row count as zero."""
+"""Of Newton's method towards points where equations hold."""
+NONE, ROUNDING = 1e-7, 1e-12
+"""What counts as zero: this part of the slopes there, and this part of a typical value."""
 
 
 @dataclass(frozen=True)
@@ -45,92 +56,118 @@ class Position:
     driven: bool = False
 
 
-@dataclass(frozen=True)
-class _Rates:
-    """The equations of some states: values and slopes in units of nominals."""
+class _Region:
+    """Some expressions of a plant's states and inputs over its region of operation.
 
-    plant: System
+    Disturbances stay at their start values. Points are columns (states and inputs, points).
+    """
+
+    def __init__(self, plant: System, expressions: ca.SX) -> None:
+        z, variables = ca.vertcat(plant.x, plant.u), (*plant.states, *plant.inputs)
+        slopes = ca.jacobian(expressions, z)
+        self.pattern: Pattern = np.array(ca.DM(slopes.sparsity(), 1), dtype=bool)
+        self._values = ca.Function("values", [z, plant.p], [expressions])
+        self._slopes = ca.Function("slopes", [z, plant.p], [expressions, ca.densify(slopes)])
+        self._p = plant.vector("parameter")
+        self.free = np.array([not v.disturbance for v in variables])
+        self.nominal = np.array([v.nominal for v in variables], float)
+        self.start = np.array([v.start or 0.0 for v in variables], float)
+        bounds = np.array([(v.min, v.max) for v in variables]).reshape(-1, 2).T
+        reach = np.where(np.isfinite(bounds), WIDEST, OPEN) * self.nominal * self.free
+        self.low = np.maximum(bounds[0], self.start - reach[0])
+        self.high = np.minimum(bounds[1], self.start + reach[1])
+
+    def at(self, z: Array) -> tuple[Array, Array]:
+        """(values (m, points), slopes (points, m, n) by nominals)."""
+        found, slopes = (np.asarray(e, float) for e in self._slopes(z, self._p))
+        by_point = slopes.reshape(len(self.pattern), z.shape[1], len(z)).swapaxes(0, 1)
+        return found, by_point * (self.nominal * self.free)
 
     @cached_property
-    def scale(self) -> tuple[Array, Array]:
-        """(nominals of states, those of the inputs that a controller chooses)."""
-        plant = self.plant
-        chosen = np.array([not v.disturbance for v in plant.inputs], bool)
-        u = plant.vector("input", attribute="nominal")
-        return plant.vector("state", attribute="nominal"), np.where(chosen, u, 0.0)
-
-    @cached_property
-    def _evaluated(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
-        """(x, u) -> (rates, slopes by states, slopes by inputs), by a call that converts nothing:
-        Newton's method takes some fifty.
+    def points(self) -> Array:
+        """Each variable has a value in each of as many equal parts of its range: a Latin hypercube
+        (McKay et al., Technometrics 21 (1979) 239-245). Points without finite values are left out.
         """
-        plant, p = self.plant, self.plant.vector("parameter")
-        nx, nu = len(plant.states), len(plant.inputs)
+        draw = Random(0)
+        parts = [draw.sample(range(POINTS), POINTS) for _ in self.start]
+        reach = np.resize(REACHES, POINTS) * self.nominal[:, None]
+        low = np.maximum(self.low[:, None], self.start[:, None] - reach)
+        high = np.minimum(self.high[:, None], self.start[:, None] + reach)
+        z = low + (np.array(parts) + 0.5) / POINTS * (high - low)
+        values, slopes = self.at(z)
+        return z[:, np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))]
 
-        def build() -> ca.Function:
-            arguments = [plant.x, plant.u, plant.p]
-            slopes = plant.jacobians(*arguments)[:2]
-            rates = plant.function(*arguments)[0]
-            dense = [ca.densify(each) for each in (rates, *slopes)]
-            return ca.Function("rates_and_slopes", arguments, dense)
+    @cached_property
+    def size(self) -> Array:
+        """A typical value of each expression: the median of what is not zero; 1 without one."""
+        values = np.abs(self.at(self.points)[0])
+        return np.array([float(np.median(row[row > 0])) if row.any() else 1.0 for row in values])
 
-        function = plant.cached("rates and slopes", build)
-        holder, call = function.buffer()
-        given = np.zeros(nx), np.zeros(nu), np.array(p, float)
-        found = np.zeros(nx), np.zeros((nx, nx), order="F"), np.zeros((nx, nu), order="F")
-        for i, array in enumerate(given):
-            holder.set_arg(i, memoryview(array))  # type: ignore[arg-type]
-        for i, array in enumerate(found):
-            holder.set_res(i, memoryview(array.ravel(order="K")))  # type: ignore[arg-type]
+    def roots(self, rows: list[int]) -> tuple[Array, int]:
+        """(points at which these expressions vanish, the one of ``rows`` to give up where there are
+        none), by Gauss and Newton's steps inside the region.
+        """
+        z, size = self.points, self.size[rows]
+        missed = np.zeros((len(rows), 0))
+        for _ in range(STEPS):
+            values, slopes = self.at(z)
+            sound = np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))
+            z, values, slopes = z[:, sound], values[:, sound], slopes[sound]
+            missed = values[rows] / size[:, None]
+            if np.all(np.abs(missed) <= 1e-3 * ROUNDING):
+                break
+            inverse = np.linalg.pinv(slopes[:, rows] / size[:, None], rcond=1e-10)
+            step = (inverse @ missed.T[:, :, None])[:, :, 0].T
+            moved = np.clip(z.T - step.T * self.nominal, self.low, self.high).T
+            z = np.where(self.free[:, None], moved, z)
+        missed = np.abs(self.at(z)[0][rows]) / size[:, None]
+        found = z[:, np.all(missed <= ROUNDING, axis=0)]
+        if found.size or not missed.size:
+            return found, rows[0]
+        nearest = missed[:, np.argmin(missed.max(axis=0))]
+        # what depends on itself is hardly a position: it goes first
+        own = np.array([i < len(self.start) and self.pattern[i, i] for i in rows])
+        pool = own & (nearest > ROUNDING) if np.any(own & (nearest > ROUNDING)) else nearest > 0
+        return found, rows[int(np.argmax(np.where(pool, nearest, -1.0)))]
 
-        def evaluated(
-            x: Array, u: Array, _alive: tuple[Any, ...] = (function, holder)
-        ) -> tuple[Array, Array, Array]:
-            given[0][:], given[1][:] = x, u
-            call()
+    def moved(self, z: Array) -> Pattern:
+        """(m, n): which expressions change at any of these points when one variable alone takes
+        other values of its range.
+        """
+        base, slopes = self.at(z)
+        level = NONE * np.abs(slopes).sum(axis=2).T + ROUNDING * self.size[:, None]
+        columns = np.flatnonzero(self.pattern.any(axis=0) & self.free)
+        found = np.zeros(self.pattern.shape, bool)
+        if not columns.size or not z.size:
             return found
+        varied = np.tile(z[:, None, None, :], (1, len(columns), len(LEVELS), 1))
+        for k, j in enumerate(columns):
+            varied[j, k] = (self.low[j] + LEVELS * (self.high[j] - self.low[j]))[:, None]
+        values = np.asarray(self._values(varied.reshape(len(z), -1), self._p), float)
+        change = np.abs(values.reshape(-1, *varied.shape[1:]) - base[:, None, None])
+        beyond = np.isfinite(change) & (change > level[:, None, None])
+        found[:, columns] = beyond.any(axis=(2, 3))
+        return found & self.pattern
 
-        return evaluated
+    @cached_property
+    def seen(self) -> Pattern:
+        """(m, n): which dependences show anywhere in the region."""
+        return self.moved(self.points)
 
-    def at(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """(rates (nx,), slopes (nx, nx + nu)) in nominals per second."""
-        rates, a, b = self._evaluated(x, u)
-        nominal, inputs = self.scale
-        slopes = np.hstack([a * nominal, b * inputs])
-        return rates / nominal, slopes / nominal[:, None]
-
-    def still(self, chosen: list[int], seed: int) -> tuple[Array, Array, Array]:
-        """(slopes, typical slopes, rates left) at a point where the chosen rates vanish
-        (Gauss-Newton).
-        """
-        plant, (nominal, inputs) = self.plant, self.scale
-        draw = Random(seed)
-        states, controls = plant.states, plant.inputs
-        x = np.array([_somewhere(v, draw) for v in states])
-        u = np.array([v.start if v.disturbance else _somewhere(v, draw) for v in controls], float)
-        typical = np.zeros(len(x))
-
-        def equations(w: Array) -> tuple[Array, Callable[[Array], Array]]:
-            nonlocal typical
-            rates, slopes = self.at(*place(w))
-            if np.isfinite(slopes).all():
-                typical = np.maximum(typical, np.abs(slopes).max(axis=1, initial=0.0))
-            return rates[chosen], least_squares(slopes[chosen], rcond=1e-10)
-
-        def place(w: Array) -> tuple[Array, Array]:
-            return x + w[: len(x)] * nominal, u + w[len(x) :] * inputs
-
-        start = np.zeros(len(x) + len(u))
-        root = iterate(equations, start, tolerance=1e-12, steps=STEPS, halvings=0)
-        rates, slopes = self.at(*place(root.w))
-        return slopes, typical, rates
+    def follows(self, row: int, rows: list[int]) -> bool:
+        """Whether an expression is seen to vanish wherever ``rows`` do."""
+        z, _ = self.roots(rows)
+        if not z.size or (self.pattern & ~self.seen & self.free)[row].any():
+            return False
+        value, slopes = self.at(z)
+        level = NONE * np.abs(slopes[:, row]).sum(axis=1) + ROUNDING * self.size[row]
+        others = ~self.pattern[rows].any(axis=0)  # with these the rows stay zero
+        return bool(np.all(np.abs(value[row]) <= level) and not self.moved(z)[row, others].any())
 
 
-def _somewhere(variable: object, draw: Random) -> float:
-    """Near the start value, inside the range."""
-    v = variable
-    wide = v.start + v.nominal * draw.uniform(-0.3, 0.3)  # type: ignore[attr-defined]
-    return float(min(max(wide, v.min), v.max))  # type: ignore[attr-defined]
+def _numbers(plant: System) -> Hashable:
+    """What answers depend on besides expressions, as a key."""
+    return tuple(np.concatenate([plant.vector(kind) for kind in ("parameter", "input", "state")]))
 
 
 def _measures(plant: System, name: str) -> int:
@@ -147,19 +184,18 @@ def resting(plant: System, named: Collection[str] = ()) -> tuple[Position, ...]:
     first: those that a motion's stops speak of. Units decide next: lengths and angles are
     positions; states in other units are only where there is nothing else.
     """
-    key = ("resting", tuple(sorted(named)), tuple(plant.vector("parameter")))
+    key = ("resting", tuple(sorted(named)), _numbers(plant))
     found: tuple[Position, ...] = plant.cached(key, lambda: _resting(plant, named))
     return found
 
 
 def _resting(plant: System, named: Collection[str]) -> tuple[Position, ...]:
     names = [v.name for v in plant.states]
-    key = ("neutral", tuple(plant.vector("parameter")))
-    neutral, slopes = plant.cached(key, lambda: _neutral(plant))
+    neutral, used = plant.cached(("neutral", _numbers(plant)), lambda: _neutral(plant))
     nx = len(names)
     driven = set(neutral) & _dependent(plant)[1]
     undriven = [i for i in neutral if i not in driven]
-    uses = {i: [j for j in range(nx) if j != i and slopes[i, j]] for i in neutral}
+    uses = {i: [j for j in range(nx) if j != i and used[i, j]] for i in neutral}
     for worst in (1, 2):  # lengths, angles and numbers; then anything
         pool = [i for i in undriven if uses[i] and _measures(plant, names[i]) <= worst]
         pool.sort(
@@ -208,29 +244,26 @@ def _dependent(plant: System) -> tuple[frozenset[int], frozenset[int]]:
     return found
 
 
-def _neutral(plant: System) -> tuple[list[int], NDArray[np.bool_]]:
+def _neutral(plant: System) -> tuple[list[int], Pattern]:
     """States whose rates, where they vanish, do not depend on themselves; and what they depend on
     there.
     """
-    rates = _Rates(plant)
     moving, _ = _dependent(plant)
     chosen = [i for i, v in enumerate(plant.states) if not v.memory and i in moving]
-    nx, nu = len(plant.states), len(plant.inputs)
-    while True:
-        lost, pattern = set(), np.zeros((nx, nx + nu), bool)
-        for seed in range(POINTS):
-            slopes, typical, left = rates.still(chosen, seed)
-            size = np.maximum(typical, 1e-300)[:, None]
-            seen = ~(np.abs(slopes) <= NONE * size)
-            pattern |= seen
-            lost |= {i for i in chosen if seen[i, i]}
-            if not lost:
-                missed = {i: abs(left[i]) for i in chosen if not abs(left[i]) <= 1e-6 * size[i, 0]}
-                if missed:
-                    lost.add(max(missed, key=lambda i: missed[i]))
+    region = _Region(plant, plant.function(plant.x, plant.u, plant.p)[0])
+    while chosen:
+        z, worst = region.roots(chosen)
+        if not region.points.size:  # no numbers to be had: what the expressions say
+            return [i for i in chosen if not region.pattern[i, i]], region.pattern
+        if not z.size:
+            chosen.remove(worst)
+            continue
+        moved = region.moved(z)
+        lost = {i for i in chosen if moved[i, i]}
         if not lost:
-            return chosen, pattern
+            return chosen, moved | (region.pattern & ~region.seen)
         chosen = [i for i in chosen if i not in lost]
+    return [], region.pattern
 
 
 def rate_of(plant: System, name: str) -> ca.SX:
@@ -244,10 +277,16 @@ def rate_of(plant: System, name: str) -> ca.SX:
 def rest_rows(plant: System, positions: tuple[Position, ...]) -> list[tuple[Position, int, ca.SX]]:
     """[(position, order, expression)]: rates (order 1) and accelerations (2), without repetitions.
 
-    What follows from the rows before it (a wheel that counts the same motion) is left out.
+    What is seen to follow from the rows before it (a wheel that counts the same motion) is left
+    out; what cannot be seen to is kept.
     """
-    if not positions:
-        return []
+    key = ("rest rows", positions, _numbers(plant))
+    found: list[tuple[Position, int, ca.SX]]
+    found = plant.cached(key, lambda: _rest_rows(plant, positions))
+    return list(found)
+
+
+def _rest_rows(plant: System, positions: tuple[Position, ...]) -> list[tuple[Position, int, ca.SX]]:
     xdot = plant.function(plant.x, plant.u, plant.p)[0]
     rows: list[tuple[Position, int, ca.SX]] = []
     for position in positions:
@@ -255,44 +294,17 @@ def rest_rows(plant: System, positions: tuple[Position, ...]) -> list[tuple[Posi
         rows.append((position, 1, rate))
         if not position.driven:
             rows.append((position, 2, ca.jtimes(rate, plant.x, xdot)))
+    rows = [row for row in rows if not row[2].is_zero()]
+    if not rows:
+        return []
     rows.sort(key=lambda row: row[1])
-    z = ca.vertcat(plant.x, plant.u)
-    values = ca.vertcat(*(row[2] for row in rows))
-    slopes = ca.Function("rest", [z, plant.p], [values, ca.jacobian(values, z)])
-    nominal = np.concatenate(
-        [plant.vector("state", attribute="nominal"), plant.vector("input", attribute="nominal")]
-    )
-    kept = _independent(plant, slopes, nominal)
+    region = _Region(plant, ca.vertcat(*(row[2] for row in rows)))
+    kept: list[int] = []
+    for i in range(len(rows)):
+        if not kept or not region.follows(i, kept):
+            kept.append(i)
     order = {p.name: i for i, p in enumerate(positions)}
-    chosen = [row for i, row in enumerate(rows) if i in kept]
-    return sorted(chosen, key=lambda row: (order[row[0].name], row[1]))
-
-
-def _independent(plant: System, slopes: ca.Function, nominal: Array) -> set[int]:
-    """Rows that say something new at a point where all vanish."""
-    draw, p = Random(0), plant.vector("parameter")
-    z = np.array([_somewhere(v, draw) for v in (*plant.states, *plant.inputs)])
-    jacobian = np.zeros((0, len(z)))
-    typical = np.zeros(1)
-
-    def equations(w: Array) -> tuple[Array, Callable[[Array], Array]]:
-        nonlocal jacobian, typical
-        value, slope = (np.asarray(e, float) for e in slopes(z + w * nominal, p))
-        jacobian = slope * nominal
-        typical = np.maximum(typical, np.abs(jacobian).max(axis=1))
-        return value.ravel(), least_squares(jacobian, rcond=1e-10)
-
-    iterate(equations, np.zeros(len(z)), settled=1e-14, steps=STEPS, halvings=0)
-    if not np.isfinite(jacobian).all():
-        return set(range(len(jacobian)))
-    kept: set[int] = set()
-    basis = np.zeros((0, len(z)))
-    for i, row in enumerate(jacobian / np.maximum(typical, 1e-300)[:, None]):
-        rest = row - basis.T @ (basis @ row)
-        if np.linalg.norm(rest) > 1e-6 * max(1.0, float(np.linalg.norm(row))):
-            kept.add(i)
-            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
-    return kept
+    return sorted((rows[i] for i in kept), key=lambda row: (order[row[0].name], row[1]))
 
 
 def _structure(plant: System) -> tuple[list[str], NDArray[np.bool_], NDArray[np.bool_]]:

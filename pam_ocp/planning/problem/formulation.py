@@ -178,6 +178,11 @@ def _conditions(
             raise InputError(f"{label}: {name} is a parameter, it cannot change along the motion")
         low, high = range_of(f"{label}: {name}", value, variable)
         least, most = bounds.get(name, (variable.min, variable.max))
+        if (low > most or high < least) and least == most:
+            raise InputError(
+                f"{label}: {name} = {variable.shown(low)}, but bounds hold it at "
+                f"{variable.shown(least)} all along; give (low, high) for a range"
+            )
         if low > most or high < least:
             raise InputError(
                 f"{label}: {name} = {variable.shown(low)} is outside the stroke "
@@ -227,7 +232,8 @@ def _duration(value: Any) -> Range:
     if isinstance(value, tuple):
         if len(value) != 2:
             raise InputError(f"duration = {value}: give (shortest, longest) in seconds")
-        low, high = (require_positive("duration", v, "s") for v in value)
+        ends = zip(value, DURATIONS, strict=True)
+        low, high = (end if v is None else require_positive("duration", v, "s") for v, end in ends)
         if low > high:
             raise InputError(f"duration = ({low:g}, {high:g}) s: the bounds are crossed")
         return low, high

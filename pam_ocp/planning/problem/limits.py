@@ -155,6 +155,10 @@ def range_of(argument: str, value: Any, variable: Variable) -> Range:
         low = -math.inf if value[0] is None else variable.number(value[0], argument)
         high = math.inf if value[1] is None else variable.number(value[1], argument)
     else:
+        if value is None:
+            raise InputError(
+                f"{argument} = None: give a number, or (low, high) with None for an open end"
+            )
         low = high = require_finite(argument, value, variable.unit)
     if math.isfinite(high):
         variable.doubt(high, argument)

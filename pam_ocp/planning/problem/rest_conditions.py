@@ -115,9 +115,7 @@ def at_rest(
     """
     conditions = []
     positions = holding.positions
-    for position, order, expression in plant.cached(
-        ("rest rows", positions), lambda: rest_rows(plant, positions)
-    ):
+    for position, order, expression in rest_rows(plant, positions):
         rate, velocities = f"der({position.name})", position.velocities
         said = [f"der({v})" for v in velocities] if order == 2 else velocities
         if (order == 1 and rate in stop.values) or (said and set(said) <= set(stop.values)):

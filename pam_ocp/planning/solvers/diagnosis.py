@@ -17,7 +17,7 @@ from ..transcription.transcription import Program
 from .ipopt_options import DEFAULTS
 from .solver import Outcome, limit
 
-__all__ = ["Conflict", "Elastic", "elastic", "explanation"]
+__all__ = ["Conflict", "Elastic", "advice", "elastic", "explanation"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -132,6 +132,7 @@ def explanation(
     """
     if outcome.stopped:
         return f"the solver was stopped before it found a plan for {plant} ({outcome.status})"
+    advised = f" {outcome.advice}" if outcome.advice else ""
     opening = f"no plan found for {plant} ({outcome.status}). "
     if not conflicts:
         known = (
@@ -142,13 +143,59 @@ def explanation(
         )
         remedy = (
             "; try another method=Collocation(...), other bounds of duration, a guess=..., or more "
-            "options={'max_iter': ...}"
+            "options={'max_iter': ...}."
         )
-        return opening + known + remedy
+        return opening + known + remedy + advised
     more = "; ".join(str(c) for c in conflicts[1:NAMED])
     also = f" In conflict with it: {more}." if more else ""
     return (
         opening
         + f"The most violated constraint is {conflicts[0]}; relax it, or allow more time or "
         f"pressure.{also} So says a local search, which is no proof that there is no plan."
+        + advised
     )
+
+
+def advice(program: Program) -> str:
+    """What often leaves no motion: bounds that are one number, legs of few intervals; "" where
+    there is neither.
+    """
+    mesh, said = program.mesh, []
+    still = mesh.form.control != "polynomial"
+    held = _held_all_along(program)
+    if held:
+        said.append(
+            f"Bounds hold {' and '.join(held)} all along: give (low, high) for a range"
+            + (", or inputs that can follow it: method=Collocation(control='polynomial')" * still)
+            + "."
+        )
+    name = "Shooting" if mesh.form.scheme == "shooting" else "Collocation"
+    for i, node in enumerate(program.problem.nodes[1:]):
+        count = sum(each.leg == i for each in mesh.intervals)
+        asked = sum(c.low == c.high for c in node)
+        if still and count < asked:
+            said.append(
+                f"Leg {i + 1} has {count} interval{'s' * (count > 1)}, in which inputs are "
+                f"{mesh.form.control}, for {asked} conditions at its end: give it more, as in "
+                f"method={name}(intervals=50)."
+            )
+            break
+    return " ".join(said)
+
+
+def _held_all_along(program: Program) -> list[str]:
+    """What has one value along a whole motion, with that value."""
+    found: dict[str, str] = {}
+    problem = program.problem
+    for leg in problem.legs:
+        if leg.dwell:
+            continue
+        for v in (*problem.plant.states, *problem.plant.inputs):
+            low, high = leg.bounds[v.name]
+            if low == high and not v.disturbance:
+                found[v.name] = f"{v.name} at {v.shown(low)}"
+        for c in leg.path:
+            if c.low == c.high and not c.defining:
+                level = "" if "profile" in c.label else f" at {c.shown.shown(c.low)}"
+                found[c.label] = c.label + level
+    return list(found.values())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from ...core.registry import Registry
-from ...numerics.solvers import Nlp, nlpsol
+from ...numerics.solvers import UNSAID, Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
@@ -95,6 +95,8 @@ class Outcome:
     solver: str = "IPOPT"
     warning: str = ""
     """What did not go as asked."""
+    advice: str = ""
+    """Of a failure: what in the statement or the mesh may be its cause, and the remedy."""
 
     @classmethod
     def of(cls, arrays: Mapping[str, Array], stats: Mapping[str, Any], seconds: float) -> Outcome:
@@ -226,7 +228,7 @@ class Ipopt:
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
             chosen["mu_init"] = BARRIER_OF_TIME * goal.time
         # multipliers of the parameters: duals.py finds them when somebody asks
-        return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
+        return {"print_time": False, "calc_lam_p": False, **UNSAID, "ipopt": chosen}
 
     def _solver(self, name: Start) -> Nlp:
         """The solver of this name, made at its first use; all share the same functions."""

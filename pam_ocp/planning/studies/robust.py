@@ -448,7 +448,7 @@ def _stacked(ensemble: Ensemble, base: Plan, motion: Trajectory, cyclic: bool, r
         columns.append(motion[name] if isinstance(run, PamError) else run[name])
     states = np.column_stack(columns)
     shown = replace(solution, t=motion.t, states=states)
-    return replace(base, _solved=Solved(solved.program, solved.outcome, shown))
+    return replace(base, plant=ensemble, _solved=Solved(solved.program, solved.outcome, shown))
 
 
 def _bounded_stops(found: Plan, allowed: Sequence[Widths]) -> tuple[tuple[int, int, Widths], ...]:
