@@ -143,6 +143,7 @@ def judge(
     found += [Finding(label, by) for label, by in _stops(run, statement, wanted)]
     found += [Finding(label, by) for label, by in _closed(run, statement)]
     found += _start(run, statement, wanted)
+    found = [Finding(f.label, float(f.by), bool(f.said)) for f in found]
     ordered = sorted((f for f in found if not f.by <= 0.0), key=lambda f: -f.by)
     objective = _objective(run, wanted.goal, motion.inputs)
     deviation = _deviation(run, states, claimed)

@@ -245,8 +245,9 @@ def _unreached(plant: Plant, x: Array, u: Array) -> Iterator[tuple[str, float]]:
     if not marked:
         return
     p = plant.vector("parameter")
-    own = np.abs(np.diag(np.asarray(plant.jacobians(x, u, p)[0], float)))
-    idle = [i for i in marked if own[i] <= NEUTRAL]
+    nominal = plant.vector("state", attribute="nominal")
+    moves = np.asarray(plant.jacobians(x, u, p)[0], float) * nominal / nominal[:, None]
+    idle = [i for i in marked if np.max(np.abs(moves[:, i])) <= NEUTRAL]
     if not idle:
         return
     inputs = {v.name: float(value) for v, value in zip(plant.inputs, u, strict=True)}
@@ -255,5 +256,4 @@ def _unreached(plant: Plant, x: Array, u: Array) -> Iterator[tuple[str, float]]:
     except SimulationError:
         return
     for i in idle:
-        nominal = plant.states[i].nominal
-        yield names[i], abs(float(run[names[i]][-1]) - float(x[i])) / nominal
+        yield names[i], abs(float(run[names[i]][-1]) - float(x[i])) / float(nominal[i])

@@ -30,9 +30,9 @@ PLACES = 41
 APART = 0.05
 """Distance from where it came to, in units of nominal, that counts as elsewhere."""
 IDLE = 1e-6
-"""Rates [nominal/s] at which a state stays."""
-BIG = 1e12
-"""Ends of a range that has none."""
+"""Rates [nominal/s] at which a plant stays."""
+FAR = 100.0
+"""Distance in nominals to which it is asked."""
 NOTHING = 1e-9
 """A slope below this part of the largest one of its row counts as zero."""
 
@@ -108,6 +108,7 @@ def _surroundings(plant: Plant) -> dict[str, float]:
         return {}
     names = [v.name for v in plant.states]
     u, p = plant.vector("input"), plant.vector("parameter")
+    sizes = plant.vector("state", attribute="nominal")
     try:
         run = simulate(plant, t=[0.0, LONG], rtol=1e-8)
     except SimulationError:
@@ -115,14 +116,16 @@ def _surroundings(plant: Plant) -> dict[str, float]:
     x = np.array([run[n][-1] for n in names])
     found = {}
     for name in marked:
-        i = names.index(name)
-        low, high = max(plant.states[i].min, -BIG), min(plant.states[i].max, BIG)
-        elsewhere = np.linspace(low, high, PLACES)
-        elsewhere = elsewhere[np.abs(elsewhere - x[i]) > APART * plant.states[i].nominal]
+        i, nominal = names.index(name), plant.states[names.index(name)].nominal
+        low, high = plant.states[i].min, plant.states[i].max
+        elsewhere = np.linspace(
+            max(low, x[i] - FAR * nominal), min(high, x[i] + FAR * nominal), PLACES
+        )
+        elsewhere = elsewhere[np.abs(elsewhere - x[i]) > APART * nominal]
         columns = np.tile(x[:, None], len(elsewhere))
         columns[i] = elsewhere
-        rates = np.asarray(plant.function(columns, u, p)[0], float)[i] / plant.states[i].nominal
-        if np.min(np.abs(rates), initial=np.inf) <= IDLE:
+        rates = np.abs(np.asarray(plant.function(columns, u, p)[0], float)) / sizes[:, None]
+        if np.min(rates.max(axis=0), initial=np.inf) <= IDLE:
             found[name] = float(x[i])
     return found
 

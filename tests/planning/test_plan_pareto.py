@@ -175,9 +175,9 @@ def test_plans_of_a_front_that_are_not_verified_are_marked(slide):
     front = pam.pareto(slide, stops, points=3, method=pam.Collocation(10, 3))
     assert front.unverified == ()
     assert "NOT VERIFIED" not in str(front)
-    off = replace(front.plans[1].replay, error=0.5, state="v")
+    off = replace(front.plans[1].judgement, error=0.5, state="v")
     wrong = replace(
-        front, plans=(front.plans[0], replace(front.plans[1], replay=off), front.plans[2])
+        front, plans=(front.plans[0], replace(front.plans[1], judgement=off), front.plans[2])
     )
     assert wrong.unverified == (1,)
     lines = str(wrong).splitlines()

@@ -369,8 +369,11 @@ def test_a_plan_with_dead_time_begins_with_a_command_that_stood() -> None:
     late = rig(slew=None, venting_slew=None, venting_lag=None)
     plan = pam.plan(late, stops=[{"x": -0.006}, {"x": 0.006}], minimise="time")
     assert plan.success
-    first = [plan.trajectory[f"difference.delay{i}"][0] for i in (1, 2, 3)]
-    np.testing.assert_allclose(first, plan.trajectory["difference"][0], atol=1e-4)
+    start = {v.name: plan.trajectory[v.name][0] for v in late.states}
+    stood = [start[f"difference.delay{i}"] for i in (1, 2, 3)]
+    np.testing.assert_allclose(stood, stood[0], atol=1e-6)
+    held = pam.simulate(late, {"difference": stood[0]}, duration=1.0, start=start)
+    assert np.ptp(held["x"]) < 1e-6  # under the command that stood nothing moves
     prompt = rig(slew=None, venting_slew=None, venting_lag=None, dead_time=None)
     sooner = pam.plan(prompt, stops=[{"x": -0.006}, {"x": 0.006}], minimise="time")
     assert plan.duration > sooner.duration
