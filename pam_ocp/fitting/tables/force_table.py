@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -19,6 +20,7 @@ from ...core.calibration import AMBIENT
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.shown import shown
 from .assign import assigned, require_columns
+from .floor import DETECTED, Floor, find_floor, part_names
 from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, complete, say
@@ -46,7 +48,8 @@ class ForceTable:
     pressure : gauge pressure [Pa], shape (n,).
     contraction : contraction ratio kappa = (l0 - l)/l0 [1], shape (n,).
     force : pulling force [N], shape (n,). A force <= 0 means slack: such a cell is censored
-        (the law lies somewhere below zero there) and is no equality for a fit.
+        (the law lies somewhere below zero there) and is no equality for a fit. So is one that
+        reads no more than the floor.
     rest_length : l0 [m], or None when the table was given over contraction without it.
     source : where the numbers come from.
     branch : of each cell, such as "inflation" and "deflation"; empty when none was named.
@@ -55,6 +58,10 @@ class ForceTable:
     scatter, error : of a ramp binned to cells: standard deviation of the rows within a cell, and
         of their mean [N], shape (n,); None where cells were measured one by one.
     notes : what was left out or mended in reading, in words.
+    floor : what slack cells read (a load cell's zero, say): "found" in the table, see
+        :mod:`pam_ocp.fitting.tables.floor`; known already; or None: any positive force is one.
+        Another choice is made by :meth:`with_floor`.
+    censored : cells that are slack whatever they read, shape (n,); None: those at the floor.
 
     Examples
     --------
@@ -74,6 +81,8 @@ class ForceTable:
     scatter: Array | None = None
     error: Array | None = None
     notes: tuple[str, ...] = ()
+    floor: Floor | Literal["found"] | None = "found"
+    censored: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         for name in ("pressure", "contraction", "force"):
@@ -100,10 +109,67 @@ class ForceTable:
                 raise InputError(f"{name} has {len(labels)} labels for {len(self)} cells")
             object.__setattr__(self, name, labels)
 
+    @cached_property
+    def _floor(self) -> tuple[Floor | None, NDArray[np.bool_]]:
+        """The floor, and the cells at it."""
+        none = np.zeros(len(self), dtype=bool)
+        if self.censored is not None or self.floor is None:
+            known = self.floor if isinstance(self.floor, Floor) else None
+            return known, none if self.censored is None else np.asarray(self.censored, bool)
+        found = find_floor(self.pressure, self.contraction, self.force, self.branch, self.file)
+        return found or (None, none)
+
+    @property
+    def floor_found(self) -> Floor | None:
+        """What slack cells read; None where there is no sign of it."""
+        return self._floor[0]
+
     @property
     def slack(self) -> NDArray[np.bool_]:
-        """True for the censored cells, force <= 0; shape (n,)."""
-        return np.asarray(self.force <= 0)
+        """True for the censored cells: force <= 0, or no more than the floor; shape (n,)."""
+        return np.asarray((self.force <= 0) | self._floor[1])
+
+    def with_floor(self, floor: float | Literal["found", "zero"] | None) -> ForceTable:
+        """The same readings with another floor.
+
+        floor : [N], cells that read no more are slack; None: there is none, a positive force is
+            one; "found": as the table tells; "zero": what it tells is the zero of the load cell, so
+            it is taken off all forces, those of taut cells too (by branch and file, where the
+            slack cells differ). Raises InputError where "zero" finds no slack cell.
+
+        Examples
+        --------
+        >>> shifted = pam.fitting.ForceTable(table.pressure, table.contraction, table.force + 7.0)
+        >>> bool(np.allclose(shifted.with_floor("zero").taut.force, table.taut.force))
+        True
+        """
+        if floor is None or floor == "found":
+            return replace(self, floor=floor, censored=None)
+        if floor != "zero":
+            limit = require_finite("floor", floor, "N")
+            return replace(self, floor=None, censored=self.force <= limit)
+        fresh = (
+            self if isinstance(self.floor, Floor) else replace(self, floor="found", censored=None)
+        )
+        found, slack = fresh._floor
+        if found is None:
+            raise InputError(
+                "floor='zero': the table shows no cells that are slack beyond doubt, from which "
+                "the zero of the load cell could be read; give it as a calibration, "
+                "units={'force': 'N - 5 N'}"
+            )
+        return replace(
+            self,
+            force=self.force - fresh._zeros(found),
+            floor=replace(found, limit=DETECTED * found.scatter),
+            censored=slack,
+            notes=(*self.notes, f"{found.value:.3g} N, the zero of the load cell, taken off all"),
+        )
+
+    def _zeros(self, floor: Floor) -> Array:
+        """The floor of each cell, (n,) [N]."""
+        names = part_names(self.branch, self.file, len(self))
+        return np.array([floor.by.get(name, floor.value) for name in names])
 
     @property
     def taut(self) -> ForceTable:
@@ -125,6 +191,8 @@ class ForceTable:
             None if self.scatter is None else self.scatter[index],
             None if self.error is None else self.error[index],
             self.notes,
+            self._floor[0],
+            self._floor[1][index],
         )
 
     @property
