@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.calibration import AMBIENT
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.quantities import quantity
 from ...core.shown import shown
 from .assign import assigned, require_columns
 from .floor import DETECTED, Floor, find_floor, part_names
@@ -33,7 +34,14 @@ from .table_checks import (
     contraction_of,
 )
 
-__all__ = ["ForceTable", "TableWords", "read_table", "require_table", "table_of"]
+__all__ = [
+    "ForceTable",
+    "TableWords",
+    "joined_floor",
+    "read_table",
+    "require_table",
+    "table_of",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -161,7 +169,7 @@ class ForceTable:
         return replace(
             self,
             force=self.force - fresh._zeros(found),
-            floor=replace(found, limit=DETECTED * found.scatter),
+            floor=replace(found, value=0.0, limit=DETECTED * found.scatter, by={}),
             censored=slack,
             notes=(*self.notes, f"{found.value:.3g} N, the zero of the load cell, taken off all"),
         )
@@ -253,7 +261,7 @@ def read_table(
     decimal: str | None = None,
     empty: Literal["drop", "refuse"] = "drop",
     ramp: bool | None = None,
-    floor: float | Literal["found"] | None = "found",
+    floor: float | str | None = "found",
 ) -> ForceTable:
     """Read a measured force table; :func:`look` shows beforehand what is understood.
 
@@ -281,8 +289,11 @@ def read_table(
     empty : rows with empty cells are dropped, counted and said in a ReadingWarning, or refused.
     ramp : True: the rows are a slow ramp in the order of time, to be binned to cells; False: each
         row is a cell; None: find out. See :mod:`pam_ocp.fitting.tables.ramps`.
-    floor : force [N] at or below which the sensor shows nothing: these cells are slack. "found": a
-        least value that stands there again and again. None: there is none.
+    floor : force [N], or text with a unit, at or below which the sensor shows nothing: these cells
+        are slack. "found": a least value that stands there again and again, or what cells read
+        where the muscle cannot pull (:mod:`pam_ocp.fitting.tables.floor`); it is said in a
+        ReadingWarning. "zero": that is the zero of the load cell, and taken off all forces
+        (:meth:`ForceTable.with_floor`). None: there is none, any positive force is one.
 
     Returns
     -------
@@ -323,7 +334,10 @@ def read_table(
         with naming(one):
             tables.append(table_of(load(one, how), words))
         say(tables[-1].source, tables[-1].notes)
-    return _joined(tables)
+    whole = _joined(tables)
+    if whole.floor_found and not any(t.floor_found for t in tables):
+        say(whole.source, _floor_notes(whole))
+    return whole
 
 
 @dataclass(frozen=True)
@@ -359,7 +373,7 @@ class TableWords:
             require_positive("ambient_pressure", ambient_pressure, "Pa"),
             empty,
             ramp,
-            floor if floor in (None, "found") else require_finite("floor", floor, "N"),
+            floor if floor in (None, "found", "zero") else quantity("floor", floor, "N"),
         )
         return Reading.of(columns, **layout), words
 
@@ -374,7 +388,7 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     check_force(series["force"])
     kappa = contraction_of(series, words.rest_length)
     p, force, notes = series["pressure"].si, np.array(series["force"].si), list(raw.notes)
-    floor = floor_of(force) if words.floor == "found" else words.floor
+    floor = {"found": floor_of(force), "zero": None}.get(words.floor, words.floor)
     at_floor = np.zeros(force.size, bool) if floor is None else force <= floor
     force[at_floor] = np.minimum(force[at_floor], 0.0)
     if floor is not None and (floor > 0 or words.floor != "found"):
@@ -390,7 +404,13 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
             "contraction held, the other rising and falling in small steps); leave ramp= away"
         )
     table = rows if ramp is None else _binned(rows, ramp, at_floor)
-    table = replace(table, notes=(*notes, *([f"a ramp: {ramp}"] if ramp else [])))
+    notes += [f"a ramp: {ramp}"] if ramp else []
+    if words.floor not in ("found", "zero"):
+        table = table.with_floor(None)
+    elif table.floor_found and ramp:
+        table = _binned(rows, ramp, at_floor | _shows_floor(table, rows), table.floor_found)
+    table = replace(table, notes=(*notes, *_floor_notes(table)))
+    table = table.with_floor("zero") if words.floor == "zero" else table
     check_mixed_pressure(series["pressure"], rows.pressure, rows.force, rows.contraction)
     if not np.any(~table.slack):
         sign = (
@@ -402,17 +422,37 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     return table
 
 
-def _binned(rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_]) -> ForceTable:
+def _floor_notes(table: ForceTable) -> tuple[str, ...]:
+    """The floor, in words, and what to say if it is something else."""
+    floor = table.floor_found
+    if floor is None or not floor.matters:
+        return ()
+    zero = (
+        "if that is the zero of the load cell, which taut cells then carry, too, floor='zero' "
+        "takes it off; "
+    )
+    return (f"{floor}; {zero if floor.shifted else ''}floor=None if they are forces",)
+
+
+def _shows_floor(cells: ForceTable, rows: ForceTable) -> NDArray[np.bool_]:
+    """Rows of a ramp that read no more than the floor of its cells, scattering as rows do there."""
+    assert cells.floor_found is not None and cells.scatter is not None
+    scatter = float(np.median(cells.scatter[cells.slack]))
+    return np.asarray(rows.force <= cells.floor_found.limit + DETECTED * scatter)
+
+
+def _binned(
+    rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_], floor: Floor | None = None
+) -> ForceTable:
     """A table of the ramp's cells: means of their rows. Where half of them show the sensor's floor
     it is slack; where fewer do it is left out, for their mean would lie too high.
     """
     shares = [float(np.mean(at_floor[cell.rows])) for cell in ramp.cells]
     kept = [(c, share) for c, share in zip(ramp.cells, shares, strict=True) if not 0 < share < 0.5]
     cells, parts = [c for c, _ in kept], [c.rows for c, _ in kept]
+    slack = np.array([share > 0 for _, share in kept])
     force = [
-        min(0.0, float(np.median(rows.force[c.rows])))
-        if share
-        else float(rows.force[c.rows].mean())
+        float(np.median(rows.force[c.rows])) if share else float(rows.force[c.rows].mean())
         for c, share in kept
     ]
 
@@ -432,6 +472,8 @@ def _binned(rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_]) -> ForceT
         common(rows.run, [c.run for c in cells]),
         scatter=np.array([c.scatter for c in cells]),
         error=np.array([c.error for c in cells]),
+        floor=floor or "found",
+        censored=slack if slack.any() else None,
     )
 
 
@@ -458,7 +500,21 @@ def _joined(tables: Sequence[ForceTable]) -> ForceTable:
         numbers("scatter"),
         numbers("error"),
         tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
+        **joined_floor(tables),
     )
+
+
+def joined_floor(tables: Sequence[ForceTable]) -> dict[str, Any]:
+    """``floor`` and ``censored`` of tables behind each other: found anew, for one file may hold one
+    length, unless one of them says more.
+    """
+    if all(t.floor == "found" and t.censored is None for t in tables):
+        return {}
+    floors = [t.floor for t in tables if isinstance(t.floor, Floor)]
+    return {
+        "floor": floors[0] if floors else None,
+        "censored": np.concatenate([t._floor[1] for t in tables]),
+    }
 
 
 def require_table(value: Any, argument: str = "table") -> ForceTable:
