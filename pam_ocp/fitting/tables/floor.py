@@ -104,6 +104,11 @@ class _Cells(NamedTuple):
     def chosen(self, index: Mask | NDArray[np.intp]) -> _Cells:
         return _Cells(*(a[index] for a in self))
 
+    def places(self, chosen: Mask | NDArray[np.intp]) -> int:
+        """How many distinct pairs of pressure and contraction there are."""
+        pairs = np.stack([np.round(100 * self.x[chosen]), np.round(50 * self.k[chosen])])
+        return int(np.unique(pairs, axis=1).shape[1])
+
     def columns(self, degrees: tuple[int, int]) -> Array:
         powers = [
             self.x**i * self.k**j for i in range(degrees[0] + 1) for j in range(degrees[1] + 1)
@@ -262,8 +267,8 @@ def _evidence(cells: _Cells, hinge: _Hinge) -> tuple[Mask | None, float]:
     surface, error = hinge.surface(cells)
     whole = np.hypot(error, hinge.noise * ABSOLUTE * float(cells.y.max()))
     deep = slack & (level - surface > DEEP * np.maximum(whole, scatter))
-    count = int(deep.sum())
-    if count < 2:
+    count = cells.places(deep)  # repeats of a cell agree, slack or not
+    if count < 3:
         return None, scatter
     along = surface[deep] - surface[deep].mean()
     size = float(along @ along)
@@ -271,10 +276,11 @@ def _evidence(cells: _Cells, hinge: _Hinge) -> tuple[Mask | None, float]:
     if abs(slope) > max(FLAT, 3 * scatter / np.sqrt(size) if 0 < count < 5 and size > 0 else 0.0):
         return None, scatter
     # of taut cells there would be as many between these readings as there are above
-    taut = np.sort(cells.y[~slack & (cells.y > 0)])
-    near = taut[: max(5, taut.size // 3)]
+    taut = np.nonzero(~slack & (cells.y > 0))[0]
+    near = taut[np.argsort(cells.y[taut])][: max(5, taut.size // 3)]
     width = max(float(np.ptp(off[deep])), 1e-9 * float(cells.y.max()))
-    expected = near.size * width / max(float(near[-1] - level.min()), 1e-300)
+    span = float(cells.y[near].max() - level.min())
+    expected = cells.places(near) * width / max(span, 1e-300)
     return (deep if float(pdtrc(count - 1, expected)) < CHANCE else None), scatter
 
 

@@ -436,7 +436,8 @@ def _floor_notes(table: ForceTable) -> tuple[str, ...]:
 
 def _shows_floor(cells: ForceTable, rows: ForceTable) -> NDArray[np.bool_]:
     """Rows of a ramp that read no more than the floor of its cells, scattering as rows do there."""
-    assert cells.floor_found is not None and cells.scatter is not None
+    assert cells.floor_found is not None
+    assert cells.scatter is not None
     scatter = float(np.median(cells.scatter[cells.slack]))
     return np.asarray(rows.force <= cells.floor_found.limit + DETECTED * scatter)
 
