@@ -10,6 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from ..statistics import Linearisation
 
+from .correlation import FEWEST
 from .optimum import Optimum
 
 __all__ = ["at_edge", "floor_doubts", "following", "force_warnings", "unseen"]
@@ -33,6 +34,11 @@ def force_warnings(fit: Optimum) -> tuple[str, ...]:
     """See :attr:`ForceFit.warnings`."""
     found = [fit.solver.doubt] if fit.solver.doubt else []
     found += [*floor_doubts(fit), *unseen(fit), *_saturated(fit), *following(fit.linearisation)]
+    if 0 < fit.dof < FEWEST and not fit.terms.independent:
+        found.append(
+            f"with {fit.dof} degrees of freedom nothing tells whether errors follow each other: "
+            "intervals hold for independent ones only"
+        )
     if fit.dof == 0:
         found.append("as many coefficients as taut cells: no error can be estimated")
     return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
@@ -66,7 +72,8 @@ def floor_doubts(fit: Optimum) -> list[str]:
 
 def _carried(fit: Optimum, floor: float) -> str:
     """Whether a constant force beside the law, in taut cells, is the floor (Wald test)."""
-    w, jacobian, rest = fit.root_weights, fit.linearisation.jacobian[: fit.n], fit._influential
+    w, rest = fit.root_weights, fit._influential
+    jacobian = w[:, None] * fit.jacobian
     norms = np.linalg.norm(jacobian, axis=0)
     basis = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)[0]
     alone = w - basis @ (basis.T @ w)
@@ -82,10 +89,10 @@ def _carried(fit: Optimum, floor: float) -> str:
         return unknown
     zero = float(alone @ rest) / size**2
     seen, same = abs(zero) > SURE * error, abs(zero - floor) <= SURE * error
-    if seen == same:
-        said = f"carry it, too ({zero:.3g} ± {error:.2g} N): {remedy}"
-        return f"; taut cells {said}" if same else unknown
-    return unknown if same else f"; taut cells do not carry it ({zero:.3g} ± {error:.2g} N)"
+    size_said = f"({zero:.3g} ± {error:.2g} N)"
+    if same:
+        return f"; taut cells carry it, too {size_said}: {remedy}" if seen else unknown
+    return unknown if seen else f"; taut cells do not carry it {size_said}"
 
 
 def unseen(fit: Optimum) -> list[str]:

@@ -163,7 +163,7 @@ class _Nested:
         if moved not in self.known:
             count, poorer = sum(moved), []
             if count > 1 and (count <= MOST_NESTED or all(moved)):
-                for i in np.nonzero(moved)[0]:
+                for i in (i for i, free in enumerate(moved) if free):
                     poorer += self.best((*moved[:i], False, *moved[i + 1 :]))
             ends = [*poorer, *self._ends(np.array(moved), poorer)]
             self.known[moved] = sorted(ends, key=lambda end: end.cost)[:1]
@@ -174,7 +174,8 @@ class _Nested:
         problem.z = None
         linear = _minimised(problem, first, self.limits, self.factors, free)
         starts = [_End(0.0, first, None), _End(0.0, linear, None), *poorer]
-        for start, scaled in itertools.product(starts, ("jac", 1.0) if free.all() else ("jac",)):
+        ways = itertools.product(starts, ("jac", 1.0) if free.all() else ("jac",))
+        for start, scaled in ways:
             at = start.estimates
             problem.z = problem.model.anchored(at[: problem.inner]) if start.z is None else start.z
             try:

@@ -115,8 +115,8 @@ def pulling(
     """What a law and its bands say of a muscle, which is slack where they are below zero."""
 
     def up(pair: tuple[Array, Array]) -> tuple[Array, Array]:
-        return np.maximum(pair[0], 0.0), np.maximum(pair[1], 0.0)
+        return np.asarray(np.maximum(pair[0], 0.0)), np.asarray(np.maximum(pair[1], 0.0))
 
     slack = np.asarray(force <= 0)
-    none = np.maximum(force, 0.0)
-    return Prediction(none, stderr, up(confidence), up(prediction), level, slack, away)
+    pull = np.asarray(np.maximum(force, 0.0))
+    return Prediction(pull, stderr, up(confidence), up(prediction), level, slack, away)

@@ -102,7 +102,7 @@ class _Cells(NamedTuple):
     part: NDArray[np.intp]
 
     def chosen(self, index: Mask | NDArray[np.intp]) -> _Cells:
-        return _Cells(*(a[index] for a in self))
+        return self._make(a[index] for a in self)
 
     def places(self, chosen: Mask | NDArray[np.intp]) -> int:
         """How many distinct pairs of pressure and contraction there are."""

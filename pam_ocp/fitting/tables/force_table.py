@@ -171,7 +171,10 @@ class ForceTable:
             force=self.force - fresh._zeros(found),
             floor=replace(found, value=0.0, limit=DETECTED * found.scatter, by={}),
             censored=slack,
-            notes=(*self.notes, f"{found.value:.3g} N, the zero of the load cell, taken off all"),
+            notes=(
+                *self.notes,
+                f"{found}; as the zero of the load cell it is taken off all forces",
+            ),
         )
 
     def _zeros(self, floor: Floor) -> Array:
@@ -409,8 +412,10 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
         table = table.with_floor(None)
     elif table.floor_found and ramp:
         table = _binned(rows, ramp, at_floor | _shows_floor(table, rows), table.floor_found)
-    table = replace(table, notes=(*notes, *_floor_notes(table)))
-    table = table.with_floor("zero") if words.floor == "zero" else table
+    if words.floor == "zero":
+        table = replace(table, notes=tuple(notes)).with_floor("zero")
+    else:
+        table = replace(table, notes=(*notes, *_floor_notes(table)))
     check_mixed_pressure(series["pressure"], rows.pressure, rows.force, rows.contraction)
     if not np.any(~table.slack):
         sign = (
