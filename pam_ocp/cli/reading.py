@@ -91,7 +91,7 @@ def reading_options(options: argparse.Namespace) -> dict[str, Any]:
     if options.sheet is not None:
         found["sheet"] = int(options.sheet) if options.sheet.isdigit() else options.sheet
     if getattr(options, "floor", None) is not None:
-        found["floor"] = None if options.floor == "none" else options.floor
+        found["floor"] = options.floor
     if options.pivot:
         found["pivot"] = tuple(options.pivot)
     return found

@@ -376,7 +376,7 @@ class TableWords:
             require_positive("ambient_pressure", ambient_pressure, "Pa"),
             empty,
             ramp,
-            floor if floor in (None, "found", "zero") else quantity("floor", floor, "N"),
+            _floor_said(floor),
         )
         return Reading.of(columns, **layout), words
 
@@ -425,6 +425,13 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
         )
         raise InputError(f"{raw.label}: all {len(table)} cells are slack ({sign})")
     return table
+
+
+def _floor_said(floor: Any) -> float | str | None:
+    """None, "found", "zero", or newtons."""
+    if floor is None or (isinstance(floor, str) and floor in ("found", "zero", "none")):
+        return None if floor == "none" else floor
+    return require_finite("floor", quantity("floor", floor, "N"), "N")
 
 
 def _floor_notes(table: ForceTable) -> tuple[str, ...]:
