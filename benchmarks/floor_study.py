@@ -56,7 +56,8 @@ def shown(case: Any, kind: str, random: np.random.Generator) -> tuple[pam.ForceT
 
 def judged(case: Any, table: pam.ForceTable) -> tuple[Any, int, int]:
     fit = pam.fit_force(table, case.name, fixed=case.fixed)
-    true, seen = case.law.values, {n for n, c in fit.coefficients.items() if np.isfinite(c.stderr)}
+    true = fit_study.true_values(case, fit)
+    seen = {n for n, c in fit.coefficients.items() if np.isfinite(c.stderr)}
     held = [lo <= true[n] <= hi for n, (lo, hi) in fit.intervals().items() if n in seen]
     return fit, sum(held), len(held)
 
