@@ -102,7 +102,8 @@ class _Cells(NamedTuple):
     part: NDArray[np.intp]
 
     def chosen(self, index: Mask | NDArray[np.intp]) -> _Cells:
-        return self._make(a[index] for a in self)
+        arrays = (self.x, self.k, self.y, self.weights)
+        return _Cells(*(a[index] for a in arrays), self.branch[index], self.part[index])
 
     def places(self, chosen: Mask | NDArray[np.intp]) -> int:
         """How many distinct pairs of pressure and contraction there are."""
