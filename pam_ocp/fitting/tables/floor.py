@@ -102,8 +102,8 @@ class _Cells(NamedTuple):
     part: NDArray[np.intp]
 
     def chosen(self, index: Mask | NDArray[np.intp]) -> _Cells:
-        arrays = (self.x, self.k, self.y, self.weights)
-        return _Cells(*(a[index] for a in arrays), self.branch[index], self.part[index])
+        x, k, y, weights = (a[index] for a in (self.x, self.k, self.y, self.weights))
+        return _Cells(x, k, y, weights, self.branch[index], self.part[index])
 
     def places(self, chosen: Mask | NDArray[np.intp]) -> int:
         """How many distinct pairs of pressure and contraction there are."""
