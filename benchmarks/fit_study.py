@@ -162,11 +162,8 @@ def in_units(random: np.random.Generator, columns: dict[str, Any], length: float
     return found | {n: columns[n] for n in ("branch", "run") if n in columns}
 
 
-def judged(case: Case, random: np.random.Generator) -> dict[str, Any]:
-    """How often intervals and band hold the truth."""
-    table = case.table()
-    fit = pam.fit_force(table, case.name, fixed=case.fixed)
-    intervals = fit.intervals(LEVEL)
+def true_values(case: Case, fit: Any) -> dict[str, float]:
+    """The truth, named as the fit does."""
     values = dict(case.law.values)
     if (
         "k3" in values
@@ -177,6 +174,15 @@ def judged(case: Case, random: np.random.Generator) -> dict[str, Any]:
             a: values[b]
             for a, b in zip(("k0", "k1", "k2", "k3"), ("k2", "k3", "k0", "k1"), strict=True)
         }
+    return values
+
+
+def judged(case: Case, random: np.random.Generator) -> dict[str, Any]:
+    """How often intervals and band hold the truth."""
+    table = case.table()
+    fit = pam.fit_force(table, case.name, fixed=case.fixed)
+    intervals = fit.intervals(LEVEL)
+    values = true_values(case, fit)
     seen = {n: bool(np.isfinite(c.stderr)) for n, c in fit.coefficients.items() if not c.held}
     held = [low <= values[n] <= high for n, (low, high) in intervals.items() if seen[n]]
     ends = [bool(np.isfinite(end)) for n, pair in intervals.items() if seen[n] for end in pair]

@@ -10,7 +10,7 @@ from ..core.errors import InputError
 from .options import add_rest_length, pairs
 from .output import add_json, tell
 
-__all__ = ["add_look", "add_reading", "reading_options"]
+__all__ = ["add_floor", "add_look", "add_reading", "reading_options"]
 
 EPILOG = """\
   pam-ocp look rig.csv --rest-length "300 mm"
@@ -60,6 +60,16 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_floor(command: argparse.ArgumentParser) -> None:
+    """What slack cells of a force table read."""
+    command.add_argument(
+        "--floor",
+        metavar="F",
+        help="reading up to which a muscle is slack, as '5 N'; found (default); zero: found, and "
+        "taken off all forces as the zero of the load cell; none: any positive force is one",
+    )
+
+
 def reading_options(options: argparse.Namespace) -> dict[str, Any]:
     """What the options say, as arguments of read_table and read_record. Raises InputError."""
     found: dict[str, Any] = {}
@@ -80,6 +90,8 @@ def reading_options(options: argparse.Namespace) -> dict[str, Any]:
             found[name] = getattr(options, name)
     if options.sheet is not None:
         found["sheet"] = int(options.sheet) if options.sheet.isdigit() else options.sheet
+    if getattr(options, "floor", None) is not None:
+        found["floor"] = options.floor
     if options.pivot:
         found["pivot"] = tuple(options.pivot)
     return found
@@ -97,6 +109,7 @@ def add_look(commands: Any) -> None:
     )
     look.add_argument("files", nargs="+", metavar="FILE", help="files, folders or patterns")
     add_reading(look)
+    add_floor(look)
     add_rest_length(look)
     look.add_argument("--kind", choices=("table", "record"), help="where it is taken for the other")
     look.add_argument("--time", metavar="HEADER", help="column of the time of a record")

@@ -21,7 +21,7 @@ from .options import (
 )
 from .output import add_json, coefficients, tell, wrote
 from .plants import PLANT, add_plant_options, plant_said
-from .reading import add_reading, reading_options
+from .reading import add_floor, add_reading, reading_options
 
 if TYPE_CHECKING:
     from ..fitting.static.force_fit import ForceFit
@@ -59,6 +59,7 @@ def add_fit(commands: Any) -> None:
         "ranked, and the best at lengths left out is taken",
     )
     add_reading(fit)
+    add_floor(fit)
     _add_fixed(fit)
     fit.add_argument("--loss", default="squares", metavar="LOSS", help=LOSSES)
     fit.add_argument(
@@ -125,6 +126,7 @@ def add_campaign(commands: Any) -> None:
         help="coefficients that muscles of one diameter have in common (default: all)",
     )
     add_reading(campaign)
+    add_floor(campaign)
     _add_fixed(campaign)
     campaign.add_argument("--loss", default="squares", metavar="LOSS", help=LOSSES)
     campaign.add_argument(
@@ -164,6 +166,7 @@ def add_fit_forces(commands: Any) -> None:
         help="one standard deviation for all tables (default), or one for each",
     )
     add_reading(forces)
+    add_floor(forces)
     _add_fixed(forces)
     add_out(forces, "DIR", "write a muscle file for each table into this folder")
     forces.add_argument("--plot", type=Path, metavar="DIR", help="draw each muscle into it")

@@ -39,6 +39,7 @@ from .static.static import fit_force as fit_force
 from .statistics import Coefficient as Coefficient
 from .statistics import Prediction as Prediction
 from .statistics import SolverStatistics as SolverStatistics
+from .tables.floor import Floor as Floor
 from .tables.force_table import ForceTable as ForceTable
 from .tables.force_table import read_table as read_table
 from .tables.preview import Preview as Preview

@@ -169,9 +169,11 @@ def coefficient_frame(
 
 @dataclass(frozen=True)
 class Prediction:
-    """Force [N] of the fitted law (negative: slack), its standard error, and intervals.
+    """Force [N] of the fitted law, its standard error, and intervals; nothing is below zero.
 
-    ``confidence`` (low, high) holds the law's mean, ``prediction`` a new measurement.
+    ``confidence`` (low, high) holds the law's mean, ``prediction`` a new measurement. ``slack`` :
+    where the law is below zero, and a muscle, which only pulls, slack. ``outside`` : where no data
+    are near; the band holds for the law, and nothing says that the law holds there.
 
     Examples
     --------
@@ -185,6 +187,8 @@ class Prediction:
     confidence: tuple[Array, Array]
     prediction: tuple[Array, Array]
     level: float
+    slack: NDArray[np.bool_]
+    outside: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

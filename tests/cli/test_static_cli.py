@@ -79,3 +79,26 @@ def test_holds_are_fitted_from_a_file(tmp_path, capsys):
     assert "20 equilibria" in capsys.readouterr().out
     found = json.loads((tmp_path / "f.json").read_text("utf-8"))["estimates"]
     assert found["preload"]["value"] == pytest.approx(150.0, rel=1e-5)
+
+
+def test_fit_and_look_say_what_slack_cells_read(tmp_path, capsys):
+    force = LAW.tension(PRESSURE, KAPPA)
+    random = np.random.default_rng(7)
+    shown = np.maximum(force, 0) + 6 + random.normal(0, 1, force.size)
+    path = tmp_path / "rig.csv"
+    rows = zip(KAPPA, PRESSURE, shown, strict=True)
+    text = "".join(f"{k:.4f},{p:.0f},{f:.3f}\n" for k, p, f in rows)
+    path.write_text("kappa [1],p [Pa],F [N]\n" + text, "utf-8")
+    slack = int(np.sum(force < -5))
+    for command in ("look", "fit"):
+        assert main([command, str(path)]) == 0
+        words = capsys.readouterr().out
+        count = int(re.search(r"(\d+) cells read [\d.]+ ± [\d.]+ N where the muscle", words)[1])
+        assert slack <= count <= slack + 3
+        assert "floor='zero'" in words
+    assert main(["fit", str(path), "--floor", "zero", "--json"]) == 0
+    mended = json.loads(capsys.readouterr().out)
+    assert mended["cells"] == len(force) - count
+    assert mended["rmse"] < 2.0
+    assert main(["fit", str(path), "--floor", "none", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cells"] == len(force)

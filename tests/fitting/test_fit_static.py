@@ -221,7 +221,7 @@ def test_standard_errors_agree_with_a_finite_difference_jacobian(alone: ForceFit
 
 
 def test_prediction_adds_the_scatter_of_a_measurement(alone: ForceFit) -> None:
-    p, kappa = np.array([2e5, 5e5]), np.array([[0.02], [0.1], [0.2]])
+    p, kappa = np.array([4e5, 5e5]), np.array([[0.02], [0.1], [0.15]])
     answer = alone.predict(p, kappa, level=0.9)
     assert answer.force.shape == (3, 2)
     np.testing.assert_allclose(answer.force, alone.law.tension(p, kappa))

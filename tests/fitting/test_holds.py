@@ -1,5 +1,6 @@
 """Fits of holds, against equilibria that SciPy finds of balances written by hand."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -194,3 +195,20 @@ def test_a_coefficient_all_but_without_influence_has_an_infinite_condition():
     linear = Linearisation(("a", "b"), np.zeros(2), ("1",) * 2, rows, 0.2, 1)
     assert linear.condition == np.inf
     assert linear.rank == 1
+
+
+def test_a_richer_fit_is_never_worse_than_a_poorer_one() -> None:
+    """A sensor's zero of 7 mm and a scale 8 % off: the fit with the mass ended twice as far off."""
+    plant = pam.SpringOverMuscle("DMSP-20-300", mass=2.0)
+    p = np.linspace(1.1136, 5.5, 14)
+    x = [10.87, 13.5, 15.29, 18.35, 21.84, 24.38, 29.36, 30.88, 34.36, 38.11, 39.23, 41.57]
+    holds = {"muscle_pressure [bar]": p, "x [mm]": [*x, 43.34, 45.62]}
+    names = ("preload", "zero.x", "mass")
+    rmse = {
+        chosen: fit_holds(plant, holds, chosen).rmse["x"]
+        for n in (1, 2, 3)
+        for chosen in itertools.combinations(names, n)
+    }
+    for few, many in itertools.permutations(rmse, 2):
+        if set(few) < set(many):
+            assert rmse[many] <= rmse[few] * (1 + 1e-9)

@@ -225,6 +225,13 @@ class Data(Tab):
             now,
             lambda v: self._say(ramp={"": None, "yes": True, "no": False}[v]),
         )
+        floors = {"": "find out", "zero": "the zero of the load cell", "none": "a force"}
+        el.choice(
+            "Slack cells read",
+            floors,
+            str(said.get("floor", "")),
+            lambda v: self._say(floor=v or None),
+        )
         el.text_field(
             "Cells off",
             _ranges(item.get("off", ())),

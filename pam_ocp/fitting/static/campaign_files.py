@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, PamError, require_positive
-from ..tables.force_table import ForceTable, read_table
+from ..tables.force_table import ForceTable, joined_floor, read_table
 from ..tables.sources import ENDINGS, load
 
 __all__ = ["Measured", "collected", "joined"]
@@ -249,4 +249,5 @@ def joined(parts: Sequence[Measured]) -> ForceTable:
         run=tuple(run) if any(run) else (),
         file=tuple(t.source for t in tables for _ in range(len(t))) if several else (),
         notes=tuple(note for t in tables for note in t.notes),
+        **joined_floor(tables),
     )

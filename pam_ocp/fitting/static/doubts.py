@@ -10,9 +10,10 @@ import numpy as np
 if TYPE_CHECKING:
     from ..statistics import Linearisation
 
+from .correlation import FEWEST
 from .optimum import Optimum
 
-__all__ = ["at_edge", "following", "force_warnings", "unseen"]
+__all__ = ["at_edge", "floor_doubts", "following", "force_warnings", "unseen"]
 
 MOST_SHOWN = 3
 """Combinations that are spelled out."""
@@ -25,13 +26,73 @@ LIKELY = 0.95
 """Probability from which a correlation is stated as a fact."""
 
 
+SURE = 3.0
+"""Standard errors from which a difference is stated as a fact."""
+
+
 def force_warnings(fit: Optimum) -> tuple[str, ...]:
     """See :attr:`ForceFit.warnings`."""
     found = [fit.solver.doubt] if fit.solver.doubt else []
-    found += [*unseen(fit), *_saturated(fit), *following(fit.linearisation)]
+    found += [*floor_doubts(fit), *unseen(fit), *_saturated(fit), *following(fit.linearisation)]
+    if 0 < fit.dof < FEWEST and not fit.terms.independent:
+        found.append(
+            f"with {fit.dof} degrees of freedom nothing tells whether errors follow each other: "
+            "intervals hold for independent ones only"
+        )
     if fit.dof == 0:
         found.append("as many coefficients as taut cells: no error can be estimated")
     return (*found, *at_edge(fit.solver.at_bound, fit.law.values))
+
+
+def floor_doubts(fit: Optimum) -> list[str]:
+    """What slack cells read, whether taut ones carry it, too, and where the law contradicts."""
+    floor, found = fit.table.floor_found, []
+    if floor is not None and floor.matters:
+        found.append(f"{floor}{_carried(fit, floor.value) if floor.shifted else ''}")
+    far = SURE * fit.sigma if fit.dof else float("inf")
+    tension = fit.cells.force - fit.residuals
+    pushed = tension < -far
+    if pushed.any():
+        found.append(
+            f"the law pushes at {int(pushed.sum())} taut cells (with up to {-tension.min():.3g} "
+            "N), as no muscle can: these may be slack (read_table(..., floor='5 N'), or "
+            "table.with_floor(5.0), says up to which reading cells are), or the law does not fit"
+        )
+    limp = fit.table.subset(fit.table.slack & (fit.table.force > 0))
+    if floor is not None and len(limp):
+        pulled = np.asarray(fit.law.tension(limp.pressure, limp.contraction)) - floor.limit
+        if np.any(pulled > far):
+            found.append(
+                f"the law pulls at {int(np.sum(pulled > far))} cells that count as slack (with up "
+                f"to {pulled.max() + floor.limit:.3g} N): if they are taut, give floor=None, or "
+                "table.with_floor(None)"
+            )
+    return found
+
+
+def _carried(fit: Optimum, floor: float) -> str:
+    """Whether a constant force beside the law, in taut cells, is the floor (Wald test)."""
+    w, rest = fit.root_weights, fit._influential
+    jacobian = w[:, None] * fit.jacobian
+    norms = np.linalg.norm(jacobian, axis=0)
+    basis = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)[0]
+    alone = w - basis @ (basis.T @ w)
+    size = float(np.linalg.norm(alone))
+    remedy = "floor='zero' (of read_table, or table.with_floor('zero')) takes it off"
+    unknown = (
+        f"; whether it is the zero of the load cell, which taut cells then carry, too, they do not "
+        f"tell: if so, {remedy}"
+    )
+    serial = fit.linearisation.serial
+    error = fit.sigma * (serial.spread if serial else 1.0) / max(size, 1e-300)
+    if not fit.dof or size <= 1e-6 * np.linalg.norm(w) or not error > 0:
+        return unknown
+    zero = float(alone @ rest) / size**2
+    seen, same = abs(zero) > SURE * error, abs(zero - floor) <= SURE * error
+    size_said = f"({zero:.3g} ± {error:.2g} N)"
+    if same:
+        return f"; taut cells carry it, too {size_said}: {remedy}" if seen else unknown
+    return unknown if seen else f"; taut cells do not carry it {size_said}"
 
 
 def unseen(fit: Optimum) -> list[str]:

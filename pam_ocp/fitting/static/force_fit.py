@@ -30,6 +30,7 @@ from .branches import LackOfFit, lack_of_fit
 from .doubts import force_warnings
 from .likelihood_profile import Ends, profile_ends
 from .optimum import Optimum
+from .predicting import beyond, places, pulling
 from .sweep import Sweep
 
 if TYPE_CHECKING:
@@ -166,14 +167,22 @@ class ForceFit(Optimum):
         ends = profile_ends(self, (name,), self.linearisation.reach(level), executor)[name]
         return ends.low, ends.high
 
-    def predict(self, p: ArrayLike, kappa: ArrayLike, level: float = 0.95) -> Prediction:
+    def predict(
+        self, p: ArrayLike | str, kappa: ArrayLike | str, level: float = 0.95
+    ) -> Prediction:
         """Force at gauge pressure p [Pa] and contraction kappa, with intervals; arrays broadcast.
 
-        ``prediction`` is for a measurement of weight 1. Where the one nonlinear coefficient of a
-        law is hardly known, the bands are those of the profile likelihood: all that laws reach
-        which fit as well as its interval allows, no narrower than ``stderr`` says.
+        p, kappa : numbers, or texts with a unit ("3 bar", "10 %"). ``prediction`` is for a
+        measurement of weight 1. Where the one nonlinear coefficient of a law is hardly known, the
+        bands are those of the profile likelihood: all that laws reach which fit as well as its
+        interval allows, no narrower than ``stderr`` says. A muscle only pulls: where the law is
+        below zero the force is 0, and ``slack`` true (``law.tension`` tells the law itself).
+        Outside of the data ``outside`` is true, and a ValidityWarning says so.
+
+        Raises InputError for what no muscle can be (a contraction of 10, for 10 %).
         """
-        pressure, contraction = np.broadcast_arrays(np.asarray(p, float), np.asarray(kappa, float))
+        pressure, contraction = places(p, kappa)
+        away = beyond(self.table, pressure, contraction)
         force, gradient = self._sensitivity(pressure.ravel(), contraction.ravel())
         force, error = (
             force.reshape(pressure.shape),
@@ -186,13 +195,8 @@ class ForceFit(Optimum):
         if self._bends:
             low, high = self._swept_band(pressure, contraction, level, low, high)
         new = t * self._new_error if self.dof else np.inf
-        return Prediction(
-            force,
-            error,
-            (low, high),
-            (force - np.hypot(force - low, new), force + np.hypot(high - force, new)),
-            level,
-        )
+        wide = (force - np.hypot(force - low, new), force + np.hypot(high - force, new))
+        return pulling(force, error, (low, high), wide, level, away)
 
     @cached_property
     def _bends(self) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from .scales import BISQUARE, HUBER, spread
 __all__ = ["Holds", "settled"]
 
 ROUNDS = 30
+MOST_NESTED = 3
+"""Estimates up to which all poorer fits are found first; of more, those with one fewer."""
 
 
 class Holds:
@@ -135,32 +137,65 @@ def _minimised(
     return whole(np.asarray(found.x))
 
 
-def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
-    """The best of several ways: from the plant's values; over the linear model at the measured
-    positions, which needs no rest to be found; each also with zeros and bands released last. A
-    muscle that goes slack on the way makes several optima.
+class _End(NamedTuple):
+    """What estimates cost, and where the plant then rests (n, sought)."""
+
+    cost: float
+    estimates: Array
+    z: Array | None
+
+
+class _Nested:
+    """Optima of a fit and of the poorer ones, which hold some estimates at the plant's values.
+
+    A muscle that goes slack on the way makes several optima. Each fit is begun at the plant's
+    values, over the linear model at the measured positions, which needs no rest to be found, and
+    at the optima with one estimate fewer, which count themselves: a richer fit is never worse.
     """
-    small = np.array([not own for own in problem.own])
-    staged = bool(small.any() and not small.all())
-    starts = [problem.start, _minimised(problem, problem.start, limits, factors)]
-    if staged:
-        starts.append(_minimised(problem, problem.start, limits, factors, ~small))
-    ends: list[tuple[float, Array, Array]] = []
-    wrong = None
-    for start, scaled in itertools.product(starts, ("jac", 1.0) if staged else ("jac",)):
-        problem.z = problem.model.anchored(start[: problem.inner])
-        try:
-            if staged:
-                start = _minimised(problem, start, limits, factors, ~small)
-            found = _minimised(problem, start, limits, factors, scaled=scaled)
-        except FitError as error:
-            wrong = error
-            continue
-        ends.append((float(np.sum((problem(found)[0] * factors) ** 2)), found, problem.z))
+
+    def __init__(self, problem: Holds, limits: tuple[Array, Array], factors: Array) -> None:
+        self.problem, self.limits, self.factors = problem, limits, factors
+        self.known: dict[tuple[bool, ...], list[_End]] = {}
+        self.wrong = FitError("the plant finds no rest at these pressures")
+
+    def best(self, moved: tuple[bool, ...]) -> list[_End]:
+        """The optimum of the ``moved`` estimates; nothing where there is none."""
+        if moved not in self.known:
+            count, poorer = sum(moved), []
+            if count > 1 and (count <= MOST_NESTED or all(moved)):
+                for i in (i for i, free in enumerate(moved) if free):
+                    poorer += self.best((*moved[:i], False, *moved[i + 1 :]))
+            ends = [*poorer, *self._ends(np.array(moved), poorer)]
+            self.known[moved] = sorted(ends, key=lambda end: end.cost)[:1]
+        return self.known[moved]
+
+    def _ends(self, free: NDArray[np.bool_], poorer: list[_End]) -> Iterator[_End]:
+        problem, first = self.problem, self.problem.start
+        problem.z = None
+        linear = _minimised(problem, first, self.limits, self.factors, free)
+        starts = [_End(0.0, first, None), _End(0.0, linear, None), *poorer]
+        ways = itertools.product(starts, ("jac", 1.0) if free.all() else ("jac",))
+        for start, scaled in ways:
+            at = start.estimates
+            problem.z = problem.model.anchored(at[: problem.inner]) if start.z is None else start.z
+            try:
+                found = _minimised(problem, at, self.limits, self.factors, free, scaled)
+            except FitError as error:
+                self.wrong = error
+                continue
+            cost = float(np.sum((problem(found)[0] * self.factors) ** 2))
+            if np.isfinite(cost):
+                yield _End(cost, found, problem.z)
+
+
+def _begun(problem: Holds, limits: tuple[Array, Array], factors: Array) -> Array:
+    """The best optimum that is found; the problem rests there."""
+    nested = _Nested(problem, limits, factors)
+    ends = nested.best((True,) * len(problem.names))
     if not ends:
-        raise wrong or FitError("the plant finds no rest at these pressures")
-    _, best, problem.z = min(ends, key=lambda end: end[0])
-    return best
+        raise nested.wrong
+    problem.z = ends[0].z
+    return ends[0].estimates
 
 
 def settled(

@@ -37,6 +37,9 @@ __all__ = [
 DECADES = (-2.0, 1.5)
 """A nonlinear coefficient is sought from 10^-2 to 10^1.5 of its nominal size, of either sign."""
 POINTS_PER_DECADE = 12
+SLACK_TOLERANCE = 1.0
+"""A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp).
+"""
 AT_ONCE = 100_000
 """Cells times scan points that are held in memory at once."""
 REWEIGHTINGS = 12
@@ -210,6 +213,14 @@ class LeastSquares:
     @property
     def censored(self) -> bool:
         return self.terms.censored and len(self.slack) > 0
+
+    @property
+    def slack_tolerance(self) -> float:
+        """With so much force [N] the law still counts as slack: the width of the muscle's clamp,
+        or what cells at the floor of the load cell may hide.
+        """
+        floor = self.slack.floor_found
+        return max(SLACK_TOLERANCE, floor.limit if floor else 0.0)
 
     @cached_property
     def priors(self) -> tuple[Array, Array]:

@@ -23,7 +23,6 @@ from ...core.executors import placed
 from ..statistics import Array
 from .descent import descend
 from .least_squares import DECADES, LeastSquares, sizes
-from .local_optimum import SLACK_TOLERANCE
 from .optimum import Optimum
 from .search import minimise
 from .sweep import Sweep
@@ -220,7 +219,7 @@ def _others(fit: Optimum, name: str, start: Array, moved: list[int]) -> tuple[Ar
             return start, beyond
         best, cost = found.coefficients, found.cost
     pull = fit.problem.tension_where_slack(best)[0]
-    return best, cost if np.all(pull <= 1.001 * SLACK_TOLERANCE) else beyond
+    return best, cost if np.all(pull <= 1.001 * fit.problem.slack_tolerance) else beyond
 
 
 def profile_end(fit: Optimum, name: str, step: float, limit: float) -> tuple[float, str]:

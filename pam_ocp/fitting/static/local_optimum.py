@@ -18,7 +18,6 @@ from .descent import descend
 from .least_squares import LeastSquares, Loss, sizes
 
 __all__ = [
-    "SLACK_TOLERANCE",
     "STATIONARY",
     "Optimum",
     "by_ipopt",
@@ -27,10 +26,6 @@ __all__ = [
     "local_optima",
     "local_optimum",
 ]
-
-SLACK_TOLERANCE = 1.0
-"""A law that may pull with this force [N] still counts as slack (the width of the muscle's clamp).
-"""
 
 EXPANDED = 1000
 """Cells up to which the solver's functions are written out, which makes many small fits fast.
@@ -160,7 +155,7 @@ def by_ipopt(problem: LeastSquares, start: Array, scanned: int) -> Optimum:
         ubx=np.concatenate([upper / scale, np.full(2 * parts.size, np.inf)]),
         lbg=np.concatenate([np.zeros(n * (terms.loss == "l1")), np.full(len(limp), -np.inf)]),
         ubg=np.concatenate(
-            [np.zeros(n * (terms.loss == "l1")), np.full(len(limp), SLACK_TOLERANCE / unit)]
+            [np.zeros(n * (terms.loss == "l1")), np.full(len(limp), problem.slack_tolerance / unit)]
         ),
     )
     c = base

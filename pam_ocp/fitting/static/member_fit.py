@@ -13,7 +13,7 @@ import numpy as np
 from ...core.cases import Place
 from ...core.errors import InputError
 from ..statistics import Array, Linearisation
-from .doubts import at_edge, unseen
+from .doubts import at_edge, floor_doubts, unseen
 from .force_fit import ForceFit
 
 __all__ = ["MemberFit", "marginal_root"]
@@ -49,7 +49,7 @@ class MemberFit(ForceFit):
         """As of a fit alone, but for the number of levels:
         the other tables tell more than these.
         """
-        return (*unseen(self), *at_edge(self.solver.at_bound, self.law.values))
+        return (*floor_doubts(self), *unseen(self), *at_edge(self.solver.at_bound, self.law.values))
 
     @property
     def has_profile(self) -> bool:

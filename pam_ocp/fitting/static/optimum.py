@@ -19,7 +19,6 @@ from ..statistics import (
 from ..tables.force_table import ForceTable
 from .correlation import sequences, serial_errors
 from .least_squares import PLAIN, LeastSquares, Terms
-from .local_optimum import SLACK_TOLERANCE
 from .scales import BISQUARE, HUBER, robust_scale, spread
 
 __all__ = ["Optimum"]
@@ -184,7 +183,7 @@ class Optimum:
         if not self.problem.censored:
             return None
         tension, gradients = self.problem.tension_where_slack(self._vector[0])
-        return gradients[tension > 0.999 * SLACK_TOLERANCE][:, list(self.problem.free)]
+        return gradients[tension > 0.999 * self.problem.slack_tolerance][:, list(self.problem.free)]
 
     @property
     def rank(self) -> int:

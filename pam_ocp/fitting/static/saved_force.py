@@ -14,6 +14,7 @@ from ...core.files import read_json, reading, write_json
 from ...muscles.law import ForceLaw
 from ...muscles.laws.user_defined import law_named
 from ..statistics import SolverStatistics
+from ..tables.floor import Floor
 from ..tables.force_table import ForceTable
 from .force_fit import ForceFit
 from .least_squares import Terms
@@ -27,6 +28,8 @@ def write_fit(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
     """See :meth:`ForceFit.to_json`."""
     table = {n: getattr(fit.table, n).tolist() for n in ("pressure", "contraction", "force")}
     table |= {n: list(getattr(fit.table, n)) for n in ("branch", "run") if getattr(fit.table, n)}
+    floor = fit.table.floor_found
+    table["censored"] = fit.table.slack.tolist()
     content = {
         "format": FORMAT,
         "version": 1,
@@ -49,6 +52,7 @@ def write_fit(fit: ForceFit, path: str | os.PathLike[str]) -> Path:
         "rest_length": fit.table.rest_length,
         "source": fit.table.source,
         "table": table,
+        "floor": None if floor is None else asdict(floor),
     }
     return write_json(path, content)
 
@@ -59,10 +63,14 @@ def read_fit(path: str | os.PathLike[str], law: type[ForceLaw] | None = None) ->
     with reading(path, "a fit", "give one that to_json() wrote"):
         kind = law or _law_named(content["law"])
         solver = SolverStatistics(**content["solver"])
+        table, floor = dict(content["table"]), content.get("floor")
+        if "censored" in table:
+            table["censored"] = np.array(table["censored"], dtype=bool)
         return ForceFit(
             law=kind(**content["coefficients"]),
             table=ForceTable(
-                **content["table"],
+                **table,
+                floor=Floor(**floor) if floor else None,
                 rest_length=content["rest_length"],
                 source=content["source"],
             ),

@@ -23,7 +23,7 @@ from ...muscles.law import ForceLaw
 from ..statistics import Array, Coefficient, Linearisation, SerialErrors, SolverStatistics
 from ..tables.force_table import ForceTable, require_table
 from .correlation import sequences, serial_errors
-from .doubts import at_edge, following
+from .doubts import at_edge, floor_doubts, following
 from .least_squares import PLAIN, LeastSquares, Terms
 from .member_fit import MemberFit, marginal_root
 from .report import coefficient_line, correlation_lines
@@ -162,7 +162,8 @@ class JointForceFit:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What to know before the coefficients are trusted."""
-        found = [
+        found = [f"{n}: {words}" for n, f in self.fits.items() for words in floor_doubts(f)]
+        found += [
             f"the data {'do not' if lost else 'hardly'} see this combination: changing {words} "
             "together moves no taut cell beyond its noise"
             for lost, _, words in self.linearisation.hardly_seen()

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -17,8 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.calibration import AMBIENT
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.quantities import quantity
 from ...core.shown import shown
 from .assign import assigned, require_columns
+from .floor import DETECTED, Floor, find_floor, part_names
 from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, complete, say
@@ -31,7 +34,14 @@ from .table_checks import (
     contraction_of,
 )
 
-__all__ = ["ForceTable", "TableWords", "read_table", "require_table", "table_of"]
+__all__ = [
+    "ForceTable",
+    "TableWords",
+    "joined_floor",
+    "read_table",
+    "require_table",
+    "table_of",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -46,7 +56,8 @@ class ForceTable:
     pressure : gauge pressure [Pa], shape (n,).
     contraction : contraction ratio kappa = (l0 - l)/l0 [1], shape (n,).
     force : pulling force [N], shape (n,). A force <= 0 means slack: such a cell is censored
-        (the law lies somewhere below zero there) and is no equality for a fit.
+        (the law lies somewhere below zero there) and is no equality for a fit. So is one that
+        reads no more than the floor.
     rest_length : l0 [m], or None when the table was given over contraction without it.
     source : where the numbers come from.
     branch : of each cell, such as "inflation" and "deflation"; empty when none was named.
@@ -55,6 +66,10 @@ class ForceTable:
     scatter, error : of a ramp binned to cells: standard deviation of the rows within a cell, and
         of their mean [N], shape (n,); None where cells were measured one by one.
     notes : what was left out or mended in reading, in words.
+    floor : what slack cells read (a load cell's zero, say): "found" in the table, see
+        :mod:`pam_ocp.fitting.tables.floor`; known already; or None: any positive force is one.
+        Another choice is made by :meth:`with_floor`.
+    censored : cells that are slack whatever they read, shape (n,); None: those at the floor.
 
     Examples
     --------
@@ -74,6 +89,8 @@ class ForceTable:
     scatter: Array | None = None
     error: Array | None = None
     notes: tuple[str, ...] = ()
+    floor: Floor | Literal["found"] | None = "found"
+    censored: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         for name in ("pressure", "contraction", "force"):
@@ -100,10 +117,70 @@ class ForceTable:
                 raise InputError(f"{name} has {len(labels)} labels for {len(self)} cells")
             object.__setattr__(self, name, labels)
 
+    @cached_property
+    def _floor(self) -> tuple[Floor | None, NDArray[np.bool_]]:
+        """The floor, and the cells at it."""
+        none = np.zeros(len(self), dtype=bool)
+        if self.censored is not None or self.floor is None:
+            known = self.floor if isinstance(self.floor, Floor) else None
+            return known, none if self.censored is None else np.asarray(self.censored, bool)
+        found = find_floor(self.pressure, self.contraction, self.force, self.branch, self.file)
+        return found or (None, none)
+
+    @property
+    def floor_found(self) -> Floor | None:
+        """What slack cells read; None where there is no sign of it."""
+        return self._floor[0]
+
     @property
     def slack(self) -> NDArray[np.bool_]:
-        """True for the censored cells, force <= 0; shape (n,)."""
-        return np.asarray(self.force <= 0)
+        """True for the censored cells: force <= 0, or no more than the floor; shape (n,)."""
+        return np.asarray((self.force <= 0) | self._floor[1])
+
+    def with_floor(self, floor: float | Literal["found", "zero"] | None) -> ForceTable:
+        """The same readings with another floor.
+
+        floor : [N], cells that read no more are slack; None: there is none, a positive force is
+            one; "found": as the table tells; "zero": what it tells is the zero of the load cell, so
+            it is taken off all forces, those of taut cells too (by branch and file, where the
+            slack cells differ). Raises InputError where "zero" finds no slack cell.
+
+        Examples
+        --------
+        >>> shifted = pam.fitting.ForceTable(table.pressure, table.contraction, table.force + 7.0)
+        >>> bool(np.allclose(shifted.with_floor("zero").taut.force, table.taut.force))
+        True
+        """
+        if floor is None or floor == "found":
+            return replace(self, floor=floor, censored=None)
+        if floor != "zero":
+            limit = require_finite("floor", floor, "N")
+            return replace(self, floor=None, censored=self.force <= limit)
+        fresh = (
+            self if isinstance(self.floor, Floor) else replace(self, floor="found", censored=None)
+        )
+        found, slack = fresh._floor
+        if found is None:
+            raise InputError(
+                "floor='zero': the table shows no cells that are slack beyond doubt, from which "
+                "the zero of the load cell could be read; give it as a calibration, "
+                "units={'force': 'N - 5 N'}"
+            )
+        return replace(
+            self,
+            force=self.force - fresh._zeros(found),
+            floor=replace(found, value=0.0, limit=DETECTED * found.scatter, by={}),
+            censored=slack,
+            notes=(
+                *self.notes,
+                f"{found}; as the zero of the load cell it is taken off all forces",
+            ),
+        )
+
+    def _zeros(self, floor: Floor) -> Array:
+        """The floor of each cell, (n,) [N]."""
+        names = part_names(self.branch, self.file, len(self))
+        return np.array([floor.by.get(name, floor.value) for name in names])
 
     @property
     def taut(self) -> ForceTable:
@@ -125,6 +202,8 @@ class ForceTable:
             None if self.scatter is None else self.scatter[index],
             None if self.error is None else self.error[index],
             self.notes,
+            self._floor[0],
+            self._floor[1][index],
         )
 
     @property
@@ -185,7 +264,7 @@ def read_table(
     decimal: str | None = None,
     empty: Literal["drop", "refuse"] = "drop",
     ramp: bool | None = None,
-    floor: float | Literal["found"] | None = "found",
+    floor: float | str | None = "found",
 ) -> ForceTable:
     """Read a measured force table; :func:`look` shows beforehand what is understood.
 
@@ -213,8 +292,11 @@ def read_table(
     empty : rows with empty cells are dropped, counted and said in a ReadingWarning, or refused.
     ramp : True: the rows are a slow ramp in the order of time, to be binned to cells; False: each
         row is a cell; None: find out. See :mod:`pam_ocp.fitting.tables.ramps`.
-    floor : force [N] at or below which the sensor shows nothing: these cells are slack. "found": a
-        least value that stands there again and again. None: there is none.
+    floor : force [N], or text with a unit, at or below which the sensor shows nothing: these cells
+        are slack. "found": a least value that stands there again and again, or what cells read
+        where the muscle cannot pull (:mod:`pam_ocp.fitting.tables.floor`); it is said in a
+        ReadingWarning. "zero": that is the zero of the load cell, and taken off all forces
+        (:meth:`ForceTable.with_floor`). None: there is none, any positive force is one.
 
     Returns
     -------
@@ -255,7 +337,10 @@ def read_table(
         with naming(one):
             tables.append(table_of(load(one, how), words))
         say(tables[-1].source, tables[-1].notes)
-    return _joined(tables)
+    whole = _joined(tables)
+    if whole.floor_found and not any(t.floor_found for t in tables):
+        say(whole.source, _floor_notes(whole))
+    return whole
 
 
 @dataclass(frozen=True)
@@ -291,7 +376,7 @@ class TableWords:
             require_positive("ambient_pressure", ambient_pressure, "Pa"),
             empty,
             ramp,
-            floor if floor in (None, "found") else require_finite("floor", floor, "N"),
+            _floor_said(floor),
         )
         return Reading.of(columns, **layout), words
 
@@ -306,7 +391,7 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     check_force(series["force"])
     kappa = contraction_of(series, words.rest_length)
     p, force, notes = series["pressure"].si, np.array(series["force"].si), list(raw.notes)
-    floor = floor_of(force) if words.floor == "found" else words.floor
+    floor = {"found": floor_of(force), "zero": None}.get(words.floor, words.floor)
     at_floor = np.zeros(force.size, bool) if floor is None else force <= floor
     force[at_floor] = np.minimum(force[at_floor], 0.0)
     if floor is not None and (floor > 0 or words.floor != "found"):
@@ -322,7 +407,15 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
             "contraction held, the other rising and falling in small steps); leave ramp= away"
         )
     table = rows if ramp is None else _binned(rows, ramp, at_floor)
-    table = replace(table, notes=(*notes, *([f"a ramp: {ramp}"] if ramp else [])))
+    notes += [f"a ramp: {ramp}"] if ramp else []
+    if words.floor not in ("found", "zero"):
+        table = table.with_floor(None)
+    elif table.floor_found and ramp:
+        table = _binned(rows, ramp, at_floor | _shows_floor(table, rows), table.floor_found)
+    if words.floor == "zero":
+        table = replace(table, notes=tuple(notes)).with_floor("zero")
+    else:
+        table = replace(table, notes=(*notes, *_floor_notes(table)))
     check_mixed_pressure(series["pressure"], rows.pressure, rows.force, rows.contraction)
     if not np.any(~table.slack):
         sign = (
@@ -334,17 +427,45 @@ def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     return table
 
 
-def _binned(rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_]) -> ForceTable:
+def _floor_said(floor: Any) -> float | str | None:
+    """None, "found", "zero", or newtons."""
+    if floor is None or (isinstance(floor, str) and floor in ("found", "zero", "none")):
+        return None if floor == "none" else floor
+    return require_finite("floor", quantity("floor", floor, "N"), "N")
+
+
+def _floor_notes(table: ForceTable) -> tuple[str, ...]:
+    """The floor, in words, and what to say if it is something else."""
+    floor = table.floor_found
+    if floor is None or not floor.matters:
+        return ()
+    zero = (
+        "if that is the zero of the load cell, which taut cells then carry, too, floor='zero' "
+        "takes it off; "
+    )
+    return (f"{floor}; {zero if floor.shifted else ''}floor=None if they are forces",)
+
+
+def _shows_floor(cells: ForceTable, rows: ForceTable) -> NDArray[np.bool_]:
+    """Rows of a ramp that read no more than the floor of its cells, scattering as rows do there."""
+    assert cells.floor_found is not None
+    assert cells.scatter is not None
+    scatter = float(np.median(cells.scatter[cells.slack]))
+    return np.asarray(rows.force <= cells.floor_found.limit + DETECTED * scatter)
+
+
+def _binned(
+    rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_], floor: Floor | None = None
+) -> ForceTable:
     """A table of the ramp's cells: means of their rows. Where half of them show the sensor's floor
     it is slack; where fewer do it is left out, for their mean would lie too high.
     """
     shares = [float(np.mean(at_floor[cell.rows])) for cell in ramp.cells]
     kept = [(c, share) for c, share in zip(ramp.cells, shares, strict=True) if not 0 < share < 0.5]
     cells, parts = [c for c, _ in kept], [c.rows for c, _ in kept]
+    slack = np.array([share > 0 for _, share in kept])
     force = [
-        min(0.0, float(np.median(rows.force[c.rows])))
-        if share
-        else float(rows.force[c.rows].mean())
+        float(np.median(rows.force[c.rows])) if share else float(rows.force[c.rows].mean())
         for c, share in kept
     ]
 
@@ -364,6 +485,8 @@ def _binned(rows: ForceTable, ramp: Ramp, at_floor: NDArray[np.bool_]) -> ForceT
         common(rows.run, [c.run for c in cells]),
         scatter=np.array([c.scatter for c in cells]),
         error=np.array([c.error for c in cells]),
+        floor=floor or "found",
+        censored=slack if slack.any() else None,
     )
 
 
@@ -390,7 +513,21 @@ def _joined(tables: Sequence[ForceTable]) -> ForceTable:
         numbers("scatter"),
         numbers("error"),
         tuple(f"{t.source}: {note}" for t in tables for note in t.notes),
+        **joined_floor(tables),
     )
+
+
+def joined_floor(tables: Sequence[ForceTable]) -> dict[str, Any]:
+    """``floor`` and ``censored`` of tables behind each other: found anew, for one file may hold one
+    length, unless one of them says more.
+    """
+    if all(t.floor == "found" and t.censored is None for t in tables):
+        return {}
+    floors = [t.floor for t in tables if isinstance(t.floor, Floor)]
+    return {
+        "floor": floors[0] if floors else None,
+        "censored": np.concatenate([t._floor[1] for t in tables]),
+    }
 
 
 def require_table(value: Any, argument: str = "table") -> ForceTable:
