@@ -16,6 +16,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import pickle
 import resource
 import signal
 import time
@@ -44,8 +45,8 @@ def spent() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in each)
 
 
-def judged(task: random_tasks.Task) -> dict[str, Any]:
-    """What plan says of one task, and what the check says of that."""
+def judged(task: random_tasks.Task, keep: Path | None = None) -> dict[str, Any]:
+    """What plan says of one task, and what the check says of that; the answer is kept in a file."""
     begin, clock = spent(), time.monotonic()
 
     def taken() -> dict[str, float]:
@@ -63,6 +64,8 @@ def judged(task: random_tasks.Task) -> dict[str, Any]:
         return {"verdict": "unverified", "why": [str(plan.verdict)], **used}
     warned = "; ".join(str(w.message) for w in caught)
     answer = motion_check.Answer.of(plan, warned)
+    if keep is not None:
+        keep.write_bytes(pickle.dumps((answer, plan.verified, str(plan.verdict))))
     findings = [str(each) for each in motion_check.wrong(task, answer)]
     verdict = (WRONG if findings else RIGHT) if plan.verified else "unverified"
     if verdict == "unverified":
@@ -71,13 +74,13 @@ def judged(task: random_tasks.Task) -> dict[str, Any]:
     return {"verdict": verdict, "why": findings, **figures, **used}
 
 
-def _child(connection: Any, index: int, seed: int) -> None:
+def _child(connection: Any, index: int, seed: int, keep: Path | None) -> None:
     os.setsid()  # the processes that it starts are counted and ended with it
     warnings.simplefilter("ignore")
     try:
         task = drawn(index, seed)
         connection.send(str(task))
-        connection.send(judged(task))
+        connection.send(judged(task, keep and keep / f"{seed}-{index}.pickle"))
     except Exception as error:  # a raw exception is a finding of its own
         words = f"{type(error).__name__}: {error}"
         connection.send({"verdict": "RAISED", "why": [words]})
@@ -98,10 +101,11 @@ def spent_by(session: int) -> float:
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
-def limited(index: int, seed: int, limit: float) -> dict[str, Any]:
+def limited(index: int, seed: int, limit: float, keep: Path | None = None) -> dict[str, Any]:
     """``judged`` in a process of its own, given up after ``limit`` seconds of the processor."""
     here, there = multiprocessing.Pipe()
-    process = multiprocessing.get_context("fork").Process(target=_child, args=(there, index, seed))
+    context = multiprocessing.get_context("fork")
+    process = context.Process(target=_child, args=(there, index, seed, keep))
     process.start()
     there.close()
     result: dict[str, Any] = {"index": index, "seed": seed, "task": ""}
@@ -161,11 +165,12 @@ def main() -> None:
     parser.add_argument("--end", type=int, help="before this number")
     parser.add_argument("--terms", default="", help="only tasks that minimise these, as work,air")
     parser.add_argument("--table", type=Path, default=Path("verdicts.jsonl"), help="to write")
+    parser.add_argument("--keep", type=Path, help="folder for the answers, to judge them again")
     arguments = parser.parse_args()
     results = []
     with arguments.table.open("a", encoding="utf-8") as table:
         for index in numbers(arguments):
-            result = limited(index, arguments.seed, arguments.seconds)
+            result = limited(index, arguments.seed, arguments.seconds, arguments.keep)
             results.append(result)
             table.write(json.dumps(result) + "\n")
             table.flush()
