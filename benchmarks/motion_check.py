@@ -9,6 +9,7 @@ of that run and by differentiating the equations; the start by integrating it wi
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -54,8 +55,10 @@ class Answer:
     """(pieces, degree + 1, inputs): powers of the time since the piece began."""
     durations: tuple[float, ...]
     objective: float
-    said: str = ""
-    """Verdict and warnings."""
+    verdict: str = ""
+    """Its words: what drifts from the start is right where it is named here."""
+    noted: str = ""
+    """What it says besides."""
 
     @classmethod
     def of(cls, plan: Any, warned: str = "") -> Answer:
@@ -63,7 +66,6 @@ class Answer:
         motion, plant = plan.trajectory, plan.plant
         names = list(motion.named("input"))
         order = [names.index(v.name) for v in plant.inputs]
-        said = f"{plan.verdict}; {plan.statistics.get('warning', '')}; {warned}"
         return cls(
             np.asarray(motion.t, float),
             np.asarray(motion.array([v.name for v in plant.states]), float),
@@ -71,8 +73,13 @@ class Answer:
             np.asarray(motion.signals.coefficients, float)[:, :, order],
             tuple(float(d) for d in plan.durations),
             float(plan.objective),
-            said,
+            str(plan.verdict),
+            f"{plan.statistics.get('warning', '')}; {warned}",
         )
+
+    def names(self, variable: str) -> bool:
+        """Whether the verdict speaks of a variable."""
+        return bool(re.search(rf"(?<![\w.]){re.escape(variable)}(?![\w.])", self.verdict))
 
     def inputs(self, piece: int, t: Any) -> Array:
         """(inputs, times) in a piece, its end included."""
@@ -503,7 +510,7 @@ class Check:
             "at rest", lambda: rates, x, self.answer.inputs(0, self.answer.breaks[0])[:, 0]
         )
         for name, drift in self.drifts(x, u).items():
-            if name not in self.answer.said:
+            if not self.answer.names(name):
                 self.expect("start", f"{name} drifts before it", drift, DRIFT)
 
     @cached_property
@@ -534,7 +541,7 @@ class Check:
         """Temperatures are those of the surroundings, held memories those that were given."""
         memory = self.asked.get("memory", "virgin")
         for v in self.plant.states:
-            if v.name in values or v.name in self.answer.said:
+            if v.name in values or self.answer.names(v.name):
                 continue
             if v.unit == "K":
                 warmer = abs(known[v.name] - v.start)
@@ -580,7 +587,7 @@ class Check:
         """No receiver holds more than its source brings about; an unfed one what it was given."""
         given = {v.name: v.start for v in self.plant.parameters}
         for name, value in known.items():
-            if not name.endswith(".air_pressure") or name in values or name in self.answer.said:
+            if not name.endswith(".air_pressure") or name in values or self.answer.names(name):
                 continue
             tank, nominal = name.removesuffix(".air_pressure"), self.nominal(name)
             tops = [given.get(f"{tank}.{k}") for k in ("full_pressure", "set_pressure")]
@@ -716,7 +723,7 @@ class Check:
         total += sum(integrals[k] for k in integrals if k.startswith("track "))
         said = self.answer.objective
         nearest = min((total + more for more in candidates), key=lambda value: abs(value - said))
-        if "objective" not in self.answer.said:
+        if "along the replay the objective is" not in self.answer.noted:
             words = f"{said:.6g} where the motion has {nearest:.6g}"
             self.expect("objective", words, abs(said - nearest), COST * max(abs(nearest), LEAST))
         for term, value in (self.asked.get("budgets") or {}).items():

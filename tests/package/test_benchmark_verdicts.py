@@ -194,6 +194,8 @@ def test_a_start_that_does_not_last_or_is_no_rest_of_its_surroundings_is_seen(
     )
     stops = ({"x": 0.0}, pam.Stop({"x": 0.0}))
     assert kinds(answer, stops, plant=plant, duration=1.0) == wrong
+    named = replace(answer, verdict="verified; at the start air, s1, s2 are not at rest")
+    assert kinds(named, stops, plant=plant, duration=1.0) == set()
 
 
 def test_a_receiver_above_what_its_compressor_brings_about_is_seen(study, kinds):
