@@ -24,12 +24,12 @@ TOLERANCE = 1e-3
 """Of the plans' verdicts, in units of nominal."""
 
 
-def random_task(rng):
+def random_task(rng, makers=random_tasks.MAKERS):
     """A random feasible task of ``random_tasks.py`` with pressure regulators, from stop to stop in
     least time, or in 2 s with least effort.
     """
     while True:
-        task = random_tasks.random_task(rng)
+        task = random_tasks.random_task(rng, makers)
         regulated = all(v.name.endswith(".command") and v.unit == "Pa" for v in task.plant.inputs)
         plain = all(isinstance(stop, dict) for stop in task.stops) and len(task.stops) == 2
         memory = any(v.memory for v in task.plant.states)
@@ -51,7 +51,8 @@ def random_task(rng):
 def infeasible_task(rng, kind):
     """One of four kinds of tasks that cannot be."""
     while True:
-        task = random_task(rng)
+        hanging = {"makers": {random_tasks.single: 1}} if kind == "no pressure" else {}
+        task = random_task(rng, **hanging)
         task.arguments.pop("minimise", None)
         name, goal = next(iter(task.stops[1].items()))
         if kind == "no time":

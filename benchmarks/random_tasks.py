@@ -797,9 +797,12 @@ def itinerary(rng: Draw, made: Made) -> tuple[list[Any], dict[str, Any], str]:
     return [one, other], memory, ""
 
 
-def random_task(rng: Draw) -> Task:
-    """Four of five with muscles, one on a plant of another kind (draws anew until one can be)."""
-    makers = {single: 8, pair: 8, pendulum: 1, arm: 0.7, own: 3}
+MAKERS: dict[Any, float] = {single: 8, pair: 8, pendulum: 1, arm: 0.7, own: 3}
+"""With muscles, and plants of another kind."""
+
+
+def random_task(rng: Draw, makers: dict[Any, float] = MAKERS) -> Task:
+    """A task on a plant of some makers, by weight (draws anew until one can be)."""
     while True:
         try:
             made = chosen(rng, makers)(rng)
