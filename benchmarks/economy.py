@@ -15,12 +15,12 @@ import argparse
 import contextlib
 import warnings
 
+import motion_check
 import numpy as np
+import random_tasks
 import verdict_study
-from scipy.integrate import trapezoid
 
 import pam_ocp as pam
-from pam_ocp.core.signals import signals
 from pam_ocp.planning.run import Run
 from pam_ocp.planning.solvers.backend import Backend
 from pam_ocp.planning.transcription.mesh import doubled
@@ -77,20 +77,11 @@ def plants(rng):
             yield f"{kind}, {feed}", plant, [{name: a}, {name: b}]
 
 
-def integral(plant, plan, term):
+def integral(plant, stops, plan, term):
     """The term's integral along SciPy's own replay of the plan [SI]."""
-    t, x, _ = verdict_study.scipy_replay(plant, plan, samples=4000)
-    # where an input jumps there are two of each time, the first with the value before
-    before = np.append(np.diff(t) <= 0, False) * 1e-9
-    u = signals(plant, plan.trajectory, t)(t - before)
-    y = np.asarray(plant.function(x.T, u.T, plant.vector("parameter"))[1], float)
-    names = [v.name for v in plant.outputs]
-    muscles = [n.removesuffix(".contraction") for n in names if n.endswith(".contraction")]
-    key = {"work": "power", "air": "supply_flow", "exergy": "exergy_flow"}[term]
-    values = [y[names.index(f"{m}.{key}")] for m in muscles]
-    if term == "work":
-        values = [np.maximum(v, 0.0) for v in values]
-    return float(trapezoid(sum(values), t))
+    task = random_tasks.Task("", plant, stops, (), {"minimise": term})
+    check = motion_check.Check(task, motion_check.Answer.of(plan))
+    return float(dict(zip(check.running(), check.run().integrals, strict=True))[term])
 
 
 def finer(plant, stops, wanted, plan):
@@ -111,7 +102,7 @@ def judged(plant, stops, wanted, fine):
     plan = pam.plan(plant, stops, **wanted)
     seconds = verdict_study.spent() - begin
     term, gap = wanted["minimise"], plan.statistics.get("objective_gap", np.nan)
-    scipy = integral(plant, plan, term) / GOALS[term]
+    scipy = integral(plant, stops, plan, term) / GOALS[term]
     error = np.nan
     if fine:
         least = finer(plant, stops, wanted, plan)

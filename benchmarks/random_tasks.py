@@ -1,474 +1,818 @@
-"""Random planning tasks that are feasible by construction: every arrangement, feed, loss and load
-of the library, and plants of one's own in odd coordinates.
+"""Random planning tasks, of everything that there is, each with its statement in words.
 
-Feasible: along the whole way a point of rest exists with every muscle taut and every pressure
-inside its range, whatever friction does (found here by SciPy on the force law alone), and the time
-is free or long. Nothing of the planner is asked.
+Muscles, arrangements, feeds, supplies, gases, losses, loads, objectives, limits and stops are drawn
+independently. Feasible are they by statics alone: at each point between the stops every muscle can
+pull with the force that is needed there, whatever its losses do, at a pressure that its feed can
+give, with a margin (from the force law, nothing of the planner is asked); the time is free or long.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.optimize import brentq
 
 import pam_ocp as pam
+from pam_ocp.muscles.gas import BraidVolume, Gas
+from pam_ocp.muscles.heat import ConstantHeatTransfer, PressureHeatTransfer, Rubber
 
-MUSCLES = ("DMSP-20-200N", "DMSP-20-400N", "DMSP-20-300", "DMSP-10-250", "DMSP-20-300-wall")
 GRAVITY = 9.80665
-MARGIN = 0.05
+MARGIN = 0.06
 """Of the pressure range, kept free at the points of rest."""
+FREE_LENGTH = (0.15, 0.4)
+"""Rest lengths of muscles whose set leaves it open [m]."""
+Draw = np.random.Generator
 
 
 @dataclass
 class Task:
-    """A plant and the arguments of plan."""
+    """A plant, the arguments of plan, and the positions that are at rest at the stops: states or
+    outputs, named by whoever made the plant.
+    """
 
     words: str
     plant: pam.Plant
-    stops: list
-    arguments: dict = field(default_factory=dict)
+    stops: list[Any]
+    positions: tuple[str, ...]
+    arguments: dict[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        shown = {k: v for k, v in self.arguments.items() if v}
+        return f"{self.words}; stops {self.stops}, {shown}"
 
 
-# ---- statics by SciPy on the force law alone ----------------------------------------------------
-def balancing(muscle, contraction, force):
-    """The gauge pressure at which a muscle pulls with ``force``, or None outside its range."""
-    low, high = muscle.pressure_range
-    low, high = (max(low, 0.0) + MARGIN * high, high * (1 - MARGIN))
-
-    def excess(pressure):
-        return float(muscle.tension(pressure, contraction)) - force
-
-    if excess(low) > 0 or excess(high) < 0:
-        return None
-    return brentq(excess, low, high)
+class Infeasible(Exception):
+    """Nothing of some size can be asked of what was drawn: another is."""
 
 
-def pulls(muscle, contraction, force, lost):
-    """Whether a muscle can pull with ``force`` >= 10 N whatever its losses (up to +-lost) do."""
-    wanted = (force - lost, force + lost)
-    return force - lost > 10.0 and all(
-        balancing(muscle, contraction, f) is not None for f in wanted
-    )
+def chance(rng: Draw, probability: float) -> bool:
+    return bool(rng.random() < probability)
 
 
-def pair_pulls(first, second, kappa1, kappa2, need, lost, ratio=1.0):
-    """Whether two muscles against each other can give ``need`` [N at the first], taut."""
-    for pull in np.geomspace(15.0, 1500.0, 30):
-        if pulls(first, kappa1, pull + max(need, 0), lost) and pulls(
-            second, kappa2, (pull + max(-need, 0)) * ratio, lost
-        ):
-            return True
-    return False
+def chosen(rng: Draw, choices: dict[Any, float]) -> Any:
+    weights = np.array(list(choices.values()), float)
+    return list(choices)[int(rng.choice(len(choices), p=weights / weights.sum()))]
 
 
-# ---- components ---------------------------------------------------------------------------------
-def feed(rng, muscle):
-    """Any feed: regulators most often, then valves, then the pressure itself."""
-    kind = rng.choice(["regulator", "spool", "onoff", "ideal"], p=[0.45, 0.25, 0.15, 0.15])
-    if muscle.diameter is None and kind in ("spool", "onoff"):
-        kind = "regulator"
-    if kind == "regulator":
-        limit = None if rng.random() < 0.6 else rng.uniform(1e6, 6e6)
-        return pam.feeds.Regulator(lag=rng.uniform(0.03, 0.15), max_rate=limit), kind
-    if kind == "ideal":
-        return pam.feeds.IdealPressure(), kind
-    options = {
-        "conductance": pam.gas.conductance_from_flow(rng.uniform(100.0, 700.0)),
-        "supply": 1.1e5 + muscle.pressure_range[1],
-        "tube": pam.feeds.Tube() if rng.random() < 0.3 else None,
-    }
-    valve = pam.feeds.SpoolValve if kind == "spool" else pam.feeds.OnOffValves
-    return valve(**options), kind + (" with tube" if options["tube"] else "")
-
-
-def losses(rng, stroke):
-    """(losses, largest force they can take [N], words); ``stroke`` is in contraction."""
-    kind = rng.choice(
-        ["none", "coulomb", "bouc-wen", "slip", "creep", "slip and creep"],
-        p=[0.4, 0.12, 0.12, 0.12, 0.12, 0.12],
-    )
-    creep = pam.losses.Creep((rng.uniform(100, 600),), (rng.uniform(0.2, 3.0),))
-    friction = rng.uniform(5, 25)
-    slip = pam.losses.MaxwellSlip(tuple(friction * np.array([0.3, 0.3, 0.2, 0.2])))
-    crept = creep.stiffness[0] * abs(stroke)
-    return {
-        "none": ((), 0.0, ""),
-        "coulomb": ((pam.losses.CoulombFriction(friction),), friction, "coulomb"),
-        "bouc-wen": (
-            (pam.losses.BoucWen(friction, rng.uniform(0.003, 0.01)),),
-            friction,
-            "bouc-wen",
-        ),
-        "slip": ((slip,), friction, "maxwell-slip"),
-        "creep": ((creep,), crept, "creep"),
-        "slip and creep": ((slip, creep), friction + crept, "maxwell-slip, creep"),
-    }[str(kind)]
-
-
-def loads(rng, scale, a, b):
-    """(loads, force they need against them at a position, largest friction, words).
-
-    scale : 1 for a slide [m, N], the moment arm for a joint [rad, N m].
-    """
-    kind = rng.choice(
-        ["none", "spring", "damper", "friction", "inertia", "force", "wall"],
-        p=[0.46, 0.09, 0.09, 0.09, 0.09, 0.09, 0.09],
-    )
-    stiffness, constant = rng.uniform(100, 1000) * scale**2, rng.uniform(-20, 20) * scale
-    dry = rng.uniform(1, 10) * scale
-    gap = max(a, b) + rng.uniform(0.1, 0.5) * abs(b - a)
-    none = lambda s: 0.0  # noqa: E731
-    made = {
-        "none": ((), none, 0.0),
-        "spring": ((pam.loads.Spring(stiffness),), lambda s: stiffness * s, 0.0),
-        "damper": ((pam.loads.Damper(rng.uniform(2, 30) * scale**2),), none, 0.0),
-        "friction": ((pam.loads.DryFriction(dry, 1e-2 / max(scale, 1e-9) * 0.1),), none, dry),
-        "inertia": ((pam.loads.Inertia(rng.uniform(0.2, 2.0) * scale**2),), none, 0.0),
-        "force": ((pam.loads.ExternalForce(start=constant),), lambda s: -constant, 0.0),
-        "wall": ((pam.loads.Wall(gap, 2e4 * scale, 20.0 * scale**2, 1, 0.5 * scale),), none, 0.0),
-    }[str(kind)]
-    return (*made, "" if kind == "none" else str(kind))
-
-
-# ---- arrangements --------------------------------------------------------------------------------
-def way(a, b):
-    return np.linspace(a, b, 9)
-
-
-def told(*words):
+def told(*words: str) -> str:
     return ", ".join(w for w in words if w)
 
 
-def one_muscle(rng, muscle, needs, x, parts, make, words):
-    """The task of one muscle whose load needs ``needs(s)`` [N] at rest, or None."""
-    (lossy, lost, loss_words), (loaded, need, dry, load_words) = parts
-    length = float(muscle.rest_length)
-    for s in way(*x):
-        if not pulls(muscle, s / length, needs(s) + need(s), lost + dry):
-            return None
-    source, feed_words = feed(rng, muscle)
-    plant = make(feed=source, losses=lossy, loads=loaded)
-    return plant, "x", x, told(words, feed_words, loss_words, load_words)
+# ---- muscles and statics -------------------------------------------------------------------------
+def any_muscle(rng: Draw, name: str | None = None) -> pam.Muscle:
+    """Of the whole catalogue."""
+    name = name or str(rng.choice(pam.muscle_names()))
+    try:
+        return pam.muscle(name)
+    except pam.InputError:  # its set leaves the length open
+        return pam.muscle(name, rest_length=round(float(rng.uniform(*FREE_LENGTH)), 3))
 
 
-def hanging(rng, muscle):
-    mass, length = rng.uniform(1.0, 25.0), float(muscle.rest_length)
-    x = rng.uniform(0.0, 0.25, 2) * length
-    slope = None if rng.random() < 0.8 else rng.uniform(0.4, 1.2)
-    weight = mass * GRAVITY * (1.0 if slope is None else np.sin(slope))
-    parts = losses(rng, (x[1] - x[0]) / length), loads(rng, 1.0, *x)
+@dataclass(frozen=True)
+class Puller:
+    """A muscle with the largest pressure that its feed gives and the force that losses may take."""
 
-    def make(**more):
-        return pam.HangingLoad(muscle, mass, inclination=slope, **more)
+    muscle: pam.Muscle
+    top: float
+    lost: float
 
-    return one_muscle(rng, muscle, lambda s: weight, x, parts, make, f"{mass:.1f} kg hanging")
+    def forces(self, contraction: float) -> tuple[float, float]:
+        """The least and the largest force to count on, whatever the losses do [N]."""
+        low = max(float(self.muscle.pressure_range[0]), 0.0) + MARGIN * self.top
+        least, most = (
+            float(self.muscle.tension(p, contraction)) for p in (low, self.top * (1 - MARGIN))
+        )
+        return max(least + self.lost, 2.0 + self.lost), most - self.lost
 
+    def can(self, contraction: float, force: float) -> bool:
+        least, most = self.forces(contraction)
+        return least < force < most
 
-def sprung(rng, muscle):
-    mass, spring, preload = rng.uniform(0.5, 5), rng.uniform(1e3, 1e4), rng.uniform(20, 150)
-    length = float(muscle.rest_length)
-    x = rng.uniform(0.0, 0.2, 2) * length
-    parts = losses(rng, (x[1] - x[0]) / length), loads(rng, 1.0, *x)
-
-    def make(**more):
-        return pam.SpringOverMuscle(muscle, mass, spring, preload, **more)
-
-    return one_muscle(
-        rng, muscle, lambda s: preload + spring * s, x, parts, make, f"{mass:.1f} kg on a spring"
-    )
+    def at(self, pressure: float, contraction: float) -> float:
+        return float(self.muscle.tension(pressure, contraction))
 
 
-def series(rng, muscle):
-    mass, tendon = rng.uniform(2.0, 25.0), rng.uniform(2e4, 2e5)
-    length = float(muscle.rest_length)
-    stretch = mass * GRAVITY / tendon
-    x = rng.uniform(0.0, 0.2, 2) * length
-    lossy, lost, loss_words = losses(rng, (x[1] - x[0]) / length)
-    for s in way(*x):
-        if not pulls(muscle, (s + stretch) / length, mass * GRAVITY, lost):
-            return None
-    source, feed_words = feed(rng, muscle)
-    plant = pam.SeriesLoad(muscle, mass, tendon, feed=source, losses=lossy)
-    words = f"{mass:.1f} kg on a tendon of {tendon / 1e3:.0f} N/mm"
-    return plant, "x", x, told(words, feed_words, loss_words)
+def longest(grid: np.ndarray, good: list[bool]) -> tuple[float, float]:
+    """Ends of the longest run of grid points that are good."""
+    best, begin = (0, 0), None
+    for i, ok in enumerate([*good, False]):
+        if ok and begin is None:
+            begin = i
+        if not ok and begin is not None:
+            best, begin = max(best, (begin, i - 1), key=lambda run: run[1] - run[0]), None
+    if best[1] - best[0] < 4:
+        raise Infeasible
+    return float(grid[best[0]]), float(grid[best[1]])
 
 
-def regulated(rng, muscle):
-    mass, length = rng.uniform(2.0, 25.0), float(muscle.rest_length)
-    x = rng.uniform(0.0, 0.22, 2) * length
-    lossy, lost, loss_words = losses(rng, (x[1] - x[0]) / length)
-    for s in way(*x):
-        if not pulls(muscle, s / length, mass * GRAVITY, lost):
-            return None
-    plant = pam.RegulatedLoad(
-        muscle, mass, gain=rng.uniform(1e5, 2e6), lag=rng.uniform(0.05, 0.15), losses=lossy
-    )
-    return plant, "x", x, told(f"{mass:.1f} kg with position feedback", loss_words)
-
-
-def slide(rng, muscle):
-    mass, k0 = rng.uniform(0.5, 10.0), rng.uniform(0.06, 0.14)
-    other = muscle if rng.random() < 0.6 else pam.muscle(str(rng.choice(MUSCLES)))
-    length, other_length = float(muscle.rest_length), float(other.rest_length)
-    x = rng.uniform(-0.08, 0.08, 2) * min(length, other_length)
-    lossy, lost, loss_words = losses(rng, (x[1] - x[0]) / min(length, other_length))
-    loaded, need, dry, load_words = loads(rng, 1.0, *x)
-    for s in way(*x):
-        for friction in (-dry, dry):
-            if not pair_pulls(
-                muscle, other, k0 + s / length, k0 - s / other_length, need(s) + friction, lost
-            ):
-                return None
-    source, feed_words = feed(rng, muscle if other.diameter else other)
-    plant = pam.AntagonisticSlide(
-        muscle, mass, k0, muscle2=other, feed=source, losses=lossy, loads=loaded
-    )
-    return plant, "x", x, told(f"{mass:.1f} kg on a slide", feed_words, loss_words, load_words)
-
-
-def joint(rng, muscle):
-    inertia, arm = rng.uniform(0.01, 0.2), rng.uniform(0.02, 0.05)
-    ratio = 1.0 if rng.random() < 0.5 else rng.uniform(0.8, 1.25)
-    length = float(muscle.rest_length)
-    reach = 0.09 * length / (arm * max(ratio, 1.0))
-    angle = rng.uniform(-reach, reach, 2)
-    link = (0.0, 0.0) if rng.random() < 0.5 else (rng.uniform(0.2, 2.0), rng.uniform(0.05, 0.3))
-    lossy, lost, loss_words = losses(rng, arm * (angle[1] - angle[0]) / length)
-    loaded, need, dry, load_words = loads(rng, arm, *angle)
-    for s in way(*angle):
-        weight = link[0] * GRAVITY * link[1] * np.sin(s)
-        for friction in (-dry, dry):
-            if not pair_pulls(
-                muscle,
-                muscle,
-                0.125 + arm * s / length,
-                0.125 - ratio * arm * s / length,
-                (need(s) + weight + friction) / arm,
-                lost,
-                1 / ratio,
-            ):
-                return None
-    source, feed_words = feed(rng, muscle)
-    plant = pam.AntagonisticJoint(
-        muscle,
-        inertia,
-        arm,
-        moment_arm2=arm * ratio,
-        link_mass=link[0],
-        link_length=link[1],
-        feed=source,
-        losses=lossy,
-        loads=loaded,
-    )
-    words = told(f"{inertia:.2f} kg m2 on a joint", feed_words, loss_words, load_words)
-    return plant, "theta", angle, words
-
-
-ARRANGEMENTS = (hanging, sprung, series, regulated, slide, joint)
-
-
-def library_task(rng, maker=None):
-    """A random feasible task of the library's arrangements (draws anew until one is)."""
+def two_places(rng: Draw, low: float, high: float) -> tuple[float, float]:
+    """Two positions, at least a sixth of the way apart."""
     while True:
-        muscle = pam.muscle(str(rng.choice(MUSCLES)))
-        try:
-            made = (maker or rng.choice(ARRANGEMENTS))(rng, muscle)
-        except pam.InputError:  # a stroke outside the muscles' measured range
-            continue
-        if made is None:
-            continue
-        plant, name, (a, b), words = made
-        variable = plant.variable(name)
-        if not all(variable.min <= s <= variable.max for s in (a, b)) or abs(b - a) < 2e-3:
-            continue
-        arguments = {"cyclic": bool(rng.random() < 0.35)}
-        goal = rng.random()
-        valves = any(v.name.endswith(".exergy_flow") for v in plant.outputs)
-        if goal < 0.2:
-            arguments |= {"duration": 2.0, "minimise": "effort"}
-        elif goal < 0.3:
-            arguments["minimise"] = {"time": 1.0, "rate": 1e-4}
-        elif goal < 0.4:
-            arguments |= {"duration": rng.uniform(1.0, 2.0), "minimise": "work"}
-        elif goal < 0.5 and valves:
-            arguments |= {"duration": 2.0, "minimise": str(rng.choice(["air", "exergy"]))}
-        return Task(
-            told(muscle.name, words), plant, [{name: float(a)}, {name: float(b)}], arguments
+        a, b = rng.uniform(low, high, 2)
+        if abs(b - a) > (high - low) / 6:
+            return float(a), float(b)
+
+
+# ---- components ----------------------------------------------------------------------------------
+def gas(rng: Draw) -> tuple[Gas, str]:
+    """Isothermal to adiabatic, or with its own energy, warm walls and surroundings."""
+    given: dict[str, Any] = {"dead_volume": rng.uniform(5e-6, 4e-5)}
+    if chance(rng, 0.3):
+        given["temperature"] = rng.uniform(278.0, 308.0)
+    if chance(rng, 0.2):
+        given["volume"] = BraidVolume()
+    words = ""
+    if chance(rng, 0.45):
+        value = rng.uniform(10, 150)
+        kind = ConstantHeatTransfer if chance(rng, 0.6) else PressureHeatTransfer
+        given["heat"], words = kind(value), f"heat {value:.0f} W/m2K"
+        if chance(rng, 0.2):
+            given["rubber"] = Rubber(rng.uniform(10, 100))
+            words += " and rubber"
+    else:
+        given["exponent"] = rng.uniform(1.0, 1.4)
+    return Gas(**given), words
+
+
+def receiver(rng: Draw, volume: float, top: float) -> tuple[Any, str]:
+    """A tank with a compressor, behind a regulator, or that is only emptied."""
+    pressure = top + rng.uniform(0.6e5, 2.5e5)
+    kind = chosen(rng, {"compressor": 2, "regulated": 2, "tank": 1})
+    size = volume * rng.uniform(*((20, 60) if kind == "tank" else (5, 30)))
+    source = None
+    if kind == "compressor":
+        flow, stop = volume * rng.uniform(3, 12), pressure * rng.uniform(1.0, 1.1)
+        source = pam.feeds.Compressor(flow, stop)
+    elif kind == "regulated":
+        source = pam.feeds.PressureRegulator(
+            pressure,
+            pressure + rng.uniform(1e5, 3e5),
+            rng.uniform(3e-9, 3e-8),
+            relief=float(rng.choice([0.0, 0.1])),
         )
+    wall = rng.uniform(0.1, 3.0) if chance(rng, 0.4) else None
+    made = pam.feeds.Receiver(size, pressure, source, wall_conductance=wall)
+    return made, f"{1e3 * size:.2g} l {kind}" + (" with heat" if wall else "")
 
 
-# ---- plants of one's own
-# ----------------------------------------------------------------------------
-def gear(rng):
-    plant, ratio = pam.Plant("gear"), rng.uniform(0.2, 5.0)
-    x, v = plant.state("x"), plant.state("v")
-    u = plant.input("u", min=-1.0, max=1.0)
-    plant.der(x, v * ratio)
-    plant.der(v, u)
-    return plant, [{"x": 0.0}, {"x": rng.uniform(0.3, 3)}]
+def valve(rng: Draw, muscle: pam.Muscle, top: float) -> tuple[Any, str]:
+    """Any valve, with all that may stand around it."""
+    volume = np.pi / 4 * float(muscle.diameter) ** 2 * float(muscle.rest_length) * 2.0
+    air, gas_words = gas(rng)
+    supply, supply_words = top + rng.uniform(0.5e5, 2e5), ""
+    if chance(rng, 0.35):
+        supply, supply_words = receiver(rng, volume, top)
+    given: dict[str, Any] = {"supply": supply, "gas": air, "max_pressure": top}
+    words = [gas_words, supply_words]
+    if chance(rng, 0.3):
+        long = chance(rng, 0.35)
+        given["tube"] = (
+            pam.feeds.LumpedTube(rng.uniform(0.3, 2.0), 4e-3, int(rng.integers(1, 4)))
+            if long
+            else pam.feeds.Tube(rng.uniform(3e-6, 3e-5), rng.uniform(2e-3, 2e-2))
+        )
+        words.append("lumped tube" if long else "tube")
+        if chance(rng, 0.35):
+            given["quick_exhaust"] = pam.feeds.QuickExhaust()
+            words.append("quick exhaust")
+    if chance(rng, 0.15) and "tank" not in supply_words:  # which would only run empty
+        given["leak"] = volume / (rng.uniform(40, 200) * 1e5)
+        words.append("leak")
+    kind = chosen(rng, {"spool": 5, "on/off": 3, "servo": 2, "catalogue": 2})
+    if kind == "catalogue":
+        name = str(rng.choice(pam.feeds.valve_names()))
+        return pam.feeds.valve(name, **given), told(name, *words)
+    given["conductance"] = volume / (rng.uniform(0.03, 0.4) * 1e5)
+    if chance(rng, 0.2):
+        given["exhaust_conductance"] = given["conductance"] * rng.uniform(0.5, 1.5)
+    if kind == "on/off":
+        return pam.feeds.OnOffValves(**given), told("on/off valves", *words)
+    given["overlap"] = float(rng.choice([0.0, 0.02, 0.05, 0.1]))
+    if chance(rng, 0.3):
+        play = rng.uniform(0.005, 0.03) if chance(rng, 0.3) else 0.0
+        second = chance(rng, 0.4)
+        given["spool"] = (
+            pam.feeds.SecondOrderSpool(rng.uniform(20, 90), hysteresis=play)
+            if second
+            else pam.feeds.FirstOrderSpool(rng.uniform(3e-3, 2e-2), hysteresis=play)
+        )
+        words.append(
+            f"spool of {'second' if second else 'first'} order" + " with play" * bool(play)
+        )
+    if kind == "servo":
+        lag = rng.uniform(2e-3, 2e-2) if chance(rng, 0.5) else 0.0
+        gain = rng.uniform(0.5e-5, 4e-5)
+        made = pam.feeds.ServoValve(**given, pressure_gain=gain, command_lag=lag)
+        return made, told("servo valve", *words)
+    return pam.feeds.SpoolValve(**given), told("spool valve", *words)
 
 
-def momentum(rng):
-    plant, mass = pam.Plant("momentum"), rng.uniform(0.5, 5.0)
-    x, q = plant.state("x", unit="m"), plant.state("momentum", unit="kg.m/s")
-    u = plant.input("u", unit="N", min=-1.0, max=1.0)
-    plant.der(x, q / mass)
-    plant.der(q, u - rng.uniform(0, 0.3) * q / mass)
-    return plant, [{"x": 0.0}, {"x": rng.uniform(0.3, 2)}]
+def regulator(rng: Draw, top: float) -> tuple[dict[str, Any], str]:
+    """Arguments of a pressure regulator, as rigs have them."""
+    given: dict[str, Any] = {"lag": rng.uniform(0.02, 0.15), "max_pressure": top}
+    if chance(rng, 0.3):
+        given["max_rate"] = rng.uniform(1e6, 6e6)
+    if chance(rng, 0.25):
+        given["venting_lag"] = given["lag"] * rng.uniform(0.7, 2.0)
+    if chance(rng, 0.25):
+        given["slew"] = rng.uniform(2e6, 8e6)
+    if chance(rng, 0.25):
+        order, cells = ((4, 1), (2, 1), (1, 6))[int(rng.integers(3))]
+        given["dead_time"] = pam.feeds.DeadTime(rng.uniform(0.005, 0.03), order, cells)
+    if chance(rng, 0.2):
+        given["gain"] = top / 10.0
+    return given, told("regulator", *(k.replace("_", " ") for k in given if k not in ("lag",)))
 
 
-def rapidity(rng):
-    plant = pam.Plant("rapidity")
-    x, w = plant.state("x"), plant.state("w")
-    u = plant.input("u", min=-1.0, max=1.0)
-    plant.der(x, ca.sinh(w))
-    plant.der(w, u / ca.cosh(w))
-    return plant, [{"x": 0.0}, {"x": rng.uniform(0.3, 3)}]
+def feed(rng: Draw, muscle: pam.Muscle, top: float, pair: bool = False) -> tuple[Any, str]:
+    """Any feed whose largest pressure is ``top``."""
+    kinds = {"regulator": 4, "valve": 5, "ideal": 1, "pair": 2 if pair else 0}
+    kind = chosen(rng, kinds)
+    if kind == "valve" and muscle.diameter is None:
+        kind = "regulator"
+    if kind == "ideal":
+        return pam.feeds.IdealPressure(top), "pressure itself"
+    if kind == "valve":
+        return valve(rng, muscle, top)
+    given, words = regulator(rng, top)
+    if kind == "pair":
+        given.pop("gain", None)
+        base = top * rng.uniform(0.4, 0.6)
+        return pam.feeds.PairRegulator(**given, base=base), f"pair {words}"
+    return pam.feeds.Regulator(**given), words
 
 
-def logarithm(rng):
-    plant = pam.Plant("logarithm")
-    s, v = plant.state("s"), plant.state("v")
-    u = plant.input("u", min=-1.0, max=1.0)
-    plant.der(s, v * ca.exp(-s))
-    plant.der(v, u)
-    return plant, [{"s": 0.0}, {"s": rng.uniform(0.2, 1.0)}]
+def one_loss(rng: Draw, kind: str, top: float, size: float) -> tuple[Any, float]:
+    """(a loss, the largest force that it can take at rest or slowly [N]); size : typical [N]."""
+    friction, losses = size * rng.uniform(0.01, 0.06), pam.losses
+    scale = rng.uniform(5e-7, 3e-6) if chance(rng, 0.25) else 0.0
+    grown = friction * (1 + scale * top)
+    parts = friction * np.array([0.3, 0.3, 0.2, 0.2])
+    stiffness = size * rng.uniform(0.2, 1.5)
+    made: dict[str, Callable[[], tuple[Any, float]]] = {
+        "Coulomb": lambda: (losses.CoulombFriction(friction, excess=0.3), 1.3 * friction),
+        "Bouc-Wen": lambda: (
+            losses.BoucWen(friction, rng.uniform(0.003, 0.01), per_pressure=scale),
+            grown,
+        ),
+        "Maxwell-slip": lambda: (losses.MaxwellSlip(tuple(parts), per_pressure=scale), grown),
+        "Prandtl-Ishlinskii": lambda: (
+            losses.PrandtlIshlinskii(
+                (0.5 * friction, 0.4 * friction), (0.4 * friction, 0.3 * friction)
+            ),
+            1.5 * friction,
+        ),
+        "creep": lambda: (losses.Creep((stiffness,), (rng.uniform(0.2, 3.0),)), 0.25 * stiffness),
+        "creep under load": lambda: (
+            losses.LoadCreep((stiffness,), (rng.uniform(0.3, 3.0),)),
+            0.25 * stiffness,
+        ),
+        "preconditioning": lambda: (losses.Preconditioning(0.5 * stiffness), 0.13 * stiffness),
+        "strands": lambda: (losses.StrandFriction(0.2, diameter=0.02), 4e-5 * top),
+        "directional damping": lambda: (
+            losses.DirectionalDamping([(200.0, 2e-4)], [(100.0, 1e-4)]),
+            0.0,
+        ),
+        "force-velocity": lambda: (losses.ForceVelocity(0.5 * friction, 2e-5), 0.2 * friction),
+    }
+    return made[kind]()
 
 
-def swinging(rng):
-    plant, length, mass = pam.Plant("swing"), rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.0)
-    inertia = mass * length**2
-    theta = plant.state("theta", unit="rad", display_unit="deg")
-    moment = plant.state("angular_momentum", nominal=inertia)
-    u = plant.input(
-        "torque", unit="N.m", min=-1.5 * mass * 9.81 * length, max=1.5 * mass * 9.81 * length
+LOSSES = (
+    "Coulomb",
+    "Bouc-Wen",
+    "Maxwell-slip",
+    "Prandtl-Ishlinskii",
+    "creep",
+    "creep under load",
+    "preconditioning",
+    "strands",
+    "directional damping",
+    "force-velocity",
+)
+
+
+def losses(rng: Draw, top: float, size: float) -> tuple[tuple[Any, ...], float, str]:
+    """None, one or two: (losses, largest force [N], words)."""
+    count = chosen(rng, {0: 4, 1: 5, 2: 1})
+    kinds = [str(k) for k in rng.choice(LOSSES, count, replace=False)]
+    made = [one_loss(rng, kind, top, size) for kind in kinds]
+    return tuple(loss for loss, _ in made), sum(lost for _, lost in made), told(*kinds)
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Loads, the force that they need from the muscles at a position, and friction about it."""
+
+    made: tuple[Any, ...] = ()
+    need: Callable[[float], float] = lambda s: 0.0
+    dry: float = 0.0
+    words: str = ""
+
+    @property
+    def symmetric(self) -> bool:
+        return not any(w in self.words for w in ("external", "wall"))
+
+
+def loads(rng: Draw, force: float, reach: float) -> Loads:
+    """For forces of a size [N or N m] along a position of a size [m or rad]."""
+    kind = chosen(
+        rng,
+        {"": 5, "spring": 1, "damper": 1, "friction": 1, "inertia": 1, "external": 1, "wall": 1},
     )
-    plant.der(theta, moment / inertia)
-    plant.der(moment, u - mass * 9.81 * length * ca.sin(theta) - 0.05 * moment / inertia)
-    return plant, [{"theta": 0.0}, {"theta": rng.uniform(0.5, 3.0)}]
+    stiffness, value = force / reach * rng.uniform(0.02, 0.15), force * rng.uniform(-0.1, 0.1)
+    dry, place = force * rng.uniform(0.005, 0.03), reach * rng.uniform(0.3, 0.9)
+    hard = force / reach * rng.uniform(0.2, 2.0)
+    one = pam.loads
+    if kind == "spring":
+        return Loads((one.Spring(stiffness),), lambda s: stiffness * s, 0.0, kind)
+    if kind == "damper":
+        return Loads((one.Damper(force / reach * rng.uniform(1e-3, 2e-2)),), words=kind)
+    if kind == "friction":
+        return Loads((one.DryFriction(dry, reach * rng.uniform(0.01, 0.05)),), dry=dry, words=kind)
+    if kind == "inertia":
+        return Loads((one.Inertia(force / reach * rng.uniform(2e-5, 3e-4)),), words=kind)
+    if kind == "external":
+        return Loads((one.ExternalForce(start=value),), lambda s: -value, 0.0, "external force")
+    if kind == "wall":
+        made = one.Wall(place, hard, 1e-3 * hard, 1, 0.01 * force)
+        return Loads((made,), lambda s: hard * max(s - place, 0.0), 0.0, kind)
+    return Loads()
 
 
-def two_masses(rng):
-    plant, k = pam.Plant("two_masses"), rng.uniform(20, 200)
-    x1, x2 = plant.state("x1", nominal=0.1), plant.state("x2", nominal=0.1)
-    v1, v2 = plant.state("v1"), plant.state("v2")
-    u = plant.input("u", min=-2.0, max=2.0)
-    plant.der(x1, v1)
-    plant.der(x2, v2)
-    plant.der(v1, u - k * (x1 - x2) - 0.5 * (v1 - v2))
-    plant.der(v2, k * (x1 - x2) + 0.5 * (v1 - v2))
-    return plant, [{"x1": 0.0, "x2": 0.0}, {"x2": rng.uniform(0.1, 0.5)}]
+# ---- arrangements --------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Made:
+    """A plant with a position in a feasible range; others are at rest with it."""
+
+    words: str
+    plant: pam.Plant
+    name: str
+    range: tuple[float, float]
+    positions: tuple[str, ...]
+    symmetric: bool = False
 
 
-def chain(rng):
-    plant, k = pam.Plant("chain"), rng.uniform(100, 300)
-    x = [plant.state(f"x{i}", nominal=0.1) for i in range(4)]
-    q = [plant.state(f"p{i}") for i in range(4)]
-    u = plant.input("u", min=-5.0, max=5.0)
-    masses = rng.uniform(0.5, 1.5, 4)
-    for i in range(4):
-        plant.der(x[i], q[i] / masses[i])
-        pull = (
-            u
-            if i == 0
-            else k * (x[i - 1] - x[i]) + 3 * (q[i - 1] / masses[i - 1] - q[i] / masses[i])
+def sized(muscle: pam.Muscle, top: float) -> float:
+    """The force of a muscle in the middle of its stroke at its largest pressure [N]."""
+    return float(muscle.tension(top, 0.4 * muscle.contraction_range[1]))
+
+
+def top_of(rng: Draw, *muscles: pam.Muscle) -> float:
+    """A largest pressure that all of them stand [Pa]."""
+    top = min(float(m.pressure_range[1]) for m in muscles)
+    return top if chance(rng, 0.6) else top * rng.uniform(0.8, 1.0)
+
+
+def single(rng: Draw) -> Made:
+    """One muscle: a hanging load, one on a slope, on a spring, on a tendon, or regulated."""
+    muscle = any_muscle(rng)
+    top = top_of(rng, muscle)
+    size, length = sized(muscle, top), float(muscle.rest_length)
+    lossy, lost, loss_words = losses(rng, top, size)
+    kind = chosen(rng, {"hanging": 4, "slope": 1, "spring": 2, "tendon": 2, "regulated": 1})
+    load = loads(rng, size, 0.2 * length) if kind != "regulated" else Loads()
+    mass = size / GRAVITY * rng.uniform(0.08, 0.5)
+    fed, feed_words = feed(rng, muscle, top)
+    common: dict[str, Any] = {"feed": fed, "losses": lossy, "loads": load.made}
+    weight, stretch, name, positions = mass * GRAVITY, 0.0, "x", ("x",)
+    if kind == "hanging":
+        plant = pam.HangingLoad(muscle, mass, **common)
+    elif kind == "slope":
+        slope = rng.uniform(0.3, 1.2)
+        weight *= np.sin(slope)
+        plant = pam.HangingLoad(muscle, mass, inclination=slope, **common)
+    elif kind == "spring":
+        stiffness, preload = size / length * rng.uniform(0.5, 3), size * rng.uniform(0.03, 0.2)
+        mass *= 0.3
+        plant = pam.SpringOverMuscle(muscle, mass, stiffness, preload, **common)
+        load = Loads(
+            load.made, lambda s, n=load.need: n(s) + preload + stiffness * s, load.dry, load.words
         )
-        push = (
-            0
-            if i == 3
-            else k * (x[i] - x[i + 1]) + 3 * (q[i] / masses[i] - q[i + 1] / masses[i + 1])
+        weight = 0.0
+    elif kind == "tendon":
+        tendon = size / length * rng.uniform(20, 200)
+        stretch = weight / tendon
+        plant = pam.SeriesLoad(muscle, mass, tendon, **common)
+        positions = tuple(n for n, _ in plant.positions.items())
+    else:
+        feed_words = "position feedback"
+        plant = pam.RegulatedLoad(
+            muscle,
+            mass,
+            gain=top / length * rng.uniform(0.3, 2),
+            lag=rng.uniform(0.05, 0.15),
+            max_pressure=top,
+            losses=lossy,
         )
-        plant.der(q[i], pull - push)
-    return plant, [{"x0": 0.0}, {"x3": rng.uniform(0.1, 0.4)}]
+    puller = Puller(muscle, top, lost + load.dry)
+    grid = np.linspace(0.0, 0.95 * muscle.contraction_range[1] * length, 60)
+    good = [puller.can((s + stretch) / length, weight + load.need(s)) for s in grid]
+    words = told(f"{muscle.name}", f"{mass:.1f} kg {kind}", feed_words, loss_words, load.words)
+    return Made(words, plant, name, longest(grid, good), positions)
 
 
-def jerk(rng):
-    plant = pam.Plant("jerk")
-    x, v, a = (plant.state(n) for n in ("x", "v", "a"))
-    u = plant.input("u", min=-1.0, max=1.0)
-    plant.der(x, v)
-    plant.der(v, a)
-    plant.der(a, u)
-    return plant, [{"x": 0.0}, {"x": rng.uniform(0.3, 2)}]
+def pair_can(
+    first: Puller, second: Puller, kappas: tuple[float, float], need: float, ratio: float, fed: Any
+) -> bool:
+    """Whether two muscles can hold ``need`` [N at the first], ratio : of the second's arm to the
+    first's.
+    """
+    if isinstance(fed, pam.feeds.PairRegulator):
+        reach = 0.9 * min(fed.base, first.top - fed.base)
+
+        def net(d: float) -> float:
+            pulls = first.at(fed.base + d, kappas[0]), second.at(fed.base - d, kappas[1])
+            return pulls[0] - ratio * pulls[1] - need
+
+        lost = first.lost + ratio * second.lost
+        if not net(-reach) < -lost <= lost < net(reach):
+            return False
+        d = brentq(net, -reach, reach)
+        ends = first.at(fed.base + d, kappas[0]), second.at(fed.base - d, kappas[1])
+        return min(ends[0] - first.lost, ends[1] - second.lost) > 5.0
+    (low1, high1), (low2, high2) = first.forces(kappas[0]), second.forces(kappas[1])
+    low, high = max(low1, ratio * low2 + need), min(high1, ratio * high2 + need)
+    return low < 0.95 * high
 
 
-def first_order(rng):
-    plant, tau = pam.Plant("tank"), rng.uniform(0.1, 1.0)
-    x = plant.state("level")
-    u = plant.input("u", min=0.0, max=1.0)
-    plant.der(x, (u - x) / tau)
-    return plant, [{"level": 0.1}, {"level": rng.uniform(0.5, 0.9)}]
+def pair(rng: Draw) -> Made:
+    """Two muscles on a slide or on a joint, equal or not."""
+    one = any_muscle(rng)
+    other = one if chance(rng, 0.6) else any_muscle(rng)
+    rotary = chance(rng, 0.5)
+    top = top_of(rng, one, other)
+    fed, feed_words = feed(rng, one if one.diameter else other, top, pair=True)
+    if isinstance(fed, pam.feeds.SpoolValve | pam.feeds.OnOffValves) and not other.diameter:
+        other = one
+    size = min(sized(one, top), sized(other, top))
+    lossy, lost, loss_words = losses(rng, top, size)
+    lengths = float(one.rest_length), float(other.rest_length)
+    k0 = rng.uniform(0.35, 0.55) * min(one.contraction_range[1], other.contraction_range[1])
+    common: dict[str, Any] = {"muscle2": other, "feed": fed, "losses": lossy}
+    puller, second = Puller(one, top, lost), Puller(other, top, lost)
+    arm, ratio, link = 1.0, 1.0, (0.0, 0.0)
+    if rotary:
+        arm = rng.uniform(0.08, 0.2) * min(lengths)
+        ratio = 1.0 if chance(rng, 0.5) else rng.uniform(0.8, 1.25)
+        link = (0.0, 0.0) if chance(rng, 0.5) else (size * arm * rng.uniform(0.05, 0.2), 0.2)
+        link = (link[0] / GRAVITY / 0.2, link[1])
+        load = loads(rng, size * arm, k0 * min(lengths) / arm)
+        inertia = size * arm * rng.uniform(3e-4, 5e-3)
+        plant = pam.AntagonisticJoint(
+            one,
+            inertia,
+            arm,
+            pre_contraction=k0,
+            moment_arm2=arm * ratio,
+            link_mass=link[0],
+            link_length=link[1],
+            loads=load.made,
+            **common,
+        )
+        words = f"{inertia:.2g} kg m2 joint"
+    else:
+        load, mass = loads(rng, size, k0 * min(lengths)), size * rng.uniform(5e-4, 1e-2)
+        plant = pam.AntagonisticSlide(one, mass, k0, loads=load.made, **common)
+        words = f"{mass:.2g} kg slide"
+    name = "theta" if rotary else "x"
+    reach = 0.95 * k0 * min(lengths[0], lengths[1] / ratio) / arm
+    grid = np.linspace(-reach, reach, 61)
+
+    def good(s: float) -> bool:
+        kappas = k0 + arm * s / lengths[0], k0 - ratio * arm * s / lengths[1]
+        weight = link[0] * GRAVITY * link[1] * np.sin(s)
+        needs = [(load.need(s) + weight + d) / arm for d in (-load.dry, load.dry)]
+        return all(pair_can(puller, second, kappas, need, ratio, fed) for need in needs)
+
+    inside = [good(float(s)) for s in grid]
+    names = one.name if one is other else f"{one.name} against {other.name}"
+    symmetric = one is other and ratio == 1.0 and load.symmetric
+    words = told(names, words, feed_words, loss_words, load.words)
+    return Made(words, plant, name, longest(grid, inside), (name,), symmetric)
 
 
-def rotated(rng):
-    """A double integrator in sum and difference of position and velocity."""
-    plant = pam.Plant("rotated")
-    a, b = plant.state("a"), plant.state("b")
-    u = plant.input("u", min=-1.0, max=1.0)
-    v = (a - b) / 2
-    plant.der(a, v + u)
-    plant.der(b, v - u)
-    plant.output("x", (a + b) / 2)
-    return plant, [{"x": 0.0}, {"x": rng.uniform(0.3, 2)}]
-
-
-def lever(rng):
-    """A muscle swings a pendulum by a lever, angular momentum as the state."""
-    muscle, radius = pam.muscle("DMSP-20-400N"), rng.uniform(0.03, 0.05)
-    mass, length = rng.uniform(1.0, 4.0), rng.uniform(0.3, 0.5)
-    inertia = mass * length**2
-    plant = pam.Plant("lever")
-    theta = plant.state("theta", unit="rad", min=-0.3, max=1.3)
-    turn = plant.state("turn", unit="N.m.s", nominal=inertia)
-    source, _ = feed(rng, muscle)
+def pendulum(rng: Draw) -> Made:
+    """One muscle on a lever swings a pendulum; angular momentum or the rate is the state."""
+    muscle, top = any_muscle(rng), 0.0
+    top = top_of(rng, muscle)
+    size, rest = sized(muscle, top), float(muscle.rest_length)
+    radius, length = rest * rng.uniform(0.08, 0.14), rng.uniform(0.2, 0.5)
+    mass = size * radius / (GRAVITY * length) * rng.uniform(0.2, 0.5)
+    inertia, momentum = mass * length**2, chance(rng, 0.5)
+    plant = pam.Plant("pendulum")
+    theta = plant.state("theta", unit="rad", min=-0.3, max=1.4)
+    moved = plant.state("turn", unit="N.m.s", nominal=inertia) if momentum else None
+    omega = moved / inertia if momentum else plant.state("omega", unit="rad/s")
+    fed, feed_words = feed(rng, muscle, top)
+    lossy, lost, loss_words = losses(rng, top, size)
+    k0 = 0.02
     part = plant.add_muscle(
         "muscle",
         muscle,
         shortening=radius * theta,
-        rate=radius * turn / inertia,
-        pre_contraction=0.03,
-        feed=source,
+        rate=radius * omega,
+        pre_contraction=k0,
+        feed=fed,
+        losses=lossy,
     )
-    plant.der(theta, turn / inertia)
-    weight = mass * GRAVITY * length * ca.sin(theta)
-    plant.der(turn, radius * part.force - weight - 0.3 * turn / inertia)
-    goal = rng.uniform(0.7, 1.1)
-    for s in way(0.2, goal):
-        if not pulls(
-            muscle, 0.03 + radius * s / 0.4, mass * GRAVITY * length * np.sin(s) / radius, 0
-        ):
-            return lever(rng)
-    return plant, [{"theta": 0.2}, {"theta": goal}]
+    torque = radius * part.force - mass * GRAVITY * length * ca.sin(theta)
+    torque -= 0.05 * mass * length * omega
+    plant.der(theta, omega)
+    plant.der(moved if momentum else omega, torque if momentum else torque / inertia)
+    puller, grid = Puller(muscle, top, lost), np.linspace(0.1, 1.3, 50)
+    good = [
+        k0 + radius * s / rest < 0.95 * muscle.contraction_range[1]
+        and puller.can(k0 + radius * s / rest, mass * GRAVITY * length * np.sin(s) / radius)
+        for s in grid
+    ]
+    words = told(f"{muscle.name}", f"pendulum of {mass:.2g} kg", feed_words, loss_words)
+    return Made(words, plant, "theta", longest(grid, good), ("theta",))
 
 
-OWN = (
-    gear,
-    momentum,
-    rapidity,
-    logarithm,
-    swinging,
-    two_masses,
-    chain,
-    jerk,
-    first_order,
-    rotated,
-    lever,
-)
+def arm(rng: Draw) -> Made:
+    """Two links in a row, without gravity, each between two muscles; the elbow follows."""
+    muscle, plant = any_muscle(rng), pam.Plant("arm")
+    top = top_of(rng, muscle)
+    size, rest = sized(muscle, top), float(muscle.rest_length)
+    radius, k0 = rest * rng.uniform(0.08, 0.15), 0.45 * muscle.contraction_range[1]
+    given, words = regulator(rng, top)
+    q = [plant.state(f"q{i}", unit="rad", min=-0.9, max=0.9, nominal=0.3) for i in (1, 2)]
+    w = [plant.state(f"w{i}", unit="rad/s") for i in (1, 2)]
+    pulls = []
+    for i in (0, 1):
+        sides = [
+            plant.add_muscle(
+                f"{side}{i + 1}",
+                muscle,
+                shortening=sign * radius * q[i],
+                rate=sign * radius * w[i],
+                pre_contraction=k0,
+                feed=pam.feeds.Regulator(**given),
+            )
+            for side, sign in (("flexor", 1), ("extensor", -1))
+        ]
+        pulls.append(radius * (sides[0].force - sides[1].force))
+    inertia = size * radius * rng.uniform(1e-3, 5e-3)
+    coupling, friction = 0.3 * inertia * ca.cos(q[1]), 0.02 * size * radius
+    m11, m12, m22 = 1.6 * inertia + 2 * coupling, 0.4 * inertia + coupling, 0.4 * inertia
+    bend = 0.3 * inertia * ca.sin(q[1])
+    left = [
+        pulls[0] - friction * w[0] + bend * w[1] * (2 * w[0] + w[1]),
+        pulls[1] - friction * w[1] - bend * w[0] ** 2,
+    ]
+    det = m11 * m22 - m12**2
+    for i in (0, 1):
+        plant.der(q[i], w[i])
+    plant.der(w[0], (m22 * left[0] - m12 * left[1]) / det)
+    plant.der(w[1], (m11 * left[1] - m12 * left[0]) / det)
+    reach = min(0.6 * k0 * rest / radius, 0.8)
+    puller = Puller(muscle, top, 0.0)
+    grid = np.linspace(-reach, reach, 41)
+    good = [
+        pair_can(puller, puller, (k0 + radius * s / rest, k0 - radius * s / rest), 0.0, 1.0, None)
+        for s in grid
+    ]
+    ends = longest(grid, good)
+    return Made(told(f"{muscle.name}", "arm of two links", words), plant, "q1", ends, ("q1", "q2"))
 
 
-def own_task(rng):
-    """A random task on a plant that a user might write."""
-    maker = rng.choice(OWN)
-    plant, stops = maker(rng)
-    arguments = {"cyclic": bool(rng.random() < 0.25)}
-    if rng.random() < 0.2 and maker is not first_order:
-        arguments |= {"duration": 8.0, "minimise": "effort"}
-    return Task(f"own: {plant.name}", plant, stops, arguments)
+# ---- plants that are no muscles ------------------------------------------------------------------
+def own(rng: Draw) -> Made:
+    """Plants that a user might write: other coordinates, one-sided actuators, chains."""
+    kind = chosen(rng, dict.fromkeys(OWN, 1))
+    plant = pam.Plant(kind)
+    name, positions, reach = OWN[kind](plant, rng)
+    return Made(f"own: {kind}", plant, name, (0.0, reach), positions)
 
 
-def random_task(rng):
-    """Three of four from the library, one on a plant of one's own."""
-    return library_task(rng) if rng.random() < 0.75 else own_task(rng)
+def _pushed(plant: pam.Plant, most: float = 1.0) -> ca.SX:
+    return plant.input("u", min=-most, max=most)
+
+
+def _gear(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    x, v, ratio = plant.state("x"), plant.state("v"), rng.uniform(0.2, 5.0)
+    plant.der(x, v * ratio)
+    plant.der(v, _pushed(plant))
+    return "x", ("x",), rng.uniform(0.5, 3)
+
+
+def _momentum(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    x, q = plant.state("x", unit="m"), plant.state("momentum", unit="kg.m/s")
+    mass, drag = rng.uniform(0.5, 5.0), rng.uniform(0, 0.3)
+    plant.der(x, q / mass)
+    plant.der(q, _pushed(plant) - drag * q / mass)
+    return "x", ("x",), rng.uniform(0.5, 2)
+
+
+def _rapidity(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    x, w = plant.state("x"), plant.state("w")
+    plant.der(x, ca.sinh(w))
+    plant.der(w, _pushed(plant) / ca.cosh(w))
+    return "x", ("x",), rng.uniform(0.5, 3)
+
+
+def _swing(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    length, mass = rng.uniform(0.3, 1.0), rng.uniform(0.5, 2.0)
+    inertia, weight = mass * length**2, mass * GRAVITY * length
+    theta = plant.state("theta", unit="rad")
+    moment = plant.state("angular_momentum", nominal=inertia)
+    plant.der(theta, moment / inertia)
+    torque = _pushed(plant, 1.5 * weight)
+    plant.der(moment, torque - weight * ca.sin(theta) - 0.05 * moment / inertia)
+    return "theta", ("theta",), rng.uniform(0.5, 3.0)
+
+
+def _jerk(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    x, v, a = (plant.state(n) for n in ("x", "v", "a"))
+    plant.der(x, v)
+    plant.der(v, a)
+    plant.der(a, _pushed(plant))
+    return "x", ("x",), rng.uniform(0.5, 2)
+
+
+def _rotated(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    """A double integrator in sum and difference of position and velocity."""
+    a, b, u = plant.state("a"), plant.state("b"), _pushed(plant)
+    v = (a - b) / 2
+    plant.der(a, v + u)
+    plant.der(b, v - u)
+    plant.output("x", (a + b) / 2)
+    return "x", ("x",), rng.uniform(0.5, 2)
+
+
+def _chain(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    """Masses in a row on springs, pushed at the first."""
+    n, k, u = int(rng.integers(2, 5)), rng.uniform(50, 300), _pushed(plant, 5.0)
+    x = [plant.state(f"x{i}", nominal=0.1) for i in range(n)]
+    q = [plant.state(f"p{i}") for i in range(n)]
+    mass = rng.uniform(0.5, 1.5, n)
+    links = [
+        k * (x[i] - x[i + 1]) + 3 * (q[i] / mass[i] - q[i + 1] / mass[i + 1]) for i in range(n - 1)
+    ]
+    for i in range(n):
+        plant.der(x[i], q[i] / mass[i])
+        plant.der(q[i], (u if i == 0 else links[i - 1]) - (links[i] if i < n - 1 else 0))
+    return f"x{n - 1}", tuple(f"x{i}" for i in range(n)), rng.uniform(0.15, 0.5)
+
+
+def _one_sided(plant: pam.Plant, rng: Draw) -> tuple[str, tuple[str, ...], float]:
+    """Two actuators that only pull, each behind a lag and a dead band."""
+    x, v = plant.state("x", unit="m", nominal=0.1), plant.state("v", unit="m/s")
+    lag, band, most = rng.uniform(0.03, 0.2), rng.uniform(0.05, 0.3), rng.uniform(5.0, 30.0)
+    pulls = []
+    for i in (1, 2):
+        s = plant.state(f"s{i}", min=0.0, max=1.0, start=0.5)
+        u = plant.input(f"u{i}", min=0.0, max=1.0)
+        plant.der(s, (u - s) / lag)
+        over = s - band
+        pulls.append(most * (over + ca.sqrt(over**2 + 1e-6)) / 2)
+    mass, drag, spring = rng.uniform(0.5, 5.0), rng.uniform(0.5, 5.0), rng.choice([0.0, 5.0])
+    plant.der(x, v)
+    plant.der(v, (pulls[0] - pulls[1] - drag * v - spring * x) / mass)
+    return "x", ("x",), rng.uniform(0.1, 0.4)
+
+
+OWN: dict[str, Callable[[pam.Plant, Draw], tuple[str, tuple[str, ...], float]]] = {
+    "gear": _gear,
+    "momentum": _momentum,
+    "rapidity": _rapidity,
+    "swing": _swing,
+    "jerk": _jerk,
+    "rotated": _rotated,
+    "chain": _chain,
+    "one-sided pair": _one_sided,
+}
+
+
+# ---- what is asked -------------------------------------------------------------------------------
+def objective(rng: Draw, made: Made, legs: int) -> dict[str, Any]:
+    """What is minimised, in free time or in a long one."""
+    plant, name = made.plant, made.name
+    outputs = {v.name for v in plant.outputs}
+    valves = any(n.endswith(".exergy_flow") for n in outputs)
+    muscles = any(n.endswith(".force") for n in outputs)
+    still = float(rng.uniform(1.0, 2.5))  # of each leg
+    if plant.name in OWN:
+        still *= 4.0
+    goals: dict[Any, float] = {
+        "time": 6,
+        "time and rate": 1.5,
+        "effort": 2,
+        "work": 3 if muscles else 0,
+        "air": 1.5 if valves else 0,
+        "exergy": 1.5 if valves else 0,
+        "time and work": 1 if muscles else 0,
+        "peak": 1,
+        "square": 1,
+        "track": 1,
+        "energy": 1 if muscles else 0,
+    }
+    goal = chosen(rng, goals)
+    if goal == "time":
+        return {} if chance(rng, 0.7) else {"duration": (0.02, 8.0)}
+    if goal == "time and rate":
+        return {"minimise": {"time": 1.0, "rate": 1e-4}}
+    if goal == "time and work":
+        return {"minimise": {"time": 1.0, "work": rng.uniform(0.02, 0.3)}}
+    fixed: dict[str, Any] = {"duration": still if chance(rng, 0.7) else (0.5 * still, 2 * still)}
+    speed = plant.positions.get(name)
+    if goal == "track":
+        return fixed | {"minimise": {}, "track": {name: float(np.mean(made.range))}}
+    if goal in ("peak", "square") and speed:
+        return fixed | {"minimise": {f"{goal}({speed})": 1.0, "effort": 1e-3}}
+    if goal == "energy":  # with a smooth share of the inputs
+        return fixed | {"minimise": {"work": 1.0, "effort": 1e-2}}
+    if goal in ("work", "air", "exergy"):
+        return fixed | {"minimise": goal}
+    return {"duration": still, "minimise": "effort"}  # slower is always less
+
+
+def limits(rng: Draw, made: Made, a: float, b: float) -> dict[str, Any]:
+    """Bounds, forbidden regions and budgets that leave a motion."""
+    found: dict[str, Any] = {}
+    plant, name, way = made.plant, made.name, abs(b - a)
+    speed, wide = plant.positions.get(name), {}
+    if speed and chance(rng, 0.2):
+        fastest = float(way * rng.uniform(2.0, 8.0))
+        wide[speed] = (-fastest, fastest)
+    if chance(rng, 0.12):
+        wide[name] = (min(a, b) - 0.1 * way, max(a, b) + 0.1 * way)
+    outputs = {v.name for v in plant.outputs}
+    if "muscle.force" in outputs and chance(rng, 0.1):
+        wide["muscle.force"] = (1.0, None)
+    if wide:
+        found["bounds"] = wide
+    if speed and chance(rng, 0.1):
+        middle, half = (a + b) / 2, 0.2 * way
+        fast = float(way * rng.uniform(3.0, 10.0))
+        found["constraints"] = [
+            pam.Avoid({name: (middle, half), speed: (np.sign(b - a) * fast, 0.5 * fast)})
+        ]
+    if chance(rng, 0.08):
+        found["budgets"] = {"time": (None, 20.0 if plant.name in OWN else 9.0)}
+    return found
+
+
+def itinerary(rng: Draw, made: Made) -> tuple[list[Any], dict[str, Any], str]:
+    """(stops, whether and how the motion closes, words)."""
+    name = made.name
+    a, b = two_places(rng, *made.range)
+    memory: dict[str, Any] = {}
+    if any(v.memory == "held" for v in made.plant.states) and chance(rng, 0.5):
+        memory = {"memory": str(rng.choice(["above", "below"]))}
+    middle = a + (b - a) * rng.uniform(0.3, 0.7)
+    closes = "tank" not in made.words  # what is taken from one does not come back
+    kind = chosen(
+        rng,
+        {
+            "there": 6,
+            "cycle": 3 if closes else 0,
+            "mirrored": 2 if closes and made.symmetric and made.plant.mirror_map else 0,
+            "via": 1,
+            "dwell": 1.5,
+            "three": 1,
+        },
+    )
+    one, other = {name: a}, {name: b}
+    if kind == "cycle":
+        return [one, other], {"cyclic": True}, kind
+    if kind == "mirrored":
+        reach = 0.9 * min(-made.range[0], made.range[1])
+        if reach <= 0:
+            raise Infeasible
+        far = reach * rng.uniform(0.3, 1.0)
+        return [{name: -far}, {name: far}], {"cyclic": "mirrored"}, kind
+    if kind == "via":
+        return [one, pam.Stop({name: middle}, rest=False), other], memory, kind
+    if kind == "dwell":
+        stay = pam.Stop(other, dwell=float(rng.uniform(0.05, 0.3)))
+        return [one, stay, {name: middle}], memory, kind
+    if kind == "three":
+        return [one, {name: middle}, other], memory, kind
+    return [one, other], memory, ""
+
+
+MAKERS: dict[Any, float] = {single: 8, pair: 8, pendulum: 1, arm: 0.7, own: 3}
+"""With muscles, and plants of another kind."""
+
+
+def random_task(rng: Draw, makers: dict[Any, float] = MAKERS) -> Task:
+    """A task on a plant of some makers, by weight (draws anew until one can be)."""
+    while True:
+        try:
+            made = chosen(rng, makers)(rng)
+            stops, arguments, words = itinerary(rng, made)
+        except (Infeasible, pam.InputError):  # such as a stroke outside of what was measured
+            continue
+        places = [(s.values if isinstance(s, pam.Stop) else s)[made.name] for s in stops]
+        variable = made.plant.variable(made.name)
+        if not all(variable.min <= s <= variable.max for s in places):
+            continue
+        arguments |= objective(rng, made, len(stops))
+        arguments |= limits(rng, made, min(places), max(places))
+        return Task(told(made.words, words), made.plant, stops, made.positions, arguments)
