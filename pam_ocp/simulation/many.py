@@ -167,7 +167,9 @@ def simulate_many(
     progress : called as progress(done, all) after each finished task; all is None for a generator.
     into : a folder for the results, in place of memory: one Parquet file per task, which the
         workers make. Needs pyarrow. Run again with the same arguments, only what is not there is
-        computed.
+        computed. Functions count by their code and all that it leads to; what cannot be told from
+        something else (compiled functions, open files) is computed anew, with a warning. A folder
+        of other arguments, or of other versions of the packages that compute, is refused.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,
         ``rtol``, ...); what a case names wins (parameters and start are merged by name).
         ``time_limit`` is that of each case, which fails when it is over. From 500 cases on the
