@@ -17,10 +17,12 @@ from .interrupts import interruptible
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["atomic_path", "make_folder", "require_place"]
+__all__ = ["atomic_path", "make_folder", "require_local", "require_place"]
 
 _MARK = "pam-part"
 """In the names of temporary files, so that those left behind by a killed process are known."""
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")
+"""Of two letters and more before the colon: one is a drive. A Path has one slash left of two."""
 _REMEDIES = {
     errno.ENOSPC: "free some space, or write elsewhere",
     errno.EDQUOT: "free some space, or write elsewhere",
@@ -65,12 +67,23 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
             os.close(handle)  # and with it the lock
 
 
+def require_local(target: str | os.PathLike[str]) -> None:
+    """Raises WriteError for a URL, which would be taken for a folder of that name."""
+    name = os.fspath(target)
+    if isinstance(name, str) and _URL.match(name):
+        raise WriteError(
+            f"{name} is a URL; give the path of a file or folder of this machine (a bucket or "
+            "share can be mounted as one)"
+        )
+
+
 def require_place(target: str | os.PathLike[str]) -> tuple[Path, int | None]:
     """(the file that ``target`` leads to, its permissions or None where it is new).
 
     Raises WriteError where no file can be written: a missing folder, a folder or a device of that
     name, a file that is write-protected, a name that no file can have.
     """
+    require_local(target)
     name = os.fspath(target)
     try:
         place = Path(os.path.realpath(name) if os.path.islink(name) else name)
@@ -99,6 +112,7 @@ def require_place(target: str | os.PathLike[str]) -> tuple[Path, int | None]:
 
 def make_folder(folder: str | os.PathLike[str]) -> Path:
     """The folder, made with its parents where it is missing. Raises WriteError where it cannot."""
+    require_local(folder)
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -130,7 +144,9 @@ def _refused(target: str | os.PathLike[str], error: OSError) -> WriteError:
 # ---- temporary files -----------------------------------------------------------------------------
 def _beside(place: Path) -> str:
     """How names of temporary files for a target begin; other targets of its folder have others."""
-    return f".{place.name.encode()[:120].decode(errors='ignore')}.{_MARK}-"
+    name = os.fsencode(place.name)  # which may be no text in the encoding of this process
+    short = name if len(name) <= 120 else name[:120].decode(errors="ignore").encode()
+    return f".{os.fsdecode(short)}.{_MARK}-"
 
 
 def _made(place: Path) -> tuple[Path, int | None]:

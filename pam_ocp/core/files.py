@@ -21,7 +21,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from .atomic import atomic_path, make_folder, require_place
+from .atomic import atomic_path, make_folder, require_local, require_place
 from .exceptions import InputError, PamError
 from .interrupts import interruptible
 
@@ -42,6 +42,7 @@ __all__ = [
     "require_ending",
     "require_file",
     "require_format",
+    "require_local",
     "require_place",
     "require_size",
     "require_unpacked",
@@ -167,6 +168,7 @@ def require_file(
     name = os.fspath(path)
     if not isinstance(name, str):
         raise InputError(f"path = {name!r}: give the name of a file as text")
+    require_local(name)
     try:
         there, size = os.path.isfile(name), os.path.getsize(name)
     except (OSError, ValueError):

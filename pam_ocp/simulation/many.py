@@ -16,6 +16,7 @@ import numpy as np
 from ..core.cases import Loop, Place, ending
 from ..core.errors import InputError, SimulationError, require_count
 from ..core.executors import placed
+from ..core.files import require_local
 from ..core.interrupts import interruptible
 from ..core.shown import shown
 from ..core.stop import require_known_keywords
@@ -203,6 +204,7 @@ def simulate_many(
                 common["compiled"] = None
         work = Simulation(plant, common)
         if into is not None:
+            require_local(into)
             run = Loop(work, placed(executor), count, lost=SimulationError)
             return store(run, _checked(cases), Path(into), chunk, progress)
         kept: list[Case] = []
