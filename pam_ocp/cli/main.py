@@ -16,6 +16,7 @@ from .. import __version__
 from ..core.errors import PamError
 from ..core.interrupts import interruptible
 from ..core.stop import limited
+from ..export.cache import home_folder, usable_folder
 from .bars import bars
 from .bench import add_bench
 from .completion import add_completion
@@ -62,6 +63,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         made.print_help()
         return 2
     options.parser = made
+    _give_fonts_a_place()
     try:
         seconds = None if options.command == "check" else options.time_limit
         with (
@@ -101,6 +103,13 @@ def _tell_error(words: str) -> None:
 def _discard_output() -> None:
     """The interpreter would flush it once more at its end, and fail."""
     sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+
+
+def _give_fonts_a_place() -> None:
+    """A folder for Matplotlib where there is no home: it warns otherwise, and is slow."""
+    home = home_folder()
+    if "MPLCONFIGDIR" not in os.environ and (home is None or not os.access(home, os.W_OK)):
+        os.environ["MPLCONFIGDIR"] = str(usable_folder("matplotlib"))
 
 
 @contextmanager

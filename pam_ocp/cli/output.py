@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ..core.files import spelled
+
 __all__ = ["add_json", "coefficients", "escaping", "finish", "logged", "tell", "wrote"]
 
 
@@ -51,7 +53,8 @@ def escaping() -> Iterator[None]:
     try:
         yield
     finally:
-        if out is sys.stdout:
+        ours = sys.stdout is out  # it may have been given up
+        if ours:
             out.reconfigure(errors=before)
 
 
@@ -63,7 +66,7 @@ def wrote(options: argparse.Namespace, path: object) -> None:
             said.setdefault("written", []).append(str(path))
             options.said = said
     elif not options.quiet:
-        print(f"-> {path}")
+        print(f"-> {spelled(str(path))}")
 
 
 def finish(options: argparse.Namespace) -> None:

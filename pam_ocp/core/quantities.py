@@ -10,9 +10,9 @@ from typing import Any
 from .exceptions import InputError, UnknownNameError
 from .units import unit as unit_of
 
-__all__ = ["is_quantity", "known_keys", "pair", "quantity", "table"]
+__all__ = ["TOO_LARGE", "is_quantity", "known_keys", "pair", "quantity", "table"]
 
-_TOO_LARGE = "the number given is larger than any that can be computed with (1.8e308)"
+TOO_LARGE = "the number given is larger than any that can be computed with (1.8e308)"
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
@@ -46,7 +46,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
         try:
             number = float(value)
         except OverflowError:
-            raise InputError(f"{where}: {_TOO_LARGE}") from None
+            raise InputError(f"{where}: {TOO_LARGE}") from None
         if math.isnan(number):
             raise InputError(f"{where} is not a number")
         return number
@@ -57,7 +57,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
         )
     number, name = float(match[1]), match[2]
     if math.isinf(number):
-        raise InputError(f"{where}: {_TOO_LARGE}")
+        raise InputError(f"{where}: {TOO_LARGE}")
     if not name:
         return number
     try:

@@ -16,7 +16,7 @@ import numpy as np
 from ..core.cases import Loop, Place, ending
 from ..core.errors import InputError, SimulationError, require_count
 from ..core.executors import placed
-from ..core.files import require_local
+from ..core.files import MOST_ROWS, require_local
 from ..core.interrupts import interruptible
 from ..core.shown import shown
 from ..core.stop import require_known_keywords
@@ -187,7 +187,7 @@ def simulate_many(
     ['0.061', '0.057', '0.049']
     """
     if chunk is not None:
-        require_count("chunk", chunk)
+        require_count("chunk", chunk, 1, MOST_ROWS)
     if workers is not None:
         require_count("workers", workers)
         if executor is not None:

@@ -22,7 +22,7 @@ from ..core import exceptions
 from ..core.cases import Loop
 from ..core.digest import Digest, built_with, digest_of, own_digest
 from ..core.errors import InputError, PamError
-from ..core.files import atomic_path, read_json, write_json
+from ..core.files import atomic_path, read_json, spelled, write_json
 from ..core.progress import working
 from ..core.shown import shown
 from ..core.tasks import Task, split
@@ -99,8 +99,8 @@ def store(
     _write_study(folder, told.text, chunk, parts)
     if doubts:
         warnings.warn(
-            f"into = {folder}: what cannot be told from something else was computed anew, and will "
-            f"be again: {'; '.join([*doubts][:MOST_DOUBTS])}",
+            f"into = {spelled(folder)}: what cannot be told from something else was computed anew, "
+            f"and will be again: {'; '.join([*doubts][:MOST_DOUBTS])}",
             stacklevel=4,
         )
     return StoredSimulations(folder)
@@ -214,9 +214,9 @@ def _opened(folder: Path, arguments: str, chunk: int | None) -> int:
             folder.mkdir(parents=True, exist_ok=True)
             empty = not any(p for p in folder.iterdir() if not p.name.startswith("."))
         except OSError as error:
-            raise InputError(f"into = {folder}: {error.strerror}; {REMEDY}") from None
+            raise InputError(f"into = {spelled(folder)}: {error.strerror}; {REMEDY}") from None
         if not empty:
-            raise InputError(f"into = {folder} holds other files; {REMEDY}")
+            raise InputError(f"into = {spelled(folder)} holds other files; {REMEDY}")
         (folder / FILES).mkdir()
         _write_study(folder, arguments, chunk or CHUNK, None)
         return chunk or CHUNK
@@ -224,13 +224,13 @@ def _opened(folder: Path, arguments: str, chunk: int | None) -> int:
     other = _changed(study.get("program") or {}, _program())
     if other:
         raise InputError(
-            f"into = {folder} holds simulations of another program ({other}); give another "
-            "folder, or delete this one"
+            f"into = {spelled(folder)} holds simulations of another program ({other}); give "
+            "another folder, or delete this one"
         )
     if study["arguments"] != arguments:
         raise InputError(
-            f"into = {folder} holds simulations of another plant or with other arguments; give "
-            "another folder, or delete this one"
+            f"into = {spelled(folder)} holds simulations of another plant or with other arguments; "
+            "give another folder, or delete this one"
         )
     chunk = chunk or int(study["chunk"])
     _write_study(folder, arguments, chunk, None)

@@ -226,7 +226,8 @@ class Ipopt:
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
             chosen["mu_init"] = BARRIER_OF_TIME * goal.time
         # multipliers of the parameters: duals.py finds them when somebody asks
-        return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
+        quiet = {"print_time": False, "inputs_check": False}  # as of numerics.solvers.nlpsol
+        return {**quiet, "calc_lam_p": False, "ipopt": chosen}
 
     def _solver(self, name: Start) -> Nlp:
         """The solver of this name, made at its first use; all share the same functions."""
