@@ -99,7 +99,9 @@ def require_place(target: str | os.PathLike[str]) -> tuple[Path, int | None]:
         _require_folder(said, place.parent)
         seen = place.stat().st_mode
     except FileNotFoundError:
-        _require_right(said, place.parent)
+        effective = os.access in os.supports_effective_ids
+        if not os.access(place.parent, os.W_OK | os.X_OK, effective_ids=effective):
+            raise _refused(target, PermissionError(errno.EACCES, "Permission denied")) from None
         return place, None
     except ValueError as error:  # a NUL
         if isinstance(error, WriteError):
@@ -142,16 +144,6 @@ def _require_folder(name: str, folder: Path) -> None:
         raise WriteError(
             f"{name}: the folder {shown} does not exist; create it first", errno.ENOENT
         ) from None
-
-
-def _require_right(name: str, folder: Path) -> None:
-    """Nothing new can be made in a folder that is write-protected."""
-    effective = os.access in os.supports_effective_ids
-    if not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
-        raise WriteError(
-            f"{name}: the folder {spelled(folder)} is write-protected; {_REMEDIES[errno.EACCES]}",
-            errno.EACCES,
-        )
 
 
 def _refused(target: str | os.PathLike[str], error: OSError) -> WriteError:

@@ -136,7 +136,7 @@ def test_a_write_protected_folder_is_refused_before_the_work(tmp_path, monkeypat
     code, out, err = run(capsys, *SHORT, "--out", shut / "x.csv")
     assert (code, out) == (2, "")
     assert err == (
-        f"pam-ocp simulate: {shut / 'x.csv'}: the folder {shut} is write-protected; give yourself "
+        f"pam-ocp simulate: {shut / 'x.csv'} was not written (Permission denied); give yourself "
         "the right to write there, or write elsewhere\n"
     )
 
