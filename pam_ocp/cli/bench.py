@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from .options import add_allow_code
+from .options import add_allow_code, whole
 
 __all__ = ["add_bench"]
 
@@ -25,7 +25,7 @@ def add_bench(commands: Any) -> None:
         epilog=f"Another host than this machine needs a password: in {PASSWORD}, or asked for.",
     )
     bench.add_argument("--host", default="127.0.0.1", help="to listen at (default: 127.0.0.1)")
-    bench.add_argument("--port", type=int, default=0, help="default: a free one")
+    bench.add_argument("--port", type=whole, default=0, help="default: a free one")
     bench.add_argument(
         "--name",
         action="append",

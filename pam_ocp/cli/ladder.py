@@ -15,7 +15,7 @@ from ..core.files import read_toml
 from ..core.quantities import known_keys
 from ..plants.plant import Plant
 from ..studies.plant_fit_problem import bounds_of, listed, records_of
-from .options import add_allow_code
+from .options import add_allow_code, whole
 from .output import add_json, tell
 
 __all__ = ["add_ladder"]
@@ -78,8 +78,8 @@ def add_ladder(commands: Any) -> None:
         "--rungs", nargs="+", metavar="RUNG", help="only these, such as 'dead time'"
     )
     ladder.add_argument("--outputs", nargs="+", metavar="NAME", help="compare only these")
-    ladder.add_argument("--folds", type=int, metavar="N", help="of parts left out (default 5)")
-    ladder.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
+    ladder.add_argument("--folds", type=whole, metavar="N", help="of parts left out (default 5)")
+    ladder.add_argument("--jobs", type=whole, default=1, metavar="N", help="processes (default 1)")
     add_allow_code(ladder)
     add_json(ladder)
     ladder.set_defaults(run=_ladder)

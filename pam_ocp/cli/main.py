@@ -9,13 +9,14 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from .. import __version__
 from ..core.errors import PamError
 from ..core.interrupts import interruptible
 from ..core.stop import limited
+from ..export.cache import home_folder, usable_folder
 from .bars import bars
 from .bench import add_bench
 from .completion import add_completion
@@ -27,7 +28,7 @@ from .linearize import add_linearize
 from .mpc import add_mpc
 from .muscles import add_loads, add_muscles
 from .options import require_outputs
-from .output import finish, logged
+from .output import escaping, finish, logged
 from .plan import add_plan
 from .reading import add_look
 from .report import add_report
@@ -40,12 +41,29 @@ __all__ = ["main"]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code (0 done, 1 checked and found wanting, 2 bad input)."""
+    with escaping():
+        try:
+            code = _run(arguments)
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError:  # the reader (head, less) has seen enough
+            _discard_output()
+            return 0
+        except OSError as error:  # of standard output, mostly: files have errors of our own
+            where = f"{error.filename}: " if error.filename else "the output was not written: "
+            _tell_error(f"pam-ocp: {where}{error.strerror or error}")
+            _discard_output()
+            return 2
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     made = _parser()
     options = made.parse_args(arguments)
     if not hasattr(options, "run"):
         made.print_help()
         return 2
     options.parser = made
+    _give_fonts_a_place()
     try:
         seconds = None if options.command == "check" else options.time_limit
         with (
@@ -61,14 +79,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
             finish(options)
             return code
     except PamError as error:
-        print(f"pam-ocp {options.command}: {error}", file=sys.stderr)
+        _tell_error(f"pam-ocp {options.command}: {error}")
         return 2
-    except BrokenPipeError:  # the reader (head, less) has seen enough
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the interpreter flushes it at its end
-        return 0
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        _tell_error("interrupted")
         return 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """One whose help must be written: argparse swallows what goes wrong there."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        file = file or sys.stderr
+        file.write(message)
+        file.flush()
+
+
+def _tell_error(words: str) -> None:
+    with suppress(OSError):  # of a full error stream nobody hears
+        print(words, file=sys.stderr)
+
+
+def _discard_output() -> None:
+    """The interpreter would flush it once more at its end, and fail."""
+    sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+
+
+def _give_fonts_a_place() -> None:
+    """A folder for Matplotlib where there is no home: it warns otherwise, and is slow."""
+    home = home_folder()
+    if "MPLCONFIGDIR" not in os.environ and (home is None or not os.access(home, os.W_OK)):
+        os.environ["MPLCONFIGDIR"] = str(usable_folder("matplotlib"))
 
 
 @contextmanager
@@ -87,7 +128,7 @@ def _plain_warnings() -> Iterator[None]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="pam-ocp",
         description="Pneumatic artificial muscles: fit a measured muscle, plan its optimal motion, "
         "export the plant as an FMU.",

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.files import read_toml, reading
-from .options import add_allow_code, add_out, add_plot, pairs, require_places, written
+from .options import add_allow_code, add_out, add_plot, pairs, require_places, whole, written
 from .output import add_json, tell, wrote
 
 __all__ = ["add_mpc"]
@@ -89,7 +89,7 @@ def add_mpc(commands: Any) -> None:
     mpc.add_argument("--against", metavar="SIDE", help="plant, fmu, or FILE.fmu (default: plant)")
     mpc.add_argument("--estimator", metavar="KIND", help="kind of estimator (default: kalman)")
     mpc.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
-    mpc.add_argument("--seed", type=int, help="of the noise (default: 0)")
+    mpc.add_argument("--seed", type=whole, help="of the noise (default: 0)")
     add_out(mpc, "FILE", "write the motion (.csv, .npz, .parquet, .xlsx)")
     add_plot(mpc, "draw the run")
     add_allow_code(mpc)

@@ -26,6 +26,7 @@ __all__ = [
     "pairs",
     "require_outputs",
     "require_places",
+    "whole",
     "written",
 ]
 
@@ -76,6 +77,14 @@ def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
             raise InputError(f"{option} {text}: give NAME=VALUE, as mass=2kg or mass=2.0")
         found[name.strip()] = value
     return found
+
+
+def whole(text: str) -> int:
+    """A whole number of at most nine digits, as argparse asks for it."""
+    number = int(text)
+    if abs(number) > 999_999_999:
+        raise argparse.ArgumentTypeError(f"{len(text)} digits are more than a number of this kind")
+    return number
 
 
 def length_of(option: str, text: str | None) -> float | None:

@@ -11,7 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["add_json", "coefficients", "finish", "logged", "tell", "wrote"]
+from ..core.files import spelled
+
+__all__ = ["add_json", "coefficients", "escaping", "finish", "logged", "tell", "wrote"]
 
 
 def add_json(command: argparse.ArgumentParser) -> None:
@@ -39,6 +41,23 @@ def tell(
         print(text, flush=True)
 
 
+@contextmanager
+def escaping() -> Iterator[None]:
+    """What the terminal's encoding lacks (LC_ALL=C, names that are no text) is printed escaped."""
+    out: Any = sys.stdout
+    if not hasattr(out, "reconfigure"):
+        yield
+        return
+    before = out.errors
+    out.reconfigure(errors="backslashreplace")
+    try:
+        yield
+    finally:
+        ours = sys.stdout is out  # it may have been given up
+        if ours:
+            out.reconfigure(errors=before)
+
+
 def wrote(options: argparse.Namespace, path: object) -> None:
     """A file was written."""
     if getattr(options, "json", False):
@@ -47,13 +66,15 @@ def wrote(options: argparse.Namespace, path: object) -> None:
             said.setdefault("written", []).append(str(path))
             options.said = said
     elif not options.quiet:
-        print(f"-> {path}")
+        print(f"-> {spelled(str(path))}")
 
 
 def finish(options: argparse.Namespace) -> None:
     """Print the JSON document, if there is one."""
     if getattr(options, "json", False) and hasattr(options, "said"):
-        print(json.dumps(plain(options.said), ensure_ascii=False))
+        encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+        ascii_only = "utf" not in encoding.lower()
+        print(json.dumps(plain(options.said), ensure_ascii=ascii_only))
 
 
 def plain(value: Any) -> Any:

@@ -7,7 +7,7 @@ import ast
 from typing import Any
 
 from ..core.errors import InputError
-from .options import add_rest_length, pairs
+from .options import add_rest_length, pairs, whole
 from .output import add_json, tell
 
 __all__ = ["add_floor", "add_look", "add_reading", "reading_options"]
@@ -46,7 +46,7 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     command.add_argument("--sheet", metavar="NAME", help="of a workbook: its name or number")
     command.add_argument("--pick", metavar="NAME", help="table within nested data, as run.data")
     command.add_argument(
-        "--skip", type=int, metavar="N", help="lines at the beginning to leave out"
+        "--skip", type=whole, metavar="N", help="lines at the beginning to leave out"
     )
     command.add_argument(
         "--delimiter", metavar="C", help="between cells, where it is taken wrongly"

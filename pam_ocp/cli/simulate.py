@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
+from ..core.files import MOST_ROWS
 from ..core.quantities import quantity
-from .options import MOTIONS, add_plot, add_rest, pairs, require_places, written
+from .options import MOTIONS, add_plot, add_rest, pairs, require_places, whole, written
 from .output import add_json, tell, wrote
 from .plants import add_plant, plant_said
 
@@ -45,7 +46,7 @@ def add_simulate(commands: Any) -> None:
     add_rest(simulate, "begin at rest under this condition")
     simulate.add_argument("--duration", metavar="S", help="such as '500 ms'; seconds without unit")
     simulate.add_argument(
-        "--samples", type=int, default=201, metavar="N", help="rows of the result (default: 201)"
+        "--samples", type=whole, default=201, metavar="N", help="rows of the result (default: 201)"
     )
     simulate.add_argument(
         "--rtol", type=float, default=1e-8, metavar="R", help="relative tolerance (default: 1e-8)"
@@ -71,7 +72,7 @@ def _simulate(options: argparse.Namespace) -> int:
     inputs = _inputs(plant, options)
     start = plant.equilibrium(pairs("--rest", options.rest)) if options.rest else None
     if options.duration is not None:
-        require_count("--samples", options.samples, 2)
+        require_count("--samples", options.samples, 2, MOST_ROWS)
         times: Any = np.linspace(
             0.0, quantity("--duration", options.duration, "s"), options.samples
         )

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from .options import add_allow_code, add_out
+from .options import add_allow_code, add_out, whole
 from .output import add_json, tell, wrote
 
 __all__ = ["add_study", "add_tour"]
@@ -76,7 +76,7 @@ def add_study(commands: Any) -> None:
     study.add_argument("study", type=Path, metavar="FILE.toml", help="the study; see below")
     add_out(study, "DIR", "folder for the results (default: named as the file)")
     study.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes (default: 1, this one)"
+        "--workers", type=whole, default=1, metavar="N", help="processes (default: 1, this one)"
     )
     study.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, as tcp://host:8786")
     study.add_argument("--fresh", action="store_true", help="do all of it anew")

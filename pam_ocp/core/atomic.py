@@ -17,10 +17,12 @@ from .interrupts import interruptible
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["atomic_path", "make_folder", "require_place"]
+__all__ = ["atomic_path", "make_folder", "require_local", "require_place", "spelled"]
 
 _MARK = "pam-part"
 """In the names of temporary files, so that those left behind by a killed process are known."""
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.*)", re.DOTALL)
+"""Of two letters and more before the colon: one is a drive. A Path has one slash left of two."""
 _REMEDIES = {
     errno.ENOSPC: "free some space, or write elsewhere",
     errno.EDQUOT: "free some space, or write elsewhere",
@@ -65,72 +67,97 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
             os.close(handle)  # and with it the lock
 
 
+def spelled(path: str | os.PathLike[str]) -> str:
+    """A path for a message: on one line, whatever stands in it."""
+    name = os.fspath(path)
+    return name if isinstance(name, str) and name.isprintable() else repr(name)
+
+
+def require_local(target: str | os.PathLike[str]) -> None:
+    """Raises WriteError for a URL, which would be taken for a folder of that name."""
+    name = os.fspath(target)
+    found = _URL.match(name) if isinstance(name, str) else None
+    if found is not None:
+        raise WriteError(
+            f"{found[1]}://{found[2]} is a URL; give the path of a file or folder of this machine "
+            "(a bucket or share can be mounted as one)"
+        )
+
+
 def require_place(target: str | os.PathLike[str]) -> tuple[Path, int | None]:
     """(the file that ``target`` leads to, its permissions or None where it is new).
 
     Raises WriteError where no file can be written: a missing folder, a folder or a device of that
     name, a file that is write-protected, a name that no file can have.
     """
-    name = os.fspath(target)
+    require_local(target)
+    name, said = os.fspath(target), spelled(target)
     try:
         place = Path(os.path.realpath(name) if os.path.islink(name) else name)
         if os.path.islink(place):
-            raise WriteError(f"{name} is a link that leads to itself; give the name of a file")
-        _require_folder(name, place.parent)
+            raise WriteError(f"{said} is a link that leads to itself; give the name of a file")
+        _require_folder(said, place.parent)
         seen = place.stat().st_mode
     except FileNotFoundError:
+        effective = os.access in os.supports_effective_ids
+        if not os.access(place.parent, os.W_OK | os.X_OK, effective_ids=effective):
+            raise _refused(target, PermissionError(errno.EACCES, "Permission denied")) from None
         return place, None
     except ValueError as error:  # a NUL
         if isinstance(error, WriteError):
             raise
-        raise WriteError(f"{name!r} is no name for a file: {error}") from None
+        raise WriteError(f"{said} is no name for a file: {error}") from None
     except OSError as error:
         raise _refused(target, error) from None
     if stat.S_ISDIR(seen):
-        raise WriteError(f"{name} is a folder; give the name of a file")
+        raise WriteError(f"{said} is a folder; give the name of a file")
     if not stat.S_ISREG(seen):
-        raise WriteError(f"{name} is a device or a pipe, not a file; give the name of a file")
+        raise WriteError(f"{said} is a device or a pipe, not a file; give the name of a file")
     if not os.access(place, os.W_OK):
         raise WriteError(
-            f"{name} is write-protected; allow writing to it, or give another name", errno.EACCES
+            f"{said} is write-protected; allow writing to it, or give another name", errno.EACCES
         )
     return place, stat.S_IMODE(seen)
 
 
 def make_folder(folder: str | os.PathLike[str]) -> Path:
     """The folder, made with its parents where it is missing. Raises WriteError where it cannot."""
+    require_local(folder)
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise WriteError(f"{os.fspath(folder)} is a file; give the name of a folder") from None
+        raise WriteError(f"{spelled(folder)} is a file; give the name of a folder") from None
     except OSError as error:
         words = error.strerror or error
         raise WriteError(
-            f"{os.fspath(folder)}: cannot make this folder ({words}); give another", error.errno
+            f"{spelled(folder)}: cannot make this folder ({words}); give another", error.errno
         ) from None
     return Path(folder)
 
 
 def _require_folder(name: str, folder: Path) -> None:
+    shown = spelled(folder)
     try:
         if not stat.S_ISDIR(folder.stat().st_mode):
-            raise WriteError(f"{name}: {folder} is a file, not a folder; give another name")
+            raise WriteError(f"{name}: {shown} is a file, not a folder; give another name")
     except FileNotFoundError:
         raise WriteError(
-            f"{name}: the folder {folder} does not exist; create it first", errno.ENOENT
+            f"{name}: the folder {shown} does not exist; create it first", errno.ENOENT
         ) from None
 
 
 def _refused(target: str | os.PathLike[str], error: OSError) -> WriteError:
     remedy = _REMEDIES.get(error.errno or 0, "write elsewhere")
     words = error.strerror or " ".join(str(error).split())
-    return WriteError(f"{os.fspath(target)} was not written ({words}); {remedy}", error.errno)
+    return WriteError(f"{spelled(target)} was not written ({words}); {remedy}", error.errno)
 
 
 # ---- temporary files -----------------------------------------------------------------------------
 def _beside(place: Path) -> str:
     """How names of temporary files for a target begin; other targets of its folder have others."""
-    return f".{place.name.encode()[:120].decode(errors='ignore')}.{_MARK}-"
+    name = os.fsencode(place.name)  # which may be no text in the encoding of this process
+    short = name if len(name) <= 120 else name[:120].decode(errors="ignore").encode()
+    return f".{os.fsdecode(short)}.{_MARK}-"
 
 
 def _made(place: Path) -> tuple[Path, int | None]:

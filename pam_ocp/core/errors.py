@@ -106,10 +106,12 @@ def require_finite(argument: str, value: Any, unit: str = "") -> float:
         value = quantity(argument, value, *([unit] if unit else []))
     try:
         number = math.nan if isinstance(value, bool) else float(value)
+    except OverflowError:
+        number = math.inf if value > 0 else -math.inf
     except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{argument} = {value!r} is not a number; give a float") from None
     if not math.isfinite(number):
-        raise InputError(f"{argument} = {value} must be a finite number {unit}".rstrip())
+        raise InputError(f"{argument} = {number} must be a finite number {unit}".rstrip())
     return number
 
 

@@ -21,7 +21,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from .atomic import atomic_path, make_folder, require_place
+from .atomic import atomic_path, make_folder, require_local, require_place, spelled
 from .exceptions import InputError, PamError
 from .interrupts import interruptible
 
@@ -42,9 +42,11 @@ __all__ = [
     "require_ending",
     "require_file",
     "require_format",
+    "require_local",
     "require_place",
     "require_size",
     "require_unpacked",
+    "spelled",
     "write_json",
     "write_npz",
 ]
@@ -119,12 +121,12 @@ def reading(
     except InputError as error:
         said = _short(str(error))
         named = name in said or Path(name).name in said
-        error.args = (said if named else f"{name}: {said}",)  # its class and the rest stay
+        error.args = (said if named else f"{spelled(path)}: {said}",)  # its class and the rest stay
         raise
     except PamError as error:
-        raise InputError(f"{name}: {_short(str(error))}") from error
+        raise InputError(f"{spelled(path)}: {_short(str(error))}") from error
     except Exception as error:
-        words = f"{name} cannot be read as {kind}: {_told(error)}"
+        words = f"{spelled(path)} cannot be read as {kind}: {_told(error)}"
         if foreign or isinstance(error, DAMAGE):
             raise InputError(f"{words}; {remedy}") from None
         raise InputError(f"{words}, which reading should not meet; please report it") from error
@@ -167,19 +169,21 @@ def require_file(
     name = os.fspath(path)
     if not isinstance(name, str):
         raise InputError(f"path = {name!r}: give the name of a file as text")
+    require_local(name)
+    said = spelled(name)
     try:
         there, size = os.path.isfile(name), os.path.getsize(name)
     except (OSError, ValueError):
         there, size = False, 0
     if os.path.isdir(name):
-        raise InputError(f"{name} is a folder; give a file")
+        raise InputError(f"{said} is a folder; give a file")
     if not there:
         exists = "\0" not in name and os.path.exists(name)
         words = "is a device or a pipe; give a file" if exists else "no such file; look at its name"
-        raise InputError(f"{name}: {words}" if not exists else f"{name} {words}")
+        raise InputError(f"{said}: {words}" if not exists else f"{said} {words}")
     if size > most:
         raise InputError(
-            f"{name} has {size / 2**20:.0f} MiB, more than the {most / 2**20:g} allowed; {remedy}"
+            f"{said} has {size / 2**20:.0f} MiB, more than the {most / 2**20:g} allowed; {remedy}"
         )
     return Path(name)
 

@@ -10,8 +10,9 @@ from typing import Any
 from .exceptions import InputError, UnknownNameError
 from .units import unit as unit_of
 
-__all__ = ["is_quantity", "known_keys", "pair", "quantity", "table"]
+__all__ = ["TOO_LARGE", "is_quantity", "known_keys", "pair", "quantity", "table"]
 
+TOO_LARGE = "the number given is larger than any that can be computed with (1.8e308)"
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
@@ -42,15 +43,21 @@ def quantity(where: str, value: Any, *units: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise InputError(f"{where} = {value!r}: give a number in SI, or a text as '15 mm'")
     if not isinstance(value, str):
-        if math.isnan(value):
+        try:
+            number = float(value)
+        except OverflowError:
+            raise InputError(f"{where}: {TOO_LARGE}") from None
+        if math.isnan(number):
             raise InputError(f"{where} is not a number")
-        return float(value)
+        return number
     match = _QUANTITY.match(value)
     if match is None:
         raise InputError(
             f"{where} = {value!r} is not a number; give a number with its unit, as '15 mm'"
         )
     number, name = float(match[1]), match[2]
+    if math.isinf(number):
+        raise InputError(f"{where}: {TOO_LARGE}")
     if not name:
         return number
     try:

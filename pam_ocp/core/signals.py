@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
-from .quantities import is_quantity, quantity
+from .quantities import TOO_LARGE, is_quantity, quantity
 from .system import HasInputs
 from .variables import Causality
 
@@ -187,6 +187,8 @@ def numbers(argument: str, value: Any, unit: str = "") -> Array:
         value = [quantity(argument, v, unit) if is_quantity(v) else v for v in value]
     try:
         array = np.array(value, dtype=float)
+    except OverflowError:
+        raise InputError(f"{argument}: {TOO_LARGE}") from None
     except (TypeError, ValueError):
         raise InputError(f"{argument}: {type(value).__name__} does not hold numbers only") from None
     if not np.all(np.isfinite(array)):

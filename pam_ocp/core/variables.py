@@ -13,7 +13,7 @@ import numpy as np
 from . import units
 from .errors import InputError
 from .plausible import doubt, meant_within
-from .quantities import is_quantity, quantity
+from .quantities import TOO_LARGE, is_quantity, quantity
 from .shown import shown
 
 __all__ = ["Causality", "Memory", "Variable", "variable_of"]
@@ -118,6 +118,8 @@ class Variable:
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number")
         try:
             return float(value)
+        except OverflowError:
+            raise InputError(f"{self.name}: {argument}: {TOO_LARGE}") from None
         except (TypeError, ValueError, RuntimeError):
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
 

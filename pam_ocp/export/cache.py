@@ -18,12 +18,14 @@ __all__ = ["cache_folder", "digest", "home_folder", "keep", "kept", "usable_fold
 
 
 def home_folder() -> Path | None:
-    """The user's home; None without HOME for a user whom this machine does not know."""
+    """The user's home; None where there is none: a user whom this machine does not know and who has
+    no HOME, or one of a folder that is not there.
+    """
     try:
         home = Path(os.path.expanduser("~"))
     except RuntimeError:
         return None
-    return home if home.is_absolute() and os.environ.get("HOME") != "" else None
+    return home if home.is_absolute() and os.environ.get("HOME") != "" and home.is_dir() else None
 
 
 def cache_folder() -> Path:

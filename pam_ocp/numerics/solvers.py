@@ -9,15 +9,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from ..core.stop import ask, native
 from .blas import one_thread
 
-__all__ = ["UNSAID", "Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ipopt", "stoppable"]
-
-
-UNSAID = {"inputs_check": False}
-"""Options of ``casadi.nlpsol``: its check of the numbers prints lines that a solver's status says."""
+__all__ = ["Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ipopt", "stoppable"]
 
 
 class Native:
@@ -117,12 +114,27 @@ class Nlp(Native):
         """CasADi's results. Ended by a signal, a time limit or the report it raises what that
         raised.
         """
+        _require_bounds(kwargs)
         if self._watch is not None:
             self._watch.error = None
         found = super().__call__(*args, **kwargs)
         if self._watch is not None and self._watch.error is not None:
             raise self._watch.error
         return found
+
+
+def _require_bounds(given: Mapping[str, Any]) -> None:
+    """Raises RuntimeError, as CasADi does, where a lower bound is above its upper one."""
+    for low, high in (("lbx", "ubx"), ("lbg", "ubg")):
+        symbolic = any(isinstance(given.get(n), ca.SX | ca.MX) for n in (low, high))
+        if low not in given or high not in given or symbolic:
+            continue
+        lower, upper = (np.asarray(ca.DM(given[n]), float).ravel() for n in (low, high))
+        wrong = ~((lower <= upper) & (lower < np.inf) & (upper > -np.inf))
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            ends = (v[i] if v.size > 1 else v[0] for v in (lower, upper))
+            raise RuntimeError(f"{low} <= {high} is violated at {i}: {', '.join(map(str, ends))}")
 
 
 def nlpsol(
@@ -140,8 +152,11 @@ def nlpsol(
     report : called with (x, f, g) at each iteration of IPOPT.
     """
     one_thread()
-    options = {**UNSAID, **options}
+    options = {**options}
     watch = None
+    # CasADi's own look at the bounds also prints lines about equations in excess, one per call:
+    # a conflict is told by whoever asked; what is ill-posed by _require_bounds
+    options = {"inputs_check": False, **options}
     if plugin == "ipopt":
         shown = sizes or tuple(problem[k].numel() if k in problem else 0 for k in ("x", "g", "p"))
         watch = _Watch((shown[0], shown[1], shown[2]), report)

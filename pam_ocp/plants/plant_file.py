@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError, UnknownNameError
+from ..core.own_code import module_of
 from ..core.quantities import known_keys, quantity, table
 from ..core.registry import Registry, registry_of
 from ..muscles.catalogue import muscle as catalogue_muscle
@@ -71,10 +71,17 @@ def named_plant(
         return made
     require_allowed(f"{name!r} would run the Python file {file}", allow_code)
     found = member_of((folder or Path()) / file, member)
+    wanted = "a Plant, or a function that takes a muscle and returns one"
+    if not isinstance(found, Plant) and not callable(found):
+        raise InputError(f"{name} is {_called(found)}; give {wanted}")
     plant = found if isinstance(found, Plant) else found(muscle, **parts)
     if not isinstance(plant, Plant):
-        raise InputError(f"{name} gives {type(plant).__name__}, not a Plant")
+        raise InputError(f"{name} returns {_called(plant)}; give {wanted}")
     return plant
+
+
+def _called(value: Any) -> str:
+    return "None" if value is None else f"a {type(value).__name__}"
 
 
 def require_allowed(what: str, allow_code: bool) -> None:
@@ -211,11 +218,7 @@ def _component(where: str, argument: str, value: Any) -> Any:
 
 def member_of(file: Path, member: str) -> Any:
     """A name of a Python file, which is run. Raises InputError, UnknownNameError."""
-    spec = importlib.util.spec_from_file_location("users_plant", file)
-    if spec is None or spec.loader is None or not file.is_file():
-        raise InputError(f"{file}: no such Python file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = module_of(file)
     if not hasattr(module, member):
         raise UnknownNameError(f"name in {file}", member, [n for n in vars(module) if n[0] != "_"])
     return getattr(module, member)

@@ -19,9 +19,9 @@ __all__ = ["Limits", "PressureScale", "passage", "require_scale", "rounded_speed
 REST_RATE = 1e-4
 """Rate of contraction [1/s] at which its absolute value is rounded off.
 
-Faster motion is rate-independent. At rest an element keeps its force, up to the last two hundredths
-before it slides fully: smooth derivatives, |z| <= 1 and dissipation in every motion leave no other
-way.
+Faster motion is rate-independent. At rest an element keeps its force, but for the last part
+``edge`` of what it can hold: smooth derivatives, |z| <= 1 and dissipation in every motion leave no
+other way.
 """
 WIDEST_RATE = 0.3
 """The same where planning a motion begins [1/s]."""

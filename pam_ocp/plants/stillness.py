@@ -95,7 +95,8 @@ class _Region:
         high = np.minimum(self.high[:, None], self.start[:, None] + reach)
         z = low + (np.array(parts) + 0.5) / POINTS * (high - low)
         values, slopes = self.at(z)
-        return z[:, np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))]
+        sound = np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))
+        return np.asarray(z[:, sound])
 
     @cached_property
     def size(self) -> Array:

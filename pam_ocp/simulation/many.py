@@ -16,6 +16,7 @@ import numpy as np
 from ..core.cases import Loop, Place, ending
 from ..core.errors import InputError, SimulationError, require_count
 from ..core.executors import placed
+from ..core.files import MOST_ROWS, require_local
 from ..core.interrupts import interruptible
 from ..core.shown import shown
 from ..core.stop import require_known_keywords
@@ -167,7 +168,9 @@ def simulate_many(
     progress : called as progress(done, all) after each finished task; all is None for a generator.
     into : a folder for the results, in place of memory: one Parquet file per task, which the
         workers make. Needs pyarrow. Run again with the same arguments, only what is not there is
-        computed.
+        computed. Functions count by their code and all that it leads to; what cannot be told from
+        something else (compiled functions, open files) is computed anew, with a warning. A folder
+        of other arguments, or of other versions of the packages that compute, is refused.
     common : further arguments of :func:`simulate` for all cases (``t``, ``duration``, ``inputs``,
         ``rtol``, ...); what a case names wins (parameters and start are merged by name).
         ``time_limit`` is that of each case, which fails when it is over. From 500 cases on the
@@ -184,7 +187,7 @@ def simulate_many(
     ['0.061', '0.057', '0.049']
     """
     if chunk is not None:
-        require_count("chunk", chunk)
+        require_count("chunk", chunk, 1, MOST_ROWS)
     if workers is not None:
         require_count("workers", workers)
         if executor is not None:
@@ -201,6 +204,7 @@ def simulate_many(
                 common["compiled"] = None
         work = Simulation(plant, common)
         if into is not None:
+            require_local(into)
             run = Loop(work, placed(executor), count, lost=SimulationError)
             return store(run, _checked(cases), Path(into), chunk, progress)
         kept: list[Case] = []

@@ -1,28 +1,28 @@
 """Many simulations in a folder of Parquet files, one for each task: written once, read lazily.
 
-A file says in its metadata from which cases and arguments it was made (a digest of both), so that a
-run that was broken off goes on where it stood. Rows hold the case's number, the time and all
-variables; the inputs between the samples are not kept.
+A file says in its metadata from which cases and arguments it was made (a digest of both, and of all
+code that they lead to), so that a run that was broken off goes on where it stood. Rows hold the
+case's number, the time and all variables; the inputs between the samples are not kept.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import pickle
+import uuid
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..core import exceptions
 from ..core.cases import Loop
+from ..core.digest import Digest, built_with, digest_of, own_digest
 from ..core.errors import InputError, PamError
-from ..core.files import atomic_path, read_json, write_json
+from ..core.files import atomic_path, read_json, spelled, write_json
 from ..core.progress import working
 from ..core.shown import shown
 from ..core.tasks import Task, split
@@ -42,6 +42,9 @@ CHUNK = 100
 """Cases per file."""
 BLOCK = 1000
 """Files per folder."""
+MOST_DOUBTS = 5
+"""That a warning names."""
+SOURCES = "files of pam_ocp"
 REMEDY = "give an empty folder, or one that simulate_many(into=...) wrote"
 
 
@@ -57,11 +60,14 @@ def store(
     work = run.work
     assert isinstance(work, Simulation)
     plant = work.plant
-    arguments = _digest([plant.__getstate__(), dict(work.common)])
-    chunk = _opened(folder, arguments, chunk)
+    told = digest_of([plant.__getstate__(), dict(work.common)])
+    chunk = _opened(folder, told.text, chunk)
+    # what cannot be told from something else is as no other
+    arguments = f"{told.text} {uuid.uuid4().hex}" if told.doubts else told.text
     columns = [v.name for v in (*plant.states, *plant.inputs, *plant.outputs)]
     run = replace(run, finish=_Encoded(arguments, columns))
     parts = done = 0
+    doubts = dict.fromkeys(told.doubts)
 
     def report(more: int) -> None:
         nonlocal done
@@ -74,8 +80,9 @@ def store(
         nonlocal parts
         for task in split(iter(cases), chunk):
             parts = task.index + 1
-            held = _held(_part(folder, task.index))
-            if held is not None and held == _of_task(arguments, task):
+            held, found = _held(_part(folder, task.index)), _of_task(arguments, task)
+            doubts.update(dict.fromkeys(found.doubts))
+            if held is not None and held == found.text and not found.doubts:
                 report(len(task.cases))
             else:
                 yield task
@@ -89,7 +96,13 @@ def store(
             with atomic_path(path) as temporary:
                 temporary.write_bytes(content)
             report(len(task.cases))
-    _write_study(folder, arguments, chunk, parts)
+    _write_study(folder, told.text, chunk, parts)
+    if doubts:
+        warnings.warn(
+            f"into = {spelled(folder)}: what cannot be told from something else was computed anew, "
+            f"and will be again: {'; '.join([*doubts][:MOST_DOUBTS])}",
+            stacklevel=4,
+        )
     return StoredSimulations(folder)
 
 
@@ -201,17 +214,23 @@ def _opened(folder: Path, arguments: str, chunk: int | None) -> int:
             folder.mkdir(parents=True, exist_ok=True)
             empty = not any(p for p in folder.iterdir() if not p.name.startswith("."))
         except OSError as error:
-            raise InputError(f"into = {folder}: {error.strerror}; {REMEDY}") from None
+            raise InputError(f"into = {spelled(folder)}: {error.strerror}; {REMEDY}") from None
         if not empty:
-            raise InputError(f"into = {folder} holds other files; {REMEDY}")
+            raise InputError(f"into = {spelled(folder)} holds other files; {REMEDY}")
         (folder / FILES).mkdir()
         _write_study(folder, arguments, chunk or CHUNK, None)
         return chunk or CHUNK
     study = _study(folder)
+    other = _changed(study.get("program") or {}, _program())
+    if other:
+        raise InputError(
+            f"into = {spelled(folder)} holds simulations of another program ({other}); give "
+            "another folder, or delete this one"
+        )
     if study["arguments"] != arguments:
         raise InputError(
-            f"into = {folder} holds simulations of another plant or with other arguments; give "
-            "another folder, or delete this one"
+            f"into = {spelled(folder)} holds simulations of another plant or with other arguments; "
+            "give another folder, or delete this one"
         )
     chunk = chunk or int(study["chunk"])
     _write_study(folder, arguments, chunk, None)
@@ -220,7 +239,7 @@ def _opened(folder: Path, arguments: str, chunk: int | None) -> int:
 
 def _write_study(folder: Path, arguments: str, chunk: int, parts: int | None) -> None:
     content = {"format": FORMAT, "arguments": arguments, "chunk": chunk, "parts": parts}
-    write_json(folder / STUDY, content)
+    write_json(folder / STUDY, {**content, "program": _program()})
 
 
 # ---- one file -----------------------------------------------------------------------------------
@@ -253,7 +272,7 @@ class _Encoded:
         data["time"] = _stacked([t.t for _, t in done])
         data |= {n: _stacked([t[n] for _, t in done]) for n in self.columns}
         about = {
-            "digest": _of_task(self.arguments, task),
+            "digest": _of_task(self.arguments, task).text,
             "first": task.first,
             "count": len(task.cases),
             "failures": {
@@ -317,60 +336,19 @@ def _revived(error: Sequence[str]) -> Exception:
 
 
 # ---- digests ------------------------------------------------------------------------------------
-def _of_task(arguments: str, task: Task) -> str:
-    return _digest([arguments, task.first, list(task.cases)])
+def _of_task(arguments: str, task: Task) -> Digest:
+    return digest_of([arguments, task.first, list(task.cases)])
 
 
-def _digest(content: Any) -> str:
-    found = hashlib.sha256()
-    for piece in _pieces(content):
-        found.update(len(piece).to_bytes(8, "little") + piece)
-    return found.hexdigest()
+def _program() -> dict[str, str]:
+    """What computes: packages by version, pam_ocp by the content of its files, too."""
+    return {**built_with("casadi", "numpy", "scipy"), SOURCES: own_digest()}
 
 
-def _pieces(value: Any) -> Iterator[bytes]:
-    """Bytes that are the same for the same content, in any process."""
-    yield type(value).__qualname__.encode()
-    if isinstance(value, Mapping):
-        for key in sorted(value, key=repr):
-            yield repr(key).encode()
-            yield from _pieces(value[key])
-    elif isinstance(value, (list, tuple)):
-        yield str(len(value)).encode()
-        for item in value:
-            yield from _pieces(item)
-    elif isinstance(value, np.ndarray) and value.dtype != object:
-        yield f"{value.dtype.str} {value.shape}".encode()
-        yield np.ascontiguousarray(value).tobytes()
-    elif isinstance(value, (str, int, float, complex, bytes, type(None), np.generic)):
-        yield repr(value).encode()
-    elif isinstance(value, FunctionType):
-        yield from _function(value)
-    elif isinstance(value, Trajectory):
-        yield from _pieces(
-            [value.t, value.array(value.names), [asdict(v) for v in value.variables]]
-        )
-    elif hasattr(value, "serialize"):  # a function of CasADi
-        yield str(value.serialize()).encode()
-    else:
-        try:
-            yield pickle.dumps(value, protocol=4)
-        except Exception:
-            raise InputError(
-                f"into: a {type(value).__name__} among the arguments or cases cannot be told from "
-                "another; give numbers, arrays or functions"
-            ) from None
-
-
-def _function(function: FunctionType) -> Iterator[bytes]:
-    """A function by what it does: its code, and the values that it takes from around it."""
-    code = function.__code__
-    yield code.co_code
-    yield repr((code.co_names, [c for c in code.co_consts if not hasattr(c, "co_code")])).encode()
-    held = [cell.cell_contents for cell in function.__closure__ or ()]
-    around = {n: function.__globals__[n] for n in code.co_names if n in function.__globals__}
-    for item in (*held, *(function.__defaults__ or ()), *around.values()):
-        if isinstance(item, (ModuleType, FunctionType, type)) or callable(item):
-            yield getattr(item, "__qualname__", getattr(item, "__name__", "")).encode()
-        else:
-            yield from _pieces(item)
+def _changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """In what a program differs from this one; empty where it does not."""
+    return ", ".join(
+        n if n == SOURCES else f"{n} {before.get(n, 'of an unknown version')}, not {now[n]}"
+        for n in now
+        if before.get(n) != now[n]
+    )

@@ -11,17 +11,14 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Iterable, Mapping
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from .. import __version__
 from ..core.atomic import make_folder
+from ..core.digest import built_with
 from ..export.cache import usable_folder
 
-__all__ = ["PACKAGES", "Kept", "digest_of", "file_digest", "own_digest", "versions"]
+__all__ = ["PACKAGES", "Kept", "key_of", "versions"]
 
 PACKAGES = ("casadi", "numpy", "scipy", "control", "fmpy", "matplotlib")
 """Whose versions go into every digest, and stand in the report."""
@@ -80,43 +77,11 @@ def _result(key: str, made: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 
 # ---- digests -------------------------------------------------------------------------------------
-def digest_of(content: Any) -> str:
+def key_of(content: Any) -> str:
     """Of plain data, whatever the order of its keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    found = hashlib.sha256()
-    with path.open("rb") as file:
-        for block in iter(lambda: file.read(2**20), b""):
-            found.update(block)
-    return found.hexdigest()
-
-
-@cache
 def versions() -> Mapping[str, str]:
-    """Of pam_ocp, and of the packages that its results come from."""
-    return {"pam_ocp": __version__, **{name: _version(name) for name in PACKAGES}}
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-@cache
-def own_digest() -> str:
-    """Of this package's files: what was computed by other code is computed anew."""
-    package = Path(__file__).parents[1]
-    found = hashlib.sha256()
-    for path in _sources((package, package.parent / "fmu")):
-        found.update(path.read_bytes())
-    return found.hexdigest()
-
-
-def _sources(folders: Iterable[Path]) -> list[Path]:
-    endings = (".py", ".toml", ".csv", ".c", ".h", ".html")
-    return sorted(p for f in folders for p in f.rglob("*") if p.suffix in endings)
+    """Of Python, pam_ocp, and the packages that its results come from."""
+    return built_with(*PACKAGES)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
+import uuid
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -21,13 +23,15 @@ from pathlib import Path
 from typing import Any
 
 from ..core.cases import results_of
+from ..core.digest import file_digest, own_digest
 from ..core.errors import InputError, PamError, require_count
 from ..core.executors import Place, end_pool, placed
 from ..core.files import atomic_path, make_folder, read_json, reading, write_json
 from ..core.interrupts import interruptible
+from ..core.own_code import content_digest
 from ..core.progress import Bar, working
 from ..core.stop import check, limited
-from .kept_results import Kept, digest_of, file_digest, own_digest, versions
+from .kept_results import Kept, key_of, versions
 from .study_file import Entry, Study, read_study
 from .study_result import StudyResult, StudyStep
 from .working import digest_of_files, rehearse, work
@@ -144,13 +148,21 @@ class _Run:
         self.keys: dict[str, str] = {}
         self.found: dict[str, dict[str, Any]] = {}
         """Of the steps that were kept: their results."""
-        self.files = {name: study.files(entry) for name, entry in study.entries.items()}
+        found = {name: study.behind(entry) for name, entry in study.entries.items()}
+        self.files = {name: sorted(behind.files) for name, behind in found.items()}
         """What each names: looked up once, for files may come and go while it runs."""
+        self.doubts = {name: behind.doubts for name, behind in found.items() if behind.doubts}
         self.inputs = {p: file_digest(p) for files in self.files.values() for p in files}
+        self.contents = {p: content_digest(p) for p in self.inputs}
 
     # ---- before anything runs -----------------------------------------------------------------
     def prepare(self) -> None:
         """Find what is kept; where something must run, look at all of the file first."""
+        if self.allow_code and self.doubts:
+            said = "; ".join(f"{n}: {', '.join(dict.fromkeys(d))}" for n, d in self.doubts.items())
+            warnings.warn(
+                f"steps that cannot be told from others are done anew ({said})", stacklevel=5
+            )
         for name, entry in self.study.entries.items():
             if all(n in self.found for n in entry.above):
                 self.keys[name] = self._key(entry)
@@ -164,11 +176,24 @@ class _Run:
     def _key(self, entry: Entry) -> str:
         """The digest of all that goes into a step whose parts are there."""
         parts = {key: self._identity(n) for key, n in entry.parts.items()}
-        cases = [digest_of(self._result(n)["numbers"]) for n in entry.cases]
+        cases = [key_of(self._result(n)["numbers"]) for n in entry.cases]
         said = {n: v for n, v in entry.said.items() if n not in entry.parts}
-        files = [(p.name, self.inputs[p]) for p in self.files[entry.name]]
-        made_by = [versions(), own_digest()]
-        return digest_of([entry.kind, said, parts, cases, files, made_by, self.allow_code])
+        files = [(p.name, self.contents[p]) for p in self.files[entry.name]]
+        made_by = [versions(), own_digest(), self._code(entry)]
+        return key_of([entry.kind, said, parts, cases, files, made_by, self.allow_code])
+
+    def _code(self, entry: Entry) -> list[str]:
+        """What the code of the user's is that a step may run, in its own files or its parts'."""
+        named = [f for f in self.files[entry.name] if f.suffix == ".py"]
+        own = [self.contents[f] for f in self.files[entry.name]] if named else []
+        own += [uuid.uuid4().hex] if self._untold(entry.name) else []  # as no other: done anew
+        return own + [c for n in entry.above for c in self._code(self.study.entries[n])]
+
+    def _untold(self, name: str) -> bool:
+        """Whether a step, or one that it stands on, runs code that cannot be told from other."""
+        if self.allow_code and name in self.doubts:
+            return True
+        return any(self._untold(n) for n in self.study.entries[name].above)
 
     def _identity(self, name: str) -> str:
         """Of a step that another stands on: of its files, or of all that went into it."""
@@ -244,7 +269,8 @@ class _Run:
         except PamError as error:
             self._tell(StudyStep(name, entry.kind, "failed", str(error), False))
             return
-        self.kept.put(self.keys[name], found)
+        if not self._untold(name):
+            self.kept.put(self.keys[name], found)
         self._done(entry, "done", found)
 
     def _done(self, entry: Entry, state: str, found: dict[str, Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 
 from ..core.exceptions import InputError, UnknownNameError
 from ..core.files import read_toml, reading
+from ..core.own_code import Behind, behind
 from ..core.quantities import known_keys, table
 from .steps.step import STEPS, Step
 from .steps.sweep import cases_of
@@ -57,32 +58,11 @@ class Study:
     text: str
     entries: Mapping[str, Entry]
 
-    def files(self, entry: Entry) -> list[Path]:
-        """The files beside the study that a step names; what names a step is no file."""
+    def behind(self, entry: Entry) -> Behind:
+        """The files that a step names, and those behind them; what names a step is no file."""
         steps = {*entry.parts, *(["of"] if entry.kind == "sweep" else [])}
-        found = set()
-        for text in _texts({key: value for key, value in entry.said.items() if key not in steps}):
-            place = self.path.parent / text.partition(".py:")[0]
-            place = place.with_name(place.name + ".py") if ".py:" in text else place
-            try:
-                if place.is_file():
-                    found.add(place)
-                elif text.strip(".") and place.is_dir():
-                    found |= {p for p in place.rglob("*") if p.is_file()}
-            except (OSError, ValueError):  # a text that no file can be called
-                continue
-        return sorted(found)
-
-
-def _texts(said: Any) -> Iterator[str]:
-    if isinstance(said, str):
-        yield said
-    elif isinstance(said, Mapping):
-        for value in said.values():
-            yield from _texts(value)
-    elif isinstance(said, list):
-        for value in said:
-            yield from _texts(value)
+        said = {key: value for key, value in entry.said.items() if key not in steps}
+        return behind(said, self.path.parent)
 
 
 def read_study(path: str | Path) -> Study:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import platform
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -52,7 +51,7 @@ def study_report(study: Study, steps: Mapping[str, StudyStep], digests: Mapping[
         repeated=sum("[" in n for n in steps),
         well=all(s.good for s in steps.values()),
         dates=sorted({datetime.fromisoformat(w).date().isoformat() for w in made}),
-        versions={**versions(), "Python": platform.python_version()},
+        versions=versions(),
         digests=digests,
     )
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError, PamError, UnknownNameError
+from ..core.own_code import as_written
 from .steps.step import Job, Made
 from .study_file import Entry, Study
 
@@ -31,7 +32,7 @@ def work(
     cases. folder : of the study.
     """
     begin = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="pam_ocp_") as place:
+    with as_written(), tempfile.TemporaryDirectory(prefix="pam_ocp_") as place:
         nouns: dict[str, Any] = {"cases": cases} if cases else {}
         sources = {}
         for key, (named, files) in parts.items():
@@ -99,7 +100,7 @@ def rehearse(study: Study, allow_code: bool) -> None:
         parts = {k: nouns[n].get(entry.step.parts[k]) for k, n in entry.parts.items()}
         job = Job(name, entry.said, parts, study.path.parent, Path(), allow_code)
         try:
-            with warnings.catch_warnings():
+            with as_written(), warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # the work itself will warn
                 nouns[name] = entry.step.check(job)
         except PamError as error:

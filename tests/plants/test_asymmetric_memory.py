@@ -83,6 +83,50 @@ def test_far_along_each_way_the_force_is_that_of_its_envelope():
     assert forces[1] == pytest.approx(-(6.0 + 5.0) * (1 - 0.5 * 0.1), rel=2e-6)
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("edge", [0.02, 0.3])
+def test_at_rest_each_element_gives_up_its_edge_and_no_more(way, edge):
+    """Slid fully, it holds 1 - edge + edge/sqrt(1 + t/t0): s' = -s^3/(2 t0) of the passage 1 - s^3.
+
+    t0 = edge F/(k rest rate), F what it can hold at this contraction and k its stiffness.
+    """
+    rest_rate, kappa = 1e-4, 0.1
+    bench = Bench(PLAY, **{"muscle.play_edge": edge, "muscle.play_rest_rate": rest_rate})
+    # the state is the force in parts of the largest, at the end of the range
+    top = pam.muscle("DMSP-20-300").contraction_range[1]
+    friction, yields = np.array([[10.0, 6.0], [8.0, 5.0]]), np.array([0.004, 0.02])
+    holds = friction @ [1 + 2 * kappa, 0] if way > 0 else friction @ [0, 1 - 0.5 * kappa]
+    largest = friction[:, 0] * (1 + 2 * top)
+    t = np.array([1.0, 10.0, 100.0, 1e4])
+    run = solve_ivp(
+        lambda t, z: bench.at(kappa, 0.0, z)[0],
+        (0, t[-1]),
+        way * holds / largest,
+        t_eval=t,
+        method="LSODA",
+        rtol=1e-10,
+        atol=1e-13,
+    )
+    t0 = edge * holds / (friction[:, 0] / yields * rest_rate)
+    left = 1 - edge + edge / np.sqrt(1 + t[:, None] / t0)
+    assert run.y.T * largest == pytest.approx(way * holds * left, rel=1e-7)
+    assert np.all(left > 1 - edge)
+
+
+def test_after_a_turn_the_sum_gives_up_more_than_each_element():
+    """docs/model.md: 9.6 + 12 N at 10 %, back by 1.5 %: -6 and 9.6 - 400 x 0.015 = 3.6 N."""
+    bench = Bench(L.PrandtlIshlinskii())
+    _, z = bench.along([0.08, 0.03, 0.1, 0.085])
+    before = bench.at(0.085, 0.0, z)[1]
+    assert before == pytest.approx(-6.0 + 3.6, rel=0.01)
+    run = solve_ivp(
+        lambda t, z: bench.at(0.085, 0.0, z)[0], (0, 1e5), z, method="LSODA", rtol=1e-9, atol=1e-12
+    )
+    after = bench.at(0.085, 0.0, run.y[:, -1])[1]
+    assert after - before == pytest.approx(0.02 * 6.0, rel=0.02)
+    assert 1 - after / before == pytest.approx(0.05, abs=0.002)
+
+
 def test_the_smooth_model_goes_over_into_the_sharp_operator_as_its_edge_narrows():
     rng = np.random.default_rng(31)
     turns = [0.08, *rng.uniform(0.03, 0.22, 3)]

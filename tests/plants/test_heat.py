@@ -104,6 +104,35 @@ def test_a_closed_muscle_is_compressed_by_the_exponent_of_the_limit(heat, expone
     assert product == pytest.approx(np.full(len(product), product[0]), rel=1e-6)
 
 
+def test_air_shut_in_with_heat_damps_as_a_relaxing_spring():
+    """docs/self_excited.md (2): the part of p in phase with v is (g - 1) tau/(1 + w^2 tau^2).
+
+    tau = m cv/(h A), with A = 2 sqrt(pi V l) of the wall; slower than 1/tau it damps most.
+    """
+    h, p0, v0, slope, x0 = 30.0, 3e5 + P0, 6e-5, 4e-4, 0.02
+    plant = pam.Plant("pulled")
+    x, v = plant.state("x", unit="m", start=x0), plant.input("v", unit="m/s")
+    plant.der(x, v)
+    gas = Gas(PolynomialVolume([v0, slope * L0]), dead_volume=0.0, heat=ConstantHeatTransfer(h))
+    valve = pam.feeds.SpoolValve(gas=gas)
+    plant.add_muscle("m", "DMSP-20-200N", shortening=x, rate=v, feed=valve)
+    names = [s.name for s in plant.states]
+    state = plant.vector("state", {"x": x0, "m.pressure": 3e5, "m.temperature": T0})
+    jacobians = plant.jacobians(state, plant.vector("input"), plant.vector("parameter"))
+    a, b = (np.asarray(m) for m in jacobians[:2])
+    volume = v0 + slope * x0
+    wall = 2 * math.sqrt(math.pi * volume * (L0 - x0))
+    tau = p0 * volume / (R * T0) * (CP - R) / (h * wall)
+    column = [i.name for i in plant.inputs].index("v")
+    for w in (0.02 / tau, 1 / tau, 30 / tau):
+        response = np.linalg.solve(1j * w * np.eye(len(names)) - a, b[:, column])
+        expected = -p0 * slope / volume * (G - 1) * tau / (1 + (w * tau) ** 2)
+        found = response[names.index("m.pressure")]
+        assert found.real == pytest.approx(expected, rel=1e-6)
+        stiffness = p0 * slope / volume * (1 + G * (w * tau) ** 2) / (1 + (w * tau) ** 2)
+        assert (1j * w * found).real == pytest.approx(-stiffness, rel=1e-6)
+
+
 # ---- hand-written equations --------------------------------------------------------------------
 A1, A2, A3, A4, A5, A6 = (
     -4.00180705,

@@ -160,6 +160,18 @@ def test_the_joint_is_as_stiff_as_its_torque_falls():
     assert outputs(0.3)["stiffness"] == pytest.approx(-slope, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("stretch", "pull"), [(-2.0, 0.0), (-1.0, 0.0), (0.0, 0.15625), (1.0, 1.0), (80.0, 80.0)]
+)
+def test_a_tendon_only_pulls_rounded_off_within_one_newton(stretch, pull):
+    """At no stretch the integral of the quintic smoothstep from -1 to 0: 5/32 of the width."""
+    plant = pam.SeriesLoad("DMSP-20-300", tendon_stiffness=1e5, tendon_damping=0.0)
+    state = plant.vector("state", {"x": 0.02, "muscle.shortening": 0.02 + stretch / 1e5})
+    outputs = plant.function(state, plant.vector("input"), plant.vector("parameter"))[1]
+    names = [v.name for v in plant.outputs]
+    assert float(outputs[names.index("tendon_force")]) == pytest.approx(pull, abs=1e-9)
+
+
 def test_a_stiff_tendon_hangs_the_load_where_the_muscle_alone_would():
     alone = pam.HangingLoad(MUSCLE, 20.0).equilibrium({"muscle.command": 4 * BAR})
     series = plants()["series"].equilibrium({"muscle.command": 4 * BAR})

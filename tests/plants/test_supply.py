@@ -180,7 +180,7 @@ def pressures(plant):
 @pytest.mark.filterwarnings("ignore:one.gas.v0")  # a very large muscle
 @pytest.mark.parametrize("segments", [1, 2, 5])
 def test_a_lumped_tube_rings_as_a_chain_of_springs_and_masses(segments):
-    """Closed at one end, open at the other: w_k = 2 (n c/L) sin((2k - 1) pi/(2 (2n + 1)))."""
+    """Closed at one end, open at the other: w_k = 2 (n c/L) sin((2k - 1) pi/(2 (2n + 1))) rad/s."""
     poles = tube_poles(segments)
     speed = math.sqrt(1.4 * R * T0)
     k = np.arange(1, segments + 1)

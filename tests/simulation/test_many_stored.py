@@ -1,6 +1,8 @@
 """Many simulations into a folder, and workers that are killed."""
 
 import gc
+import importlib.metadata
+import json
 import os
 import signal
 import subprocess
@@ -15,6 +17,7 @@ from conftest import BAR
 
 import pam_ocp as pam
 from pam_ocp import InputError, SimulationError
+from pam_ocp.core.own_code import as_written
 from pam_ocp.simulation.stored import StoredSimulations
 
 pytest.importorskip("pyarrow")
@@ -316,3 +319,59 @@ def test_workers_end_with_their_parent(tmp_path, blow):
     parent.stdout.close()
     assert parent.wait(10) != 0
     assert left == []
+
+
+# ---- results of another program ------------------------------------------------------------------
+def pushed(tmp_path, gain: float, into: str = "runs") -> float:
+    """x at the end of one case, driven by a function that calls one of another module."""
+    (tmp_path / "helper_of_push.py").write_text(f"def gain():\n    return {gain}\n")
+    (tmp_path / "push.py").write_text(
+        "import helper_of_push\ndef push(t):\n    return helper_of_push.gain()\n"
+    )
+    with as_written():
+        import push
+
+        cases = [{"inputs": {"u": push.push}, "parameters": {"rate": 1.0}}]
+        stored = pam.simulate_many(quick(), cases, into=tmp_path / into, executor=0, **SHORT)
+    return float(dict(stored)[0]["x"][-1])
+
+
+def test_a_change_in_what_an_input_calls_is_computed(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    decay = np.exp(-SHORT["t"][-1])
+    for gain in (2.0, 5.0, 2.0):  # x' = u - x from 1
+        assert pushed(tmp_path, gain) == pytest.approx(gain + (1 - gain) * decay, rel=1e-5)
+
+
+def test_what_cannot_be_told_is_computed_anew_and_said(tmp_path):
+    def push(t):
+        with open(f"{tmp_path}/gain") as file:
+            return float(file.read())
+
+    def last(gain):
+        (tmp_path / "gain").write_text(str(gain))
+        cases = [{"inputs": {"u": push}}, {"inputs": {"u": 1.0}}]
+        return dict(
+            pam.simulate_many(quick(), cases, into=tmp_path / "runs", executor=0, chunk=1, **SHORT)
+        )[0]["x"][-1]
+
+    decay = np.exp(-SHORT["t"][-1])
+    with pytest.warns(UserWarning, match=r"into = .*push reads a file that is named as it runs"):
+        assert last(2.0) == pytest.approx(2.0 - decay, rel=1e-5)
+    kept = tmp_path / "runs" / "cases" / "block-0000" / "part-000001.parquet"
+    stamp = kept.stat().st_mtime_ns
+    with pytest.warns(UserWarning, match="was computed anew, and will be again"):
+        assert last(5.0) == pytest.approx(5.0 - 4.0 * decay, rel=1e-5)
+    assert kept.stat().st_mtime_ns == stamp
+
+
+def test_a_folder_of_another_version_is_refused_by_name(tmp_path):
+    stored = pam.simulate_many(quick(), rates(2), into=tmp_path, executor=0, **SHORT)
+    path = stored.folder / "study.json"
+    content = json.loads(path.read_text())
+    assert content["program"]["casadi"] == importlib.metadata.version("casadi")
+    content["program"]["casadi"] = "3.6.0"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"another program \(casadi 3\.6\.0, not "):
+        pam.simulate_many(quick(), rates(2), into=tmp_path, executor=0, **SHORT)
+    assert len(StoredSimulations(tmp_path)) == 2  # and read as before

@@ -19,6 +19,7 @@ from fmpy.ssp.simulation import simulate_ssp
 import pam_ocp as pam
 from pam_ocp.cli.main import main
 from pam_ocp.studies import run_study, working
+from pam_ocp.studies.study_file import read_study
 
 STUDY = """
 title = "A load on a muscle"
@@ -535,3 +536,98 @@ def test_the_command_tells_the_same_as_json_and_judges_by_its_exit_code(place, c
     changed(place, "tolerance = 1e-6", "tolerance = -1.0")
     assert main(arguments) == 1
     assert "✗ same" in capsys.readouterr().out
+
+
+OWN = """
+[steps.load]
+kind = "plant"
+arrangement = "mine.py:build"
+muscle = "DMSP-20-300"
+
+[steps.lifted]
+kind = "simulate"
+plant = "load"
+inputs = { "muscle.command" = "3 bar" }
+duration = "20 ms"
+samples = 3
+"""
+
+
+def own_study(folder, builder):
+    """A study with a plant of one's own, whose mass stands in a module that it imports."""
+    (folder / "study.toml").write_text(OWN)
+    (folder / "mine.py").write_text(builder)
+    (folder / "weights_of_mine.py").write_text("MASS = 10.0\n")
+
+
+def masses(folder):
+    """What each step did, and the plant's mass as its file gives it now."""
+    result = run(folder, allow_code=True)
+    assert result.ok
+    return states(result), result["lifted"].numbers["x.last"][0]
+
+
+def lifted(mass):
+    plant = pam.HangingLoad("DMSP-20-300", mass=mass)
+    return pam.simulate(plant, {"muscle.command": 3e5}, t=[0.0, 0.01, 0.02], rtol=1e-8)["x"][-1]
+
+
+@pytest.mark.parametrize(
+    "builder",
+    [
+        "import pam_ocp as pam, weights_of_mine\n"
+        "def build(muscle): return pam.HangingLoad(muscle, mass=weights_of_mine.MASS)\n",
+        "import pam_ocp as pam\ndef build(muscle):\n    from weights_of_mine import MASS\n"
+        "    return pam.HangingLoad(muscle, mass=MASS)\n",
+    ],
+    ids=["at its head", "within the function"],
+)
+def test_a_change_in_a_module_that_a_named_file_imports_is_seen(tmp_path, monkeypatch, builder):
+    monkeypatch.syspath_prepend(tmp_path)
+    own_study(tmp_path, builder)
+    for mass, expected in ((10.0, "done"), (10.0, "kept"), (12.0, "done"), (10.0, "kept")):
+        (tmp_path / "weights_of_mine.py").write_text(f"# a comment\nMASS = {mass}\n")
+        met, x = masses(tmp_path)
+        assert met == {"load": expected, "lifted": expected}
+        assert x == pytest.approx(lifted(mass), rel=1e-9)
+    with (tmp_path / "weights_of_mine.py").open("a") as file:
+        file.write("\n# another comment\n")
+    assert set(masses(tmp_path)[0].values()) == {"kept"}
+
+
+def test_a_file_that_own_code_names_is_seen_and_what_it_hides_is_done_anew(tmp_path, monkeypatch):
+    own_study(
+        tmp_path,
+        "import pam_ocp as pam\nfrom pathlib import Path\n"
+        f"MASS = Path({str(tmp_path)!r}) / 'mass.txt'\n"
+        "def build(muscle): return pam.HangingLoad(muscle, mass=float(MASS.read_text()))\n",
+    )
+    for mass in (10.0, 12.0):
+        (tmp_path / "mass.txt").write_text(str(mass))
+        met, x = masses(tmp_path)
+        assert set(met.values()) == {"done"}
+        assert x == pytest.approx(lifted(mass), rel=1e-9)
+    assert set(masses(tmp_path)[0].values()) == {"kept"}
+    own_study(
+        tmp_path,
+        "import importlib, pam_ocp as pam\n"
+        "def build(muscle):\n    weights = importlib.import_module('weights' + '_of_mine')\n"
+        "    return pam.HangingLoad(muscle, mass=weights.MASS)\n",
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    for mass in (10.0, 12.0, 12.0):
+        (tmp_path / "weights_of_mine.py").write_text(f"MASS = {mass}\n")
+        with pytest.warns(UserWarning, match=r"load: mine\.py imports what is named as it runs"):
+            met, x = masses(tmp_path)
+        assert set(met.values()) == {"done"}
+        assert x == pytest.approx(lifted(mass), rel=1e-9)
+
+
+def test_a_plant_file_that_names_code_is_followed(tmp_path):
+    """Own code counts also where a file that the study names is what names it."""
+    own_study(tmp_path, "import pam_ocp as pam\ndef build(muscle): return 10.0\n")
+    (tmp_path / "plant.toml").write_text('arrangement = "mine.py:build"\n')
+    (tmp_path / "study.toml").write_text(OWN.replace("mine.py:build", "plant.toml"))
+    study = read_study(tmp_path / "study.toml")
+    found = study.behind(study.entries["load"]).files
+    assert {p.name for p in found} == {"plant.toml", "mine.py"}

@@ -17,7 +17,15 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, UnknownNameError, require_count
-from ...core.files import MOST_BYTES, content_of, json_of, reading, require_file, require_size
+from ...core.files import (
+    MOST_BYTES,
+    content_of,
+    json_of,
+    reading,
+    require_file,
+    require_local,
+    require_size,
+)
 from ...core.foreign import (
     read_array,
     read_arrays,
@@ -198,6 +206,7 @@ def _from_tree(tree: Any, label: str, how: Reading) -> RawTable:
 # ---- files ---------------------------------------------------------------------------------------
 def _load_file(source: str | Path, how: Reading) -> RawTable:
     path = Path(source)
+    require_local(source)
     if "\0" in str(source) or not os.path.exists(path):
         bundled = {f.name: f for f in files("pam_ocp.data").iterdir() if f.name.endswith(".csv")}
         if str(source) in bundled:

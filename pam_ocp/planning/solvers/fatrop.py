@@ -63,6 +63,7 @@ class Fatrop:
         self.stages = stage_ordered(program)
         self._options = {
             "print_time": False,
+            "inputs_check": False,
             "structure_detection": "manual",
             **self.stages.sizes,
             "expand": program.mesh.form.scheme

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from ...core.registry import Registry
-from ...numerics.solvers import UNSAID, Nlp, nlpsol
+from ...numerics.solvers import Nlp, nlpsol
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
@@ -228,7 +228,7 @@ class Ipopt:
         if name == "cold" and goal.only_time and "mu_init" not in self._given:
             chosen["mu_init"] = BARRIER_OF_TIME * goal.time
         # multipliers of the parameters: duals.py finds them when somebody asks
-        return {"print_time": False, "calc_lam_p": False, **UNSAID, "ipopt": chosen}
+        return {"print_time": False, "calc_lam_p": False, "ipopt": chosen}
 
     def _solver(self, name: Start) -> Nlp:
         """The solver of this name, made at its first use; all share the same functions."""
