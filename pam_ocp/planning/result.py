@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, PlanError
 from ..core.shown import shown
+from ..core.stop import turns
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
@@ -159,6 +160,7 @@ class Plan:
         return self._samples
 
     @cached_property
+    @turns
     def arcs(self) -> tuple[Arc, ...]:
         """What leads each input when: arcs along one of its limits, or "interior"; input by input.
 
@@ -255,6 +257,7 @@ class Plan:
         self.__dict__.update(state, _problem=problem)
 
     # ---- files and figures ----------------------------------------------------------------------
+    @turns
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
         return courtesy.save_plan(self, path)
