@@ -9,7 +9,7 @@ where the verb ends.
 
 from __future__ import annotations
 
-import _signal  # what signal wraps, without its enumerations: verbs may be short
+import _signal  # type: ignore[import-not-found, unused-ignore]  # without signal's enumerations
 import _thread
 import os
 import signal
