@@ -56,9 +56,13 @@ class Processes:
         self._lock, self._running, self._over = threading.Lock(), set[Any](), False
 
     def run(
-        self, command: Sequence[str], folder: Path, environment: dict[str, str]
+        self,
+        command: Sequence[str],
+        folder: Path,
+        environment: dict[str, str],
+        timeout: float | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        """The command's exit code and words. Raises OSError."""
+        """The command's exit code and words. Raises OSError, or subprocess.TimeoutExpired."""
         pipe = subprocess.PIPE
         with self._lock:
             if self._over:
@@ -75,7 +79,7 @@ class Processes:
             )
             self._running.add(process)
         try:
-            out, errors = process.communicate()
+            out, errors = process.communicate(timeout=timeout)
         finally:
             end(process)
             with self._lock:
