@@ -73,6 +73,8 @@ MOST_ROWS = 20_000_000
 """Of a table."""
 MOST_CELLS = 100_000_000
 """Rows times columns of a table."""
+MOST_LINE = 2**20
+"""Characters of a line of text."""
 MOST_SHEET_BYTES = 64 * 2**20
 """Bytes that a spreadsheet (.xlsx) may hold: its cells are text, unpacked and read one by one."""
 MOST_SHEET_CELLS = 2_000_000

@@ -217,3 +217,10 @@ def test_very_many_texts_or_cells_are_not_made(tmp_path, h5py, monkeypatch, what
     with h5py.File(path, "w") as file:
         file.create_dataset("a", (10**6,), dtype=kind, chunks=(10**5,), compression="gzip")
     refused(read_hdf5, path, "more than 1000 texts and cells")
+
+
+# ---- text ----------------------------------------------------------------------------------------
+def test_a_table_in_one_line_is_refused_before_its_separator_is_sought(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"1" + b",1" * MIB)
+    refused(pam.read_table, path, "line 1 has 2097153 characters, at most 1048576 are read")

@@ -20,6 +20,8 @@ import pam_ocp as pam
 from pam_ocp.core.interrupts import INTERRUPTS
 from pam_ocp.core.stop import LOCK, turns
 
+# an error that a handler raises in a generator that is thrown away is told, and raised again
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 posix = pytest.mark.skipif(os.name != "posix", reason="sends a signal to this thread")
 HERE = Path(__file__).parent
 
@@ -155,7 +157,6 @@ def works():
         "kalman": lambda: (kalman.correct({"x": 0.041}), kalman.predict({"muscle.command": 2e5})),
         "window": lambda: (window.correct({"x": 0.041}), window.predict({"muscle.command": 2e5})),
         "point": lambda: (point["x"], point.poles, point.stability, str(point)),
-        "muscle": lambda: plant.muscle.force(3e5, 0.1) if hasattr(plant, "muscle") else None,
     }
 
 
@@ -167,7 +168,7 @@ def works():
         ("build", 101),
         ("simulate", 7),
         ("fit_force", 31),
-        ("fit_plant", 211),
+        ("fit_plant", 1501),
         ("mpc", 3),
         ("kalman", 3),
         ("window", 5),
@@ -218,7 +219,7 @@ for name in {names!r}:
     at.value, count.value = -1, 0
     work()
     total, wrong = count.value, []
-    for n in range(1, total + 1, max(1, total // 60)):
+    for n in range(1, total + 1, max(1, total // 40)):
         count.value, at.value = 0, n
         try:
             work()
@@ -233,7 +234,14 @@ for name in {names!r}:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a library is loaded before Python")
-def test_ctrl_c_within_casadi_comes_out_wherever_casadi_asks_for_it(tmp_path):
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["planner", "point", "simulate", "mpc", "kalman"],
+        pytest.param(["build", "fit_force", "fit_plant", "window"], marks=pytest.mark.slow),
+    ],
+)
+def test_ctrl_c_within_casadi_comes_out_wherever_casadi_asks_for_it(tmp_path, names):
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("no C compiler here")
@@ -241,7 +249,6 @@ def test_ctrl_c_within_casadi_comes_out_wherever_casadi_asks_for_it(tmp_path):
     library = tmp_path / "shim.so"
     command = [compiler, "-shared", "-fPIC", "-o", library, tmp_path / "shim.c", "-ldl"]
     subprocess.run(command, check=True)
-    names = ["planner", "build", "simulate", "fit_force", "fit_plant", "mpc", "kalman", "point"]
     script = textwrap.dedent(WITHIN).format(here=str(HERE), names=names)
     paths = os.pathsep.join([str(HERE.parents[1]), *filter(None, sys.path)])
     plain = {n: v for n, v in os.environ.items() if not n.startswith("COV")}
@@ -252,6 +259,6 @@ def test_ctrl_c_within_casadi_comes_out_wherever_casadi_asks_for_it(tmp_path):
         text=True,
         check=False,
     )
-    if "planner False" in done.stdout:
+    if f"{names[0]} False" in done.stdout:
         pytest.skip("Python does not take the function from a library")
     assert done.stdout.splitlines() == [f"{name} True []" for name in names], done.stderr[-3000:]
