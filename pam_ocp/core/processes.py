@@ -33,8 +33,10 @@ def start(command: Sequence[str], folder: str = "", **arguments: Any) -> subproc
     if sys.platform == "win32":
         group = subprocess.CREATE_NEW_PROCESS_GROUP
         return subprocess.Popen(command, creationflags=group, **arguments)
-    watched = [sys.executable, "-I", "-S", str(SUPERVISOR), str(os.getpid()), folder, *command]
-    return subprocess.Popen(watched, start_new_session=True, **arguments)
+    watch = [sys.executable, "-I", "-S", str(SUPERVISOR), str(os.getpid()), folder]
+    if not os.access(sys.executable or "", os.X_OK):  # rights were given up: without a supervisor
+        watch = []
+    return subprocess.Popen([*watch, *command], start_new_session=True, **arguments)
 
 
 def end(process: subprocess.Popen[Any]) -> None:
@@ -45,6 +47,9 @@ def end(process: subprocess.Popen[Any]) -> None:
             process.send_signal(signal.SIGCONT)  # what it looks after may have stopped it
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(PATIENCE)
+    if sys.platform != "win32" and str(SUPERVISOR) not in list(process.args):  # type: ignore[arg-type]
+        with contextlib.suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL)
     process.kill()  # nothing where it has ended
     process.wait()
 

@@ -89,6 +89,7 @@ class CycleBranch:
         """Half the swing of a state at each cycle [its unit]."""
         return np.array([c.amplitude(name) for c in self.cycles])
 
+    @turns
     def at(self, value: float) -> tuple[LimitCycle, ...]:
         """The cycles at exactly this value of the parameter: one for each passage of the branch."""
         offsets = self.values - value

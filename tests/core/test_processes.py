@@ -112,6 +112,23 @@ def test_who_ignores_the_ends_of_children_is_told_of_this_one():
     process.wait()
 
 
+@linux
+def test_who_may_not_run_python_any_more_ends_a_command_with_its_group(
+    tmp_path, marked, monkeypatch
+):
+    """After setuid, say; a session of its own is not found then."""
+    python = sys.executable
+    monkeypatch.setattr("sys.executable", str(tmp_path / "none"))
+    both = "import os, time; os.fork(); open(f'{os.getpid()}', 'w'); time.sleep(600)"
+    process = start([python, "-c", both], cwd=tmp_path)
+    until = time.monotonic() + 60
+    while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < until:
+        time.sleep(0.01)
+    assert len(marked(0.0)) == 2
+    end(process)
+    assert marked() == []
+
+
 PARENT = """
 import os, signal, sys, time
 from pam_ocp.core.processes import start
