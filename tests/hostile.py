@@ -57,6 +57,17 @@ static void harm(const char *place) {
     if (IS("hang")) { tell_pid(getpid()); for (;;) pause(); }
     if (IS("killed")) kill(getpid(), SIGKILL);
     if (IS("close")) for (int i = 0; i < 64; i++) close(i);
+    if (IS("escape")) { int ready[2]; char told;
+        if (pipe(ready)) return;
+        if (fork() == 0) { setsid(); /* and a grandchild without a parent */
+            if (fork() == 0) { tell_pid(getpid()); write(ready[1], "", 1); for (;;) pause(); }
+            _exit(0); }
+        if (read(ready[0], &told, 1) < 0) return;
+        for (;;) pause(); }
+    if (IS("escape_and_die")) { if (fork() == 0) { setsid();
+            if (fork() == 0) { tell_pid(getpid()); for (;;) pause(); }
+            _exit(0); }
+        sleep(1); _exit(0); }
     if (IS("fork")) { pid_t pid = fork(); if (pid == 0) for (;;) pause(); tell_pid(pid); }
 #endif
 }

@@ -16,7 +16,7 @@ from nicegui import ui
 
 from ..core.errors import InputError
 from .frame import Bench
-from .guard import App, Guard
+from .guard import Guard
 from .jobs.prepare import prepare
 from .session import Session, safe_name, saved_sessions
 from .work import Workshop
@@ -68,7 +68,7 @@ class _Sessions:
         self.open.pop(id).session.close()
 
 
-def application(root: Path, *, allow_code: bool = False, **guard: Any) -> App:
+def application(root: Path, *, allow_code: bool = False, **guard: Any) -> Guard:
     """The ASGI application; one in a process, for the framework has one of each.
 
     root : folder of the sessions. guard : arguments of :class:`Guard`.

@@ -5,10 +5,10 @@ No framework is needed: an ASGI application around another. It refuses, in this 
 1. a Host that this page does not have (a name that was made to lead here: DNS rebinding);
 2. an Origin that is not this page's own, a websocket or a change (POST, ...) without one, and what
    a browser marks as asked for by another site (Sec-Fetch-Site);
-3. whoever lacks the cookie. It is given for the token in the address, which leaves the address bar
-   by a redirection, or for the password, which is asked for on every host but this machine's own;
-   some wrong passwords make everybody wait;
-4. a body longer than allowed, whatever its header says, while it arrives.
+3. whoever lacks the cookie. It is given for the token in an address, which is good for one browser
+   and leaves the address bar at once, or for the password, which is asked for on every host but
+   this machine's own; some wrong passwords make everybody wait;
+4. a body longer than allowed, whatever its header says, while it arrives; or one that does not end.
 
 and gives every answer the headers of :data:`HEADERS`. After OWASP's cheat sheets (cross-site
 request forgery, session management, HTTP headers, websockets). What the password and all else is
@@ -21,6 +21,7 @@ import asyncio
 import hashlib
 import hmac
 import html
+import math
 import re
 import secrets
 import time
@@ -41,6 +42,10 @@ MOST_UPLOAD = 64 * 2**20
 """Bytes of a request."""
 MOST_LOGIN = 4096
 """Bytes of the form with the password."""
+LONGEST_UPLOAD = 300.0
+"""Seconds for a request's body to arrive."""
+LONGEST_LOGIN = 10.0
+"""Seconds for the form with the password."""
 TRIES = 5
 """Wrong passwords before the next must wait, and so on."""
 WAIT = 30.0
@@ -78,8 +83,9 @@ def allowed_hosts(host: str, port: int, names: Sequence[str] = ()) -> frozenset[
 class Guard:
     """The wall around ``app``.
 
-    hosts : of :func:`allowed_hosts`. token : in the address, for who starts the page here; None
-    where a password is asked for. name : of the cookie (ports share cookies, so the port is in it).
+    hosts : of :func:`allowed_hosts`. password : asked for; without one :meth:`ticket` is the way
+    in. name : of the cookie (ports share cookies, so the port is in it). most : bytes of a request.
+    longest : seconds for them to arrive.
     """
 
     def __init__(
@@ -87,18 +93,23 @@ class Guard:
         app: App,
         *,
         hosts: frozenset[str],
-        token: str | None = None,
         password: str | None = None,
         name: str = "pam_ocp_bench",
         most: int = MOST_UPLOAD,
+        longest: float = LONGEST_UPLOAD,
     ) -> None:
-        if (token is None) == (password is None):
-            raise ValueError("give a token or a password")
         self._app, self._hosts, self._name, self._most = app, hosts, name, most
-        self._token, self._password = token, password
+        self._longest, self._password = longest, password
+        self._tickets: dict[str, Callable[[], None]] = {}
         self._keys = frozenset((secrets.token_urlsafe(32),))
         self._origins = frozenset(f"http://{host}" for host in hosts)
         self._wrong, self._open_at = 0, 0.0
+
+    def ticket(self, used: Callable[[], None] = lambda: None) -> str:
+        """A token, which lets one browser in. used : called when it has."""
+        token = secrets.token_urlsafe(32)
+        self._tickets[token] = used
+        return token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -115,6 +126,8 @@ class Guard:
             return
         if refusal:
             await self._say(send, 403, refusal)
+        elif await self._entered(scope, send):
+            return
         elif not self._known(headers):
             await self._admit(scope, receive, send)
         else:
@@ -146,18 +159,27 @@ class Guard:
         there = cookies.get(self._name)
         return there is not None and any(_same(there.value, key) for key in self._keys)
 
-    async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """The cookie for the token or the password; a refusal, or the form, for all else."""
+    async def _entered(self, scope: Scope, send: Send) -> bool:
+        """The cookie for a token, if there is one: it is used up."""
         asked = parse_qs(scope.get("query_string", b"").decode("latin-1"), max_num_fields=20)
-        if self._token is not None:
-            if scope["method"] == "GET" and _same(asked.get("token", [""])[0], self._token):
-                rest = {k: v for k, v in asked.items() if k != "token"}
-                path = "/" + quote(scope["path"].lstrip("/\\"))  # never another host
-                await self._enter(send, path + (f"?{urlencode(rest, True)}" if rest else ""))
-            else:
-                await self._say(
-                    send, 401, "open the address that pam-ocp bench printed when it was started"
-                )
+        given = asked.pop("token", [""])[0]
+        there = [t for t in self._tickets if _same(given, t)]
+        path = "/" + quote(scope["path"].lstrip("/\\"))  # never another host
+        path += f"?{urlencode(asked, True)}" if asked else ""
+        if not there or scope["method"] != "GET":
+            return False
+        self._tickets.pop(there[0])()
+        # no redirection: behind one that a file led to, browsers keep the cookie back
+        on = (b"refresh", f"0;url={path}".encode())
+        await self._say(send, 200, "one moment", [self._cookie, on])
+        return True
+
+    async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """The cookie for the password; a refusal, or the form, for all else."""
+        if self._password is None:
+            await self._say(
+                send, 401, "open the address that pam-ocp bench printed last; each is good once"
+            )
             return
         if scope["method"] == "POST" and scope["path"] == "/login":
             await self._log_in(receive, send)
@@ -168,14 +190,18 @@ class Guard:
 
     async def _log_in(self, receive: Receive, send: Send) -> None:
         assert self._password is not None
-        body = await _body(receive, MOST_LOGIN)
+        try:
+            body = await asyncio.wait_for(_body(receive, MOST_LOGIN), LONGEST_LOGIN)
+        except asyncio.TimeoutError:
+            await self._form(send, 408, "that took too long")
+            return
         if time.monotonic() < self._open_at:
             await self._form(send, 429, "too many wrong passwords; wait half a minute")
             return
         given = parse_qs((body or b"").decode("utf-8", "replace"), max_num_fields=5)
         if _same(given.get("password", [""])[0], self._password):
             self._wrong = 0
-            await self._enter(send, "/")
+            await self._say(send, 303, "", [self._cookie, (b"location", b"/")])
             return
         self._wrong += 1
         if self._wrong % TRIES == 0:
@@ -183,11 +209,11 @@ class Guard:
         await asyncio.sleep(0.5)
         await self._form(send, 401, "that is not the password")
 
-    async def _enter(self, send: Send, path: str) -> None:
+    @property
+    def _cookie(self) -> tuple[bytes, bytes]:
         key = next(iter(self._keys))
         cookie = f"{self._name}={key}; Path=/; HttpOnly; SameSite=Strict"
-        extra = [(b"location", path.encode("latin-1", "replace")), (b"set-cookie", cookie.encode())]
-        await self._say(send, 303, "", extra)
+        return b"set-cookie", cookie.encode()
 
     # ---- what comes and goes -------------------------------------------------------------------
     async def _pass(
@@ -198,15 +224,23 @@ class Guard:
         if not said.isdigit() or int(said) > self._most:
             await self._say(send, 413, self._too_long)
             return
-        nonce, begun, count, over = secrets.token_urlsafe(16), False, 0, False
+        nonce, begun, over = secrets.token_urlsafe(16), False, 0
+        count, end = 0, asyncio.get_running_loop().time() + self._longest
 
         async def counted() -> Message:
-            nonlocal count, over
-            message = await receive()
+            nonlocal count, over, end
+            left = end - asyncio.get_running_loop().time()
+            try:
+                message = await asyncio.wait_for(receive(), None if end == math.inf else left)
+            except asyncio.TimeoutError:
+                over = 408
+                raise _Broken from None
             count += len(message.get("body", b""))
             if count > self._most:
-                over = True
-                raise _TooLong
+                over = 413
+                raise _Broken
+            if not message.get("more_body"):
+                end = math.inf  # what is awaited then is the end of the connection
             return message
 
         page: Message | None = None
@@ -244,7 +278,8 @@ class Guard:
             if not over:
                 raise
         if over and not begun:
-            await self._say(send, 413, self._too_long)
+            words = self._too_long if over == 413 else "that took too long to arrive"
+            await self._say(send, over, words)
 
     @property
     def _too_long(self) -> str:
@@ -287,8 +322,8 @@ class Guard:
         await send({"type": "http.response.body", "body": body})
 
 
-class _TooLong(Exception):
-    """A body that is longer than allowed."""
+class _Broken(Exception):
+    """A body that is longer than allowed, or does not end."""
 
 
 def _headers(scope: Scope) -> dict[str, list[str]]:

@@ -26,7 +26,7 @@ from ..muscles.muscle_file import load_muscle
 from ..muscles.pneumatic_muscle import Muscle
 from ..plants.plant import Plant
 from ..plants.plant_file import plant_of as described
-from .session import safe_name
+from .session import safe_name, stored_file
 
 __all__ = [
     "chosen_item",
@@ -47,7 +47,7 @@ def source_of(folder: Path, item: Mapping[str, Any]) -> str:
     """What a reader is given for an item of ``data``: a bundled table's name, or a file."""
     if "bundled" in item:
         return str(item["bundled"])
-    return str(folder / "files" / safe_name(str(item["file"])))
+    return str(stored_file(folder, safe_name(str(item["file"]))))
 
 
 def chosen_item(state: State) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def _muscle(folder: str, content: str) -> Muscle:
     if said["kind"] == "catalogue":
         return catalogued(said["name"], rest_length=said.get("rest_length"))
     if said["kind"] == "file":
-        return load_muscle(Path(folder) / "files" / safe_name(said["file"]))
+        return load_muscle(stored_file(Path(folder), safe_name(said["file"])))
     if said["kind"] != "fit":
         raise InputError(f"muscle = {said['kind']!r} is no kind of muscle that the bench knows")
     return Muscle(
@@ -168,10 +168,10 @@ def own_plants(folder: Path) -> dict[str, str]:
     Names that are imported, or begin with _, are left out.
     """
     found: dict[str, str] = {}
-    for path in sorted((folder / "files").glob("*.py")):
+    for path in sorted((folder / "files").glob("[!.]*.py")):
         try:
-            body = ast.parse(path.read_bytes()).body
-        except (SyntaxError, ValueError):
+            body = ast.parse(stored_file(folder, path.name).read_bytes()).body
+        except (InputError, SyntaxError, ValueError):
             continue
         names = [s.name for s in body if isinstance(s, ast.FunctionDef | ast.ClassDef)]
         for assigned in body:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import secrets
+import shlex
 import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..core.errors import InputError, require_count
@@ -82,31 +83,61 @@ def serve(
         )
     if password is not None and len(password) < LEAST_PASSWORD:
         raise InputError(f"the password has {len(password)} characters; give {LEAST_PASSWORD}")
-    root = make_folder(folder if folder is not None else sessions_folder())
-    if os.name == "posix" and folder is None:
-        os.chmod(root, 0o700)
+    with _private():
+        _serve(host, port, password, names, folder, allow_code, browser, say)
+
+
+@contextmanager
+def _private() -> Iterator[None]:
+    """What is written meanwhile, here and by processes of our own, is for this user alone."""
+    before = os.umask(0o077)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+def _serve(
+    host: str,
+    port: int,
+    password: str | None,
+    names: Sequence[str],
+    folder: str | os.PathLike[str] | None,
+    allow_code: bool,
+    browser: bool,
+    say: Callable[[str], None],
+) -> None:
+    root = _root(folder, say)
     # before the framework is loaded, which would keep files of its own in the working folder
     os.environ.setdefault("NICEGUI_STORAGE_PATH", os.fspath(root / ".nicegui"))
     import uvicorn
 
     from .app import application
+    from .patience import Patient
 
     listening = _listen(host, port)
     number = int(listening.getsockname()[1])
-    token = None if password is not None else secrets.token_urlsafe(32)
     app = application(
         root,
         allow_code=allow_code,
         hosts=allowed_hosts(host, number, names),
-        token=token,
         password=password,
         name=f"pam_ocp_bench_{number}",
     )
-    address = f"http://{host}:{number}/" + (f"?token={token}" if token else "")
-    say(f"the bench is open: {address}\n(sessions in {root}; Ctrl-C ends it)")
+    plain = f"http://{host}:{number}/"
+
+    def open_at(used: Callable[[], None] = lambda: None) -> str:
+        return plain if password is not None else f"{plain}?token={app.ticket(used)}"
+
+    def another() -> None:
+        say(f"a browser has opened the page; for another one: {open_at(another)}")
+
+    say(f"the bench is open: {open_at(another)}\n(sessions in {root}; Ctrl-C ends it)")
     if host != LOCAL:
         say("what goes over the network is not encrypted; prefer an SSH tunnel (docs/bench.md)")
+    leading = _Leading(root)
     if browser:
+        address = plain if password is not None else leading.to(open_at(leading.remove))
         threading.Timer(0.5, webbrowser.open, (address,)).start()
     config = uvicorn.Config(
         app,
@@ -115,8 +146,52 @@ def serve(
         access_log=False,
         ws_max_size=4 * 2**20,
         timeout_graceful_shutdown=2,
+        http=Patient,
     )
-    uvicorn.Server(config).run(sockets=[listening])
+    try:
+        uvicorn.Server(config).run(sockets=[listening])
+    finally:
+        leading.remove()
+
+
+class _Leading:
+    """A file for this user alone that leads a browser on: its command line, which all users can
+    read, names the file.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._path = root / f".open-{os.getpid()}.html"
+
+    def to(self, address: str) -> str:
+        """The file's address."""
+        self.remove()
+        handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(
+                "<!doctype html><meta name=referrer content=no-referrer>"
+                f'<meta http-equiv=refresh content="0;url={address}"><a href="{address}">Open</a>'
+            )
+        return self._path.absolute().as_uri()
+
+    def remove(self) -> None:
+        """Once it has been used, or never was."""
+        with suppress(OSError):
+            self._path.unlink(missing_ok=True)
+
+
+def _root(folder: str | os.PathLike[str] | None, say: Callable[[str], None]) -> Path:
+    """The folder of sessions, this user's alone where we make it, or where nobody chose it."""
+    root = make_folder(folder if folder is not None else sessions_folder())
+    if os.name != "posix":
+        return root
+    if folder is None:
+        root.chmod(0o700)
+    elif root.stat().st_mode & 0o077:
+        say(
+            f"other users of this machine may look into {root}; what is written there now they "
+            f"cannot read. To close it: chmod go-rwx {shlex.quote(os.fspath(root))}"
+        )
+    return root
 
 
 def _listen(host: str, port: int) -> socket.socket:

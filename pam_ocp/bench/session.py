@@ -29,19 +29,30 @@ import secrets
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError, UnknownNameError
-from ..core.files import make_folder, read_json, write_json
+from ..core.files import atomic_path, make_folder, read_json, write_json
 from .lock import FolderLock
 
-__all__ = ["EMPTY", "PARTS", "Session", "SessionInUse", "safe_name", "saved_sessions"]
+__all__ = [
+    "EMPTY",
+    "PARTS",
+    "Session",
+    "SessionInUse",
+    "safe_name",
+    "saved_sessions",
+    "stored_file",
+]
 
 FORMAT = "pam_ocp bench 1"
 FILE = "session.json"
 MOST_STEPS = 100
 """Steps that can be undone."""
+DIGITS = 10
+"""Of a stored file's digest, in its name."""
 MOST_FILES = 200
 """Files in a session."""
 
@@ -77,6 +88,8 @@ class Session:
     def __init__(self, folder: Path) -> None:
         self.folder = make_folder(folder)
         make_folder(folder / "files")
+        with suppress(OSError):  # it may be one of before that others can read
+            self.folder.chmod(0o700)
         self._lock = FolderLock(folder / "lock")
         if not self._lock.taken:
             raise SessionInUse(f"{folder}: another bench has this session open; close it there")
@@ -218,16 +231,15 @@ class Session:
         there = self.folder / "files"
         if sum(1 for _ in there.iterdir()) >= MOST_FILES:
             raise InputError(f"{name}: this session holds {MOST_FILES} files; begin another one")
-        kept = safe_name(f"{hashlib.sha256(content).hexdigest()[:10]}-{safe_name(name)}")
-        if not (there / kept).exists():
-            (there / kept).write_bytes(content)
+        kept = safe_name(f"{hashlib.sha256(content).hexdigest()[:DIGITS]}-{safe_name(name)}")
+        if not _whole(there / kept):
+            with atomic_path(there / kept) as temporary:
+                temporary.write_bytes(content)
         return kept
 
     def path(self, file: str) -> Path:
         """Where a stored file lies. Raises InputError for a name that leads elsewhere."""
-        if file != safe_name(file):
-            raise InputError(f"file = {file!r} is no name of a file in this session")
-        return self.folder / "files" / file
+        return stored_file(self.folder, file)
 
     # ---- the disk ------------------------------------------------------------------------------
     def save(self) -> None:
@@ -253,6 +265,32 @@ class Session:
                         f"{path}: a step of its {name} is damaged; begin a new session"
                     )
                 steps.append((str(step[0]), _state(path, step[1])))
+
+
+def stored_file(folder: Path, file: str) -> Path:
+    """Where a file lies that was dropped on the page of the session in ``folder``.
+
+    Raises InputError for a name that leads elsewhere, and for half a file (what a full disk left).
+    """
+    if file != safe_name(file):
+        raise InputError(f"file = {file!r} is no name of a file in this session")
+    path = folder / "files" / file
+    if re.match(f"[0-9a-f]{{{DIGITS}}}-", file) and path.exists() and not _whole(path):
+        raise InputError(f"{file} is not what was dropped on the page; drop the file again")
+    return path
+
+
+def _whole(path: Path) -> bool:
+    """Whether a stored file is there and holds what its name says (the content's digest)."""
+    with suppress(OSError):
+        told = path.stat()
+        return _digest(path, told.st_mtime_ns, told.st_size) == path.name.partition("-")[0]
+    return False
+
+
+@lru_cache(maxsize=MOST_FILES)
+def _digest(path: Path, changed: int, size: int) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:DIGITS]
 
 
 def saved_sessions(root: Path) -> list[tuple[str, float]]:

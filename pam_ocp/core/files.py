@@ -6,6 +6,7 @@ one sentence, and quickly. Limits are far above what measurements and plans need
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -16,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ __all__ = [
     "content_of",
     "json_of",
     "make_folder",
+    "members_of",
     "read_json",
     "read_npz",
     "read_toml",
@@ -59,12 +61,22 @@ MOST_UNPACKED = 2 * 2**30
 """Bytes that a packed file (.npz, .mat) may hold, asked of its directory before it is unpacked."""
 MOST_MEMBERS = 1000
 """Files in a packed file."""
+MOST_DIRECTORY = 4 * 2**20
+"""Bytes of a packed file's directory, each entry of which becomes an object of Python."""
+MOST_JSON = 64 * 2**20
+"""Bytes of JSON that says what something is (a fit, a session, what stands beside arrays)."""
+MOST_JSON_PARTS = 2_000_000
+"""Lists and mappings in JSON, or lines of it."""
+MOST_JSON_VALUES = 20_000_000
+"""Numbers and texts in JSON."""
 MOST_COLUMNS = 2000
 """Of a table."""
 MOST_ROWS = 20_000_000
 """Of a table."""
 MOST_CELLS = 100_000_000
 """Rows times columns of a table."""
+MOST_LINE = 2**20
+"""Characters of a line of text."""
 MOST_SHEET_BYTES = 64 * 2**20
 """Bytes that a spreadsheet (.xlsx) may hold: its cells are text, unpacked and read one by one."""
 MOST_SHEET_CELLS = 2_000_000
@@ -211,14 +223,51 @@ def require_size(
             )
 
 
-def require_unpacked(path: str | os.PathLike[str], most: int = MOST_UNPACKED) -> None:
+class _Cautious(io.FileIO):
+    """A zip file whose directory is looked at: not more of it than it may have is read at once."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = os.fstat(self.fileno()).st_size - self.tell()
+        if (left if size is None or size < 0 else min(size, left)) > MOST_DIRECTORY:
+            raise InputError(
+                f"its directory has more than {MOST_DIRECTORY / 2**20:g} MiB; pack fewer files"
+            )
+        return super().read(size)
+
+
+def members_of(path: str | os.PathLike[str]) -> list[ZipInfo]:
+    """The directory of a zip file, of a size that is bounded before it is read.
+
+    What is stored or deflated, as the formats ask, unpacks to what the directory says at most, and
+    in bounded steps (of bzip2 and LZMA zipfile unpacks a whole step, which can be gigabytes).
+
+    Raises InputError for a larger directory and for other methods, BadZipFile for what is no zip.
+    """
+    with _Cautious(os.fspath(path)) as file, ZipFile(file) as archive:
+        members = archive.infolist()
+    for member in members:
+        if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            raise InputError(
+                f"{member.filename[:80]!r} is packed by method {member.compress_type}; "
+                "pack it anew, deflated"
+            )
+    return members
+
+
+def require_unpacked(
+    path: str | os.PathLike[str], most: int = MOST_UNPACKED, *, meta: int = MOST_UNPACKED
+) -> None:
     """Raises InputError for a packed file that would unpack to more than ``most`` bytes.
 
-    Only its directory is read. No member can be longer than the directory says.
+    meta : bytes that the member of this name (.npy) may have. Only the directory is read.
     """
-    with ZipFile(path) as archive:
-        members = archive.infolist()
+    members = members_of(path)
     size = sum(m.file_size for m in members)
+    told = max((m.file_size for m in members if m.filename in ("meta", "meta.npy")), default=0)
+    if told > meta:
+        raise InputError(
+            f"its 'meta' unpacks to {told / 2**20:.0f} MiB, more than the {meta / 2**20:g} allowed"
+        )
     if size > most or len(members) > MOST_MEMBERS:
         raise InputError(
             f"{os.fspath(path)} unpacks to {len(members)} parts of {size / 2**20:.0f} MiB; at most "
@@ -231,7 +280,7 @@ def read_json(path: str | os.PathLike[str], kind: str, form: str, remedy: str) -
 
     kind : what should be in it, for the message. Raises InputError for any other file.
     """
-    text = content_of(path)
+    text = content_of(path, MOST_JSON)
     with reading(path, kind, remedy):
         content = json_of(text)
     return require_format(path, content, kind, form, remedy)
@@ -245,7 +294,13 @@ def json_of(text: bytes, infinite: bool = False) -> Any:
     codes = np.frombuffer(re.sub(rb'"(?:[^"\\]|\\.)*"', b"", text, flags=re.DOTALL), np.uint8)
     opening = ((codes == ord("[")) | (codes == ord("{"))).astype(np.int8)
     closing = ((codes == ord("]")) | (codes == ord("}"))).astype(np.int8)
-    _require_shallow(np.cumsum(opening - closing, dtype=np.int64))
+    _require_shallow(np.cumsum(opening - closing, dtype=np.int32))
+    parts, values = int(np.count_nonzero(opening)), int(np.count_nonzero(codes == ord(",")))
+    if parts > MOST_JSON_PARTS or values > MOST_JSON_VALUES:
+        raise ValueError(
+            f"it has {parts} lists and mappings with {values} values, more than the "
+            f"{MOST_JSON_PARTS} and {MOST_JSON_VALUES} allowed"
+        )
     return json.loads(text.decode("utf-8"), parse_constant=float if infinite else _no_number)
 
 
@@ -287,10 +342,13 @@ def read_npz(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], d
     """
     require_file(path)
     with reading(path, kind, "give a whole one, as it was saved", foreign=True):
-        require_unpacked(path)
+        require_unpacked(path, meta=4 * MOST_JSON)  # NumPy has four bytes for each character
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        content = json_of(str(arrays.pop("meta")).encode(), infinite=True)
+            meta = file["meta"]
+            if meta.shape != () or meta.dtype.kind != "U":
+                raise InputError("its 'meta' is not one text")
+            content = json_of(str(meta).encode(), infinite=True)
+            arrays = {name: file[name] for name in file.files if name != "meta"}
     if not isinstance(content, dict):
         raise InputError(f"{os.fspath(path)} is no {kind.removeprefix('a ')}; save one anew")
     return content, arrays
@@ -306,11 +364,20 @@ def require_format(
 
 
 # ---- writing -------------------------------------------------------------------------------------
+def _require_short(path: str | os.PathLike[str], text: str | bytes) -> None:
+    if len(text) > MOST_JSON:  # it could not be read again
+        raise InputError(
+            f"{os.fspath(path)} was not written: {len(text) / 2**20:.0f} MiB of words and numbers, "
+            f"at most {MOST_JSON / 2**20:g} are read again; keep less in one"
+        )
+
+
 def write_json(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
     """Write a mapping as JSON; numbers must be finite. Returns the path."""
     with atomic_path(path) as temporary:
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        temporary.write_text(text, encoding="utf-8")
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False).encode()
+        _require_short(path, text)
+        temporary.write_bytes(text)
     return Path(path)
 
 
@@ -319,6 +386,8 @@ def write_npz(
 ) -> Path:
     """Write arrays by name, and beside them a mapping as JSON under "meta". Returns the path."""
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        meta = np.array(json.dumps(content, default=float))
+        text = json.dumps(content, default=float)
+        _require_short(path, text)
+        meta = np.array(text)
         np.savez_compressed(file, allow_pickle=False, meta=meta, **arrays)
     return Path(path)

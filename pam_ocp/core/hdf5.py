@@ -16,6 +16,8 @@ __all__ = ["tree_of"]
 
 MOST_OBJECTS = 20_000
 """Groups, datasets and references of a file."""
+MOST_ENTRIES = 1_000_000
+"""Texts, their characters (of MATLAB) and cells of a file."""
 MOST_LEVELS = 16
 
 
@@ -24,6 +26,7 @@ class _Reader:
 
     def __init__(self, file: Any, most: int) -> None:
         self.file, self.left, self.objects = file, most, MOST_OBJECTS
+        self.entries = MOST_ENTRIES
 
     def value(self, thing: Any, level: int) -> Any:
         self.objects -= 1
@@ -35,6 +38,13 @@ class _Reader:
         if hasattr(thing, "keys"):
             return self.group(thing, level)
         return self.dataset(thing, level)
+
+    def take(self, entries: int) -> None:
+        self.entries -= entries
+        if self.entries < 0:
+            raise InputError(
+                f"it holds more than {MOST_ENTRIES} texts and cells; save the table as CSV"
+            )
 
     def group(self, group: Any, level: int) -> dict[str, Any]:
         import h5py
@@ -64,7 +74,9 @@ class _Reader:
             raise InputError("it unpacks to more than is allowed; save it as CSV in parts")
         if h5py.check_dtype(ref=data.dtype) is not None:
             return self.cells(data, level)
-        values = data[()]
+        if kind == "char" or data.dtype.kind in "OSV":  # becomes an object of Python each
+            self.take(data.size)
+        values = self.read(data)
         if kind == "char":
             return np.array(["".join(map(chr, row)) for row in np.atleast_2d(values.T)])
         if getattr(values, "dtype", None) is not None and values.dtype.kind in "OS":
@@ -73,8 +85,24 @@ class _Reader:
             return values.T
         return values
 
+    def read(self, data: Any) -> Any:
+        """What a dataset holds. Texts of any length may all lie in one place of the file, so they
+        are read in blocks that hold what is left even if each were as long as the file.
+        """
+        if data.dtype.kind != "O" or not data.shape:
+            return data[()]
+        found = np.empty(data.shape, dtype=object)
+        row = int(np.prod(data.shape[1:])) * self.file.id.get_filesize()
+        for start in range(0, data.shape[0], block := max(1, self.left // max(1, row))):
+            found[start : start + block] = part = data[start : start + block]
+            self.left -= sum(len(v) for v in np.ravel(part) if hasattr(v, "__len__"))
+            if self.left < 0:
+                raise InputError("it unpacks to more than is allowed; save it as CSV in parts")
+        return found
+
     def cells(self, data: Any, level: int) -> Any:
         """An array of objects, as MATLAB shows it."""
+        self.take(data.size)
         made = np.empty(data.shape, dtype=object)
         for index, reference in np.ndenumerate(data[()]):
             made[index] = self.value(self.file[reference], level + 1) if reference else None

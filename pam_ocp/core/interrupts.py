@@ -9,6 +9,7 @@ where the verb ends.
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found, unused-ignore]  # without signal's enumerations
 import _thread
 import os
 import signal
@@ -81,16 +82,11 @@ class Interrupts(ContextDecorator):
         if not in_main():
             return
         if self.depth == 0:
-            if not self._before:
-                self.error, self.native, self.held = None, 0, 0
-            for number in SIGNALS:
-                before = signal.getsignal(number)
-                if callable(before) and before != self._arrived:
-                    self._before[number] = before
-                    signal.signal(number, self._arrived)
-            if signal.getsignal(TICK) in (signal.SIG_DFL, signal.SIG_IGN):
-                self._before[TICK] = signal.getsignal(TICK)
-                signal.signal(TICK, self._ticked)
+            try:
+                self._install()
+            except BaseException:  # of a handler that was not yet wrapped
+                self._restore()
+                raise
         # last, and no call behind it: what a handler raises above leaves the depth as it was
         self.depth += 1
 
@@ -108,13 +104,36 @@ class Interrupts(ContextDecorator):
             return
         self.depth = 0
         try:
-            for number, before in list(self._before.items()):
-                signal.signal(number, before)
-                del self._before[number]
+            self._restore()
         finally:  # a handler that is back in its place may raise above
             pending, self.error = self.error, None
         if pending is not None and pending is not error:
             raise pending
+
+    def _install(self) -> None:
+        if not self._before:
+            self.error, self.native, self.held = None, 0, 0
+        for number in SIGNALS:
+            before = _signal.getsignal(number)
+            if callable(before) and before != self._arrived:
+                self._before[number] = before
+                _signal.signal(number, self._arrived)
+        before = _signal.getsignal(TICK)
+        if before in (signal.SIG_DFL, signal.SIG_IGN):
+            self._before[TICK] = before
+            _signal.signal(TICK, self._ticked)
+
+    def _restore(self) -> None:
+        """Handlers as they were. One that is back in its place may raise; then the others still
+        follow.
+        """
+        try:
+            for number in list(self._before):
+                _signal.signal(number, self._before[number])
+                del self._before[number]
+        except BaseException:
+            self._restore()
+            raise
 
     def _arrived(self, number: int, frame: FrameType | None) -> None:
         """A signal."""

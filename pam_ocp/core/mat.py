@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from itertools import islice
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -43,6 +44,10 @@ _CELL, _STRUCTURE, _CHARACTERS, _DOUBLE, _LAST, _OPAQUE = 1, 2, 4, 6, 15, 17
 _COMPLEX = 0x0800
 MOST_ENTRIES = 1_000_000
 """Of all cells and structures of a file, each of which becomes an object of Python."""
+MOST_CHARACTERS = 10_000_000
+"""Of all its text."""
+HEADERS = 8
+"""Elements of a matrix that are none of its entries, at most."""
 MOST_LEVELS = 16
 """Cells and structures within each other."""
 
@@ -51,7 +56,13 @@ class _Budget:
     """What may still be made of a file."""
 
     def __init__(self) -> None:
-        self.entries = MOST_ENTRIES
+        self.entries, self.characters = MOST_ENTRIES, MOST_CHARACTERS
+
+    def text(self, size: int, rows: int) -> None:
+        self.characters -= size
+        if self.characters < 0:
+            raise ValueError(f"its text has more than {MOST_CHARACTERS} characters")
+        self.take(rows, 0)
 
     def take(self, entries: int, level: int) -> None:
         self.entries -= entries
@@ -75,16 +86,17 @@ def matrices_of(content: bytes, most: int) -> dict[str, Any]:
     if order is None or content[:10] != b"MATLAB 5.0":
         raise InputError("it is no MAT file of version 5; save it with -v7, or as CSV")
     found, budget, objects = {}, _Budget(), []
-    for kind, part in _elements(content[_HEADER:], order):
+    # views: parts within parts are copied nowhere
+    for kind, part in _elements(memoryview(content)[_HEADER:], order):
         if kind == _PACKED:
             unpacker = zlib.decompressobj()
-            part = unpacker.decompress(part, most + 1)
-            most -= len(part)
+            unpacked = unpacker.decompress(part, most + 1)
+            most -= len(unpacked)
             if most < 0:
                 raise InputError("it unpacks to more than is allowed; save it as CSV in parts")
             if not unpacker.eof:
                 raise ValueError("a packed matrix is cut off")
-            kind, part = next(_elements(part, order))
+            kind, part = next(_elements(memoryview(unpacked), order))
         if kind == _MATRIX:
             name, value = _matrix(part, order, budget)
             if value is None and name:
@@ -99,7 +111,7 @@ def matrices_of(content: bytes, most: int) -> dict[str, Any]:
     return found
 
 
-def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
     """(kind, bytes) of the elements that follow each other."""
     at = 0
     while at < len(content):
@@ -116,17 +128,20 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         at = end
 
 
-def _matrix(content: bytes, order: str, budget: _Budget, level: int = 0) -> tuple[str, Any]:
+def _matrix(content: memoryview, order: str, budget: _Budget, level: int = 0) -> tuple[str, Any]:
     """(name, what it holds); None for what is left out."""
     if not content:  # an entry of a cell that was never set
         return "", np.empty((0, 0))
-    parts = list(_elements(content, order))
+    most = budget.entries + HEADERS
+    parts = list(islice(_elements(content, order), most + 1))
+    if len(parts) > most:
+        budget.take(len(parts), level)
     flags = int(_numbers(*parts[0], order)[0])
     kind = flags & 0xFF
     if kind == _OPAQUE:
-        return parts[1][1].decode("ascii"), None
+        return str(parts[1][1], "ascii"), None
     shape = [int(n) for n in _numbers(*parts[1], order)]
-    name = parts[2][1].decode("ascii")
+    name = str(parts[2][1], "ascii")
     if len(shape) < 2 or min(shape) < 0:
         raise ValueError(f"variable {name!r} has the shape {shape}")
     if kind == _CELL:
@@ -138,8 +153,10 @@ def _matrix(content: bytes, order: str, budget: _Budget, level: int = 0) -> tupl
     if flags & _COMPLEX:
         raise InputError(f"variable {name!r} is complex; save its parts as real numbers")
     stored, data = parts[3]
+    if kind == _CHARACTERS:
+        budget.text(len(data), shape[0])
     if kind == _CHARACTERS and stored == _UTF8 and shape[0] == 1:  # characters of several bytes
-        return name, np.array([data.decode("utf-8").rstrip()])
+        return name, np.array([str(data, "utf-8").rstrip()])
     numbers = _numbers(stored, data, order)
     if float(np.prod(np.array(shape, float))) != numbers.size:
         raise ValueError(f"variable {name!r} has {numbers.size} entries, its shape says {shape}")
@@ -150,7 +167,7 @@ def _matrix(content: bytes, order: str, budget: _Budget, level: int = 0) -> tupl
 
 
 def _inside(
-    parts: list[tuple[int, bytes]], order: str, budget: _Budget, level: int
+    parts: list[tuple[int, memoryview]], order: str, budget: _Budget, level: int
 ) -> Iterator[Any]:
     budget.take(len(parts), level + 1)
     for kind, part in parts:
@@ -160,7 +177,7 @@ def _inside(
 
 
 def _cells(
-    parts: list[tuple[int, bytes]], shape: list[int], order: str, budget: _Budget, level: int
+    parts: list[tuple[int, memoryview]], shape: list[int], order: str, budget: _Budget, level: int
 ) -> Array:
     count = float(np.prod(np.array(shape, float)))
     if count != len(parts):
@@ -172,11 +189,11 @@ def _cells(
 
 
 def _structure(
-    parts: list[tuple[int, bytes]], shape: list[int], order: str, budget: _Budget, level: int
+    parts: list[tuple[int, memoryview]], shape: list[int], order: str, budget: _Budget, level: int
 ) -> Any:
     """A dict, or a list of dicts where there are several (or none)."""
     width = int(_numbers(*parts[0], order)[0])
-    letters = parts[1][1]
+    letters = bytes(parts[1][1])
     if width <= 0 or len(letters) % width:
         raise ValueError(f"names of fields are {width} long, {len(letters)} bytes hold them")
     names = [
@@ -192,7 +209,7 @@ def _structure(
     return made[0] if len(made) == 1 else made
 
 
-def _numbers(kind: int, content: bytes, order: str) -> Array:
+def _numbers(kind: int, content: memoryview, order: str) -> Array:
     if kind not in _STORED:
         raise ValueError(f"an element of kind {kind} stands where numbers are expected")
     return np.frombuffer(content, f"{order}{_STORED[kind]}")

@@ -258,20 +258,25 @@ def require_known_keywords(
 
 
 def turns(function: Callable[P, R]) -> Callable[P, R]:
-    """A quick method that evaluates CasADi's objects: threads take turns."""
+    """A quick method that builds or evaluates CasADi's objects: threads take turns, signals come
+    out.
+    """
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        with LOCK:
+        with _signals, LOCK:
             return function(*args, **kwargs)
 
     return called
 
 
+_METHODS = ("__init__", "__call__", "__post_init__", "__getitem__", "__str__")
+
+
 def locked(cls: C) -> C:
-    """A class whose own methods evaluate CasADi's objects: threads take turns in all of them."""
+    """A class whose own methods evaluate CasADi's objects: all of them are :func:`turns`."""
     for name, member in list(vars(cls).items()):
-        plain = not name.startswith("__") or name in ("__init__", "__call__", "__post_init__")
+        plain = not name.startswith("__") or name in _METHODS
         if plain and isinstance(member, FunctionType):
             setattr(cls, name, verb(member) if name == "__init__" else turns(member))
         elif isinstance(member, property) and member.fget is not None:

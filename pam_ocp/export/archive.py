@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from xml.parsers import expat
 
 from ..core.errors import InputError
+from ..core.files import members_of
 
 __all__ = ["UnsafeFileError", "printable", "require_safe"]
 
@@ -35,8 +36,11 @@ def require_safe(path: Path) -> None:
 
     Raises zipfile.BadZipFile and OSError for what is no archive.
     """
+    try:
+        files = members_of(path)
+    except InputError as error:
+        raise UnsafeFileError(f"{error}: the archive is not unpacked") from None
     with zipfile.ZipFile(path) as archive:
-        files = archive.infolist()
         finding = _amount(files) or next(filter(None, map(_name, files)), "")
         if finding:
             raise UnsafeFileError(f"{finding}: the archive is not unpacked")

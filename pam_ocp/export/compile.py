@@ -13,12 +13,14 @@ import sys
 import tempfile
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata, util
 from pathlib import Path
 
 from ..core.errors import ExportError, UnknownNameError, require_names
+from ..core.processes import Processes
 from .cache import cache_folder, home_folder, keep, kept, usable_folder
 from .runtime import c_text
 
@@ -168,11 +170,16 @@ def _key(sources: Mapping[str, str], command: Iterable[str], version: str) -> st
 
 
 def compile_library(
-    sources: Mapping[str, str], main: str, platform: Platform, identifier: str
+    sources: Mapping[str, str],
+    main: str,
+    platform: Platform,
+    identifier: str,
+    processes: Processes | None = None,
 ) -> bytes:
     """The shared library ``identifier`` for one platform, from the cache when it is there.
 
-    Raises ExportError with the compiler's words when the sources do not compile.
+    processes : among them the compiler runs, where several do. Raises ExportError with the
+    compiler's words when the sources do not compile.
     """
     compiler = _compiler()
     output = f"{identifier}{platform.suffix}"
@@ -184,7 +191,8 @@ def compile_library(
     library = kept(stored)
     LOG.info("%s: %s", output, "compiling" if library is None else "from the cache")
     if library is None:
-        library = _compile(sources, command + _headers(command), output, platform)
+        with nullcontext(processes) if processes else Processes() as running:
+            library = _compile(running, sources, command + _headers(command), output, platform)
         keep(stored, library)
     return library
 
@@ -198,38 +206,22 @@ def _headers(command: Iterable[str]) -> list[str]:
 
 
 def _compile(
-    sources: Mapping[str, str], command: list[str], output: str, platform: Platform
+    running: Processes,
+    sources: Mapping[str, str],
+    command: list[str],
+    output: str,
+    platform: Platform,
 ) -> bytes:
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as name:
         folder = Path(name)
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8", newline="\n")
         # relative names and an empty surrounding: no path of this machine gets into the binary
-        done = _run(command, folder)
+        done = running.run(command, folder, _environment())
         if done.returncode != 0:
             words = done.stderr.strip().splitlines()[:5]
             raise ExportError(f"the compiler failed for {platform.name}: {' / '.join(words)}")
         return (folder / output).read_bytes()
-
-
-_running: set[subprocess.Popen[str]] = set()
-"""Compilers at work: interrupted, we end them."""
-
-
-def _run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    pipe = subprocess.PIPE
-    with subprocess.Popen(
-        command, cwd=folder, env=_environment(), stdout=pipe, stderr=pipe, text=True
-    ) as process:
-        _running.add(process)
-        try:
-            out, errors = process.communicate()
-        except BaseException:
-            process.kill()
-            raise
-        finally:
-            _running.discard(process)
-    return subprocess.CompletedProcess(command, process.returncode, out, errors)
 
 
 def _environment() -> dict[str, str]:
@@ -259,14 +251,15 @@ def compile_all(
 ) -> dict[str, bytes]:
     """The library for each platform, by the platform's name; two compilers at a time."""
     chosen = list(platforms)
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with ThreadPoolExecutor(max_workers=2) as pool, Processes() as running:
+
+        def compiled(platform: Platform) -> bytes:
+            return compile_library(sources, main, platform, identifier, running)
+
         try:
-            libraries = pool.map(lambda p: compile_library(sources, main, p, identifier), chosen)
-            return dict(zip((p.name for p in chosen), libraries, strict=True))
+            return dict(zip((p.name for p in chosen), pool.map(compiled, chosen), strict=True))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in list(_running):
-                process.kill()
             raise
 
 

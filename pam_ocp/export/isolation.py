@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ..core.errors import SimulationError
+from ..core.processes import end, start
 from ..numerics.blas import environment
 from .archive import printable
 
@@ -46,7 +47,6 @@ _START_TIME = 120.0
 _GRACE = 1.0
 """For a process to end of itself when it has told everything [s]."""
 _POLL = 0.05
-_WATCH = 0.5
 _NOTE = 128
 _BOOT = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -81,7 +81,7 @@ def run_alone(
     heard : called here with the keywords of each ``tell``.
 
     The process ends with this call, however it is left, and with this process; also what it has
-    started. Raises SimulationError when it cannot be started.
+    started (core/supervisor.py). Raises SimulationError when it cannot be started.
     """
     note = folder / "call"
     note.write_bytes(bytes(_NOTE))
@@ -92,22 +92,21 @@ def run_alone(
             _send(process, worker, job)
             return _wait(process, messages, folder, time_limit, heard)
         finally:
-            _end(process)
+            end(process)
+            with contextlib.suppress(OSError):
+                process.stdin.close()  # type: ignore[union-attr]
 
 
 def _start(folder: Path, words: Any) -> subprocess.Popen[bytes]:
-    apart: dict[str, Any] = {"start_new_session": True}
-    if sys.platform == "win32":
-        apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
     try:
-        return subprocess.Popen(
+        return start(
             [sys.executable, "-c", _BOOT],
+            os.fspath(folder),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,
             cwd=folder,
             env=environment(),
-            **apart,
         )
     except (OSError, ValueError, TypeError) as error:
         raise SimulationError(
@@ -116,11 +115,11 @@ def _start(folder: Path, words: Any) -> subprocess.Popen[bytes]:
 
 
 def _send(process: subprocess.Popen[bytes], worker: str, job: Mapping[str, Any]) -> None:
-    """The job; the pipe stays open, and its end tells the child that this process is gone."""
+    """The job; the pipe stays open, and its end tells that this process is gone (on Windows)."""
     assert process.stdin is not None
     path = [os.path.abspath(p) for p in sys.path]
     with contextlib.suppress(BrokenPipeError):  # it died: seen by waiting for it
-        for part in (path, (worker, dict(job), os.getpid())):
+        for part in (path, (worker, dict(job))):
             process.stdin.write(pickle.dumps(part))
         process.stdin.flush()
 
@@ -130,8 +129,9 @@ def _listen(process: subprocess.Popen[bytes]) -> queue.Queue[dict[str, Any] | No
 
     def read() -> None:
         assert process.stdout is not None
-        with contextlib.suppress(ValueError, OSError):  # half a line; or closed by _end
-            for line in process.stdout:
+        # nobody else closes the pipe: what escapes its end may hold it open for ever
+        with contextlib.suppress(ValueError), process.stdout as answers:  # half a line
+            for line in answers:
                 messages.put(json.loads(line))
         messages.put(None)
 
@@ -223,28 +223,15 @@ def _how(code: int | None) -> str:
     return _SIGNALS.get(name, f"was ended by {name}")
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the process and whatever it has started."""
-    if hasattr(os, "killpg"):
-        with contextlib.suppress(OSError):
-            os.killpg(process.pid, signal.SIGKILL)
-    with contextlib.suppress(OSError):
-        process.kill()
-    process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
-
-
 # ---- child ---------------------------------------------------------------------------------------
 
 
 def _serve() -> None:
     """The child's whole life: a job on standard input, answers on standard output."""
-    worker, job, parent = pickle.load(sys.stdin.buffer)
+    worker, job = pickle.load(sys.stdin.buffer)
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    _die_with(parent, os.dup(0))
+    if sys.platform == "win32":  # elsewhere the supervisor looks for the parent
+        _die_with(os.dup(0))
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)  # what the unit reads and writes is not ours
     os.dup2(2, 1)
@@ -277,33 +264,18 @@ def _serve() -> None:
     os._exit(0)  # what the unit has left behind is not asked to go in order
 
 
-def _die_with(parent: int, pipe: int) -> None:
-    """Watch for the end of the parent: its end of the pipe is closed, or this process has another
-    one.
-
-    Then the folder is removed, and this process ends with whatever the unit has started. (Not left
-    to Linux' signal at a parent's death, which would leave both behind.)
-    """
+def _die_with(pipe: int) -> None:
+    """End this process, and remove its folder, once the parent's end of the pipe is closed."""
     folder = os.getcwd()
-    gone = threading.Event()
 
-    def wait_for_end() -> None:
+    def watch() -> None:
         with contextlib.suppress(OSError):  # the unit has closed it
             while os.read(pipe, 1024):
                 pass
-        gone.set()
-
-    def watch() -> None:
-        # a copy of the pipe's end may live on in what the parent has forked
-        while not gone.wait(_WATCH) and (os.name == "nt" or os.getppid() == parent):
-            pass
         shutil.rmtree(folder, ignore_errors=True)
-        if hasattr(os, "killpg"):
-            os.killpg(0, signal.SIGKILL)
         os._exit(1)
 
-    for work in (wait_for_end, watch):
-        threading.Thread(target=work, daemon=True).start()
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _limit() -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.files import atomic_path
 from ..core.signals import PiecewisePolynomial
+from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..plants.plant import Plant
@@ -32,6 +33,7 @@ _JUMP = 1e-9
 _WORK = {"PLANT_ARG": 6, "PLANT_RES": 3, "PLANT_IW": 1, "PLANT_W": 1}
 
 
+@verb
 def export_motion(
     motion: Trajectory,
     path: str | os.PathLike[str],

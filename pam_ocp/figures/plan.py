@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..core.errors import require_instance
+from ..core.stop import turns
 from ..core.variables import Variable
 from ..planning.result import Plan
 from .canvas import COLOURS, axis_label, new_figure
@@ -227,6 +228,7 @@ def _spans(limit: Limit) -> list[tuple[float, float]]:
     return spans
 
 
+@turns
 def plot_costates(plan: Plan) -> Figure:
     """What a change of each state at each time would cost: d(objective)/d(state) over time.
 

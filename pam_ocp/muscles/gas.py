@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.errors import InputError, require_finite, require_positive
 from ..core.registry import Registry
+from ..core.stop import turns
 from .law import FloatOrSX
 from .pneumatic_muscle import Muscle
 
@@ -208,6 +209,7 @@ class PolynomialVolume:
         return ca.SX(sum(terms[1:], terms[0]))
 
 
+@turns
 def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> Any:
     """Volume of the gas [m3] at contraction ``kappa`` (arrays go through); no dead volume.
 
@@ -382,6 +384,7 @@ class Gas:
         return Chamber(total, slope, ca.SX(exponent), temperature, ambient, area)
 
 
+@turns
 def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None) -> Any:
     """Stiffness with closed valve [N/m]: the gas is compressed, p_abs V^n stays constant.
 
@@ -410,6 +413,7 @@ def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None)
 # ---- flow ---------------------------------------------------------------------------------------
 
 
+@turns
 def iso6358(
     upstream: Any,
     downstream: Any,
@@ -476,6 +480,7 @@ def conductance_from_flow(
     return flow / 60e3 / (upstream * subsonic)
 
 
+@turns
 def specific_exergy(absolute: Any, ambient: Any, temperature: Any, own: Any = None) -> Any:
     """Work that air at this pressure and ambient temperature can do: R T ln(p/p0) [J/kg].
 

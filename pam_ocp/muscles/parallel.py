@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError, require_count
+from ..core.stop import turns
 from .law import ForceLaw
 from .pneumatic_muscle import Muscle
 
@@ -20,6 +21,7 @@ PROBES = (np.array([1e5, 3e5, 5e5]), np.array([0.02, 0.11, 0.19]))
 """Pressures and contractions at which a law is looked at."""
 
 
+@turns
 def in_parallel(muscle: Muscle, count: int) -> Muscle:
     """``count`` equal muscles side by side on the same load, as one muscle.
 

@@ -152,7 +152,6 @@ def nlpsol(
     report : called with (x, f, g) at each iteration of IPOPT.
     """
     one_thread()
-    options = {**options}
     watch = None
     # CasADi's own look at the bounds also prints lines about equations in excess, one per call:
     # a conflict is told by whoever asked; what is ill-posed by _require_bounds

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
 from ..core.errors import InputError
-from ..core.stop import verb
+from ..core.stop import turns, verb
 from ..numerics.newton import Array, NewtonError, casadi_equations, newton
 from ..plants.plant import Plant
 from .held import Memory
@@ -57,6 +57,7 @@ class StabilityPath:
         """Whether each point of rest is stable."""
         return np.asarray(self.growth < 0)
 
+    @turns
     def column(self, name: str) -> Array:
         """A state, input or output along the path [its unit]."""
         return np.array([point[name] for point in self.points])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.shown import shown
+from ..core.stop import locked
 from ..plants.plant import Plant
 from .held import held_names
 from .stuck import Stuck
@@ -23,6 +24,7 @@ MARGIN = 1e-8
 
 
 @shown
+@locked
 @dataclass(frozen=True)
 class OperatingPoint:
     """States, inputs and outputs of a plant at one point; ``point["x"]`` gives a value [SI].

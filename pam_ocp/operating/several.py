@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_count
 from ..core.shown import shown
-from ..core.stop import TimeIsUp, deadline, spared, verb
+from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..plants.plant import Plant, Values
 from .held import Memory, held
 from .rest import Rest, posed
@@ -129,6 +129,7 @@ class Band:
     above: OperatingPoint | None
     """Come to from above, from afar; None where that leaves the bounds."""
 
+    @turns
     def __getitem__(self, name: str) -> tuple[float, float]:
         """Lowest and highest value [SI] of a variable among the ends and the virgin point."""
         values = [p[name] for p in (self.virgin, self.below, self.above) if p is not None]
@@ -180,6 +181,7 @@ class EquilibriumPath:
     folds: tuple[OperatingPoint, ...] = ()
     """Points at which the path turns back (of :func:`equilibrium_branch` only)."""
 
+    @turns
     def __getitem__(self, name: str) -> Array:
         return np.array([point[name] for point in self.points])
 

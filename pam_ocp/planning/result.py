@@ -16,6 +16,7 @@ from .. import courtesy
 from ..core.errors import InputError, PlanError, PlanWarning
 from ..core.shown import shown
 from ..core.signals import PiecewisePolynomial
+from ..core.stop import turns
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
 from ..judge.motion import Judgement, Motion
@@ -207,6 +208,7 @@ class Plan:
         return self._samples
 
     @cached_property
+    @turns
     def arcs(self) -> tuple[Arc, ...]:
         """What leads each input when: arcs along one of its limits, or "interior"; input by input.
 
@@ -306,6 +308,7 @@ class Plan:
         self.__dict__.update(state, _statement=statement, _problem=problem)
 
     # ---- files and figures ----------------------------------------------------------------------
+    @turns
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
         return courtesy.save_plan(self, path)

@@ -9,6 +9,7 @@ from typing import Any, Protocol, cast
 
 import casadi as ca
 
+from ..core.stop import turns
 from ..core.system import Declares
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
@@ -152,6 +153,7 @@ def as_feed(value: Any) -> Feed:
 _UNITS = {"rest_length": ("m", 0.1), "slack_width": ("N", 1.0)}
 
 
+@turns
 def attach(
     plant: Declares,
     name: str,

@@ -13,6 +13,7 @@ from typing import Any, Protocol, cast
 import casadi as ca
 
 from ..core.errors import InputError, require_finite, require_positive
+from ..core.stop import turns
 from ..core.system import Declares
 from ..muscles.law import clamp
 from .components import components
@@ -364,6 +365,7 @@ def as_loads(value: Any) -> tuple[Load, ...]:
     return cast("tuple[Load, ...]", components("loads", value, "Spring(1e3)"))
 
 
+@turns
 def applied(plant: Declares, loads: Load | Sequence[Load], at: Coordinate) -> tuple[ca.SX, ca.SX]:
     """(sum of the forces, sum of the added inertias) of all loads at a coordinate.
 

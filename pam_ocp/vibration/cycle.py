@@ -14,7 +14,7 @@ from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_count, require_positive
 from ..core.shown import shown
 from ..core.signals import signals
-from ..core.stop import verb
+from ..core.stop import turns, verb
 from ..core.trajectory import Trajectory
 from ..numerics.newton import Array, NewtonError
 from ..numerics.periodic_collocation import COLLAPSED, Orbit, Periodic, Row, fractions, radau
@@ -93,6 +93,7 @@ class LimitCycle:
                 names.append(v.name)
         return tuple(names)
 
+    @turns
     def amplitude(self, name: str) -> float:
         """Half the distance between the largest and the smallest value of a state [its unit]."""
         turns = smooth(self.plant, self.trajectory, name).zeros(0.0, order=1)[1]

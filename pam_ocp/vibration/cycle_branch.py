@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .. import courtesy
 from ..core.errors import InputError, VibrationError, require_positive
 from ..core.shown import shown
-from ..core.stop import TimeIsUp, deadline, verb
+from ..core.stop import TimeIsUp, deadline, turns, verb
 from ..core.variables import Variable
 from ..numerics.continuation import Walk
 from ..numerics.newton import Array, NewtonError
@@ -84,10 +84,12 @@ class CycleBranch:
         turns = np.diff(np.sign(np.diff(self.values)))
         return tuple(int(i) + 1 for i in np.flatnonzero(turns))
 
+    @turns
     def amplitudes(self, name: str) -> Array:
         """Half the swing of a state at each cycle [its unit]."""
         return np.array([c.amplitude(name) for c in self.cycles])
 
+    @turns
     def at(self, value: float) -> tuple[LimitCycle, ...]:
         """The cycles at exactly this value of the parameter: one for each passage of the branch."""
         offsets = self.values - value

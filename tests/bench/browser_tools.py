@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import select
 import shutil
 import subprocess
 import sys
@@ -19,25 +20,35 @@ PATIENCE = 90.0
 
 
 class Server:
-    """``pam-ocp bench`` as a process. address : with its token."""
+    """``pam-ocp bench`` as a process."""
 
-    def __init__(self, folder, *options, **environment):
+    def __init__(self, folder, *options, run=("-m", "pam_ocp"), **environment):
         # neither the tests' paths nor their working folder: what the page needs, it brings
-        run = [sys.executable, "-m", "pam_ocp", "bench", "--no-browser", "--folder", str(folder)]
+        browser = () if "BROWSER" in environment else ("--no-browser",)
+        run = [sys.executable, *run, "bench", *browser, "--folder", str(folder)]
+        folder.chmod(0o755)
         self.folder = Path(folder)
         self.process = subprocess.Popen(
             [*run, *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            text=True,
             cwd=folder,
             env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
         )
-        line = self.process.stdout.readline()
-        found = re.search(r"http\S+", line)
-        assert found, f"{line!r}\n{self.process.stderr.read()}"
-        self.address = found[0]
-        self.port = int(re.search(r":(\d+)/", self.address)[1])
+        self.said = ""
+        until = time.monotonic() + PATIENCE
+        while "Ctrl-C" not in self.said and time.monotonic() < until:
+            self.said += self.process.stdout.readline().decode()
+        assert "http" in self.said, f"{self.said!r}\n{self.process.stderr.read()}"
+        self.port = int(re.search(r":(\d+)/", self.said)[1])
+
+    @property
+    def address(self):
+        """The one that was printed last, with a token that nobody has used."""
+        pipe = self.process.stdout
+        while select.select([pipe], [], [], 0.0)[0]:
+            self.said += os.read(pipe.fileno(), 10_000).decode()
+        return re.findall(r"http\S+", self.said)[-1]
 
     def state(self, id):
         """What is on the disk of a session."""
@@ -54,7 +65,7 @@ class Server:
 
     def _gone(self):
         self.process.stdout.close()
-        said = self.process.stderr.read()
+        said = self.process.stderr.read().decode()
         self.process.stderr.close()
         self.process.wait(20)
         return said

@@ -35,7 +35,7 @@ class Inner:
         await send({"type": "http.response.body", "body": body})
 
 
-def ask(guard, path="/", method="GET", headers=None, parts=(b"",), kind="http"):
+def ask(guard, path="/", method="GET", headers=None, parts=(b"",), kind="http", ends=True):
     """(status, headers, body) of a request; the status of a websocket is its close code or 101."""
     path, _, query = path.partition("?")
     scope = {
@@ -46,12 +46,14 @@ def ask(guard, path="/", method="GET", headers=None, parts=(b"",), kind="http"):
         "method": method,
     }
     waiting = [
-        {"type": "http.request", "body": part, "more_body": i < len(parts) - 1}
+        {"type": "http.request", "body": part, "more_body": not ends or i < len(parts) - 1}
         for i, part in enumerate(parts)
     ]
     sent = []
 
     async def receive():
+        if not waiting and not ends:
+            await asyncio.Event().wait()
         return waiting.pop(0) if waiting else {"type": "http.disconnect"}
 
     async def send(message):
@@ -73,28 +75,51 @@ def inner():
 @pytest.fixture
 def guard(inner):
     hosts = allowed_hosts("127.0.0.1", 8300)
-    return Guard(inner, hosts=hosts, token="right", name="bench_8300", most=1000)
+    return Guard(inner, hosts=hosts, name="bench_8300", most=1000)
 
 
 def entered(guard):
-    """Headers of a browser that has opened the printed address."""
-    _, headers, _ = ask(guard, "/?token=right")
+    """Headers of a browser that has opened a printed address."""
+    _, headers, _ = ask(guard, f"/?token={guard.ticket()}")
     return {**OWN, "cookie": headers["set-cookie"].partition(";")[0]}
 
 
 # ---- token and cookie ----------------------------------------------------------------------------
-def test_the_token_leaves_the_address_and_becomes_a_cookie_that_scripts_cannot_read(guard, inner):
-    status, headers, _ = ask(guard, "/s/1?token=right&tab=Data")
-    assert (status, headers["location"]) == (303, "/s/1?tab=Data")
+def test_a_token_leaves_the_address_and_becomes_a_cookie_that_scripts_cannot_read(guard, inner):
+    token = guard.ticket()
+    status, headers, _ = ask(guard, f"/s/1?token={token}&tab=Data")
+    assert (status, headers["refresh"]) == (200, "0;url=/s/1?tab=Data")
     assert "HttpOnly" in headers["set-cookie"]
     assert "SameSite=Strict" in headers["set-cookie"]
-    assert "right" not in headers["set-cookie"]
+    assert token not in headers["set-cookie"]
     assert inner.reached == []
     assert ask(guard, headers=entered(guard))[0] == 200
 
 
-@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/?token=right%00", "/s/1"])
+def test_a_token_is_good_for_one_browser_and_its_use_is_told(guard, inner):
+    used = []
+    one, other = guard.ticket(lambda: used.append("one")), guard.ticket(lambda: used.append("two"))
+    assert ask(guard, f"/?token={one}")[0] == 200
+    assert used == ["one"]
+    assert ask(guard, f"/?token={one}")[0] == 401
+    assert ask(guard, f"/?token={other}", "HEAD")[0] == 401
+    assert used == ["one"]
+    assert ask(guard, f"/?token={other}")[0] == 200
+    assert used == ["one", "two"]
+    assert inner.reached == []
+
+
+def test_who_has_the_cookie_already_uses_a_token_up_too(guard, inner):
+    known, token = entered(guard), guard.ticket()
+    assert ask(guard, f"/?token={token}", headers=known)[1]["refresh"] == "0;url=/"
+    assert inner.reached == []
+    assert ask(guard, f"/?token={token}", headers=known)[0] == 200
+    assert inner.reached == [("http", "/")]
+
+
+@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/?token={}%00", "/s/1"])
 def test_without_the_token_nothing_is_reached(guard, inner, path):
+    path = path.format(guard.ticket())
     assert ask(guard, path)[0] == 401
     assert ask(guard, path, headers={**OWN, "cookie": "bench_8300=guess"})[0] == 401
     assert ask(guard, path, headers={**OWN, "cookie": "\x00;;=,"})[0] == 401
@@ -102,9 +127,10 @@ def test_without_the_token_nothing_is_reached(guard, inner, path):
 
 
 def test_the_token_is_no_key_for_changes_and_leads_to_no_other_host(guard, inner):
-    assert ask(guard, "/?token=right", method="POST", headers=OWN)[0] == 401
-    _, headers, _ = ask(guard, "//evil.example/?token=right")
-    assert headers["location"] == "/evil.example/"
+    token = guard.ticket()
+    assert ask(guard, f"/?token={token}", method="POST", headers=OWN)[0] == 401
+    _, headers, _ = ask(guard, f"//evil.example/?token={token}")
+    assert headers["refresh"] == "0;url=/evil.example/"
     assert inner.reached == []
 
 
@@ -117,7 +143,7 @@ def test_a_name_that_was_made_to_lead_here_is_refused(guard, inner, host):
     for kind in ("http", "websocket"):
         status = ask(guard, headers={**known, "host": host}, kind=kind)[0]
         assert status == (403 if kind == "http" else 1008)
-    assert ask(guard, "/?token=right", headers={"host": host})[0] == 403
+    assert ask(guard, f"/?token={guard.ticket()}", headers={"host": host})[0] == 403
     assert inner.reached == []
 
 
@@ -151,7 +177,7 @@ def test_what_another_site_embeds_is_refused_but_a_link_is_not(guard):
         embedded = {**known, "sec-fetch-site": site, "sec-fetch-mode": "no-cors"}
         assert ask(guard, headers=embedded)[0] == 403
         link = {"host": HOST, "sec-fetch-site": site, "sec-fetch-mode": "navigate"}
-        assert ask(guard, "/?token=right", headers=link)[0] == 303
+        assert ask(guard, f"/?token={guard.ticket()}", headers=link)[0] == 200
 
 
 def test_a_host_must_be_said_once(guard):
@@ -186,6 +212,21 @@ def test_a_body_that_says_that_it_is_too_long_is_not_read(guard, inner):
     for length in ("1001", str(2**30), "-1", "1e3", "x"):
         assert ask(guard, "/up", "POST", {**known, "content-length": length})[0] == 413
     assert inner.reached == []
+
+
+def test_a_body_that_does_not_end_is_not_awaited_for_ever(inner):
+    """The connection stays open and says nothing more; then it says so by a header."""
+    guard = Guard(inner, hosts=allowed_hosts("127.0.0.1", 8300), longest=0.2, name="bench_8300")
+    known = entered(guard)
+    for parts in ([b"half"], []):
+        assert ask(guard, "/up", "POST", known, parts, ends=False)[0] == 408
+    assert ask(guard, "/up", "POST", known, [b"whole"])[2] == "5"
+
+
+def test_a_password_that_does_not_end_is_not_awaited_for_ever(locked, monkeypatch):
+    monkeypatch.setattr("pam_ocp.bench.guard.LONGEST_LOGIN", 0.2)
+    headers = {"host": "rig.local:8300", "origin": "http://rig.local:8300"}
+    assert ask(locked, "/login", "POST", headers, [b"password=cor"], ends=False)[0] == 408
 
 
 # ---- headers -------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """What was done on the page: changed, undone, saved, resumed after a kill."""
 
+import errno
 import json
 import os
 import signal
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from pam_ocp import InputError, UnknownNameError
+from pam_ocp.bench.made import own_plants, source_of
 from pam_ocp.bench.session import EMPTY, Session, SessionInUse, safe_name, saved_sessions
 
 
@@ -222,6 +224,36 @@ def test_no_name_leads_out_of_the_folder_of_files(session, name):
 def test_a_path_is_no_name_of_a_stored_file(session, name):
     with pytest.raises(InputError, match="no name of a file"):
         session.path(name)
+
+
+def test_half_a_file_that_a_full_disk_left_is_not_believed(session):
+    kept = session.store("a.csv", b"p,kappa\n1,2\n")
+    place = session.path(kept)
+    place.write_bytes(b"p,kap")
+    with pytest.raises(InputError, match="not what was dropped on the page; drop the file again"):
+        session.path(kept)
+    with pytest.raises(InputError, match="drop the file again"):
+        source_of(session.folder, {"file": kept})
+    assert session.store("a.csv", b"p,kappa\n1,2\n") == kept
+    assert session.path(kept).read_bytes() == b"p,kappa\n1,2\n"
+
+
+def test_a_disk_that_is_full_leaves_nothing_of_a_file(session, monkeypatch):
+    def half(self, content):
+        with self.open("wb") as file:
+            file.write(content[:3])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", half)
+    with pytest.raises(InputError, match="No space left on device"):
+        session.store("a.py", b"plant = None\n")
+    assert list((session.folder / "files").iterdir()) == []
+
+
+def test_what_a_killed_upload_left_is_no_plant(session):
+    (session.folder / "files" / ".a.py.pam-part-0123456789ab.py").write_text("half = 1")
+    kept = session.store("a.py", b"whole = 1\n")
+    assert own_plants(session.folder) == {f"{kept}:whole": "whole (a.py)"}
 
 
 def test_equal_names_with_other_contents_are_two_files(session):

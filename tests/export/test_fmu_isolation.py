@@ -136,6 +136,28 @@ def test_what_a_unit_has_started_ends_with_the_check(
     assert gone(int((tmp_path / "pid").read_text()))
 
 
+@linux
+@pytest.mark.parametrize(
+    ("harm", "sentence"),
+    [
+        ("escape DoStep", "was stopped after 2 s (time_limit) in fmi2DoStep"),
+        ("escape_and_die DoStep", "ended its process with exit code 0 in fmi2DoStep"),
+    ],
+)
+def test_a_unit_that_forks_into_a_session_of_its_own_is_stopped_with_its_fork(
+    units: dict[str, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    harm: str,
+    sentence: str,
+) -> None:
+    """The fork's own parent has ended, and the fork holds all pipes open."""
+    monkeypatch.setenv("HOSTILE", harm)
+    monkeypatch.setenv("HOSTILE_PID", str(tmp_path / "pid"))
+    assert sentence in only_finding(units["2.0"], time_limit=2.0)
+    assert gone(int((tmp_path / "pid").read_text()), 0.0)
+
+
 @posix
 def test_what_was_found_before_a_crash_is_kept(
     units: dict[str, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path

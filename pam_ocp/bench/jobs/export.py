@@ -7,7 +7,6 @@ import math
 import os
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import zipfile
@@ -18,6 +17,8 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, PamError
+from ...core.files import atomic_path
+from ...core.processes import Processes
 from ...core.stop import deadline
 from ...core.trajectory import Trajectory
 from ...export.c_code.package import export_c
@@ -140,7 +141,10 @@ def c_code(say: Say, folder: Path, state: State, said: State, allow_code: bool) 
     target = _place(folder, f"{said['id']}.zip")
     with tempfile.TemporaryDirectory(prefix="pam_ocp_") as temporary:
         whole = Path(export_c(made, Path(temporary) / "c"))
-        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
+        with (
+            atomic_path(target) as fresh,
+            zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as packed,
+        ):
             for file in sorted(whole.rglob("*")):
                 if file.is_file():
                     packed.write(file, file.relative_to(whole).as_posix())
@@ -239,14 +243,11 @@ def script_checked(
         (place / "session.py").write_text(script, encoding="utf-8")
         own = str(Path(__file__).resolve().parents[3])
         paths = os.pathsep.join(p for p in (own, os.environ.get("PYTHONPATH", "")) if p)
-        ran = subprocess.run(
+        ran = Processes().run(
             [sys.executable, "session.py"],
-            cwd=place,
-            capture_output=True,
-            text=True,
-            timeout=min(deadline().remaining(), LONGEST),
-            env={**os.environ, "PYTHONPATH": paths},
-            check=False,
+            place,
+            {**os.environ, "PYTHONPATH": paths},
+            min(deadline().remaining(), LONGEST),
         )
     if ran.returncode:
         last = (ran.stderr.strip().splitlines() or ["no word"])[-1]

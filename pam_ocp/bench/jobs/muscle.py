@@ -19,6 +19,7 @@ from ...fitting.static.ranking import compare_laws
 from ...fitting.static.static import fit_force
 from ...muscles.muscle_file import load_muscle, save_muscle
 from ..made import muscle_of, table_of
+from ..session import stored_file
 from ..work import Say
 
 __all__ = [
@@ -145,7 +146,7 @@ def design(
 
 def read_muscle(say: Say, folder: Path, file: str) -> str:
     """The name of the muscle in a file; raises what reading it does."""
-    return load_muscle(folder / "files" / file).name
+    return load_muscle(stored_file(folder, file)).name
 
 
 def muscle_file(say: Say, folder: Path, state: Mapping[str, Any]) -> bytes:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.block import Block
 from ...core.errors import InputError, UnknownNameError
+from ...core.stop import turns
 from ...core.units import unit
 from ...core.variables import Variable
 from .kinds import law_of
@@ -18,6 +19,7 @@ from .kinds import law_of
 __all__ = ["chain"]
 
 
+@turns
 def chain(
     parts: Sequence[Any],
     connections: Mapping[str, str] | None = None,

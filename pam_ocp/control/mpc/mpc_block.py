@@ -9,6 +9,7 @@ import casadi as ca
 
 from ...core.block import Block
 from ...core.errors import InputError, require_count, require_instance
+from ...core.stop import turns
 from ...core.variables import Variable
 from ..blocks.draft import as_output
 from ..blocks.kinds import BLOCKS, SENT
@@ -52,6 +53,7 @@ class _Columns:
 
 
 @BLOCKS.register("Mpc")
+@turns
 def mpc_block(
     controller: Mpc,
     name: str = "mpc",

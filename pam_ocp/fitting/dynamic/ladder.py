@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...core.cases import Place
 from ...core.errors import FitError, InputError, OutOfTime, require_count
+from ...core.interrupts import interruptible
 from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared
 from ...core.trajectory import Trajectory
@@ -37,6 +38,7 @@ REPORTING = 5.0
 """Seconds to say what was found when a time limit is over."""
 
 
+@interruptible()
 def fit_ladder(
     build: Builder | Sequence[Rung],
     records: Trajectory | Sequence[Trajectory],

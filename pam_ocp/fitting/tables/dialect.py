@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ...core.errors import InputError
-from ...core.files import require_size
+from ...core.files import MOST_LINE, require_size
 from .cell_units import parted
 from .cells import is_empty, is_number, is_stamp
 
@@ -73,6 +73,12 @@ def grid_of_text(
             lines.append((i, line))
     if not lines:
         raise InputError(f"{label} is empty: it needs a header and at least one row")
+    longest, length = max(((i, len(line)) for i, line in lines), key=lambda found: found[1])
+    if length > MOST_LINE:
+        raise InputError(
+            f"{label}: line {longest} has {length} characters, at most {MOST_LINE} are read; "
+            "save the table as CSV, a line for each row"
+        )
     sample = [line for _, line in lines[:1000]][-SAMPLE:]
     if delimiter is None and suffix == ".tsv" and any("\t" in line for line in sample):
         delimiter = "\t"

@@ -19,6 +19,7 @@ import numpy as np
 from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.files import (
     MOST_BYTES,
+    MOST_JSON_PARTS,
     content_of,
     json_of,
     reading,
@@ -285,7 +286,7 @@ def _unpacked(path: Path, how: Reading) -> RawTable:
 
 def _json(content: bytes) -> Any:
     """JSON, or one JSON object a line."""
-    lines = content.strip().splitlines()
+    lines = content.strip().splitlines() if content.count(b"\n") <= MOST_JSON_PARTS else []
     if len(lines) > 1 and all(line.strip().startswith(b"{") for line in lines[:2]):
         try:
             return [json_of(line, infinite=True) for line in lines if line.strip()]

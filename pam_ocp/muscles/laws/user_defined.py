@@ -17,6 +17,7 @@ import numpy as np
 
 from ...core.errors import InputError, UnknownNameError, require_count
 from ...core.expressions import expression_of
+from ...core.stop import turns
 from ..law import LAWS, ForceLaw, coefficient
 from ..validity import Validity
 from .around import AROUND
@@ -77,6 +78,7 @@ def polynomial_law(gain_degree: int = 3, offset_degree: int = 4) -> type[ForceLa
 
 
 @cache
+@turns
 def _polynomial_law(gain_degree: int, offset_degree: int) -> type[ForceLaw]:
     degrees = {"g": gain_degree, "h": offset_degree}
 
@@ -127,6 +129,7 @@ def spline_law(breaks: Sequence[float], degree: int = 3) -> type[ForceLaw]:
 
 
 @cache
+@turns
 def _spline_law(breaks: tuple[float, ...], degree: int) -> type[ForceLaw]:
     count = len(breaks) - 1 + degree
 
@@ -186,6 +189,7 @@ def _ratio(numerator: Any, denominator: float) -> Any:
     return numerator / denominator if denominator else 0.0
 
 
+@turns
 def own_law(
     name: str,
     formula: Callable[..., ca.SX] | ca.SX,
