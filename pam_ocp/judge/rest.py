@@ -8,14 +8,13 @@ have brought about is what its surroundings bring about by themselves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from ..core.errors import SimulationError
 from ..operating.held import Memory, held
@@ -34,6 +33,10 @@ LONG = 300.0
 """Seconds after which surroundings have settled."""
 NEUTRAL = 1e-6
 """Rates [1/s] below which a state keeps whatever it is given."""
+HELD = 1e-9
+"""What is left of what should vanish, in nominals, where inputs hold a plant."""
+STEPS = 20
+"""Of Newton's method towards such inputs."""
 SPEED = 10.0
 """Times its nominal in a second: the unit of a state's rate."""
 
@@ -148,24 +151,44 @@ def _holding(
 
     high = np.maximum(high, low + 1e-9 * nominal)
     box = (low / nominal, high / nominal)
-    best: tuple[Array, Array] | None = None
-    starts, tight = plant.vector("input")[free], dict.fromkeys(("xtol", "ftol", "gtol"), 1e-14)
+    starts = plant.vector("input")[free]
     known = np.isfinite(low) & np.isfinite(high)
     middle = np.where(known, (np.where(known, low, 0.0) + np.where(known, high, 0.0)) / 2, starts)
-    for guess in (near[free], starts, middle):
-        w = np.clip(guess / nominal, box[0], box[1])
-        found = least_squares(lambda w: at(w)[0], w, lambda w: at(w)[1], bounds=box, **tight)
-        residual = np.abs(at(found.x)[0])
-        if best is None or residual.max(initial=0.0) < best[1].max(initial=0.0):
-            u = np.array(near, float)
-            u[free] = found.x * nominal
-            best = (u, residual)
-        if best[1].max(initial=0.0) < 1e-9:
+    tried: list[tuple[float, int, Array]] = []
+    for method in (_newton, _least_squares):  # the former needs no SciPy, and mostly does
+        for guess in (near[free], starts, middle):
+            w = method(at, np.clip(guess / nominal, *box), box)
+            tried.append((float(np.abs(at(w)[0]).max(initial=0.0)), len(tried), w))
+            if tried[-1][0] < HELD:
+                break
+        else:
+            continue
+        break
+    w = min(tried)[2]
+    u, residual = np.array(near, float), np.abs(at(w)[0])
+    u[free] = w * nominal
+    return u, np.maximum(residual[:rows], residual[rows:].max(initial=0.0))
+
+
+_Residual: TypeAlias = "Callable[[Array], tuple[Array, Array]]"
+
+
+def _newton(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
+    """Gauss and Newton's steps inside a box."""
+    for _ in range(STEPS):
+        value, slope = at(w)
+        if np.abs(value).max(initial=0.0) < HELD or not np.isfinite(slope).all():
             break
-    assert best is not None
-    left = best[1][:rows]
-    worst = best[1][rows:].max(initial=0.0)
-    return best[0], np.maximum(left, worst)
+        w = np.clip(w - np.linalg.lstsq(slope, value, rcond=1e-12)[0], *box)
+    return w
+
+
+def _least_squares(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
+    from scipy.optimize import least_squares  # takes 0.1 s to load
+
+    tight = dict.fromkeys(("xtol", "ftol", "gtol"), 1e-14)
+    found = least_squares(lambda w: at(w)[0], w, lambda w: at(w)[1], bounds=box, **tight)
+    return np.asarray(found.x, float)
 
 
 def _end(end: float | Profile, time: float) -> float:
