@@ -17,7 +17,7 @@ __all__ = ["UNSAID", "Native", "Nlp", "conic", "integrator", "nlpsol", "quiet_ip
 
 
 UNSAID = {"inputs_check": False}
-"""Options of ``casadi.nlpsol``: its check of the numbers prints lines that a solver's status says."""
+"""Options of ``casadi.nlpsol``: its check of the numbers prints what a solver's status says."""
 
 
 class Native:

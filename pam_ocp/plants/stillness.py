@@ -95,7 +95,8 @@ class _Region:
         high = np.minimum(self.high[:, None], self.start[:, None] + reach)
         z = low + (np.array(parts) + 0.5) / POINTS * (high - low)
         values, slopes = self.at(z)
-        return z[:, np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))]
+        sound = np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))
+        return np.asarray(z[:, sound], float)
 
     @cached_property
     def size(self) -> Array:
@@ -286,9 +287,7 @@ def rest_rows(plant: System, positions: tuple[Position, ...]) -> list[tuple[Posi
     return list(found)
 
 
-def _rest_rows(
-    plant: System, positions: tuple[Position, ...]
-) -> list[tuple[Position, int, ca.SX]]:
+def _rest_rows(plant: System, positions: tuple[Position, ...]) -> list[tuple[Position, int, ca.SX]]:
     xdot = plant.function(plant.x, plant.u, plant.p)[0]
     rows: list[tuple[Position, int, ca.SX]] = []
     for position in positions:
