@@ -9,10 +9,10 @@ units, momenta, sums of two, functions; wheels and cams that count a motion; cha
 positions that an input drives; a load on a driven base; spools with overlap; sensors; totals;
 states whose rate is a constant. States are declared in random order.
 
-Run:  python benchmarks/rest_rows_study.py [own plants] [seed] [plans]
+Run:  python benchmarks/rest_rows_study.py [own plants] [seed] [plans] [catalogue: 1 or 0]
 
-The last number: how many of the own plants are planned through two stops, too; rates and
-accelerations at the ends are then taken from the equations along the replay.
+plans : how many of the own plants are planned through two stops, too; rates and accelerations at
+the ends are then taken from the equations along the replay.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -52,23 +53,24 @@ def muscles() -> dict[str, Any]:
     return found
 
 
-def catalogue() -> Iterator[tuple[str, pam.Plant, Rows]]:
-    """(words, plant, its rows of rest) of every muscle in pairs and alone."""
-    for (name, muscle), (feed, make) in product(muscles().items(), FEEDS.items()):
-        if muscle.diameter is None and feed in ("spool", "on-off"):
+def catalogue() -> Iterator[tuple[str, Callable[[], pam.Plant], Rows]]:
+    """(words, what makes the plant, its rows of rest) of every muscle in pairs and alone."""
+    for (name, muscle), (fed, feed) in product(muscles().items(), FEEDS.items()):
+        if muscle.diameter is None and fed in ("spool", "on-off"):
             continue
         low, high = muscle.contraction_range
         for part in (0.1, 0.25, 0.4, 0.6, 0.8):
             before = low + part * (high - low)
-            joint = pam.AntagonisticJoint(muscle, 0.05, 0.03, before, damping=0.5, feed=make())
-            slide = pam.AntagonisticSlide(muscle, 2.0, before, damping=20.0, feed=make())
-            for plant, place in ((slide, "x"), (joint, "theta")):
-                yield f"{name}, {before:.3f}, {feed}, {plant.name}", plant, both(place)
-        words = f"{name}, {feed}"
-        yield f"{words}, hanging", pam.HangingLoad(muscle, 10.0, feed=make()), both("x")
-        over = pam.SpringOverMuscle(muscle, 2.0, 500.0, 50.0, feed=make())
+            words = f"{name}, {before:.3f}, {fed}"
+            slide = partial(pam.AntagonisticSlide, muscle, 2.0, before, damping=20.0, feed=feed())
+            yield f"{words}, slide", slide, both("x")
+            joint = partial(pam.AntagonisticJoint, muscle, 0.05, 0.03, before, feed=feed())
+            yield f"{words}, joint", joint, both("theta")
+        words = f"{name}, {fed}"
+        yield f"{words}, hanging", partial(pam.HangingLoad, muscle, 10.0, feed=feed()), both("x")
+        over = partial(pam.SpringOverMuscle, muscle, 2.0, 500.0, 50.0, feed=feed())
         yield f"{words}, spring over muscle", over, both("x")
-        series = pam.SeriesLoad(muscle, 10.0, feed=make())
+        series = partial(pam.SeriesLoad, muscle, 10.0, feed=feed())
         yield f"{words}, series", series, both("x") + both("muscle.shortening")
 
 
@@ -150,7 +152,7 @@ def moved_by_pushers(draft: Draft, k: int) -> None:
     if lagging:
         for u in list(sources):
             p, lag = u.replace("u", "p"), rng.uniform(0.01, 0.1)
-            draft.state(p, "Pa", lambda s, u=u, p=p, t=lag: (s[u] - s[p]) / t, min=0.0, max=1.0)
+            draft.state(p, "1", lambda s, u=u, p=p, t=lag: (s[u] - s[p]) / t, min=0.0, max=1.0)
         sources = [u.replace("u", "p") for u in sources]
 
     def force(s: dict[str, ca.SX]) -> ca.SX:
@@ -181,7 +183,7 @@ def chain(draft: Draft, k: int) -> None:
     count, band = int(draft.rng.integers(2, 4)), draft.rng.uniform(0.0, 0.5)
     u, p = f"u{k}", f"p{k}"
     draft.inputs.append((u, -1.0, 1.0))
-    draft.state(p, "Pa", lambda s: (s[u] - s[p]) / 0.05, min=-1.0, max=1.0)
+    draft.state(p, "1", lambda s: (s[u] - s[p]) / 0.05, min=-1.0, max=1.0)
     names = [f"q{k}_{i}" for i in range(count)]
     speeds: list[Any] = []
 
@@ -304,8 +306,8 @@ def planned(plant: pam.Plant, expected: Rows, draft: Draft) -> str:
 
 def main(count: int = 100, seed: int = 1, plans: int = 0, catalogued: int = 1) -> None:
     begin, lost, more, total = time.process_time(), 0, 0, 0
-    for words, plant, expected in catalogue() if catalogued else ():
-        one, other = compared(words, plant, expected)
+    for words, make, expected in catalogue() if catalogued else ():
+        one, other = compared(words, make(), expected)
         lost, more, total = lost + bool(one), more + bool(other), total + 1
     print(f"catalogue: {total} plants, {lost} with rows lost, {more} with rows too many")
     rng = np.random.default_rng(seed)

@@ -96,7 +96,7 @@ class _Region:
         z = low + (np.array(parts) + 0.5) / POINTS * (high - low)
         values, slopes = self.at(z)
         sound = np.isfinite(values).all(axis=0) & np.isfinite(slopes).all(axis=(1, 2))
-        return np.asarray(z[:, sound])
+        return np.asarray(z[:, sound], float)
 
     @cached_property
     def size(self) -> Array:

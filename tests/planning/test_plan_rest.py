@@ -261,3 +261,36 @@ def test_air_is_not_saved_by_venting_what_was_given():
         at_rest["muscle.pressure"], rel=1e-5
     )
     assert plan.objective > 0.1  # grams
+
+
+# ---- where muscles are slack, or a dead band hides what acts -------------------------------------
+def accelerations_at_the_ends(plan, velocity):
+    plant, run = plan.plant, plan.replay.trajectory
+    names, p = [v.name for v in plant.states], plant.vector("parameter")
+    x, u = run.array(names), run.array([v.name for v in plant.inputs])
+    rates = [np.ravel(plant.function(x[i], u[i], p)[0]) for i in (0, -1)]
+    return [rate[names.index(velocity)] for rate in rates]
+
+
+def test_a_slide_whose_muscles_may_be_slack_rests_at_its_stops():
+    """Without rows for it, the least time had 121 and -101 m/s2 at its stops."""
+    slide = pam.AntagonisticSlide("DMSP-10-250", 2.0, damping=20.0, feed=pam.feeds.Regulator())
+    plan = pam.plan(slide, [{"x": -0.010}, {"x": 0.010}])
+    assert plan.verified
+    assert accelerations_at_the_ends(plan, "v") == pytest.approx([0.0, 0.0], abs=0.05)
+
+
+@pytest.mark.parametrize("spring", [0.0, 20.0])
+def test_what_only_pushes_beyond_a_dead_band_is_led_to_rest(spring):
+    """Rows of acceleration have no slope inside the band, where the motion may begin."""
+    plant = pam.Plant("pushed")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    p, q = (plant.state(n, min=0.0, max=1.0) for n in "pq")
+    a, b = (plant.input(n, min=0.0, max=1.0) for n in "ab")
+    plant.der(x, v)
+    plant.der(v, 10 * (ca.fmax(p - 0.4, 0) - ca.fmax(q - 0.4, 0)) - v - spring * x)
+    plant.der(p, (a - p) / 0.05)
+    plant.der(q, (b - q) / 0.05)
+    plan = pam.plan(plant, [{"x": 0.0}, {"x": 0.1}], duration=1.5, minimise="effort")
+    assert plan.verified
+    assert accelerations_at_the_ends(plan, "v") == pytest.approx([0.0, 0.0], abs=1e-2)

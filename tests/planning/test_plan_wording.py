@@ -514,3 +514,69 @@ def test_the_objective_is_printed_with_its_unit():
     slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-300"), mass=2.0, pre_contraction=0.10)
     plan = pam.plan(slide, [{"x": -0.01}, {"x": 0.01}], minimise={"time": 2.0, "rate": 1e-3})
     assert "= 2 time [s] + 0.001 rate" in str(plan)
+
+
+# ---- what cannot be met is named ----------------------------------------------------------------
+@pytest.fixture(scope="module")
+def slide():
+    return pam.AntagonisticSlide("DMSP-20-300", 2.0)
+
+
+WAY = [{"x": -0.01}, {"x": 0.01}]
+
+
+def test_a_bound_of_one_number_is_named_where_it_leaves_no_motion(slide, capfd):
+    with pytest.raises(InputError, match=r"bounds hold it at 10 mm all along; give \(low, high\)"):
+        pam.plan(slide, WAY, bounds={"x": 0.01})
+    stops = [{"x": 0.0}, {"x": 1.0}]
+    with pytest.raises(pam.PlanError, match=r"Bounds hold v at 0\.3 m/s all along: give \(low"):
+        pam.plan(double_integrator(), stops, bounds={"v": 0.3}, method=Collocation(4, 3))
+    held, polynomial = {"muscle1.force": 300.0}, Collocation(10, 5, control="polynomial")
+    with pytest.raises(pam.PlanError, match=r"muscle1\.force at 300 N all along.*polynomial"):
+        pam.plan(slide, WAY, bounds=held, method=Collocation(4, 4))
+    plan = pam.plan(slide, WAY, bounds=held, method=polynomial)
+    assert plan.verified
+    assert np.abs(plan.trajectory["muscle1.force"] - 300.0).max() < 0.1
+    printed = capfd.readouterr()
+    assert printed.out + printed.err == ""  # CasADi's lines on more equations than unknowns
+
+
+def test_a_leg_of_one_interval_of_constant_inputs_is_named(slide):
+    with pytest.raises(
+        pam.PlanError, match=r"Leg 1 has 1 interval, .*method=Collocation\(intervals=50"
+    ):
+        pam.plan(slide, WAY, method=Collocation(1, 3))
+
+
+def test_a_guess_of_a_plant_with_other_variables_is_refused(slide):
+    method = Collocation(10, 3)
+    hanging = pam.HangingLoad("DMSP-20-300", 10.0)
+    guess = pam.plan(hanging, [{"x": 0.01}, {"x": 0.03}], method=method, tolerance=None)
+    with pytest.raises(InputError, match="guess: a plan of 'hanging_load', with x, v, muscle"):
+        pam.plan(slide, WAY, guess=guess, method=method)
+    heavier = slide.with_values(mass=3.0)
+    near = pam.plan(slide, WAY, method=method, tolerance=None)
+    assert pam.plan(heavier, WAY, guess=near, method=method, tolerance=None).solved
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"rest": None}, "rest = None: give True or False"),
+        ({"bounds": {"x": None}}, r"bounds\['x'\] = None: give a number, or \(low, high\)"),
+        ({"design": {"mass": None}}, r"design\['mass'\] = None: give a number, or \(low, high\)"),
+    ],
+)
+def test_none_is_no_value(slide, keywords, words):
+    with pytest.raises(InputError, match=words):
+        pam.plan(slide, WAY, **keywords)
+
+
+def test_none_leaves_an_end_of_a_duration_open():
+    """From rest to rest over 1 m with |u| <= 1 N takes 2 s."""
+    method = Collocation(10, 3)
+    stops = [{"x": 0.0}, {"x": 1.0}]
+    plan = pam.plan(double_integrator(), stops, duration=(None, 3.0), method=method)
+    assert plan.duration == pytest.approx(2.0, rel=1e-6)
+    plan = pam.plan(double_integrator(), stops, duration=(2.5, None), method=method)
+    assert plan.duration == pytest.approx(2.5, rel=1e-6)

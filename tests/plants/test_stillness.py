@@ -1,5 +1,10 @@
 """What stands still in a plant, read off its equations, against coordinates chosen by hand."""
 
+import importlib.util
+import sys
+from itertools import islice
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -154,3 +159,78 @@ def test_what_a_disturbance_keeps_moving_does_not_rest():
     plant.der(y, stream - 1 + w)
     plant.der(w, u)
     assert plant.resting() == (Position("y", ("w",)),)
+    assert plant.with_values(stream=0.05).resting() == (
+        Position("x", ("v",)),
+        Position("y", ("w",)),
+    )
+
+
+# ---- over the region of operation, not at one point ---------------------------------------------
+@pytest.fixture(scope="module")
+def study():
+    """Plants whose rows of rest are known by construction."""
+    path = Path(__file__).parents[2] / "benchmarks" / "rest_rows_study.py"
+    spec = importlib.util.spec_from_file_location("rest_rows_study", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["rest_rows_study"] = module  # its dataclasses look there
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["rest_rows_study"]
+
+
+def test_muscles_of_the_catalogue_lose_no_row(study):
+    """Every 29th of 572; the study itself has them all."""
+    for words, make, expected in islice(study.catalogue(), 0, None, 29):
+        assert study.found_rows(make()) == expected, words
+
+
+def test_own_plants_lose_no_row_and_repeat_none(study):
+    rng = np.random.default_rng(7)
+    for number in range(25):
+        plant, expected, _ = study.own_plant(rng, number)
+        assert study.found_rows(plant) == expected, plant.name
+
+
+@pytest.mark.parametrize("band", [0.05, 0.5, 0.9, 2.0])
+def test_one_sided_actuators_with_a_dead_band_accelerate_what_they_push(band):
+    """With the last band they push nowhere in their range; that is no reason to drop the row."""
+    plant = pam.Plant("pushed")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    a, b = (plant.input(n, min=0.0, max=1.0) for n in "ab")
+    plant.der(x, v)
+    plant.der(v, ca.fmax(a - band, 0) - ca.fmax(b - band, 0))
+    assert [order for _, order, _ in rest_rows(plant, plant.resting())] == [1, 2]
+
+
+def test_a_position_behind_a_spool_with_overlap_is_one():
+    plant = pam.Plant("overlap")
+    x, s = plant.state("x", unit="m"), plant.state("s", min=-1.0, max=1.0)
+    u = plant.input("u", min=-1.0, max=1.0)
+    plant.der(s, (u - s) / 0.02)
+    plant.der(x, ca.fmax(s - 0.3, 0) - ca.fmax(-s - 0.3, 0))
+    assert plant.resting() == (Position("x", ("s",)),)
+
+
+def test_a_cam_counts_the_same_motion_by_a_radius_that_changes():
+    plant = pam.Plant("cam")
+    x, v = plant.state("x", unit="m", min=-1.0, max=1.0), plant.state("v", unit="m/s")
+    cam, u = plant.state("cam", unit="m"), plant.input("u")
+    plant.der(x, v)
+    plant.der(v, u - v)
+    plant.der(cam, v * (1 + 0.5 * x))
+    rows = rest_rows(plant, plant.resting())
+    assert [(q.name, order) for q, order, _ in rows] == [("x", 1), ("x", 2)]
+
+
+def test_what_falls_for_ever_is_asked_to_stand():
+    """x'' = -g has no slope in anything, and cannot vanish."""
+    plant = pam.Plant("stone")
+    x, v, u = plant.state("x", unit="m"), plant.state("v", unit="m/s"), plant.input("u")
+    y = plant.state("y", unit="m")
+    plant.der(x, v)
+    plant.der(v, -9.81)
+    plant.der(y, u)
+    rows = rest_rows(plant, (Position("x", ("v",)),))
+    assert [order for _, order, _ in rows] == [1, 2]
+    with pytest.raises(pam.PlanError):
+        pam.plan(plant, [{"x": 1.0, "y": 0.0}, {"x": 0.0, "y": 0.0}], starts=1)

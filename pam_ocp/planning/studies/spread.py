@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...core.cases import Place, ending
 from ...core.errors import InputError, PamError, SimulationError
 from ...core.trajectory import Trajectory
-from ...numerics.newton import NewtonError, casadi_equations, iterate, newton
+from ...numerics.newton import NewtonError, iterate, least_squares, newton
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows
 from ...simulation.simulator import simulate
@@ -241,7 +241,15 @@ def _resting(plant: Plant, start: Mapping[str, float], inputs: Sequence[float]) 
 
     balance = plant.cached(("balance", *names), build)
     x = [start[v.name] for v in plant.states]
-    equations = casadi_equations(balance, x, list(inputs), plant.vector("parameter"))
+
+    def equations(w: Array) -> tuple[Array, Callable[[Array], Array]]:
+        residual, slopes = (
+            np.asarray(each, float)
+            for each in balance(w, x, list(inputs), plant.vector("parameter"))
+        )
+        # positions that count one motion are more than the equations
+        return residual.ravel(), least_squares(slopes)
+
     try:
         z, _ = newton(equations, np.array([start[n] for n in names]) / scale, steps=100)
     except NewtonError as error:
