@@ -35,8 +35,6 @@ DRIFT = 5e-3
 """By which a state may move meanwhile, in units of nominal."""
 WARMER = 0.3
 """By how much a temperature may differ from that of the surroundings at the start [K]."""
-FLAT = 1e-5
-"""Of the squared inputs (by their largest values), beside economical terms: docs/planning.md."""
 SAMPLES = 600
 """Along the whole motion, at least."""
 RTOL, ATOL = 1e-9, 1e-10
@@ -57,11 +55,9 @@ class Answer:
     objective: float
     verdict: str = ""
     """Its words: what drifts from the start is right where it is named here."""
-    noted: str = ""
-    """What it says besides."""
 
     @classmethod
-    def of(cls, plan: Any, warned: str = "") -> Answer:
+    def of(cls, plan: Any) -> Answer:
         """Of a plan of pam_ocp."""
         motion, plant = plan.trajectory, plan.plant
         names = list(motion.named("input"))
@@ -74,7 +70,6 @@ class Answer:
             tuple(float(d) for d in plan.durations),
             float(plan.objective),
             str(plan.verdict),
-            f"{plan.statistics.get('warning', '')}; {warned}",
         )
 
     def names(self, variable: str) -> bool:
@@ -666,8 +661,6 @@ class Check:
     def running(self) -> dict[str, ca.SX]:
         """{term: integrand [SI]} of all that the objective and the budgets integrate."""
         terms = [*self.weights, *(self.asked.get("budgets") or {})]
-        if any(t in ("work", "air", "exergy") for t in self.weights):
-            terms.append("flat")
         found = {}
         for term in dict.fromkeys(terms):
             if (expression := self.integrand(term)) is not None:
@@ -682,12 +675,6 @@ class Check:
         inner = term[term.find("(") + 1 : -1] if "(" in term else ""
         if term == "effort":
             return ca.SX(ca.sumsqr(plant.u / ca.DM(self.model.scales[1])))
-        if term == "flat":
-            sizes = [max(abs(v.min), abs(v.max)) for v in plant.inputs]
-            known = [
-                s if 0 < s < np.inf else v.nominal for s, v in zip(sizes, plant.inputs, strict=True)
-            ]
-            return ca.SX(ca.sumsqr(plant.u / ca.DM(known)))
         if term in ("air", "exergy"):
             kind = {"air": ".supply_flow", "exergy": ".exergy_flow"}[term]
             flows = [plant.expression(v.name) for v in plant.outputs if v.name.endswith(kind)]
@@ -709,7 +696,6 @@ class Check:
         """The objective and the budgets, by quadrature along the run."""
         integrals = dict(zip(self.running(), self.motion.integrals, strict=True))
         total, x = 0.0, self.motion.all()
-        economical = sum(self.weights.get(t, 0.0) for t in ("work", "air", "exergy"))
         span = sum(self.answer.durations)
         candidates = [0.0]
         for term, weight in self.weights.items():
@@ -726,13 +712,11 @@ class Check:
                 unit = {"air": 1e-3, "exergy": 10.0}.get(term, 1.0)
                 unit = self.nominal(inner) if term.startswith("integral(") else unit
                 total += weight * integrals[term] / unit
-        total += FLAT * economical * integrals.get("flat", 0.0)
         total += sum(integrals[k] for k in integrals if k.startswith("track "))
         said = self.answer.objective
         nearest = min((total + more for more in candidates), key=lambda value: abs(value - said))
-        if "along the replay the objective is" not in self.answer.noted:
-            words = f"{said:.6g} where the motion has {nearest:.6g}"
-            self.expect("objective", words, abs(said - nearest), COST * max(abs(nearest), LEAST))
+        words = f"{said:.6g} where the motion has {nearest:.6g}"
+        self.expect("objective", words, abs(said - nearest), COST * max(abs(nearest), LEAST))
         for term, value in (self.asked.get("budgets") or {}).items():
             spent, unit = (span, 1.0) if term == "time" else (integrals[term], 1.0)
             unit = {"air": 1e-3, "exergy": 10.0}.get(term, unit)
