@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import SimulationError
-from ..operating.held import Memory, held
+from ..operating.held import Memory, at_rest, held
 from ..plants.plant import Plant
 from ..plants.stillness import settled_names, totals
 from ..simulation.simulator import simulate
@@ -208,7 +208,9 @@ def begun(
     names = [v.name for v in plant.states]
     places = {p.name for p in plant.resting(_spoken(plant, [point]))}
     said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
-    given = held(plant, memory) | _sums(plant)
+    kept_by = held(plant, memory)
+    resting = at_rest(plant, x, kept_by) if not isinstance(memory, Mapping) else kept_by
+    given = resting | _sums(plant)
     for name, value in given.items():
         if name in plant.copies:
             continue

@@ -16,7 +16,7 @@ from ..plants.plant import Plant
 from ..plants.stillness import settled_names
 from ..simulation.simulator import simulate
 
-__all__ = ["Memory", "carried", "driven_names", "held", "held_names", "surroundings"]
+__all__ = ["Memory", "at_rest", "carried", "driven_names", "held", "held_names", "surroundings"]
 
 Array: TypeAlias = NDArray[np.float64]
 Memory: TypeAlias = 'Literal["virgin", "above", "below"] | Mapping[str, float]'
@@ -71,6 +71,35 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
     for name, drive in zip(found, _drives(plant) * SIDES[memory], strict=True):
         if drive:
             found[name] = variables[name].max if drive > 0 else variables[name].min
+    return found
+
+
+def at_rest(plant: Plant, x: Array, memory: Mapping[str, float]) -> dict[str, float]:
+    """{held memory: value} that stay while all else stands still at x; those of ``memory`` where
+    they do.
+
+    The largest contraction of a muscle so far is no less than the one at which it stands. Slow
+    motion of a rounded law (less than ``APART`` of nominal in all) counts as none.
+    """
+    found = dict(memory)
+    names, p, u = [v.name for v in plant.states], plant.vector("parameter"), plant.vector("input")
+    for name, value in memory.items():
+        i, v = names.index(name), plant.variable(name)
+        here = np.array(x, float)
+
+        def rate(level: float) -> float:
+            here[i] = level  # noqa: B023 - called before they change
+            return float(plant.function(here, u, p)[0][i]) / v.nominal  # noqa: B023
+
+        way = v.max if rate(value) > IDLE else v.min if rate(value) < -IDLE else value
+        if way == value or not np.isfinite(way) or abs(rate(way)) > IDLE:
+            continue
+        moving, still = value, way
+        while abs(still - moving) > 1e-9 * v.nominal:
+            middle = (moving + still) / 2
+            moving, still = (middle, still) if abs(rate(middle)) > IDLE else (moving, middle)
+        if abs(still - value) > APART * v.nominal:
+            found[name] = still
     return found
 
 

@@ -7,15 +7,18 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import InputError, PlanWarning
 from ...core.plausible import outside
 from ...judge.costs import COSTS
 from ...judge.statement import Statement, Stop, subject
-from ...operating.held import driven_names, held, held_names, surroundings
+from ...operating.held import at_rest, driven_names, held, held_names, surroundings
 from ...plants.plant import Plant
 from ...plants.stillness import Position, settled_names, totals
 from ..transcription.guess import rest_point
+from .limits import range_of
 from .problem import Condition, Problem, Range
 
 __all__ = ["left_by_the_past", "settled_before", "with_given_pressures"]
@@ -46,6 +49,8 @@ def left_by_the_past(
             )
         ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
         return conditions + [condition(n, "in its range", *ends) for n, ends in ranges.items()]
+    if not isinstance(statement.memory, Mapping):
+        memory = at_rest(plant, _named_states(plant, first), memory)
     left = {n: v for n, v in surroundings(plant).items() if n not in plant.copies}
     memory |= {n: v for n, v in left.items() if n not in first.values}
     conditions += [condition(n, "held", value, value) for n, value in memory.items()]
@@ -53,6 +58,17 @@ def left_by_the_past(
         return conditions
     settled = [n for n in settled_names(plant) if n not in {*first.values, *memory}]
     return conditions + [condition(f"der({n})", "settled", 0.0, 0.0) for n in settled]
+
+
+def _named_states(plant: Plant, stop: Stop) -> NDArray[np.float64]:
+    """The states' start values, with those that a stop names."""
+    ends = {n: range_of(n, v, plant.variable(n)) for n, v in stop.values.items() if "(" not in n}
+    known = {n: sum(pair) / 2 for n, pair in ends.items()}
+    start = plant.vector("state")
+    for i, variable in enumerate(plant.states):
+        if np.isfinite(known.get(variable.name, np.nan)):
+            start[i] = known[variable.name]
+    return start
 
 
 def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -> list[Condition]:
