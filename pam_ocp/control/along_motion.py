@@ -17,7 +17,7 @@ from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
 from .controller import Measured
-from .linear_quadratic import Integrals, Weighting, saturated, sent, stationary
+from .linear_quadratic import Integrals, Weighting, saturated, sent, states_of, stationary
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
 
@@ -82,7 +82,7 @@ class TrajectoryFeedback:
         inner = self._inversion.inner
         self.inputs = [v.name for v in inner.inputs if not v.disturbance]
         self._states = [v.name for v in self.plant.states]
-        self._x = self.motion.array(self._states)
+        self._x = self._inversion.inside(self.motion.array(self._states))
         self._y = self.motion.array(self.integrated)
         chosen = [inner.variable(n) for n in self.inputs]
         self._low, self._high = (np.array([getattr(v, a) for v in chosen]) for a in ("min", "max"))
@@ -99,7 +99,7 @@ class TrajectoryFeedback:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        x = np.array([measured[n] for n in self._states])
+        x = states_of(self._inversion, self._states, measured)
         planned = self._planned(t)
         u = planned - self._row(t, self.K, self.t) @ (x - self._row(t, self._x, self.motion.t))
         u = u - self._row(t, self.Ki, self.t) @ self._integrals.values
@@ -107,7 +107,7 @@ class TrajectoryFeedback:
             y = np.array([measured[n] for n in self.integrated])
             error = y - self._row(t, self._y, self.motion.t)
             self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self._inversion, self.inputs, u)
+        return sent(self._inversion, self.inputs, u, measured)
 
     def _planned(self, t: float) -> Array:
         """The motion's inputs, commands as the openings that they give."""
@@ -115,7 +115,9 @@ class TrajectoryFeedback:
         if not self._inversion:
             return planned
         named = dict(zip(self._open.inputs, planned.tolist(), strict=True))
-        inner = self._inversion.openings(named)
+        x = self._row(t, self.motion.array(self._states), self.motion.t)
+        seen = dict(zip(self._states, x.tolist(), strict=True))
+        inner = self._inversion.openings(named, measured=seen)
         return np.array([inner[n] for n in self.inputs])
 
 
@@ -231,9 +233,12 @@ def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
         raise InputError(
             f"the motion holds no column {missing[0]!r} of plant {inversion.plant.name!r}"
         )
-    rows = inversion.rows(motion.array(names))
     states = [v.name for v in inversion.plant.states if v.name in motion]
-    columns = {n: motion[n] for n in states}
+    columns, x = {n: motion[n] for n in states}, None
+    if not inversion.exact and len(states) == len(inversion.plant.states):
+        x = motion.array(states)
+        columns = dict(zip(states, inversion.inside(x).T, strict=True))
+    rows = inversion.rows(motion.array(names), x=x)
     columns |= {v.name: rows[:, i] for i, v in enumerate(inversion.inner.inputs)}
     return Trajectory(motion.t, columns, [inversion.inner.variable(n) for n in columns])
 

@@ -140,10 +140,18 @@ def saturated(u: Array, low: Array, high: Array) -> bool:
     return bool(np.any((u < low) | (u > high)))
 
 
-def sent(inversion: Inversion | None, inputs: list[str], u: Array) -> dict[str, float]:
+def states_of(inversion: Inversion | None, states: list[str], measured: Measured) -> Array:
+    """Measured states as a controller counts them: those of spools in openings."""
+    seen = inversion.entry(measured) if inversion else measured
+    return np.array([seen[n] for n in states])
+
+
+def sent(
+    inversion: Inversion | None, inputs: list[str], u: Array, measured: Measured
+) -> dict[str, float]:
     """A controller's answer by name: openings become the commands that give them."""
     answer = dict(zip(inputs, u.tolist(), strict=True))
-    return inversion.commands(answer) if inversion else answer
+    return inversion.commands(answer, measured=measured) if inversion else answer
 
 
 @dataclass
@@ -200,14 +208,14 @@ class StateFeedback:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        x = np.array([measured[n] for n in self._states])
+        x = states_of(self.inversion, self._states, measured)
         u = self.point.u[self._columns] - self.K @ (x - self.point.x)
         u = u - self.Ki @ self._integrals.values
         if self.integrated:
             goal = self.wanted(t)
             error = np.array([measured[n] - goal[n] for n in self.integrated])
             self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self.inversion, self.inputs, u)
+        return sent(self.inversion, self.inputs, u, measured)
 
     def _augmented(self) -> tuple[Array, Array, Array]:
         """A, B with the integrals as last states, and all gains; continuous time, all states."""

@@ -135,4 +135,4 @@ class OffsetFree:
         u = point.u[self._chosen] + rest[n:] - feedback.K @ (estimate - point.x - rest[:n])
         u = np.clip(u, self._low, self._high)
         self.filter.predict(dict(zip(feedback.inputs, u.tolist(), strict=True)))
-        return sent(feedback.inversion, feedback.inputs, u)
+        return sent(feedback.inversion, feedback.inputs, u, self.filter.estimate.state)

@@ -167,4 +167,4 @@ class PointPid:
             for v in self.point.plant.inputs
             if not v.disturbance and v.name not in held
         }
-        return self.inversion.commands({**rest, **held})
+        return self.inversion.commands({**rest, **held}, measured=measured)

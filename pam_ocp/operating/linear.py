@@ -88,17 +88,21 @@ def no_influence(verb: str, plant: Plant, b: Array, inputs: Sequence[str]) -> No
     )
 
 
-def _seen(plant: Plant, u: Array, inputs: Sequence[str] | None) -> tuple[Plant, Array]:
-    """The plant and its inputs (n, nu),
+def _seen(
+    plant: Plant, x: Array, u: Array, inputs: Sequence[str] | None
+) -> tuple[Plant, Array, Array]:
+    """The plant, its states (n, nx) and inputs (n, nu),
     in openings where they are named or commands have no slope.
     """
     inversion = Inversion(plant)
     names = [inputs] if isinstance(inputs, str) else inputs
     if names is None:
-        inner = in_dead_zone(plant, u)
+        inner = in_dead_zone(plant, u, x)
     else:
         inner = any(inversion.opening_of(n) is not None for n in names)
-    return (inversion.inner, inversion.rows(u)) if inner else (plant, u)
+    if not inner:
+        return plant, x, u
+    return inversion.inner, inversion.inside(x), inversion.rows(u, x=x)
 
 
 @dataclass(frozen=True)
@@ -207,7 +211,8 @@ def linearize(
     at : an OperatingPoint (of :func:`equilibrium`) or values by name; by default the start values.
     inputs, outputs : names to keep; by default all inputs, and all states and outputs. At a valve
         that stands in its dead zone the command has no slope: by default the opening stands in for
-        it (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named.
+        it (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named. Where a spool
+        moves between the two it follows the opening as if there were no dead zone behind it.
     dt : sampling time [s] for a discrete system x[k+1] = A x[k] + B u[k], exact for inputs held
         over each sample; None for a continuous one.
     stuck : leave out held memories (hysteresis). In small motion about a point of rest they stick
@@ -249,14 +254,14 @@ def linear_model(
 ) -> LinearModel:
     """What :func:`linearize` gives, before python-control is loaded for it."""
     plant, x, u = point_of(plant, at)
-    plant, rows = _seen(plant, u[None, :], inputs)
+    plant, x_rows, rows = _seen(plant, x[None, :], u[None, :], inputs)
     chosen = _Selection.of(plant, inputs, outputs)
-    a, b, c, d = chosen.matrices(x[None, :], rows)
+    a, b, c, d = chosen.matrices(x_rows, rows)
     step = 0.0 if dt is None else require_positive("dt", dt, "s")
     chosen = replace(chosen, units=_units_of(plant, units))
     if not stuck:
         return chosen.model((a[0], b[0], c[0], d[0]), step)
-    follow = OperatingPoint(plant, x, u).stuck
+    follow = OperatingPoint(plant, x_rows[0], rows[0]).stuck
     return chosen.model((*follow.reduced(a[0], b[0], c[0]), d[0]), step, follow.kept.tolist())
 
 
@@ -342,7 +347,7 @@ def linearize_along(
     if t is not None:
         motion = motion.at(t)
     x = motion.array([v.name for v in plant.states])
-    plant, u = _seen(plant, motion.array([v.name for v in plant.inputs]), inputs)
+    plant, x, u = _seen(plant, x, motion.array([v.name for v in plant.inputs]), inputs)
     chosen = _Selection.of(plant, inputs, outputs)
     matrices = chosen.matrices(x, u)
     kept = [[v.name for v in plant.inputs].index(n) for n in chosen.inputs]

@@ -84,6 +84,8 @@ class StationaryFilter:
         """The present knowledge."""
         states = [v.name for v in self.plant.states]
         x = self.point.x + self.deviation[: len(states)]
+        if self.inversion:
+            x = self.inversion.inside(x, inwards=False)
         spread = np.sqrt(np.diag(self.covariance)).tolist()
         return Estimate(
             dict(zip(states, x.tolist(), strict=True)),
@@ -111,7 +113,7 @@ class StationaryFilter:
         """Go on to the next sample under inputs by name (kept within the plant's range)."""
         variables, inputs = self.point.plant.inputs, inputs or {}
         if self.inversion:
-            inputs = self.inversion.openings(inputs)
+            inputs = self.inversion.openings(inputs, measured=self.estimate.state)
         u = np.array([np.clip(inputs.get(v.name, v.start or 0.0), v.min, v.max) for v in variables])
         self._u = u - self.point.u
         self._u[[v.name in self.disturbances for v in variables]] = 0.0  # they are states here

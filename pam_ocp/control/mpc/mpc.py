@@ -196,12 +196,13 @@ class Mpc:
         self._fine: ca.Function | None = None
         self.reset()
 
-    def reset(self, inputs: Values | None = None) -> None:
+    def reset(self, inputs: Values | None = None, state: Values | None = None) -> None:
         """Forget solutions and statistics;
-        ``inputs`` are those applied now (start values if None).
+        ``inputs`` are those applied now, at ``state`` (start values if None).
         """
         values = self.plant.vector("input", inputs)
-        values = self.inversion.rows(values[None, :])[0]
+        x = self.plant.vector("state") if state is None else self._state(state)
+        values = self.inversion.rows(values[None, :], x=x[None, :])[0]
         names = [v.name for v in self.model.inputs]
         chosen = [names.index(v.name) for v in self.given.controls]
         self._applied: Array = values[chosen] / self.program.u_nominal
@@ -277,8 +278,10 @@ class Mpc:
             state's derivative: what an estimator found [SI].
         """
         begin = perf_counter()
-        now = self._state(state)
         q = self.given.vector(values)
+        p = q[: len(self.plant.parameters)]
+        seen = self._state(state)
+        now = self.inversion.inside(seen, p)
         point = self._sqp.point
         self._references(reference or {})
         point.set_given(q)
@@ -304,7 +307,7 @@ class Mpc:
         )
         si = self._applied * self.program.u_nominal
         chosen = {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
-        return self.inversion.commands(chosen, q[: len(self.plant.parameters)])
+        return self.inversion.commands(chosen, p, dict(zip(self._states, seen, strict=True)))
 
     def _brief(self) -> str:
         names = ", ".join(p.variable.name for p in self._penalties)
@@ -327,7 +330,8 @@ class Mpc:
             columns[v.name] = np.full(len(chosen), point.given[n + i])
         inputs = np.column_stack([columns[v.name] for v in self.model.inputs])
         if self.inversion:
-            inputs = self.inversion.sent(inputs, point.given[:n])
+            states = self.inversion.inside(states, point.given[:n], inwards=False)
+            inputs = self.inversion.sent(inputs, point.given[:n], states)
         t: Array = self.sample_time * np.arange(self.horizon + 1.0)
         held = PiecewisePolynomial(t, inputs[:-1, None, :])
         model = self.plant.with_values(
