@@ -218,7 +218,9 @@ class Declaration:
             if s.name() not in seen:
                 seen.add(s.name())
                 found += ca.symvar(self._expressions.get(s.name(), ca.SX(0)))
-        inputs = [n for n in seen if n in self._variables and self._variables[n].causality == "input"]
+        inputs = [
+            n for n in seen if n in self._variables and self._variables[n].causality == "input"
+        ]
         if len(inputs) != 1:
             raise InputError(
                 f"dead_zone of {command}: give an input of the plant, or a position that follows one "

@@ -61,6 +61,12 @@ class Inversion:
         self.carried = {c.name: c for o in self.plant.openings for c in o.carried}
         self.exact = not self.carried
 
+    @cached_property
+    def by_states(self) -> bool:
+        """Whether openings and commands tell each other only with the states beside them."""
+        x = self.plant.x
+        return any(ca.depends_on(ca.vertcat(o.forward, *o.inverse), x) for o in self.plant.openings)
+
     def __reduce__(self) -> tuple[Any, ...]:  # symbols do not travel; the plant makes them anew
         return type(self), (self.plant,)
 

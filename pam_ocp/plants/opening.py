@@ -141,9 +141,7 @@ class Lead:
             return None
         a, b = ca.jacobian(slopes, x), ca.jacobian(slopes, asked)
         c, back = ca.jacobian(position, x), -ca.jacobian(position, z)
-        if len(memories) > 1 or ca.depends_on(
-            ca.veccat(a, b, c, back), ca.vertcat(x, z, asked)
-        ):
+        if len(memories) > 1 or ca.depends_on(ca.veccat(a, b, c, back), ca.vertcat(x, z, asked)):
             return None
         if ca.sprank(a) < len(states) or not b.nnz():
             return None

@@ -1,0 +1,1 @@
+"""Verdicts on motions and loops, from a plant, a statement and signals alone."""
