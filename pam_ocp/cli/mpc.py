@@ -50,7 +50,9 @@ keys come first:
   push = ["40 N", "1 s"]
 
 The report says how often the controller found no solution ("failed"), how often it applied one that
-had not converged, and how far its predictions are from a finer integration of its own model.
+had not converged, how far its predictions are from a finer integration of its own model, and in its
+verdict whether the run did what it was asked: set points reached, limits kept, the solver converged,
+predictions true.
 
 Exit code: 0, or 1 when the controller found no solution at some step, 2 for a file or an option
 that cannot be meant.
@@ -120,6 +122,7 @@ def _data(study: Any, loop: Any) -> dict[str, Any]:
         "duration": loop.trajectory.duration,
         "failures": loop.statistics.failures if loop.statistics else 0,
         "prediction_error": loop.prediction_error,
+        "verdict": {"as_asked": bool(loop.verdict), "words": str(loop.verdict)},
         "steady_error": {n: loop.steady_error(n, window) for n in names},
         "last": loop.trajectory.row(-1),
     }

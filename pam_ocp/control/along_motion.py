@@ -92,6 +92,12 @@ class TrajectoryFeedback:
         """See :class:`Controller`."""
         self._integrals.reset()
 
+    def aims(self, t: float) -> dict[str, float]:
+        """The motion's positions at a time [s]; its last ones afterwards."""
+        names = [p.name for p in self.plant.resting()]
+        row = self._row(t, self.motion.array(names), self.motion.t)
+        return dict(zip(names, row.tolist(), strict=True))
+
     def _row(self, t: float, values: Array, times: Array) -> Array:
         i = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2))
         share = float(np.clip((t - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0))

@@ -194,6 +194,12 @@ class StateFeedback:
         named = {self.point.plant.variable(n).name: v for n, v in given.items()}
         return {n: named.get(n, self.point[n]) for n in self.integrated}
 
+    def aims(self, t: float) -> dict[str, float]:
+        """What is to arrive: what is integrated, or else the positions at the point."""
+        if self.integrated:
+            return self.wanted(t)
+        return {p.name: self.point[p.name] for p in self.point.plant.resting()}
+
     def tracking(
         self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
     ) -> StateFeedback:

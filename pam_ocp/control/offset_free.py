@@ -124,6 +124,10 @@ class OffsetFree:
         """See :class:`Controller`."""
         self.filter.reset()
 
+    def aims(self, t: float) -> dict[str, float]:
+        """What is held, and where."""
+        return {n: self._goal.get(n, self.feedback.point[n]) for n in self._held}
+
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         point, feedback = self.feedback.point, self.feedback

@@ -66,6 +66,11 @@ class ScheduledFeedback:
             for n, axis in self.family.axes.items()
         }
 
+    def aims(self, t: float) -> dict[str, float]:
+        """The positions among the axes at a time [s]."""
+        positions = {p.name for p in self.family.plant.resting()}
+        return {n: v for n, v in self.where(t).items() if n in positions}
+
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         where = self.where(t)

@@ -162,7 +162,7 @@ def _missed(
             shares[name] = error / stroke
             words[name] = (
                 f"{name} ends {variable.shown(error)} from its set point "
-                f"{variable.shown(goal[-1])} ({100 * error / stroke:.2g} % of the stroke)"
+                f"{variable.shown(goal[-1])} ({100 * error / stroke:.3g} % of the stroke)"
             )
     return shares, words
 
@@ -221,7 +221,9 @@ def _broken(
 def _solved(calls: Mapping[str, int]) -> tuple[float, str]:
     count, failed = calls["all"], calls["failed"]
     left = calls["unconverged"] + failed
-    words = f"{left} of {count} solves did not converge" if left else f"all {count} solves converged"
+    words = (
+        f"{left} of {count} solves did not converge" if left else f"all {count} solves converged"
+    )
     if failed:
         words += f", {failed} of them failed"
     return left / count, words
@@ -257,9 +259,6 @@ def _prediction(
     share = shares[worst]
     if share > ASTRAY:
         return share, (
-            f"predictions of {worst} over one sample miss {100 * share:.0f} % of its changes: the "
-            "model is not the plant"
+            f"predictions of {worst} over one sample miss {100 * share:.0f} % of its changes"
         )
-    return share, f"predictions within {100 * share:.1g} % of the changes"
-
-
+    return share, f"predictions of {worst} miss {100 * share:.1f} % of its changes"

@@ -223,8 +223,8 @@ class Declaration:
         ]
         if len(inputs) != 1:
             raise InputError(
-                f"dead_zone of {command}: give an input of the plant, or a position that follows one "
-                "input by states whose equations were stated before with der()"
+                f"dead_zone of {command}: give an input of the plant, or a position that follows "
+                "one input by states whose equations were stated before with der()"
             )
         return ca.SX(command), self._symbols[inputs[0]]
 

@@ -313,11 +313,15 @@ class WithEstimate:
         self.controller.reset()
         self.filter.reset()
 
+    def aims(self, t: float) -> dict[str, float]:
+        """Those of the controller."""
+        told = getattr(self.controller, "aims", getattr(self.controller, "wanted", None))
+        return dict(told(t)) if told else {}
+
     def __call__(self, t: float, measured: Measured) -> Mapping[str, float]:
         """See :class:`Controller`."""
-        estimate = self.filter.correct(measured)
-        states = [v.name for v in self.filter.point.plant.states]
-        seen = dict(zip(states, estimate.tolist(), strict=True))
+        self.filter.correct(measured)
+        seen = self.filter.estimate.state
         visible = [n for n in (*self.filter.measured, *self.also) if n not in seen]
         seen.update({n: measured[n] for n in visible})
         inputs = self.controller(t, seen)
