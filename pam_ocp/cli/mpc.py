@@ -51,8 +51,8 @@ keys come first:
 
 The report says how often the controller found no solution ("failed"), how often it applied one that
 had not converged, how far its predictions are from a finer integration of its own model, and in its
-verdict whether the run did what it was asked: set points reached, limits kept, the solver converged,
-predictions true.
+verdict whether the run did what it was asked: set points reached, limits kept, the solver
+converged, predictions true.
 
 Exit code: 0, or 1 when the controller found no solution at some step, 2 for a file or an option
 that cannot be meant.

@@ -183,7 +183,7 @@ def tvlqr(
     if inversion:
         sampled = in_openings(inversion, sampled)
     along = linearize_along(inversion.inner, sampled, inputs=weighting.inputs)
-    no_influence("tvlqr", inversion.inner, along.B, weighting.inputs)
+    no_influence("tvlqr", inversion.inner, along.A, along.B, weighting.inputs)
     a, b, q, r = _along(weighting, along, outputs)
     size, inverse = a.shape[-1], np.linalg.inv(r)
     follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)

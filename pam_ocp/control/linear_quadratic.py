@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError, require_positive
+from ..core.plausible import outside
 from ..core.stop import verb
 from ..operating.linear import held, inside, linearize, no_influence
 from ..operating.resting_point import OperatingPoint
@@ -27,6 +29,10 @@ __all__ = ["StateFeedback", "Weighting", "lqr"]
 Array: TypeAlias = NDArray[np.float64]
 LEAST_WEIGHT = 0.3
 """Of each state [per nominal] where the weights given leave a motion without cost and decay."""
+SHORTEST = 1e-6
+"""Of a sample time that is too long: shorter ones are not looked for."""
+OVER = 5.0
+"""Time constants after which a motion is over."""
 DECAY = 1e-8
 """A pole of the closed loop slower than this part of the fastest rate counts as none."""
 Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
@@ -306,6 +312,41 @@ def stationary(
     raise ValueError(reason)
 
 
+def _require_quick(
+    plant: Plant, loop: tuple[Array, Array, Array], sample_time: float, sampled: bool
+) -> None:
+    """InputError where the feedback, its inputs held over a sample, does not stabilise; a warning
+    where all motions of the plant are over within a sample, so that it never acts on one.
+
+    loop : A, B and the gains, in units of nominal.
+    """
+    a, b, k = loop
+
+    def radius(time: float) -> float:
+        ad, bd = held(a, b, np.ones(len(a)), time)
+        found = float(np.abs(np.linalg.eigvals(ad - bd @ k)).max())
+        return found if np.isfinite(found) else np.inf
+
+    if not sampled and not (largest := radius(sample_time)) < 1:
+        time = sample_time
+        while not radius(time) < 1 and time > SHORTEST * sample_time:
+            time /= 2
+        raise InputError(
+            f"lqr: sample_time = {sample_time:g} s is too long for {plant.name!r}: with inputs "
+            f"held so long the closed loop is unstable (a pole at {largest:.3g}, outside the unit "
+            f"circle); give at most {time:.2g} s, or sampled=True, which designs for held inputs"
+        )
+    decay = -np.linalg.eigvals(a).real
+    slowest = float(np.min(decay, initial=np.inf))
+    if slowest * sample_time > OVER:
+        warnings.warn(
+            f"lqr: sample_time = {sample_time:g} s is far too long for {plant.name!r}: its slowest "
+            f"motion decays with {1 / slowest:.2g} s and is over within a sample, so the feedback "
+            "never acts on it",
+            stacklevel=outside(),
+        )
+
+
 @CONTROLLERS.register("lqr", units={"sample_time": "s"})
 @verb
 def lqr(
@@ -330,9 +371,10 @@ def lqr(
     sample_time : of the controller [s]. sampled : design for inputs held over it
         (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
 
-    Raises InputError when no input has an influence at the point, or when no stabilising feedback
-    exists (a state that is a pure integral, such as the totals of a gas feed, or an integrated
-    output that the inputs cannot move).
+    Raises InputError when no input has an influence on a position at the point, when the sample
+    time is too long (inputs held over it, the closed loop is unstable), or when no stabilising
+    feedback exists (a state that is a pure integral, such as the totals of a gas feed, or an
+    integrated output that the inputs cannot move).
 
     Examples
     --------
@@ -350,7 +392,7 @@ def lqr(
     weighting = Weighting(plant, weights, effort, integral or {})
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
     system = linearize(plant, at, inputs=weighting.inputs)
-    no_influence("lqr", plant, np.asarray(system.B), weighting.inputs)
+    no_influence("lqr", plant, np.asarray(system.A), np.asarray(system.B), weighting.inputs)
     a, b, q, r = weighting.scaled(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
@@ -368,6 +410,7 @@ def lqr(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
+    _require_quick(plant, (a, b, k), sample_time, sampled)
     gains = weighting.unscaled(k @ pick)
     return StateFeedback(
         at,

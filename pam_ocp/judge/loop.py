@@ -122,13 +122,13 @@ def judge_loop(
         kept.append("limits kept")
     share = None
     if calls and calls["all"]:
-        share, told = _solved(calls)
-        (faults if share > UNCONVERGED or calls["failed"] else kept).append(told)
+        share, solved = _solved(calls)
+        (faults if share > UNCONVERGED or calls["failed"] else kept).append(solved)
     error = None
     if predicted:
-        error, told = _prediction(motion, predicted, sample_time, noise)
+        error, foretold = _prediction(motion, predicted, sample_time, noise)
         if error is not None:
-            (faults if error > ASTRAY else kept).append(told)
+            (faults if error > ASTRAY else kept).append(foretold)
     return LoopVerdict(tuple(faults), tuple(kept), missed, broken, found, share, error)
 
 
@@ -178,7 +178,8 @@ def _idle(
     if wanted is None or not missed:
         return (), []
     known = [n for n in inputs if n in motion]
-    at_end, still = [], []
+    at_end: list[str] = []
+    still: list[str] = []
     for name in known:
         variable, values = motion.variable(name), motion[name]
         if np.ptp(values) <= STILL * variable.nominal:

@@ -123,7 +123,10 @@ class Inversion:
     def states(self, measured: Mapping[str, float] | None) -> Array:
         """The plant's states (nx,) of values by name; start values for what is not there."""
         names = (v.name for v in self.plant.states)
-        return np.array([(measured or {}).get(n, s) for n, s in zip(names, self._x, strict=True)])
+        known = measured or {}
+        values = (known.get(n, s) for n, s in zip(names, self._x.tolist(), strict=True))
+        found: Array = np.array([*values], dtype=float)
+        return found
 
     def entry(self, measured: Mapping[str, float]) -> Mapping[str, float]:
         """Values by name, with the states as they are inside."""

@@ -98,7 +98,7 @@ class ServoValve(SpoolValve):
                 description=f"feedback of {key} ({name}): opening per {unit}",
             )
             top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
-            about = {
+            about: dict[str, Any] = {
                 "unit": unit,
                 "nominal": nominal,
                 **({"min": 0.0, "max": top, "start": top / 2} if key == "pressure" else {}),
@@ -168,13 +168,13 @@ class _Looped:
     def input(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX:
         if name != f"{self._name}.command" or self._pressure is None:
             return self._plant.input(name, start=start, **attributes)
-        asked, *aim = self._servo.demand(
+        held, aim, asked, about = self._servo.demand(
             self._plant, self._name, self._muscle, self._pressure, self._contraction
         )
         if self._servo.spool is None:
-            return asked
-        self._aim = aim[0], aim[1], aim[2]
-        return self._aim[1].symbol
+            return held
+        self._aim = aim, asked, about
+        return asked.symbol
 
     def opening(
         self,
