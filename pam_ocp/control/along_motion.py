@@ -174,6 +174,12 @@ def tvlqr(
             f"motion is a {type(motion).__name__}, not a Trajectory of the plant, such as "
             "plan.trajectory"
         )
+    sample_time = require_positive("sample_time", sample_time, "s")
+    if sample_time >= motion.duration:
+        raise InputError(
+            f"tvlqr: sample_time = {sample_time:g} s is no shorter than the motion, which takes "
+            f"{motion.duration:g} s: give a fraction of that"
+        )
     inversion = Inversion(plant)
     if isinstance(effort, Mapping):
         effort = inversion.names(effort)
@@ -227,7 +233,7 @@ def tvlqr(
         np.array([k for _, k in gains]),
         p,
         weighting.integrated,
-        require_positive("sample_time", sample_time, "s"),
+        sample_time,
     )
 
 
@@ -278,6 +284,10 @@ def _final(
         given = np.asarray(final, float)
         if given.shape != a.shape:
             raise InputError(f"final has shape {given.shape}; the Riccati matrix has {a.shape}")
+        if not np.all(np.isfinite(given)):
+            raise InputError(
+                "final holds entries that are not finite; give the solution P at the end"
+            )
         return given, np.zeros_like(q)
     try:
         lift, pick = stuck

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, require_instance, require_positive
 from ..core.plausible import outside
 from ..core.stop import verb
 from ..operating.linear import held, inside, linearize, no_influence
@@ -66,6 +66,11 @@ class Weighting:
     def scales(self, names: list[str]) -> Array:
         return np.array([self.plant.variable(n).nominal for n in names])
 
+    def __post_init__(self) -> None:
+        for name in ("weights", "integral"):
+            given, words = getattr(self, name), "give {state or output: weight}"
+            require_instance(name, given, Mapping, words, none=name == "weights")
+
     def checked(self) -> tuple[dict[str, float], Array]:
         """{weighted state or output: weight} and R, in units of nominal."""
         given = self.weights
@@ -74,8 +79,11 @@ class Weighting:
                 n: w for p, v in self.plant.positions.items() for n, w in ((p, 10.0), (v, 1.0))
             }
         rows = {
-            self.plant.variable(n).name: require_positive(n, w, zero=True) for n, w in given.items()
+            self.plant.variable(n).name: require_positive(f"weights[{n!r}]", w, zero=True)
+            for n, w in given.items()
         }
+        for n, w in self.integral.items():
+            require_positive(f"integral[{n!r}]", w)
         allowed = {v.name for v in (*self.plant.states, *self.plant.outputs)}
         for name in [*rows, *self.integrated]:
             if name not in allowed:
@@ -189,6 +197,18 @@ class StateFeedback:
             plant.vector("input", attribute=a)[self._columns] for a in ("min", "max")
         )
         self._integrals = Integrals(self.integrated)
+        if isinstance(self.setpoint, Mapping):
+            self._check_setpoint(self.setpoint)
+
+    def _check_setpoint(self, given: Mapping[str, float]) -> None:
+        for name, value in given.items():
+            variable = self.point.plant.variable(name)
+            if variable.name not in self.integrated:
+                raise InputError(
+                    f"setpoint: {name} is not integrated, so the feedback holds it at its point; "
+                    f"design lqr(..., integral={{{name!r}: weight}})"
+                )
+            variable.check(value, "setpoint")
 
     def reset(self) -> None:
         """See :class:`Controller`."""

@@ -209,10 +209,12 @@ def closed_loop(
     chosen = side_of(side, model, sample_time, parts, parameters=parameters, start=start, rtol=rtol)
     with chosen as real:
         inputs = Actuators(real, chosen.plant if isinstance(chosen, PlantSide) else model)
-        told = {
-            inputs.known(n).name: source(f"reference[{n!r}]", v, inputs.known(n).unit)
-            for n, v in (reference or {}).items()
-        }
+        told = {}
+        for name, value in (reference or {}).items():
+            variable = inputs.known(name)
+            told[variable.name] = at = source(f"reference[{name!r}]", value, variable.unit)
+            if not callable(value):
+                variable.check(at(0.0), "reference")
         run = _Run(
             _told(controller, told, real, preview),
             estimator,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, TypeAlias, get_args
 
@@ -16,12 +17,16 @@ from ..core.errors import (
     require_finite,
     require_positive,
 )
+from ..core.plausible import outside
 from ..plants.plant import Plant, Values
 from ..simulation.sampled import StepMethod, stepped
 
 __all__ = ["Givens", "Step", "StepMethod"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+GROWTH = 1.01
+"""From step to step: what decays in the plant is not to grow by more in a prediction."""
 
 
 class Givens:
@@ -96,6 +101,30 @@ class Step:
         if self.method not in get_args(StepMethod):
             raise InputError(f"method = {self.method!r}: choose 'rk4' or 'rosenbrock'")
         require_count("substeps", self.substeps)
+
+    def doubt(self, verb: str, plant: Plant) -> None:
+        """Warn where the method is unstable at the plant's start values: a pole on the left leaves
+        the region where it damps (E. Hairer, G. Wanner, Solving ODEs II, IV.2).
+        """
+        if self.method != "rk4":
+            return
+        x, u, p = (plant.vector(c) for c in ("state", "input", "parameter"))
+        scale = plant.vector("state", attribute="nominal")
+        a = np.asarray(plant.jacobians(x, u, p)[0], dtype=float) * scale / scale[:, None]
+        if not np.all(np.isfinite(a)):
+            return
+        poles = np.linalg.eigvals(a)
+        z = poles[poles.real < 0] * self.length / self.substeps
+        growth = np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
+        if np.max(growth, initial=0.0) > GROWTH:
+            fastest = float(-np.min(poles.real))
+            warnings.warn(
+                f"{verb}: sample_time = {self.length:g} s in {self.substeps} substeps of rk4 is "
+                f"too long for {plant.name!r}, whose fastest motion decays with {1 / fastest:.2g} "
+                "s: predictions grow without bound; give a shorter sample_time, more substeps, or "
+                "method='rosenbrock'",
+                stacklevel=outside(),
+            )
 
     def expression(self, given: Givens, x: ca.SX, u: ca.SX, q: ca.SX, length: Any = None) -> ca.SX:
         """The state after the step from x; x and u in units of nominal, q in SI."""

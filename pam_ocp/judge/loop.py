@@ -28,6 +28,8 @@ ASTRAY = 0.25
 """Of the changes from sample to sample: predictions that miss more are named."""
 BROKEN = 0.01
 """Of nominal: a limit that is exceeded by more is broken."""
+SATURATED = 0.5
+"""Of the second half of a run: an input at its limits for longer explains what was missed."""
 STILL = 1e-6
 """Of nominal: an input that changes by less stood still."""
 NOISE = 3.0
@@ -140,7 +142,14 @@ def _judged(motion: Trajectory, wanted: Trajectory) -> list[str]:
     """What is wanted at one value at the end of the run; along a motion nothing is a set point."""
     late = _late(motion)
     known = [n for n in wanted.names if n in motion]
-    return [n for n in known if np.ptp(wanted[n][late]) <= STILL * wanted.variable(n).nominal]
+    return [n for n in known if np.ptp(wanted[n][late]) <= MISSED * _stroke(motion, wanted, n)]
+
+
+def _stroke(motion: Trajectory, wanted: Trajectory, name: str) -> float:
+    """How far a variable is to go; of one that is to stay at least ``SMALLEST_STROKE``."""
+    goal = wanted[name]
+    way = max(float(np.ptp(goal)), float(np.max(np.abs(goal - motion[name][0]))))
+    return max(way, SMALLEST_STROKE * float(motion.variable(name).nominal))
 
 
 def _missed(
@@ -149,14 +158,12 @@ def _missed(
     """(distances as parts of the stroke, in words), of the set points that were missed."""
     shares: dict[str, float] = {}
     words: dict[str, str] = {}
+    if wanted is None:
+        return shares, words
     late = _late(motion)
-    for name in _judged(motion, wanted) if wanted is not None else ():
-        variable, goal = motion.variable(name), wanted[name]  # type: ignore[index]
-        stroke = max(
-            float(np.ptp(goal)),
-            float(np.max(np.abs(goal - motion[name][0]))),
-            SMALLEST_STROKE * variable.nominal,
-        )
+    for name in _judged(motion, wanted):
+        variable, goal = motion.variable(name), wanted[name]
+        stroke = _stroke(motion, wanted, name)
         error = float(np.max(np.abs(motion[name] - goal)[late]))
         if error > MISSED * stroke + NOISE * noise.get(name, 0.0):
             shares[name] = error / stroke
@@ -180,15 +187,20 @@ def _idle(
     known = [n for n in inputs if n in motion]
     at_end: list[str] = []
     still: list[str] = []
+    told = []
     for name in known:
         variable, values = motion.variable(name), motion[name]
-        if np.ptp(values) <= STILL * variable.nominal:
-            edge = STILL * variable.nominal
-            held = values[0] <= variable.min + edge or values[0] >= variable.max - edge
-            (at_end if held else still).append(name)
-    told = []
+        edge = STILL * variable.nominal
+        held = (values <= variable.min + edge) | (values >= variable.max - edge)
+        late = float(np.mean(held[len(held) // 2 :]))
+        if np.ptp(values) <= edge and np.all(held):
+            at_end.append(name)
+        elif np.ptp(values) <= edge:
+            still.append(name)
+        elif late > SATURATED:
+            told.append(f"{name} is at its limits {100 * late:.0f} % of the time")
     if at_end:
-        told.append(f"{', '.join(at_end)} stood at the end of the range all the time")
+        told.append(f"{', '.join(at_end)} stood at an end of the range all the time")
     stuck = [n for n in missed if np.ptp(motion[n]) <= STILL * motion.variable(n).nominal]
     moved = [n for n in known if n not in still and n not in at_end]
     without = list(dict.fromkeys([*idle, *still]))

@@ -131,7 +131,9 @@ def warn_off_rest(plant: Plant, x: Array, u: Array) -> None:
 
 def per_second(unit: str) -> str:
     """A unit, per second."""
-    return "1/s" if unit == "1" else f"{unit}/s"
+    if unit == "1":
+        return "1/s"
+    return f"{unit}2" if unit.endswith("/s") else f"{unit}/s"
 
 
 def _seen(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -432,8 +433,14 @@ class Declaration:
         self._stated = dict(self._expressions)
         if self._gathered:
             sums = [sum(terms, ca.SX(0)) for _, terms in self._gathered]
-            self._stated = self._replaced([symbol for symbol, _ in self._gathered], sums)
+            symbols = [symbol for symbol, _ in self._gathered]
+            self._stated = self._replaced(symbols, sums)
             self._expressions = dict(self._stated)
+            whole = [ca.vertcat(*symbols)], [ca.vertcat(*sums)]
+            self._flow_paths = tuple(
+                replace(w, in_commands=ca.substitute([w.in_commands], *whole)[0])
+                for w in self._flow_paths
+            )
         if any(image not in self._variables for _, image in self._mirror.values()):
             self._mirror = {}  # a sensor's filter on one side alone
         if self._flow_paths:

@@ -118,7 +118,8 @@ class Inversion:
         if self.exact:
             return x
         moved = self.entering(inwards)(np.transpose(x), self._p if p is None else p)
-        return np.asarray(moved, dtype=float).T.reshape(np.shape(x))
+        found: Array = np.asarray(moved, dtype=float).T.reshape(np.shape(x))
+        return found
 
     def states(self, measured: Mapping[str, float] | None) -> Array:
         """The plant's states (nx,) of values by name; start values for what is not there."""

@@ -59,6 +59,7 @@ class Estimator(ABC):
     ) -> None:
         require_plant(plant)
         self.plant, self.given, how = plant, Givens(plant), Step(sample_time, method, substeps)
+        how.doubt(type(self).__name__, plant)
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self._control_names = [v.name for v in self.given.controls]
         if not measured:

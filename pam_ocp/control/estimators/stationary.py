@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError, require_positive
+from ...core.errors import InputError, require_instance, require_positive
 from ...core.stop import verb
 from ...operating.linear import inside, linearize
 from ...operating.resting_point import OperatingPoint
@@ -151,6 +151,8 @@ def kalman(
     require_plant(plant)
     inversion, at = inside(plant, at)
     plant = at.plant
+    sample_time = require_positive("sample_time", sample_time, "s")
+    require_instance("measured", measured, Mapping, "give {state or output: deviation}")
     if not measured:
         raise InputError("measured is empty: give {state or output: deviation of its noise}")
     names = [plant.variable(n).name for n in measured]
@@ -163,7 +165,10 @@ def kalman(
     system = _with_disturbances(plant, linear, list(unknown), states)
     sizes = [plant.variable(n).nominal for n in unknown]
     if isinstance(process, Mapping):
-        given = {plant.variable(n).name: float(v) for n, v in process.items()}
+        given = {
+            plant.variable(n).name: require_positive(f"process[{n!r}]", v, zero=True)
+            for n, v in process.items()
+        }
         drive = np.array([given.get(plant.states[i].name, 0.0) for i in follow.kept])
     else:
         drive = np.full(len(states), require_positive("process", process))

@@ -21,6 +21,7 @@ from ...core.errors import (
     UnknownNameError,
     require_count,
     require_finite,
+    require_instance,
     require_positive,
 )
 from ...core.plausible import outside
@@ -173,6 +174,11 @@ class Mpc:
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
         how = Step(sample_time, method, substeps)
+        how.doubt("Mpc", self.model)
+        for argument, named in (("track", track), ("terminal", terminal), ("rate", rate)):
+            require_instance(
+                argument, named, Mapping, "give {name: weight}", none=argument != "track"
+            )
         track, terminal = inversion.names(track), terminal and inversion.names(terminal)
         self._penalties = penalties = _penalties(self.model, track, terminal)
         rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
