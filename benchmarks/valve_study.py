@@ -198,7 +198,7 @@ def runs(plant: pam.Plant, x: str, start: Any, goal: Any) -> list[tuple[float, l
     return [*found, answered(led)[1:]]
 
 
-def main(cases: int = 24, seed: int = 1) -> None:
+def main(cases: int = 24, seed: int = 1) -> dict[str, dict[str, int]]:
     rng = np.random.default_rng(seed)
     counts = {n: {"within": 0, "said": 0, "SILENT": 0, "TWICE": 0} for n in ("lqr", "tvlqr", "Mpc")}
     for case in range(cases):
@@ -223,6 +223,7 @@ def main(cases: int = 24, seed: int = 1) -> None:
         print(*sentences, sep="\n", end="\n" if sentences else "", flush=True)
     for name, count in counts.items():
         print(f"{name:6s} {', '.join(f'{n} {kind}' for kind, n in count.items())}")
+    return counts
 
 
 if __name__ == "__main__":

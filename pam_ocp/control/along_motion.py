@@ -17,7 +17,15 @@ from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
 from .controller import Measured
-from .linear_quadratic import Integrals, Weighting, saturated, sent, states_of, stationary
+from .linear_quadratic import (
+    Integrals,
+    Weighting,
+    require_quick,
+    saturated,
+    sent,
+    states_of,
+    stationary,
+)
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
 
@@ -224,6 +232,9 @@ def tvlqr(
         )
     p = solution.y.T[::-1].reshape(-1, size, size)
     p = (p + p.swapaxes(1, 2)) / 2
+    kept = stuck[1] @ a[-1] @ stuck[0], stuck[1] @ b[-1], inverse @ b[-1].T @ p[-1] @ stuck[0]
+    if final is None:
+        require_quick("tvlqr", plant, kept, sample_time)
     gains = [weighting.unscaled(inverse @ bt.T @ pt) for bt, pt in zip(b, p, strict=True)]
     return TrajectoryFeedback(
         plant,

@@ -24,7 +24,7 @@ from .references import Source
 if TYPE_CHECKING:
     import control
 
-__all__ = ["StateFeedback", "Weighting", "lqr"]
+__all__ = ["StateFeedback", "Weighting", "lqr", "require_quick"]
 
 Array: TypeAlias = NDArray[np.float64]
 LEAST_WEIGHT = 0.3
@@ -332,13 +332,18 @@ def stationary(
     raise ValueError(reason)
 
 
-def _require_quick(
-    plant: Plant, loop: tuple[Array, Array, Array], sample_time: float, sampled: bool
+def require_quick(
+    verb: str,
+    plant: Plant,
+    loop: tuple[Array, Array, Array],
+    sample_time: float,
+    sampled: bool | None = None,
 ) -> None:
     """InputError where the feedback, its inputs held over a sample, does not stabilise; a warning
     where all motions of the plant are over within a sample, so that it never acts on one.
 
-    loop : A, B and the gains, in units of nominal.
+    loop : A, B and the gains, in units of nominal. sampled : whether they were designed for held
+    inputs; None: that cannot be chosen.
     """
     a, b, k = loop
 
@@ -351,18 +356,19 @@ def _require_quick(
         time = sample_time
         while not radius(time) < 1 and time > SHORTEST * sample_time:
             time /= 2
+        other = ", or sampled=True, which designs for held inputs" if sampled is not None else ""
         raise InputError(
-            f"lqr: sample_time = {sample_time:g} s is too long for {plant.name!r}: with inputs "
+            f"{verb}: sample_time = {sample_time:g} s is too long for {plant.name!r}: with inputs "
             f"held so long the closed loop is unstable (a pole at {largest:.3g}, outside the unit "
-            f"circle); give at most {time:.2g} s, or sampled=True, which designs for held inputs"
+            f"circle); give at most {time:.2g} s{other}"
         )
     decay = -np.linalg.eigvals(a).real
     slowest = float(np.min(decay, initial=np.inf))
     if slowest * sample_time > OVER:
         warnings.warn(
-            f"lqr: sample_time = {sample_time:g} s is far too long for {plant.name!r}: its slowest "
-            f"motion decays with {1 / slowest:.2g} s and is over within a sample, so the feedback "
-            "never acts on it",
+            f"{verb}: sample_time = {sample_time:g} s is far too long for {plant.name!r}: its "
+            f"slowest motion decays with {1 / slowest:.2g} s and is over within a sample, so the "
+            "feedback never acts on it",
             stacklevel=outside(),
         )
 
@@ -430,7 +436,7 @@ def lqr(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
-    _require_quick(plant, (a, b, k), sample_time, sampled)
+    require_quick("lqr", plant, (a, b, k), sample_time, sampled)
     gains = weighting.unscaled(k @ pick)
     return StateFeedback(
         at,
