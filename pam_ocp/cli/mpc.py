@@ -5,6 +5,7 @@ estimator and a real side that differs.
 from __future__ import annotations
 
 import argparse
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,9 @@ def _mpc(options: argparse.Namespace) -> int:
 
     require_places(options.out, options.plot)
     study = _study(options)
-    loop = run_loop(study)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="closed loop: ")  # the report has the verdict
+        loop = run_loop(study)
     tell(options, loop_text(study, loop), lambda: _data(study, loop))
     if options.out:
         wrote(options, written(loop.trajectory, options.out))

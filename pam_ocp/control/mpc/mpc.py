@@ -101,7 +101,7 @@ class Mpc:
     delay : 0 when the inputs are applied at once, 1 when they take effect a step later: the state
         is then predicted to that time with the inputs applied meanwhile.
     method, substeps : of the integration from node to node, see Step ("rosenbrock" for stiff
-        plants).
+        plants). None: 2 substeps, or as many as "rk4" needs to be stable at the start values.
     solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program;
         "riccati": each call is the one Function that runs as C code and FMU, too (see
         ``pam.control.block``), to the last bit, slower than HPIPM by ten times where it is not
@@ -147,7 +147,7 @@ class Mpc:
         work: int | None = 12,
         delay: int = 0,
         method: StepMethod = "rk4",
-        substeps: int = 2,
+        substeps: int | None = None,
         solver: QpSolver | Literal["ipopt", "riccati"] | None = None,
         tolerance: float = 1e-3,
         compiled: bool | None = False,
@@ -173,8 +173,7 @@ class Mpc:
         self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
-        how = Step(sample_time, method, substeps)
-        how.doubt("Mpc", self.model)
+        how = Step.of("Mpc", self.model, sample_time, method, substeps)
         for argument, named in (("track", track), ("terminal", terminal), ("rate", rate)):
             require_instance(
                 argument, named, Mapping, "give {name: weight}", none=argument != "track"
