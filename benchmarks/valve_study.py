@@ -29,6 +29,8 @@ KINDS = ("hanging", "spring", "slide", "joint")
 STEP = 4e-3
 """Sample time of state feedback [s]; of Mpc 0.01."""
 WANTED = 0.01
+LIMIT = 45.0
+"""[s] of a run; stiff plants that chatter end there, and say so."""
 
 
 class OwnSpool(pam.feeds.SpoolValve):
@@ -167,7 +169,7 @@ def answered(attempt: Callable[[], tuple[Any, float]]) -> tuple[Any, float, list
 def runs(plant: pam.Plant, x: str, start: Any, goal: Any) -> list[tuple[float, list[str]]]:
     """(miss, sentences) of LQR, of its trajectory from a tenth of the way beside it, of Mpc."""
     begin = {v.name: start[v.name] for v in plant.states}
-    loop: dict[str, Any] = {"duration": 1.5, "sample_time": STEP, "rtol": 1e-6}
+    loop: dict[str, Any] = {"duration": 1.5, "sample_time": STEP, "rtol": 1e-6, "time_limit": LIMIT}
 
     def still() -> tuple[Any, float]:
         law = pam.lqr(plant, goal, sample_time=STEP, sampled=True)
@@ -186,7 +188,9 @@ def runs(plant: pam.Plant, x: str, start: Any, goal: Any) -> list[tuple[float, l
         track = {x: 1.0} | ({"stiffness": 0.05} if pair else {})
         rate = {v.name: 0.05 for v in plant.inputs}
         mpc = pam.Mpc(plant, horizon=20, sample_time=0.01, track=track, rate=rate)
-        run = mpc.closed_loop(plant, {n: goal[n] for n in track}, 1.0, start=begin, rtol=1e-6)
+        run = mpc.closed_loop(
+            plant, {n: goal[n] for n in track}, 1.0, start=begin, rtol=1e-6, time_limit=LIMIT
+        )
         return None, missed(run.trajectory, x, start, goal)
 
     motion, first, said = answered(still)
