@@ -5,6 +5,7 @@ estimator and a real side that differs.
 from __future__ import annotations
 
 import argparse
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,9 @@ keys come first:
   push = ["40 N", "1 s"]
 
 The report says how often the controller found no solution ("failed"), how often it applied one that
-had not converged, and how far its predictions are from a finer integration of its own model.
+had not converged, how far its predictions are from a finer integration of its own model, and in its
+verdict whether the run did what it was asked: set points reached, limits kept, the solver
+converged, predictions true.
 
 Exit code: 0, or 1 when the controller found no solution at some step, 2 for a file or an option
 that cannot be meant.
@@ -102,7 +105,9 @@ def _mpc(options: argparse.Namespace) -> int:
 
     require_places(options.out, options.plot)
     study = _study(options)
-    loop = run_loop(study)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="closed loop: ")  # the report has the verdict
+        loop = run_loop(study)
     tell(options, loop_text(study, loop), lambda: _data(study, loop))
     if options.out:
         wrote(options, written(loop.trajectory, options.out))
@@ -120,6 +125,7 @@ def _data(study: Any, loop: Any) -> dict[str, Any]:
         "duration": loop.trajectory.duration,
         "failures": loop.statistics.failures if loop.statistics else 0,
         "prediction_error": loop.prediction_error,
+        "verdict": {"as_asked": bool(loop.verdict), "words": str(loop.verdict)},
         "steady_error": {n: loop.steady_error(n, window) for n in names},
         "last": loop.trajectory.row(-1),
     }

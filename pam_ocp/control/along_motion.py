@@ -17,7 +17,15 @@ from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
 from .controller import Measured
-from .linear_quadratic import Integrals, Weighting, saturated, sent, stationary
+from .linear_quadratic import (
+    Integrals,
+    Weighting,
+    require_quick,
+    saturated,
+    sent,
+    states_of,
+    stationary,
+)
 
 __all__ = ["OpenLoop", "TrajectoryFeedback", "tvlqr"]
 
@@ -82,7 +90,7 @@ class TrajectoryFeedback:
         inner = self._inversion.inner
         self.inputs = [v.name for v in inner.inputs if not v.disturbance]
         self._states = [v.name for v in self.plant.states]
-        self._x = self.motion.array(self._states)
+        self._x = self._inversion.inside(self.motion.array(self._states))
         self._y = self.motion.array(self.integrated)
         chosen = [inner.variable(n) for n in self.inputs]
         self._low, self._high = (np.array([getattr(v, a) for v in chosen]) for a in ("min", "max"))
@@ -92,6 +100,12 @@ class TrajectoryFeedback:
         """See :class:`Controller`."""
         self._integrals.reset()
 
+    def aims(self, t: float) -> dict[str, float]:
+        """The motion's positions at a time [s]; its last ones afterwards."""
+        names = [p.name for p in self.plant.resting()]
+        row = self._row(t, self.motion.array(names), self.motion.t)
+        return dict(zip(names, row.tolist(), strict=True))
+
     def _row(self, t: float, values: Array, times: Array) -> Array:
         i = int(np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2))
         share = float(np.clip((t - times[i]) / (times[i + 1] - times[i]), 0.0, 1.0))
@@ -99,7 +113,7 @@ class TrajectoryFeedback:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        x = np.array([measured[n] for n in self._states])
+        x = states_of(self._inversion, self._states, measured)
         planned = self._planned(t)
         u = planned - self._row(t, self.K, self.t) @ (x - self._row(t, self._x, self.motion.t))
         u = u - self._row(t, self.Ki, self.t) @ self._integrals.values
@@ -107,7 +121,7 @@ class TrajectoryFeedback:
             y = np.array([measured[n] for n in self.integrated])
             error = y - self._row(t, self._y, self.motion.t)
             self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self._inversion, self.inputs, u)
+        return sent(self._inversion, self.inputs, u, measured)
 
     def _planned(self, t: float) -> Array:
         """The motion's inputs, commands as the openings that they give."""
@@ -115,7 +129,9 @@ class TrajectoryFeedback:
         if not self._inversion:
             return planned
         named = dict(zip(self._open.inputs, planned.tolist(), strict=True))
-        inner = self._inversion.openings(named)
+        x = self._row(t, self.motion.array(self._states), self.motion.t)
+        seen = dict(zip(self._states, x.tolist(), strict=True))
+        inner = self._inversion.openings(named, measured=seen)
         return np.array([inner[n] for n in self.inputs])
 
 
@@ -166,6 +182,12 @@ def tvlqr(
             f"motion is a {type(motion).__name__}, not a Trajectory of the plant, such as "
             "plan.trajectory"
         )
+    sample_time = require_positive("sample_time", sample_time, "s")
+    if sample_time >= motion.duration:
+        raise InputError(
+            f"tvlqr: sample_time = {sample_time:g} s is no shorter than the motion, which takes "
+            f"{motion.duration:g} s: give a fraction of that"
+        )
     inversion = Inversion(plant)
     if isinstance(effort, Mapping):
         effort = inversion.names(effort)
@@ -175,7 +197,7 @@ def tvlqr(
     if inversion:
         sampled = in_openings(inversion, sampled)
     along = linearize_along(inversion.inner, sampled, inputs=weighting.inputs)
-    no_influence("tvlqr", inversion.inner, along.B, weighting.inputs)
+    no_influence("tvlqr", inversion.inner, along.A, along.B, weighting.inputs)
     a, b, q, r = _along(weighting, along, outputs)
     size, inverse = a.shape[-1], np.linalg.inv(r)
     follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)
@@ -210,6 +232,9 @@ def tvlqr(
         )
     p = solution.y.T[::-1].reshape(-1, size, size)
     p = (p + p.swapaxes(1, 2)) / 2
+    kept = stuck[1] @ a[-1] @ stuck[0], stuck[1] @ b[-1], inverse @ b[-1].T @ p[-1] @ stuck[0]
+    if final is None:
+        require_quick("tvlqr", plant, kept, sample_time)
     gains = [weighting.unscaled(inverse @ bt.T @ pt) for bt, pt in zip(b, p, strict=True)]
     return TrajectoryFeedback(
         plant,
@@ -219,7 +244,7 @@ def tvlqr(
         np.array([k for _, k in gains]),
         p,
         weighting.integrated,
-        require_positive("sample_time", sample_time, "s"),
+        sample_time,
     )
 
 
@@ -231,9 +256,12 @@ def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
         raise InputError(
             f"the motion holds no column {missing[0]!r} of plant {inversion.plant.name!r}"
         )
-    rows = inversion.rows(motion.array(names))
     states = [v.name for v in inversion.plant.states if v.name in motion]
-    columns = {n: motion[n] for n in states}
+    columns, x = {n: motion[n] for n in states}, None
+    if not inversion.exact and len(states) == len(inversion.plant.states):
+        x = motion.array(states)
+        columns = dict(zip(states, inversion.inside(x).T, strict=True))
+    rows = inversion.rows(motion.array(names), x=x)
     columns |= {v.name: rows[:, i] for i, v in enumerate(inversion.inner.inputs)}
     return Trajectory(motion.t, columns, [inversion.inner.variable(n) for n in columns])
 
@@ -267,6 +295,10 @@ def _final(
         given = np.asarray(final, float)
         if given.shape != a.shape:
             raise InputError(f"final has shape {given.shape}; the Riccati matrix has {a.shape}")
+        if not np.all(np.isfinite(given)):
+            raise InputError(
+                "final holds entries that are not finite; give the solution P at the end"
+            )
         return given, np.zeros_like(q)
     try:
         lift, pick = stuck

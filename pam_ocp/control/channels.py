@@ -23,6 +23,7 @@ class Actuators:
     """A controller's answer as the side's inputs, within their range."""
 
     def __init__(self, side: Side, model: Plant | None) -> None:
+        self._side = side
         self._known = {v.name: v for v in side.variables}
         self._alias = {n.replace(".", "_"): n for n in self._known}
         self._range = {n: self._known[n] for n in side.inputs}
@@ -72,7 +73,8 @@ class Actuators:
                 f"inputs by name, such as {{{next(iter(self._range), 'name')!r}: 3e5}}"
             )
         if self._inversion:
-            answer = self._inversion.commands(answer)
+            seen = None if self._inversion.exact else self._side.values()
+            answer = self._inversion.commands(answer, measured=seen)
         found = dict(self._start)
         for name, value in answer.items():
             variable = self._range.get(name) or self._input(name)

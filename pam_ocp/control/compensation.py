@@ -249,12 +249,13 @@ class _PressureInputs:
     ) -> dict[str, float]:
         """Inputs by name for {muscle: (pressure, its rate)}."""
         found: dict[str, float] = {f"{m}.pressure": targets[m][0] for m in self._set}
-        x = np.array([measured.get(n, self._start[n]) for n in self._names])
+        seen = self.inversion.entry(measured)
+        x = np.array([seen.get(n, self._start[n]) for n in self._names])
         for m, (place, function, ends) in self._solved.items():
             wanted, slope = targets[m]
             rate = slope + (wanted - measured[f"{m}.pressure"]) / time
             found[self._inputs[place]] = self._solve(function, x, place, rate, ends)
-        sent = self.inversion.commands(found)
+        sent = self.inversion.commands(found, measured=measured)
         if self._loop is not None:
             pressures = {m: p for m, (p, _) in targets.items()}
             sent.update({n: u for n, u in self._loop(pressures, measured).items() if n not in sent})

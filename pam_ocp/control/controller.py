@@ -20,7 +20,9 @@ class Controller(Protocol):
     It may have, and the loop then uses: ``sample_time`` [s]; ``delay`` (samples from measuring to
     acting that it reckons with); ``plant`` (its model: says of an FMU's inputs what range they
     have); ``wanted(t)`` (values by name that are to be reached, for the result's reference);
-    ``statistics`` and ``prediction_error()`` (see Mpc).
+    ``aims(t)`` (those that are to arrive, for the verdict; by default those wanted);
+    ``statistics`` and ``prediction_error()`` (see Mpc); ``expected()`` (states by name at the end
+    of the sample), ``limits`` ({state or output: range}) and ``idle`` (inputs without influence).
     """
 
     def reset(self) -> None:

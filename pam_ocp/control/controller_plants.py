@@ -174,11 +174,12 @@ def state_feedback_controller(
     known = {n: plant.variable(n) for n in dict.fromkeys([*states, *feedback.integrated])}
     commands = [plant.variable(n) for n in feedback.inputs]
     from_outside = built.input if follow else _tunable(built)
-    seen = {n: built.input(n, **_shown(v, point[n], "measured")) for n, v in known.items()}
+    inversion = feedback.inversion or Inversion(plant.in_commands())
+    rest = inversion.inside(point.x, inwards=False)
+    here = point.values | dict(zip(states, rest.tolist(), strict=True))
+    seen = {n: built.input(n, **_shown(v, here[n], "measured")) for n, v in known.items()}
     role = "reference" if follow else "point"
-    origin = {
-        n: from_outside(f"{role}.{n}", **_shown(known[n], point[n], "wanted")) for n in states
-    }
+    origin = {n: from_outside(f"{role}.{n}", **_shown(known[n], here[n], "wanted")) for n in states}
     goal = {
         n: origin[n]
         if follow and n in origin
@@ -186,10 +187,10 @@ def state_feedback_controller(
         for n in feedback.integrated
     }
     totals = _integrals(built, feedback, commands)
-    inversion = feedback.inversion or Inversion(plant.in_commands())
     valves = _Valves(built, inversion)
-    at_rest = inversion.commands({v.name: point[v.name] for v in commands})
-    deviation = ca.vertcat(*(seen[n] - origin[n] for n in states))
+    at_rest = inversion.commands({v.name: point[v.name] for v in commands}, measured=here)
+    valves.states = seen
+    deviation = valves.inside(seen) - valves.inside(origin)
     forward = [
         valves.entered(
             v,
@@ -278,6 +279,17 @@ class _Valves:
         self.built, self.plant = built, inversion.plant
         self._openings = {o.name: o for o in inversion.plant.openings}
         self._own: dict[str, ca.SX] = {}
+        self._carried = inversion.carried
+        self.states: Mapping[str, ca.SX] = {}
+        """The plant's, as they are measured."""
+
+    def inside(self, states: Mapping[str, ca.SX]) -> ca.SX:
+        """States of the plant as they count in openings."""
+        moved = {n: c.entered for n, c in self._carried.items()}
+        own = {v.name: states[v.name] for v in self.plant.states}
+        return ca.vertcat(
+            *(self._here([moved[n]], own)[0] if n in moved else s for n, s in own.items())
+        )
 
     def entered(self, door: Variable, declare: Callable[[Variable], ca.SX]) -> ca.SX:
         """What ``declare`` gives for a command; for an opening that of the commands declared."""
@@ -286,7 +298,7 @@ class _Valves:
             return declare(door)
         commands = [declare(self.plant.variable(c)) for c in opening.commands]
         known = dict(zip(opening.commands, commands, strict=True))
-        return self._here([opening.forward], known)[0]
+        return self._here([opening.forward], {**self.states, **known})[0]
 
     def sent(self, door: Variable, wanted: ca.SX) -> ca.SX:
         """Declare the command, or the commands of an opening, as outputs; returns what is held."""
@@ -310,7 +322,9 @@ class _Valves:
         )
 
     def _inverse(self, opening: Opening, held: ca.SX) -> list[ca.SX]:
-        return self._here(ca.substitute(list(opening.inverse), [opening.symbol], [held]), {})
+        return self._here(
+            ca.substitute(list(opening.inverse), [opening.symbol], [held]), self.states
+        )
 
     def _here(self, expressions: list[ca.SX], known: Mapping[str, ca.SX]) -> list[ca.SX]:
         """Expressions of the plant with this controller's symbols: parameters are declared."""
@@ -328,6 +342,6 @@ class _Valves:
                     tunable=True,
                     description=variable.description,
                 )
-        new = {**{n: s for n, s in self._own.items() if n in used}, **known}
+        new = {n: s for n, s in {**self._own, **known}.items() if n in used}
         old = [self.plant.expression(n) for n in new]
         return list(ca.substitute(expressions, old, list(new.values())))

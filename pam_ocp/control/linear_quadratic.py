@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, require_instance, require_positive
+from ..core.plausible import outside
 from ..core.stop import verb
 from ..operating.linear import held, inside, linearize, no_influence
 from ..operating.resting_point import OperatingPoint
@@ -22,11 +24,15 @@ from .references import Source
 if TYPE_CHECKING:
     import control
 
-__all__ = ["StateFeedback", "Weighting", "lqr"]
+__all__ = ["StateFeedback", "Weighting", "lqr", "require_quick"]
 
 Array: TypeAlias = NDArray[np.float64]
 LEAST_WEIGHT = 0.3
 """Of each state [per nominal] where the weights given leave a motion without cost and decay."""
+SHORTEST = 1e-6
+"""Of a sample time that is too long: shorter ones are not looked for."""
+OVER = 5.0
+"""Time constants after which a motion is over."""
 DECAY = 1e-8
 """A pole of the closed loop slower than this part of the fastest rate counts as none."""
 Setpoint: TypeAlias = "Mapping[str, float] | Callable[[float], Mapping[str, float]] | None"
@@ -60,6 +66,11 @@ class Weighting:
     def scales(self, names: list[str]) -> Array:
         return np.array([self.plant.variable(n).nominal for n in names])
 
+    def __post_init__(self) -> None:
+        for name in ("weights", "integral"):
+            given, words = getattr(self, name), "give {state or output: weight}"
+            require_instance(name, given, Mapping, words, none=name == "weights")
+
     def checked(self) -> tuple[dict[str, float], Array]:
         """{weighted state or output: weight} and R, in units of nominal."""
         given = self.weights
@@ -68,8 +79,11 @@ class Weighting:
                 n: w for p, v in self.plant.positions.items() for n, w in ((p, 10.0), (v, 1.0))
             }
         rows = {
-            self.plant.variable(n).name: require_positive(n, w, zero=True) for n, w in given.items()
+            self.plant.variable(n).name: require_positive(f"weights[{n!r}]", w, zero=True)
+            for n, w in given.items()
         }
+        for n, w in self.integral.items():
+            require_positive(f"integral[{n!r}]", w)
         allowed = {v.name for v in (*self.plant.states, *self.plant.outputs)}
         for name in [*rows, *self.integrated]:
             if name not in allowed:
@@ -140,10 +154,18 @@ def saturated(u: Array, low: Array, high: Array) -> bool:
     return bool(np.any((u < low) | (u > high)))
 
 
-def sent(inversion: Inversion | None, inputs: list[str], u: Array) -> dict[str, float]:
+def states_of(inversion: Inversion | None, states: list[str], measured: Measured) -> Array:
+    """Measured states as a controller counts them: those of spools in openings."""
+    seen = inversion.entry(measured) if inversion else measured
+    return np.array([seen[n] for n in states])
+
+
+def sent(
+    inversion: Inversion | None, inputs: list[str], u: Array, measured: Measured
+) -> dict[str, float]:
     """A controller's answer by name: openings become the commands that give them."""
     answer = dict(zip(inputs, u.tolist(), strict=True))
-    return inversion.commands(answer) if inversion else answer
+    return inversion.commands(answer, measured=measured) if inversion else answer
 
 
 @dataclass
@@ -175,6 +197,18 @@ class StateFeedback:
             plant.vector("input", attribute=a)[self._columns] for a in ("min", "max")
         )
         self._integrals = Integrals(self.integrated)
+        if isinstance(self.setpoint, Mapping):
+            self._check_setpoint(self.setpoint)
+
+    def _check_setpoint(self, given: Mapping[str, float]) -> None:
+        for name, value in given.items():
+            variable = self.point.plant.variable(name)
+            if variable.name not in self.integrated:
+                raise InputError(
+                    f"setpoint: {name} is not integrated, so the feedback holds it at its point; "
+                    f"design lqr(..., integral={{{name!r}: weight}})"
+                )
+            variable.check(value, "setpoint")
 
     def reset(self) -> None:
         """See :class:`Controller`."""
@@ -185,6 +219,12 @@ class StateFeedback:
         given = self.setpoint(t) if callable(self.setpoint) else (self.setpoint or {})
         named = {self.point.plant.variable(n).name: v for n, v in given.items()}
         return {n: named.get(n, self.point[n]) for n in self.integrated}
+
+    def aims(self, t: float) -> dict[str, float]:
+        """What is to arrive: what is integrated, or else the positions at the point."""
+        if self.integrated:
+            return self.wanted(t)
+        return {p.name: self.point[p.name] for p in self.point.plant.resting()}
 
     def tracking(
         self, reference: Mapping[str, Source], inputs: Mapping[str, float], preview: bool
@@ -200,14 +240,14 @@ class StateFeedback:
 
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
-        x = np.array([measured[n] for n in self._states])
+        x = states_of(self.inversion, self._states, measured)
         u = self.point.u[self._columns] - self.K @ (x - self.point.x)
         u = u - self.Ki @ self._integrals.values
         if self.integrated:
             goal = self.wanted(t)
             error = np.array([measured[n] - goal[n] for n in self.integrated])
             self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self.inversion, self.inputs, u)
+        return sent(self.inversion, self.inputs, u, measured)
 
     def _augmented(self) -> tuple[Array, Array, Array]:
         """A, B with the integrals as last states, and all gains; continuous time, all states."""
@@ -292,6 +332,47 @@ def stationary(
     raise ValueError(reason)
 
 
+def require_quick(
+    verb: str,
+    plant: Plant,
+    loop: tuple[Array, Array, Array],
+    sample_time: float,
+    sampled: bool | None = None,
+) -> None:
+    """InputError where the feedback, its inputs held over a sample, does not stabilise; a warning
+    where all motions of the plant are over within a sample, so that it never acts on one.
+
+    loop : A, B and the gains, in units of nominal. sampled : whether they were designed for held
+    inputs; None: that cannot be chosen.
+    """
+    a, b, k = loop
+
+    def radius(time: float) -> float:
+        ad, bd = held(a, b, np.ones(len(a)), time)
+        found = float(np.abs(np.linalg.eigvals(ad - bd @ k)).max())
+        return found if np.isfinite(found) else np.inf
+
+    if not sampled and not (largest := radius(sample_time)) < 1:
+        time = sample_time
+        while not radius(time) < 1 and time > SHORTEST * sample_time:
+            time /= 2
+        other = ", or sampled=True, which designs for held inputs" if sampled is not None else ""
+        raise InputError(
+            f"{verb}: sample_time = {sample_time:g} s is too long for {plant.name!r}: with inputs "
+            f"held so long the closed loop is unstable (a pole at {largest:.3g}, outside the unit "
+            f"circle); give at most {time:.2g} s{other}"
+        )
+    decay = -np.linalg.eigvals(a).real
+    slowest = float(np.min(decay, initial=np.inf))
+    if slowest * sample_time > OVER:
+        warnings.warn(
+            f"{verb}: sample_time = {sample_time:g} s is far too long for {plant.name!r}: its "
+            f"slowest motion decays with {1 / slowest:.2g} s and is over within a sample, so the "
+            "feedback never acts on it",
+            stacklevel=outside(),
+        )
+
+
 @CONTROLLERS.register("lqr", units={"sample_time": "s"})
 @verb
 def lqr(
@@ -316,9 +397,10 @@ def lqr(
     sample_time : of the controller [s]. sampled : design for inputs held over it
         (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
 
-    Raises InputError when no input has an influence at the point, or when no stabilising feedback
-    exists (a state that is a pure integral, such as the totals of a gas feed, or an integrated
-    output that the inputs cannot move).
+    Raises InputError when no input has an influence on a position at the point, when the sample
+    time is too long (inputs held over it, the closed loop is unstable), or when no stabilising
+    feedback exists (a state that is a pure integral, such as the totals of a gas feed, or an
+    integrated output that the inputs cannot move).
 
     Examples
     --------
@@ -336,7 +418,7 @@ def lqr(
     weighting = Weighting(plant, weights, effort, integral or {})
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
     system = linearize(plant, at, inputs=weighting.inputs)
-    no_influence("lqr", plant, np.asarray(system.B), weighting.inputs)
+    no_influence("lqr", plant, np.asarray(system.A), np.asarray(system.B), weighting.inputs)
     a, b, q, r = weighting.scaled(
         np.asarray(system.A), np.asarray(system.B), np.asarray(system.C), outputs
     )
@@ -354,6 +436,7 @@ def lqr(
             f"lqr: no feedback stabilises {plant.name!r} under these weights ({error}); leave out "
             "integrals that the inputs cannot move, and totals of gas feeds"
         ) from None
+    require_quick("lqr", plant, (a, b, k), sample_time, sampled)
     gains = weighting.unscaled(k @ pick)
     return StateFeedback(
         at,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -13,10 +14,12 @@ from numpy.typing import NDArray
 
 from .. import courtesy
 from ..core.errors import InputError, require_count, require_positive, require_tolerance
+from ..core.plausible import outside
 from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.variables import Variable
+from ..judge.loop import LoopVerdict, judge_loop
 from ..plants.plant import Given, Plant, Values
 from ..simulation.instruments import Instrument
 from .channels import Actuators, Sensors
@@ -67,6 +70,8 @@ class ClosedLoop:
     """
     prediction_error: float | None
     """Largest :meth:`Mpc.prediction_error` of the samples looked at, ``LOOKS`` of them at most."""
+    verdict: LoopVerdict = field(default_factory=LoopVerdict)
+    """Whether it did what it was asked: ``bool(loop.verdict)``, and in words."""
 
     def __getitem__(self, name: str) -> Array:
         return self.trajectory[name]
@@ -99,7 +104,8 @@ class ClosedLoop:
         if Path(path).suffix.lower() != ".npz":
             return self.trajectory.save(path)
         parts = {"seen": self.seen, "reference": self.reference, "estimate": self.estimate}
-        return write_loop(path, self.trajectory, parts, self.statistics, self.prediction_error)
+        facts = {"prediction_error": self.prediction_error, "verdict": self.verdict}
+        return write_loop(path, self.trajectory, parts, self.statistics, facts)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ClosedLoop:
@@ -107,7 +113,7 @@ class ClosedLoop:
         return cls(**read_loop(path))
 
     def __str__(self) -> str:
-        said = [f"closed loop over {self.trajectory.duration:g} s"]
+        said = [f"closed loop over {self.trajectory.duration:g} s, {self.verdict}"]
         if self.statistics is not None:
             said.append(f"controller: {self.statistics}")
         if self.prediction_error is not None:
@@ -173,7 +179,11 @@ def closed_loop(
     rtol : relative tolerance of the side's integrator, per nominal; FMUs are asked for it.
     time_limit : [s]; OutOfTime when it is over before there is a result.
 
-    Raises InputError for what cannot be meant, SimulationError when the side cannot go on.
+    Raises InputError for what cannot be meant, SimulationError when the side cannot go on. Warns
+    once, in the words of ``loop.verdict``, where the loop did not do what it was asked: set points
+    missed by over 1 % of the stroke (over the last tenth of the run), limits broken, over 20 % of a
+    solver's calls not converged or any failed, predictions over a sample that miss over 25 % of its
+    changes, inputs without influence.
 
     Examples
     --------
@@ -181,6 +191,8 @@ def closed_loop(
     >>> loop = pam.closed_loop(law, plant, {"x": 0.042}, duration=1.0, start=point)
     >>> print(f"{loop['x'][-1]:.4f}")
     0.0420
+    >>> bool(loop.verdict)
+    True
     """
     _require_controller(controller, plant)
     sample_time = _sample_time(controller, estimator, sample_time)
@@ -197,10 +209,12 @@ def closed_loop(
     chosen = side_of(side, model, sample_time, parts, parameters=parameters, start=start, rtol=rtol)
     with chosen as real:
         inputs = Actuators(real, chosen.plant if isinstance(chosen, PlantSide) else model)
-        told = {
-            inputs.known(n).name: source(f"reference[{n!r}]", v, inputs.known(n).unit)
-            for n, v in (reference or {}).items()
-        }
+        told = {}
+        for name, value in (reference or {}).items():
+            variable = inputs.known(name)
+            told[variable.name] = at = source(f"reference[{name!r}]", value, variable.unit)
+            if not callable(value):
+                variable.check(at(0.0), "reference")
         run = _Run(
             _told(controller, told, real, preview),
             estimator,
@@ -214,7 +228,10 @@ def closed_loop(
             run.sample(k * sample_time, look=k % max(1, samples // LOOKS) == 0)
             real.step(k * sample_time)
         run.measure(samples * sample_time)
-        return run.result(sample_time, told)
+        found = run.result(sample_time, told)
+    if not found.verdict:
+        warnings.warn(f"closed loop: {found.verdict}", stacklevel=outside())
+    return found
 
 
 def _require_controller(controller: Any, plant: Any) -> None:
@@ -274,6 +291,7 @@ class _Run:
         self.seen: list[dict[str, float]] = []
         self.known: list[Estimate] = []
         self.predicted: list[float] = []
+        self.expected: list[Mapping[str, float]] = []
         self._controls = dict(self.side.inputs)
         if hasattr(self.controller, "reset"):  # a function has none
             self.controller.reset()
@@ -297,6 +315,8 @@ class _Run:
     def sample(self, t: float, look: bool) -> None:
         """Measure, estimate, control; and leave the inputs of the coming sample with the side."""
         asked = self.inputs(t, self.controller(t, self.measure(t)))
+        if hasattr(self.controller, "expected"):
+            self.expected.append(self.controller.expected())
         self.waiting.append(asked)
         self._controls = self.waiting.pop(0)
         disturbed = {n: self.side.inputs[n] for n in self.disturbances}
@@ -311,21 +331,45 @@ class _Run:
         t = sample_time * np.arange(float(len(self.seen)))
         model = () if self.estimator is None else self.estimator.plant.variables
         variables = {v.name: v for v in (*model, *self.side.variables)}
+        reference = self._told(motion, getattr(self.controller, "wanted", None))
         return ClosedLoop(
             motion,
             _seen(t, self.seen, variables),
-            self._reference(motion, told),
+            reference,
             self._estimates(t, variables) if self.known else None,
             getattr(self.controller, "statistics", None),
             max(self.predicted) if self.predicted else None,
+            self._verdict(motion, reference, sample_time),
         )
 
-    def _reference(self, motion: Trajectory, told: Mapping[str, Source]) -> Trajectory | None:
-        wanted = getattr(self.controller, "wanted", None)
-        if wanted is None or not (told or wanted(0.0)):
+    def _told(self, motion: Trajectory, wanted: Any) -> Trajectory | None:
+        """What a controller says that is to be reached, at the times of the motion."""
+        if wanted is None or not wanted(0.0):
             return None
         rows = [wanted(float(t)) for t in motion.t]
         return Trajectory(motion.t, _columns(rows), [self.inputs.known(n) for n in rows[0]])
+
+    def _verdict(
+        self, motion: Trajectory, reference: Trajectory | None, sample_time: float
+    ) -> LoopVerdict:
+        aims = getattr(self.controller, "aims", None)
+        wanted = reference if aims is None else self._told(motion, aims)
+        noise = dict(self.sensors.noise)
+        for name in self.known[0].deviation if self.known else ():
+            noise[name] = max(float(np.mean([e.deviation[name] for e in self.known])), 0.0)
+        statistics = getattr(self.controller, "statistics", None)
+        names = self.expected[0] if self.expected else ()
+        return judge_loop(
+            motion,
+            wanted=wanted,
+            inputs=[n for n in self._controls if n not in self.disturbances],
+            limits=getattr(self.controller, "limits", {}),
+            noise=noise,
+            calls=None if statistics is None else statistics.counts,
+            predicted={n: [row[n] for row in self.expected] for n in names},
+            sample_time=sample_time,
+            idle=getattr(self.controller, "idle", ()),
+        )
 
     def _estimates(self, t: Array, known: Mapping[str, Variable]) -> Trajectory:
         columns, variables = {}, []

@@ -98,6 +98,15 @@ class MpcStatistics:
         """
         return sum(not s.converged and not s.failed for s in self.steps)
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """{"all", "unconverged", "failed": how many calls}."""
+        return {
+            "all": len(self.steps),
+            "unconverged": self.unconverged,
+            "failed": self.failures,
+        }
+
     def __str__(self) -> str:
         iterations = [s.iterations for s in self.steps[1:]] or [0]
         return (

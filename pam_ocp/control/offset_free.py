@@ -124,6 +124,10 @@ class OffsetFree:
         """See :class:`Controller`."""
         self.filter.reset()
 
+    def aims(self, t: float) -> dict[str, float]:
+        """What is held, and where."""
+        return {n: self._goal.get(n, self.feedback.point[n]) for n in self._held}
+
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         point, feedback = self.feedback.point, self.feedback
@@ -135,4 +139,4 @@ class OffsetFree:
         u = point.u[self._chosen] + rest[n:] - feedback.K @ (estimate - point.x - rest[:n])
         u = np.clip(u, self._low, self._high)
         self.filter.predict(dict(zip(feedback.inputs, u.tolist(), strict=True)))
-        return sent(feedback.inversion, feedback.inputs, u)
+        return sent(feedback.inversion, feedback.inputs, u, self.filter.estimate.state)

@@ -153,7 +153,7 @@ class PressureLoop:
     def __call__(self, wanted: Mapping[str, float], measured: Measured) -> dict[str, float]:
         """Inputs by name for wanted pressures {muscle: Pa}."""
         inputs = {n: float(u) for n, u in self.inputs(wanted, measured).items()}
-        return self.inversion.commands(inputs)
+        return self.inversion.commands(inputs, measured=measured)
 
 
 class PositionController:

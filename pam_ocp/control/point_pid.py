@@ -81,7 +81,8 @@ class PointPid:
         inner = self.point.plant
         inputs = [v.name for v in inner.inputs if not v.disturbance]
         self.system = linearize(inner, self.point, inputs=inputs, outputs=[self.position])
-        no_influence("PointPid", inner, np.asarray(self.system.B), inputs)
+        matrices = np.asarray(self.system.A), np.asarray(self.system.B)
+        no_influence("PointPid", inner, *matrices, inputs)
         self.shares = self._signs(inputs) if self.weights is None else dict(self.weights)
         unknown = [n for n in self.shares if n not in inputs]
         if unknown:
@@ -167,4 +168,4 @@ class PointPid:
             for v in self.point.plant.inputs
             if not v.disturbance and v.name not in held
         }
-        return self.inversion.commands({**rest, **held})
+        return self.inversion.commands({**rest, **held}, measured=measured)

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..core.files import read_npz, reading, require_format, write_npz
 from ..core.trajectory import Trajectory
+from ..judge.loop import LoopVerdict
 from .mpc_statistics import MpcStatistics, MpcStep
 
 __all__ = ["read_loop", "write_loop"]
@@ -22,11 +23,12 @@ def write_loop(
     motion: Trajectory,
     parts: dict[str, Trajectory | None],
     statistics: MpcStatistics | None,
-    prediction_error: float | None,
+    facts: dict[str, Any],
 ) -> Path:
     """Write a loop: :meth:`Trajectory.load` reads its motion, :func:`read_loop` all of it."""
     content, arrays = motion._packed()
-    content |= {"format": FORMAT, "prediction_error": prediction_error, "parts": {}}
+    content |= {"format": FORMAT, "prediction_error": facts["prediction_error"], "parts": {}}
+    content["verdict"] = asdict(facts["verdict"])
     content["steps"] = None if statistics is None else [asdict(s) for s in statistics.steps]
     for name, part in parts.items():
         if part is not None:
@@ -49,4 +51,8 @@ def read_loop(path: str | os.PathLike[str]) -> dict[str, Any]:
         steps = content["steps"]
         found["statistics"] = steps and MpcStatistics(tuple(MpcStep(**s) for s in steps))
         found["prediction_error"] = content["prediction_error"]
+        if "verdict" in content:  # files of 0.2 and before have none
+            told = content["verdict"]
+            lists = {n: tuple(v) for n, v in told.items() if isinstance(v, list)}
+            found["verdict"] = LoopVerdict(**{**told, **lists})
     return found

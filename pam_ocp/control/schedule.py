@@ -15,7 +15,7 @@ from ..operating.linear import LinearGrid, linearize_grid
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
-from .linear_quadratic import Integrals, lqr, saturated, sent
+from .linear_quadratic import Integrals, lqr, saturated, sent, states_of
 
 __all__ = ["ScheduledFeedback", "scheduled_lqr"]
 
@@ -66,6 +66,11 @@ class ScheduledFeedback:
             for n, axis in self.family.axes.items()
         }
 
+    def aims(self, t: float) -> dict[str, float]:
+        """The positions among the axes at a time [s]."""
+        positions = {p.name for p in self.family.plant.resting()}
+        return {n: v for n, v in self.where(t).items() if n in positions}
+
     def __call__(self, t: float, measured: Measured) -> dict[str, float]:
         """See :class:`Controller`."""
         where = self.where(t)
@@ -73,12 +78,12 @@ class ScheduledFeedback:
             self.family.interpolated(m, where)
             for m in (self.family.x, self.family.u, self.K, self.Ki, self._goals)
         )
-        x = np.array([measured[n] for n in self._states])
+        x = states_of(self.inversion, self._states, measured)
         u = u0[self._columns] - k @ (x - x0) - ki @ self._integrals.values
         if self.integrated:
             error = np.array([measured[n] for n in self.integrated]) - goals
             self._integrals.add(error, self.sample_time, saturated(u, self._low, self._high))
-        return sent(self.inversion, list(self.family.inputs), u)
+        return sent(self.inversion, list(self.family.inputs), u, measured)
 
 
 @verb

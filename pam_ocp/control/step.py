@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, get_args
 
 import casadi as ca
@@ -16,12 +17,18 @@ from ..core.errors import (
     require_finite,
     require_positive,
 )
+from ..core.plausible import outside
 from ..plants.plant import Plant, Values
 from ..simulation.sampled import StepMethod, stepped
 
 __all__ = ["Givens", "Step", "StepMethod"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+LEAST, MOST = 2, 64
+"""Substeps where none are given."""
+GROWTH = 1.01
+"""From step to step: what decays in the plant is not to grow by more in a prediction."""
 
 
 class Givens:
@@ -97,6 +104,40 @@ class Step:
             raise InputError(f"method = {self.method!r}: choose 'rk4' or 'rosenbrock'")
         require_count("substeps", self.substeps)
 
+    @classmethod
+    def of(
+        cls, verb: str, plant: Plant, length: float, method: StepMethod, substeps: int | None
+    ) -> Step:
+        """The step of a plant. substeps : None: ``LEAST``, or as many more as rk4 needs to damp
+        what the plant damps, at its start values (E. Hairer, G. Wanner, Solving ODEs II, IV.2).
+
+        Warns where what is given, or ``MOST`` of them, is not enough for that.
+        """
+        step = cls(length, method, LEAST if substeps is None else substeps)
+        while (time := step._too_quick(plant)) and substeps is None and step.substeps < MOST:
+            step = replace(step, substeps=step.substeps + 1)
+        if time:
+            warnings.warn(
+                f"{verb}: sample_time = {step.length:g} s in {step.substeps} substeps of rk4 is "
+                f"too long for {plant.name!r}, whose fastest motion has the time constant "
+                f"{time:.2g} s: predictions grow without bound; give a shorter sample_time, more "
+                "substeps, or method='rosenbrock'",
+                stacklevel=outside(),
+            )
+        return step
+
+    def _too_quick(self, plant: Plant) -> float:
+        """1/|pole| [s] of the motion that decays in the plant and grows most here; 0 for none."""
+        if self.method != "rk4":
+            return 0.0
+        at = np.concatenate([plant.vector(c) for c in ("state", "input", "parameter")])
+        poles = plant.cached(("decaying poles", *at), lambda: _poles(plant))
+        z = poles * self.length / self.substeps
+        growth = np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
+        if np.max(growth, initial=0.0) <= GROWTH:
+            return 0.0
+        return float(1 / np.abs(poles[int(np.argmax(growth))]))
+
     def expression(self, given: Givens, x: ca.SX, u: ca.SX, q: ca.SX, length: Any = None) -> ca.SX:
         """The state after the step from x; x and u in units of nominal, q in SI."""
         plant = given.plant
@@ -114,3 +155,14 @@ class Step:
             return value, jacobian
 
         return stepped(slopes_at, x, span, self.method, self.substeps)
+
+
+def _poles(plant: Plant) -> NDArray[np.complex128]:
+    """Poles at the start values that decay [1/s]."""
+    x, u, p = (plant.vector(c) for c in ("state", "input", "parameter"))
+    scale = plant.vector("state", attribute="nominal")
+    a = np.asarray(plant.jacobians(x, u, p)[0], dtype=float) * scale / scale[:, None]
+    if not np.all(np.isfinite(a)):
+        return np.zeros(0, dtype=np.complex128)
+    found = np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
+    return found[found.real < 0]

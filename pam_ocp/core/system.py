@@ -52,6 +52,8 @@ class Declares(Protocol):
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
         paths: Sequence[tuple[ca.SX, PathOf]],
+        behind: ca.SX | None = None,
+        asked: Any = None,
         **attributes: Any,
     ) -> list[ca.SX]: ...
 

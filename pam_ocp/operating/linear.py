@@ -7,6 +7,7 @@ At a point (continuous or sampled), along a motion (A(t), B(t)), or over a grid 
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,11 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.errors import InputError, require_instance, require_positive
+from ..core.plausible import outside
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
 from ..core.units import unit
 from ..plants.inversion import Inversion, in_dead_zone
 from ..plants.plant import Plant, Values, require_plant
+from ..plants.stillness import totals
 from .held import Memory
 from .linear_model import LinearModel
 from .resting_point import EquilibriumError, OperatingPoint, equilibrium
@@ -41,6 +44,10 @@ __all__ = [
 ]
 
 Array: TypeAlias = NDArray[np.float64]
+NO_SLOPE = 1e-12
+"""In units of nominal: smaller slopes move nothing."""
+OFF_REST = 1e-4
+"""Rates [of nominal per second] that are still those of a point of rest."""
 Matrices: TypeAlias = tuple[Array, Array, Array, Array]
 
 
@@ -74,31 +81,76 @@ def inside(plant: Plant, at: OperatingPoint | Values | None) -> tuple[Inversion,
     return Inversion(inversion.carrying(at)), at
 
 
-def no_influence(verb: str, plant: Plant, b: Array, inputs: Sequence[str]) -> None:
-    """InputError when no input moves the state: B (..., states, inputs) is zero."""
-    scale = plant.vector("state", attribute="nominal")[:, None]
-    effect = np.abs(b) / scale * np.array([plant.variable(n).nominal for n in inputs])
-    if np.max(effect, initial=0.0) > 1e-12:
+def no_influence(verb: str, plant: Plant, a: Array, b: Array, inputs: Sequence[str]) -> None:
+    """InputError when no input moves a state, or a position where there are any: A (..., states,
+    states) and B (..., states, inputs) leave no way there.
+    """
+    scale = plant.vector("state", attribute="nominal")
+    effect = np.abs(b) / scale[:, None] * np.array([plant.variable(n).nominal for n in inputs])
+    slopes = np.abs(a) * scale / scale[:, None]
+    moves, passes = (
+        m.reshape(-1, *m.shape[-2:]).max(axis=0, initial=0.0) for m in (effect, slopes)
+    )
+    reached = moves.max(axis=1, initial=0.0) > NO_SLOPE
+    names = [v.name for v in plant.states]
+    for _ in names:
+        reached |= (passes[:, reached] > NO_SLOPE).any(axis=1)
+    wanted = [n for n in (p.name for p in plant.resting()) if n in names]
+    moved = {n for n, there in zip(names, reached, strict=True) if there}
+    if moved & set(wanted) or (moved and not wanted):
         return
-    names = ", ".join(inputs)
     raise InputError(
-        f"{verb}: {names or 'no input'} has no influence on {plant.name!r} here: its slope is 0, "
-        "as in a dead zone or at a closed valve. Declare the dead zone (plant.dead_zone(command, "
-        "width)), so that its inverse is used, or take a point at which the input acts"
+        f"{verb}: {', '.join(inputs) or 'no input'} has no influence on "
+        f"{', '.join(wanted) or repr(plant.name)} here: its slope is 0, as in a dead zone or at a "
+        "closed valve. Declare the dead zone (plant.dead_zone(command, width), or of the position "
+        "of a spool), so that its inverse is used, or take a point at which the input acts"
     )
 
 
-def _seen(plant: Plant, u: Array, inputs: Sequence[str] | None) -> tuple[Plant, Array]:
-    """The plant and its inputs (n, nu),
+def warn_off_rest(plant: Plant, x: Array, u: Array) -> None:
+    """Say at which rate which state changes at a point that is none of rest.
+
+    States that only sum up (air drawn, work) and held memories may change.
+    """
+    rates = np.asarray(plant.function(x, u, plant.vector("parameter"))[0], dtype=float).ravel()
+    free = {*totals(plant), *(v.name for v in plant.states if v.memory == "held")}
+    sizes = np.abs(rates) / plant.vector("state", attribute="nominal")
+    sizes[[v.name in free for v in plant.states]] = 0.0
+    if not np.max(sizes, initial=0.0) > OFF_REST:
+        return
+    worst = plant.states[int(np.argmax(sizes))]
+    unit = per_second(worst.display_unit)
+    warnings.warn(
+        f"linearize: {plant.name!r} does not rest at this point: {worst.name} changes by "
+        f"{rates[int(np.argmax(sizes))] / worst.display_factor:.4g} {unit}. The linear system "
+        "holds for small deviations from the motion through it, as long as that stays near; "
+        "plant.equilibrium(...) gives points of rest",
+        stacklevel=outside(),
+    )
+
+
+def per_second(unit: str) -> str:
+    """A unit, per second."""
+    if unit == "1":
+        return "1/s"
+    return f"{unit}2" if unit.endswith("/s") else f"{unit}/s"
+
+
+def _seen(
+    plant: Plant, x: Array, u: Array, inputs: Sequence[str] | None
+) -> tuple[Plant, Array, Array]:
+    """The plant, its states (n, nx) and inputs (n, nu),
     in openings where they are named or commands have no slope.
     """
     inversion = Inversion(plant)
     names = [inputs] if isinstance(inputs, str) else inputs
     if names is None:
-        inner = in_dead_zone(plant, u)
+        inner = in_dead_zone(plant, u, x)
     else:
         inner = any(inversion.opening_of(n) is not None for n in names)
-    return (inversion.inner, inversion.rows(u)) if inner else (plant, u)
+    if not inner:
+        return plant, x, u
+    return inversion.inner, inversion.inside(x), inversion.rows(u, x=x)
 
 
 @dataclass(frozen=True)
@@ -207,7 +259,8 @@ def linearize(
     at : an OperatingPoint (of :func:`equilibrium`) or values by name; by default the start values.
     inputs, outputs : names to keep; by default all inputs, and all states and outputs. At a valve
         that stands in its dead zone the command has no slope: by default the opening stands in for
-        it (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named.
+        it (``muscle_opening``, see :meth:`Plant.in_openings`); either may be named. Where a spool
+        moves between the two it follows the opening as if there were no dead zone behind it.
     dt : sampling time [s] for a discrete system x[k+1] = A x[k] + B u[k], exact for inputs held
         over each sample; None for a continuous one.
     stuck : leave out held memories (hysteresis). In small motion about a point of rest they stick
@@ -218,6 +271,8 @@ def linearize(
     units : {variable: unit} in which signals and states count, as {"x": "mm", "muscle.pressure":
         "bar"}, or "display" for bar, mm and deg throughout; by default SI. Numbers of like size
         serve what computes from polynomials (``ss2tf``, zeros), and eyes.
+
+    Warns where the point is none of rest, and names the state that changes most.
 
     Jacobians are exact (CasADi); signals keep the plant's names with ``_`` for ``.``, since
     python-control reads a dot as system.signal. ``system.units`` = {signal: unit}
@@ -249,14 +304,15 @@ def linear_model(
 ) -> LinearModel:
     """What :func:`linearize` gives, before python-control is loaded for it."""
     plant, x, u = point_of(plant, at)
-    plant, rows = _seen(plant, u[None, :], inputs)
+    warn_off_rest(plant, x, u)
+    plant, x_rows, rows = _seen(plant, x[None, :], u[None, :], inputs)
     chosen = _Selection.of(plant, inputs, outputs)
-    a, b, c, d = chosen.matrices(x[None, :], rows)
+    a, b, c, d = chosen.matrices(x_rows, rows)
     step = 0.0 if dt is None else require_positive("dt", dt, "s")
     chosen = replace(chosen, units=_units_of(plant, units))
     if not stuck:
         return chosen.model((a[0], b[0], c[0], d[0]), step)
-    follow = OperatingPoint(plant, x, u).stuck
+    follow = OperatingPoint(plant, x_rows[0], rows[0]).stuck
     return chosen.model((*follow.reduced(a[0], b[0], c[0]), d[0]), step, follow.kept.tolist())
 
 
@@ -342,7 +398,7 @@ def linearize_along(
     if t is not None:
         motion = motion.at(t)
     x = motion.array([v.name for v in plant.states])
-    plant, u = _seen(plant, motion.array([v.name for v in plant.inputs]), inputs)
+    plant, x, u = _seen(plant, x, motion.array([v.name for v in plant.inputs]), inputs)
     chosen = _Selection.of(plant, inputs, outputs)
     matrices = chosen.matrices(x, u)
     kept = [[v.name for v in plant.inputs].index(n) for n in chosen.inputs]

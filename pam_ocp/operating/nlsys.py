@@ -73,7 +73,8 @@ def as_nlsys(
     plant, x, u = point_of(plant, at)
     inversion = Inversion(plant)
     if inversion and (inputs is None or any(inversion.opening_of(n) for n in inputs)):
-        plant, u = inversion.inner, inversion.rows(u[None, :])[0]
+        u = inversion.rows(u[None, :], x=x[None, :])[0]
+        plant, x = inversion.inner, inversion.inside(x)
     return PlantSystem(
         plant,
         x,

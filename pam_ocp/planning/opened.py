@@ -52,7 +52,7 @@ class Opened:
         cannot, or the commands are the ways themselves.
         """
         inversion = Inversion(plant)
-        if not inversion:
+        if not inversion or not inversion.exact:
             return None
         if ways and all(len(o.commands) > 1 for o in plant.openings):
             return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -19,7 +20,7 @@ from .damping import Loss
 from .dead_time import DeadTime, DelayLine, as_dead_time, delay_line
 from .equations import CHANGEABLE, DEFINED, Equations
 from .feeds import AttachedMuscle, Feed, attach
-from .opening import FlowPath, Opening, checked_commands, flow_path
+from .opening import Asked, FlowPath, Lead, Opening, checked_commands, flow_path, path_of
 from .sensors import Sensor, as_sensor
 
 __all__ = ["Declaration"]
@@ -87,6 +88,8 @@ class Declaration:
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
         paths: Sequence[tuple[ca.SX, PathOf]],
+        behind: ca.SX | None = None,
+        asked: Asked | None = None,
         **attributes: Any,
     ) -> list[ca.SX]:
         """Declare an input w that controllers choose in place of commands that have a dead zone.
@@ -95,14 +98,24 @@ class Declaration:
         inverse : w -> the commands that give it. paths : what stands in the plant's equations, each
         as (expression of the commands, w -> the same of w); returns their symbols, to be used
         there. In place of w -> ... "filling" or "venting": the part of w above or below zero.
+        behind : where the dead zone stands behind something that moves (a spool), its position, an
+            expression of states whose equations are stated and follow the one command linearly;
+            ``paths`` are expressions of it then, ``forward`` and ``inverse`` as of a command that
+            is the position. Where they are not linear nothing is declared.
+        asked : where what is asked of these states is no command; see :class:`Asked`.
         attributes : of the variable w; see :class:`Variable`. See :meth:`in_openings`.
         """
         self._open()
+        if behind is not None:
+            entry = commands[0] if asked is None else asked.symbol
+            lead = Lead.of(behind, entry, self._variables, self._expressions)
+            if lead is None:
+                return [path for path, _ in paths]
+            return self._opening_behind(
+                name, commands[0], forward, inverse, paths, lead, asked, attributes
+            )
         names = [next((n for n, s in self._symbols.items() if s is c), str(c)) for c in commands]
-        checked_commands(name, names, self._variables)
-        variable = Variable(name, "input", **{"start": 0.0, **attributes})
-        if name in self._variables or any(o.name == name for o in self._openings):
-            raise InputError(f"the name {name!r} is declared twice in plant {self.name!r}")
+        variable = self._as_opening(name, names, attributes)
         symbol = ca.SX.sym(name)
         opening = Opening(variable, symbol, tuple(names), forward, tuple(inverse(symbol)))
         self._openings += (opening,)
@@ -112,6 +125,52 @@ class Declaration:
         )
         return symbols
 
+    def _as_opening(self, name: str, commands: list[str], attributes: dict[str, Any]) -> Variable:
+        checked_commands(name, commands, self._variables)
+        if name in self._variables or any(o.name == name for o in self._openings):
+            raise InputError(f"the name {name!r} is declared twice in plant {self.name!r}")
+        return Variable(name, "input", **{"start": 0.0, **attributes})
+
+    def _opening_behind(
+        self,
+        name: str,
+        command: ca.SX,
+        forward: ca.SX,
+        inverse: Callable[[ca.SX], Sequence[ca.SX]],
+        paths: Sequence[tuple[ca.SX, PathOf]],
+        lead: Lead,
+        asked: Asked | None,
+        attributes: dict[str, Any],
+    ) -> list[ca.SX]:
+        """An opening before what ``lead`` describes; see :meth:`opening`.
+
+        In openings the same states move without a dead zone behind them and without play.
+        """
+        of = next((n for n, s in self._symbols.items() if s is command), str(command))
+        variable = self._as_opening(name, [of], attributes)
+        entry = command if asked is None else asked.symbol
+        symbol = ca.SX.sym(name)
+        seen, sent, carried = lead.opening(
+            asked,
+            command,
+            lambda position: ca.substitute(forward, entry, position),
+            lambda effect: inverse(effect)[0],
+            symbol,
+        )
+        self._openings += (Opening(variable, symbol, (of,), seen, (sent,), carried),)
+        symbols = [ca.SX.sym(f"{name}.way{i}") for i in range(len(paths))]
+        made = [
+            FlowPath(s, ca.SX(way), path_of(part, lead.straight), name)
+            for s, (way, part) in zip(symbols, paths, strict=True)
+        ]
+        if lead.play is not None:
+            held = lead.play[0].name()
+            rate = ca.SX.sym(f"{name}.play")
+            made.append(FlowPath(rate, self._expressions[held], ca.SX(0), name))
+            self._expressions[held] = rate
+        self._flow_paths += tuple(made)
+        return symbols
+
     def dead_zone(self, command: ca.SX, width: Any, name: str | None = None) -> ca.SX:
         """What an input leaves beyond its dead zone of +-width/2 [its unit], declared with its
         inverse.
@@ -119,7 +178,12 @@ class Declaration:
         Smooth within ``width`` of zero, the command less width/2 beyond; ``width`` is a number or a
         symbol, such as that of a parameter. Controllers then choose this effect itself, as the
         input ``name`` (by default ``<command>_effect``), and send the command that gives it.
+
+        command : the symbol of an input; or a position that follows one input linearly, as an
+            expression of states whose equations are stated (a spool of one's own), see ``behind``
+            of :meth:`opening`.
         """
+        behind, command = self._followed(command)
         name_of = next((n for n, s in self._symbols.items() if s is command), str(command))
         checked_commands("dead_zone", [name_of], self._variables)
         variable, effect = self._variables[name_of], dead_zone(command, ca.SX(width))
@@ -134,7 +198,8 @@ class Declaration:
             [command],
             effect,
             lambda w: [dead_zone_inverse(w, ca.SX(width))],
-            [(effect, lambda w: w)],
+            [(effect if behind is None else dead_zone(behind, ca.SX(width)), lambda w: w)],
+            behind,
             unit=variable.unit,
             nominal=variable.nominal,
             min=low,
@@ -142,6 +207,27 @@ class Declaration:
             description=f"effect of {name_of} beyond its dead zone",
         )
         return symbol
+
+    def _followed(self, command: ca.SX) -> tuple[ca.SX | None, ca.SX]:
+        """(None, the symbol of an input), or (a position, the input that it follows)."""
+        if any(s is command for n, s in self._symbols.items()):
+            name = next(n for n, s in self._symbols.items() if s is command)
+            if self._variables[name].causality == "input":
+                return None, command
+        seen, found = set[str](), list(ca.symvar(ca.SX(command)))
+        for s in found:  # which grows as it is gone through
+            if s.name() not in seen:
+                seen.add(s.name())
+                found += ca.symvar(self._expressions.get(s.name(), ca.SX(0)))
+        inputs = [
+            n for n in seen if n in self._variables and self._variables[n].causality == "input"
+        ]
+        if len(inputs) != 1:
+            raise InputError(
+                f"dead_zone of {command}: give an input of the plant, or a position that follows "
+                "one input by states whose equations were stated before with der()"
+            )
+        return ca.SX(command), self._symbols[inputs[0]]
 
     def shared(self, name: str, component: Any, declare: Callable[[], Part]) -> Part:
         """What several parts of the plant use in common, such as two muscles one receiver.
@@ -347,8 +433,14 @@ class Declaration:
         self._stated = dict(self._expressions)
         if self._gathered:
             sums = [sum(terms, ca.SX(0)) for _, terms in self._gathered]
-            self._stated = self._replaced([symbol for symbol, _ in self._gathered], sums)
+            symbols = [symbol for symbol, _ in self._gathered]
+            self._stated = self._replaced(symbols, sums)
             self._expressions = dict(self._stated)
+            whole = [ca.vertcat(*symbols)], [ca.vertcat(*sums)]
+            self._flow_paths = tuple(
+                replace(w, in_commands=ca.substitute([w.in_commands], *whole)[0])
+                for w in self._flow_paths
+            )
         if any(image not in self._variables for _, image in self._mirror.values()):
             self._mirror = {}  # a sensor's filter on one side alone
         if self._flow_paths:

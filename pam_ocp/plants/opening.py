@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -13,9 +13,35 @@ from ..core.system import PathOf, Way
 from ..core.variables import Variable
 from ..muscles.dead_zone import two_ways
 
-__all__ = ["WAYS", "FlowPath", "Instead", "Opening", "checked_commands", "flow_path", "path_of"]
+__all__ = [
+    "WAYS",
+    "Asked",
+    "Carried",
+    "FlowPath",
+    "Instead",
+    "Lead",
+    "Opening",
+    "checked_commands",
+    "flow_path",
+    "path_of",
+]
 
 WAYS: tuple[Way, ...] = get_args(Way)
+NEAR = 1e-3
+"""Of the travel: a play is taken up as long as a spool is farther than this from its place."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A state that moves between a command and a dead zone.
+
+    entered : what it is in the plant with openings, where there is no dead zone behind it; left :
+        the way back. Both are expressions of the states and parameters of the plant they start in.
+    """
+
+    name: str
+    entered: ca.SX
+    left: ca.SX
 
 
 @dataclass(frozen=True)
@@ -25,6 +51,9 @@ class Opening:
     variable, symbol : the opening itself. commands : names of the inputs that it stands in for.
     forward : the opening that the commands give; inverse : each command that gives the opening.
     Both are expressions of the plant's symbols, its parameters among them.
+    carried : of a dead zone behind something that moves (a spool), the states of that. Then the
+        opening acts as through the same motion without a dead zone: the commands that give it are
+        those of rest, and the time in which the dead zone is crossed is left out.
     """
 
     variable: Variable
@@ -32,6 +61,7 @@ class Opening:
     commands: tuple[str, ...]
     forward: ca.SX
     inverse: tuple[ca.SX, ...]
+    carried: tuple[Carried, ...] = ()
 
     @property
     def name(self) -> str:
@@ -51,6 +81,129 @@ class FlowPath:
     in_openings: ca.SX
     opening: str
     way: Way | None = None
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a moving part where that is no input: inside of a feedback.
+
+    symbol : stands for it in the part's equations (of :meth:`Plant.gathered`). value : what the
+    command asks for at rest, ``slope`` per unit. behind : states between the two, equal at rest.
+    """
+
+    symbol: ca.SX
+    value: ca.SX
+    slope: ca.SX
+    behind: tuple[ca.SX, ...] = ()
+
+
+@dataclass(frozen=True)
+class Lead:
+    """What moves between a command and a dead zone: linear states, and perhaps a play behind them.
+
+    states : at rest each is ``share`` times what is asked. straight : the position without play,
+    ``gain`` times that. play : (the held memory z within -1 .. 1, by how much it takes back), for
+    position = straight - back z; None without.
+    """
+
+    states: tuple[ca.SX, ...]
+    share: tuple[ca.SX, ...]
+    straight: ca.SX
+    gain: ca.SX
+    play: tuple[ca.SX, ca.SX] | None
+
+    @classmethod
+    def of(
+        cls,
+        position: ca.SX,
+        asked: ca.SX,
+        variables: Mapping[str, Variable],
+        rates: Mapping[str, ca.SX],
+    ) -> Lead | None:
+        """Of a position as an expression of states whose ``rates`` are known; None where these are
+        not linear in themselves and in ``asked`` alone.
+        """
+        memories = [s for s in _states(position, variables) if _memory(s, variables) == "held"]
+        states = [s for s in _states(position, variables) if _memory(s, variables) != "held"]
+        for state in states:  # which grows as it is gone through
+            if state.name() not in rates:
+                return None
+            known = {s.name() for s in states}
+            states += [s for s in _states(rates[state.name()], variables) if s.name() not in known]
+        x, z = ca.vertcat(*states), ca.vertcat(*memories)
+        slopes = ca.vertcat(*(rates[s.name()] for s in states))
+        others = {
+            s.name()
+            for s in ca.symvar(ca.vertcat(slopes, position))
+            if s.name() not in variables or variables[s.name()].causality != "parameter"
+        }
+        if not states or others - {s.name() for s in (*states, *memories, asked)}:
+            return None
+        a, b = ca.jacobian(slopes, x), ca.jacobian(slopes, asked)
+        c, back = ca.jacobian(position, x), -ca.jacobian(position, z)
+        if len(memories) > 1 or ca.depends_on(ca.veccat(a, b, c, back), ca.vertcat(x, z, asked)):
+            return None
+        if ca.sprank(a) < len(states) or not b.nnz():
+            return None
+        share = ca.solve(a, -ca.densify(b))
+        play = (memories[0], back) if memories else None
+        return cls(tuple(states), tuple(ca.vertsplit(share)), ca.mtimes(c, x), c @ share, play)
+
+    def position(self) -> ca.SX:
+        """Where the part stands before its dead zone."""
+        return self.straight if self.play is None else self.straight - self.play[1] * self.play[0]
+
+    def asking(self, position: ca.SX) -> ca.SX:
+        """What to ask for a position at rest: a play is taken up on the side it is moved to."""
+        if self.play is None:
+            return ca.SX(position / self.gain)
+        z, back = self.play
+        side = z + (position - self.position()) / NEAR
+        return ca.SX((position + back * ca.fmax(ca.fmin(side, 1), -1)) / self.gain)
+
+    def opening(
+        self,
+        asked: Asked | None,
+        command: ca.SX,
+        effect: Callable[[ca.SX], ca.SX],
+        inverse: Callable[[ca.SX], ca.SX],
+        inner: ca.SX,
+    ) -> tuple[ca.SX, ca.SX, tuple[Carried, ...]]:
+        """(forward, inverse, states carried) of the opening ``inner`` in place of a command.
+
+        effect : what the dead zone leaves of a position; inverse : the way back.
+        """
+        wanted = inner
+        if asked is None:
+            forward = effect(self.gain * command) / self.gain
+            sent = self.asking(inverse(self.gain * inner))
+        else:
+            wanted = ca.substitute(asked.value, command, inner)
+            left = effect(self.gain * asked.value) / self.gain
+            forward = command + (left - asked.value) / asked.slope
+            sent = inner + (self.asking(inverse(self.gain * wanted)) - wanted) / asked.slope
+        y, back = self.straight, ca.SX(0)
+        if self.play is not None:
+            back = self.play[1] * self.play[0]
+        inwards = (effect(y - back) - y) / self.gain
+        outwards = (inverse(y) + back - y) / self.gain
+        shares = zip(self.states, self.share, strict=True)
+        moved = [*shares, *((s, ca.SX(1)) for s in (asked.behind if asked else ()))]
+        carried = tuple(
+            Carried(s.name(), s + share * inwards, s + share * outwards)
+            for s, share in moved
+            if not share.is_zero()
+        )
+        return ca.SX(forward), ca.SX(sent), carried
+
+
+def _states(expression: ca.SX, variables: Mapping[str, Variable]) -> list[ca.SX]:
+    symbols = ca.symvar(expression)
+    return [s for s in symbols if getattr(variables.get(s.name()), "causality", "") == "state"]
+
+
+def _memory(state: ca.SX, variables: Mapping[str, Variable]) -> str:
+    return variables[state.name()].memory
 
 
 def path_of(of: PathOf, opening: ca.SX) -> ca.SX:

@@ -305,9 +305,16 @@ class Plant(Travelling):
         p = self.vector("parameter")
         for each in made:
             commands = ca.vertcat(*(self._symbols[c] for c in each.opening.commands))
-            start = ca.Function("start", [commands, self.p], [each.opening.forward])
+            carried = each.opening.carried
+            states = ca.vertcat(*(c.entered for c in carried))
+            results = [each.opening.forward, states]
+            start = ca.Function("start", [commands, self.p, self.x], results)
             sent = [self._variables[c].start or 0.0 for c in each.opening.commands]
-            other._variables |= each.starting(float(start(sent, p)))
+            opening, begin = start(sent, p, self.vector("state"))
+            other._variables |= each.starting(float(opening))
+            for i, c in enumerate(carried):
+                at = other._variables[c.name]
+                other._variables[c.name] = at.with_start(min(max(float(begin[i]), at.min), at.max))
         return other
 
     def _in_place_of_commands(self, made: list[Instead]) -> Plant:
@@ -336,6 +343,8 @@ class Plant(Travelling):
     def _sent(self, instead: Instead) -> list[tuple[ca.SX, ca.SX]]:
         """(symbol of a command, what is sent), of all that an opening stands in for."""
         opening = instead.opening
+        if opening.carried:  # what moves follows the opening as it follows the command
+            return [(self._symbols[opening.commands[0]], instead.value)]
         symbols = (self._symbols[c] for c in opening.commands)
         sent = ca.substitute(list(opening.inverse), [opening.symbol], [instead.value])
         return list(zip(symbols, sent, strict=True))

@@ -13,7 +13,7 @@ from ..core.system import Declares, PathOf
 from ..muscles.law import clamp
 from ..muscles.pneumatic_muscle import Muscle
 from .kinds import FEEDS
-from .opening import path_of
+from .opening import Asked, path_of
 from .valves import GAS_UNITS, Filling, SpoolValve
 
 __all__ = ["ServoValve"]
@@ -36,7 +36,8 @@ class ServoValve(SpoolValve):
     rounding : half width of the rounded ends of -1 .. 1.
     Others: see :class:`SpoolValve`. The dead zone is inverted, as good electronics do, where the
     spool has no motion of its own; with ``spool=`` it stays in the loop, and near rest the feedback
-    then ends in it: give the muscle a ``leak``, so that the valve is open at rest.
+    then ends in it. Controllers invert it: they choose ``<name>.aim``, the set pressure (or the
+    reference) of a valve without a dead zone, and send what opens the valve as far.
 
     Inputs ``<name>.set_pressure`` [Pa] and ``<name>.reference`` [m], each where its gain is not 0;
     output ``<name>.command``; gains and lag are parameters.
@@ -74,13 +75,16 @@ class ServoValve(SpoolValve):
 
     def demand(
         self, plant: Declares, name: str, muscle: Muscle, pressure: ca.SX, contraction: ca.SX
-    ) -> ca.SX:
-        """Declare what the loop needs; the opening that it asks for."""
+    ) -> tuple[ca.SX, ca.SX, Asked, dict[str, Any]]:
+        """Declare what the loop needs: (the opening that it asks for; the input that moves it, how
+        that is told, and what it says of itself).
+        """
         errors = (
             ("pressure", self.pressure_gain, "Pa", 1e5, pressure),
             ("position", self.position_gain, "m", 0.01, contraction * muscle.rest_length),
         )
         wanted: ca.SX = ca.SX(0)
+        moved: tuple[ca.SX, ca.SX, dict[str, Any]] | None = None
         for key, value, unit, nominal, found in errors:
             if not value:
                 continue
@@ -94,22 +98,32 @@ class ServoValve(SpoolValve):
                 description=f"feedback of {key} ({name}): opening per {unit}",
             )
             top = muscle.pressure_range[1] if self.max_pressure is None else self.max_pressure
-            aim = plant.input(
-                f"{name}.set_pressure" if key == "pressure" else f"{name}.reference",
-                unit=unit,
-                nominal=nominal,
+            about: dict[str, Any] = {
+                "unit": unit,
+                "nominal": nominal,
                 **({"min": 0.0, "max": top, "start": top / 2} if key == "pressure" else {}),
-                description=f"{key} that the valve of {name} brings about",
+                "description": f"{key} that the valve of {name} brings about",
+            }
+            aim = plant.input(
+                f"{name}.set_pressure" if key == "pressure" else f"{name}.reference", **about
             )
+            moved = moved or (aim, gain, about)
             wanted += gain * (aim - found)
-        if self.command_lag:
-            wanted = self._lagged(plant, name, wanted)
-        width = self.rounding
-        held = clamp(wanted + 1, width) - clamp(wanted - 1, width) - 1
+        assert moved is not None  # one gain is not 0
+        late = self._lagged(plant, name, wanted) if self.command_lag else wanted
+        asked = self._held(late)
         plant.output(
-            f"{name}.command", held, nominal=0.1, description=f"opening asked of {name}'s valve"
+            f"{name}.command", asked, nominal=0.1, description=f"opening asked of {name}'s valve"
         )
-        return held
+        entry, add = plant.gathered()
+        add(asked)
+        behind = (late,) if self.command_lag else ()
+        return asked, moved[0], Asked(entry, self._held(wanted), moved[1], behind), moved[2]
+
+    def _held(self, wanted: ca.SX) -> ca.SX:
+        """Within -1 .. 1."""
+        width = self.rounding
+        return ca.SX(clamp(wanted + 1, width) - clamp(wanted - 1, width) - 1)
 
     def _lagged(self, plant: Declares, name: str, wanted: ca.SX) -> ca.SX:
         lag = plant.parameter(
@@ -140,6 +154,7 @@ class _Looped:
         self._plant, self._name, self._servo = plant, name, servo
         self._muscle, self._contraction = muscle, contraction
         self._pressure: ca.SX | None = None
+        self._aim: tuple[ca.SX, Asked, dict[str, Any]] | None = None
 
     def __getattr__(self, attribute: str) -> Any:
         return getattr(self._plant, attribute)
@@ -153,9 +168,13 @@ class _Looped:
     def input(self, name: str, *, start: float = 0.0, **attributes: Any) -> ca.SX:
         if name != f"{self._name}.command" or self._pressure is None:
             return self._plant.input(name, start=start, **attributes)
-        return self._servo.demand(
+        held, aim, asked, about = self._servo.demand(
             self._plant, self._name, self._muscle, self._pressure, self._contraction
         )
+        if self._servo.spool is None:
+            return held
+        self._aim = aim, asked, about
+        return asked.symbol
 
     def opening(
         self,
@@ -164,8 +183,17 @@ class _Looped:
         forward: ca.SX,
         inverse: Callable[[ca.SX], Sequence[ca.SX]],
         paths: Sequence[tuple[ca.SX, PathOf]],
+        behind: ca.SX | None = None,
         **attributes: Any,
     ) -> list[ca.SX]:
-        """What is asked for is the opening itself: the dead zone is inverted."""
-        (asked,) = commands
-        return [path_of(of, asked) for _, of in paths]
+        """What is asked for is the opening itself: the dead zone is inverted. Behind a spool that
+        moves it stays, and controllers choose another aim in place of the input.
+        """
+        (entry,) = commands
+        if self._aim is None:
+            return [path_of(of, entry) for _, of in paths]
+        aim, asked, about = self._aim
+        about = about | {"description": f"{about['description']}, were there no overlap"}
+        return self._plant.opening(
+            f"{self._name}.aim", [aim], forward, inverse, paths, behind, asked, **about
+        )

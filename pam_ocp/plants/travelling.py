@@ -9,7 +9,7 @@ import casadi as ca
 from ..core.stop import locked
 from .declaration import Declaration
 from .equations import CHANGEABLE, DEFINED
-from .opening import FlowPath, Opening
+from .opening import Carried, FlowPath, Opening
 
 __all__ = ["Travelling"]
 
@@ -27,6 +27,7 @@ class Travelling(Declaration):
             "function": self._travelling(),
             "delay_lines": self._delay_lines,
             "openings": [(o.variable, o.commands) for o in self._openings],
+            "carried": [tuple(c.name for c in o.carried) for o in self._openings],
             "paths": [(way.opening, way.way) for way in self._flow_paths],
         }
 
@@ -42,6 +43,8 @@ class Travelling(Declaration):
         results += [ca.vertcat(*(way.in_openings for way in self._flow_paths))]
         results += [ca.vertcat(*(o.forward for o in self._openings))]
         results += [ca.vertcat(*(e for o in self._openings for e in o.inverse))]
+        carried = [c for o in self._openings for c in o.carried]
+        results += [ca.vertcat(*(ca.vertcat(c.entered, c.left) for c in carried))]
         return ca.Function("plant", [system.x, system.u, system.p, w, paths], results)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -65,16 +68,23 @@ class Travelling(Declaration):
         function, openings = state["function"], state["openings"]
         symbols = [ca.SX.sym(v.name) for v, _ in openings]
         paths = [ca.SX.sym(f"way{i}") for i in range(function.numel_in(4))]
-        *columns, in_commands, in_openings, forward, inverse = function(
+        *columns, in_commands, in_openings, forward, inverse, carried = function(
             *known, ca.vertcat(*symbols), ca.vertcat(*paths)
         )
         self._flow_paths = tuple(
             FlowPath(s, in_commands[i], in_openings[i], *state["paths"][i])
             for i, s in enumerate(paths)
         )
-        parts = iter(ca.vertsplit(inverse))
+        parts, moved = (iter(ca.vertsplit(each)) for each in (inverse, carried))
         self._openings = tuple(
-            Opening(v, symbols[i], commands, forward[i], tuple(next(parts) for _ in commands))
+            Opening(
+                v,
+                symbols[i],
+                commands,
+                forward[i],
+                tuple(next(parts) for _ in commands),
+                tuple(Carried(n, next(moved), next(moved)) for n in state["carried"][i]),
+            )
             for i, (v, commands) in enumerate(openings)
         )
         return tuple(columns)

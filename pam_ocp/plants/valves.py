@@ -18,6 +18,7 @@ from .airflow import Air, Place, Stream, boundless, holding, through
 from .components import component
 from .contents import air_temperature, balance
 from .kinds import FEEDS
+from .opening import WAYS
 from .quick_exhaust import QuickExhaust
 from .receiver import Supply
 from .spools import Spool
@@ -312,7 +313,9 @@ class SpoolValve(GasFeed):
 
     Controllers choose ``<name>.opening`` instead of the command, how far the way from the supply
     (> 0) or to ambient (< 0) is open, and send the command that gives exactly that; see
-    :meth:`Plant.in_openings`. A spool that moves has no such inverse: they choose its command.
+    :meth:`Plant.in_openings`. Of a spool that moves, with or without hysteresis, they send the
+    command that leaves it at this opening at rest; the time in which it crosses the overlap is not
+    in their model.
 
     Examples
     --------
@@ -360,15 +363,16 @@ class SpoolValve(GasFeed):
             up, down = (dead_zone_inverse(t * w, o) for t, o in zip(travels, overlaps, strict=True))
             return (up if ca.is_equal(*overlaps) else ca.if_else(w >= 0, up, down)) - offset
 
-        if self.spool is not None:
-            return ways(self.spool.position(plant, name, command))
+        behind = None if self.spool is None else self.spool.position(plant, name, command)
         supply, exhaust = ways(command)
+        paths = (supply, exhaust) if behind is None else ways(behind)
         filling, venting = plant.opening(
             f"{name}.opening",
             [command],
             supply - exhaust,
             lambda w: [inverse(w)],
-            [(supply, "filling"), (exhaust, "venting")],
+            list(zip(paths, WAYS, strict=True)),
+            behind,
             **_opening(name),
         )
         return filling, venting

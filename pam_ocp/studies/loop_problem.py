@@ -266,6 +266,7 @@ def loop_text(study: Mapping[str, Any], loop: ClosedLoop) -> str:
         lines.append(
             f"predictions: within {loop.prediction_error:.1e} of nominal of a finer integration"
         )
+    lines.append(f"verdict: {loop.verdict}")
     for name in loop.reference.names if loop.reference else ():
         variable = loop.trajectory.variable(name)
         error = variable.shown(loop.steady_error(name, window))

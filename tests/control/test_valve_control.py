@@ -423,10 +423,10 @@ def test_a_dead_zone_of_ones_own_is_inverted():
 def test_an_input_without_influence_is_called_so():
     plant = cart(False)
     point = pam.OperatingPoint(plant, np.zeros(2), np.zeros(1))
-    with pytest.raises(InputError, match="motor has no influence on 'cart' here: its slope is 0"):
+    with pytest.raises(InputError, match="motor has no influence on x here: its slope is 0"):
         pam.lqr(plant, point)
     mpc = pam.Mpc(plant, horizon=5, sample_time=0.05, track={"x": 1.0})
-    with pytest.warns(UserWarning, match="motor has no influence where the plant stands"):
+    with pytest.warns(UserWarning, match="motor has no influence on x over the horizon"):
         mpc.control([0.0, 0.0], {"x": 0.1})
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -74,7 +74,7 @@ def trajectory_feedback(controller: TrajectoryFeedback, name: str = "tvlqr") -> 
     ends = np.cumsum([0, nu, nx, ni, nu * nx, nu * ni]).tolist()
     u0, x0, y0, k, ki = ca.vertsplit(_row(draft, np.array(rows)), ends)
     k, ki = ca.reshape(k, nu, nx), ca.reshape(ki, nu, ni)
-    v = u0 - ca.mtimes(k, draft.column(plant.states) - x0)
+    v = u0 - ca.mtimes(k, draft.states(c._inversion, plant.states) - x0)
     integrals = Integrating(draft, c.integrated)
     u = v
     if integrated:

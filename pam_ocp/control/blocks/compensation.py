@@ -117,12 +117,12 @@ class _Compensation:
             measured = draft.like(inner.variable(f"{m}.pressure"))
             rate = slope + (wanted - measured) / self.owner.pressure_time
             found[feed._inputs[place]] = self._solve(m, function, place, rate, ends)
-        sent = sent_by(feed.inversion, found)
+        sent = sent_by(feed.inversion, found, draft)
         if feed._loop is not None:
             names = {f"{m}.pressure": draft.like(inner.variable(f"{m}.pressure")) for m in targets}
             asked = feed._loop.inputs({m: p for m, (p, _) in targets.items()}, names)
             there = {v.name for v, _ in sent}
-            more = sent_by(feed._loop.inversion, asked)
+            more = sent_by(feed._loop.inversion, asked, draft)
             sent += [(v, value) for v, value in more if v.name not in there]
         for variable, value in sent:
             draft.output(as_output(variable), value, command=True)

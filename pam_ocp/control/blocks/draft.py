@@ -169,8 +169,15 @@ class Draft:
                 self.output(as_output(variable), u[i], command=True)
             return
         chosen = {v.name: u[i] for i, v in enumerate(inner)}
-        for variable, value in sent_by(inversion, chosen):
+        for variable, value in sent_by(inversion, chosen, self):
             self.output(as_output(variable), value, command=True)
+
+    def states(self, inversion: Inversion | None, variables: Iterable[Variable]) -> Symbol:
+        """Measured states as a column, those of spools as they count in openings."""
+        x = self.column(variables)
+        if inversion is None or inversion.exact:
+            return x
+        return inversion.entering()(x, inversion.plant.vector("parameter"))
 
     def block(self) -> Block:
         """The block, once all is entered."""
@@ -226,19 +233,30 @@ def as_output(variable: Variable) -> Variable:
     )
 
 
-def sent_by(inversion: Inversion, chosen: Mapping[str, Symbol]) -> list[tuple[Variable, Symbol]]:
+def sent_by(
+    inversion: Inversion, chosen: Mapping[str, Symbol], draft: Draft
+) -> list[tuple[Variable, Symbol]]:
     """(input of the plant, value) of inputs by inner name, openings through their inverse."""
     plant = inversion.plant
+    x = states_beside(inversion, draft)
     found: list[tuple[Variable, Symbol]] = []
     for name, value in chosen.items():
         opening = inversion.opening_of(name)
         if opening is None:
             found.append((plant.variable(name), value))
             continue
-        sent = inversion.inverse(opening)(value, plant.vector("parameter"))
+        sent = inversion.inverse(opening)(value, plant.vector("parameter"), x)
         commands = inversion.commands_of(opening)
         found += [(plant.variable(c), sent[i]) for i, c in enumerate(commands)]
     return found
+
+
+def states_beside(inversion: Inversion, draft: Draft) -> Symbol:
+    """The plant's states, measured where an opening needs them beside its commands."""
+    states = inversion.plant.states
+    if not inversion.by_states:
+        return ca.DM([v.start or 0.0 for v in states])
+    return draft.column(states)
 
 
 def opened_by(inversion: Inversion | None, plant: Plant, draft: Draft) -> dict[str, Symbol]:
@@ -249,6 +267,7 @@ def opened_by(inversion: Inversion | None, plant: Plant, draft: Draft) -> dict[s
     if not inversion:
         return named
     found: dict[str, Symbol] = {}
+    x = states_beside(inversion, draft)
     for variable in inversion.inner.inputs:
         opening = inversion.opening_of(variable.name)
         if opening is None:
@@ -256,7 +275,7 @@ def opened_by(inversion: Inversion | None, plant: Plant, draft: Draft) -> dict[s
                 found[variable.name] = named[variable.name]
             continue
         commands = ca.vertcat(*(named[c] for c in inversion.commands_of(opening)))
-        found[variable.name] = inversion.forward(opening)(commands, plant.vector("parameter"))
+        found[variable.name] = inversion.forward(opening)(commands, plant.vector("parameter"), x)
     return found
 
 

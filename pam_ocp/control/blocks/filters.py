@@ -74,9 +74,14 @@ def stationary_filter(filter: StationaryFilter, name: str = "filter") -> Block:
         seen = ca.if_else(good, y, 0)
         errors.append(ca.if_else(good, seen - float(filter._y0[i]) - expected[i], 0))
     after = before + ca.mtimes(ca.DM(filter.gain), ca.vertcat(*errors))
+    estimate = ca.DM([point[v.name] for v in kept]) + after
+    if filter.inversion and not filter.inversion.exact:
+        x = estimate[: len(names)]
+        back = filter.inversion.entering(False)(x, whole.vector("parameter"))
+        estimate = ca.vertcat(back, estimate[len(names) :])
     for i, v in enumerate(kept):
         draft.next(f"deviation.{v.name}", after[i])
-        draft.estimate(v, float(point[v.name]) + after[i])
+        draft.estimate(v, estimate[i])
     draft.next("started", draft.kind(1))
     return draft.block()
 

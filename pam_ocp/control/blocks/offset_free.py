@@ -29,7 +29,7 @@ def _feedback(controller: OffsetFree) -> Block:
     plant = point.plant
     draft = Draft("feedback", feedback.sample_time, "state feedback to the rest without offset")
     chosen = [plant.variable(n) for n in feedback.inputs]
-    estimate = draft.column(plant.states)
+    estimate = draft.states(feedback.inversion, plant.states)
     unknown = [plant.variable(n) for n in controller.filter.disturbances]
     found = [draft.like(v) - float(point[v.name]) for v in unknown]
     wanted = []

@@ -120,7 +120,7 @@ def _send(draft: Draft, loop: PressureLoop, wanted: dict[str, Symbol], plant: Pl
         for m in wanted
         if plant.variable(f"{m}.pressure").causality == "state"
     }
-    for variable, value in sent_by(loop.inversion, loop.inputs(wanted, measured)):
+    for variable, value in sent_by(loop.inversion, loop.inputs(wanted, measured), draft):
         draft.output(as_output(variable), value, command=True)
 
 

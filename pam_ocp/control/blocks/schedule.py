@@ -46,7 +46,7 @@ def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -
 
     x0, u0 = table("x0", family.x), table("u0", family.u[..., c._columns])
     k = ca.reshape(table("gains", np.swapaxes(c.K, -1, -2)), nu, nx)
-    v = u0 - ca.mtimes(k, draft.column(plant.states) - x0)
+    v = u0 - ca.mtimes(k, draft.states(c.inversion, plant.states) - x0)
     integrals = Integrating(draft, c.integrated)
     u, errors = v, []
     if integrated:

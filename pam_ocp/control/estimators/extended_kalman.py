@@ -54,11 +54,12 @@ class Estimator(ABC):
         start: Values | None = None,
         uncertainty: Mapping[str, float] | None = None,
         method: StepMethod = "rk4",
-        substeps: int = 2,
+        substeps: int | None = None,
         compiled: bool | None = False,
     ) -> None:
         require_plant(plant)
-        self.plant, self.given, how = plant, Givens(plant), Step(sample_time, method, substeps)
+        how = Step.of(type(self).__name__, plant, sample_time, method, substeps)
+        self.plant, self.given = plant, Givens(plant)
         self.sample_time = sample_time = require_positive("sample_time", sample_time, "s")
         self._control_names = [v.name for v in self.given.controls]
         if not measured:

@@ -83,7 +83,7 @@ class MovingHorizonEstimator(Estimator):
         start: Values | None = None,
         uncertainty: Mapping[str, float] | None = None,
         method: StepMethod = "rk4",
-        substeps: int = 2,
+        substeps: int | None = None,
         compiled: bool | None = False,
     ) -> None:
         require_count("horizon", horizon)

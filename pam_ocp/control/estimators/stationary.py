@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError, require_positive
+from ...core.errors import InputError, require_instance, require_positive
 from ...core.stop import verb
 from ...operating.linear import inside, linearize
 from ...operating.resting_point import OperatingPoint
@@ -84,6 +84,8 @@ class StationaryFilter:
         """The present knowledge."""
         states = [v.name for v in self.plant.states]
         x = self.point.x + self.deviation[: len(states)]
+        if self.inversion:
+            x = self.inversion.inside(x, inwards=False)
         spread = np.sqrt(np.diag(self.covariance)).tolist()
         return Estimate(
             dict(zip(states, x.tolist(), strict=True)),
@@ -111,7 +113,7 @@ class StationaryFilter:
         """Go on to the next sample under inputs by name (kept within the plant's range)."""
         variables, inputs = self.point.plant.inputs, inputs or {}
         if self.inversion:
-            inputs = self.inversion.openings(inputs)
+            inputs = self.inversion.openings(inputs, measured=self.estimate.state)
         u = np.array([np.clip(inputs.get(v.name, v.start or 0.0), v.min, v.max) for v in variables])
         self._u = u - self.point.u
         self._u[[v.name in self.disturbances for v in variables]] = 0.0  # they are states here
@@ -149,6 +151,8 @@ def kalman(
     require_plant(plant)
     inversion, at = inside(plant, at)
     plant = at.plant
+    sample_time = require_positive("sample_time", sample_time, "s")
+    require_instance("measured", measured, Mapping, "give {state or output: deviation}")
     if not measured:
         raise InputError("measured is empty: give {state or output: deviation of its noise}")
     names = [plant.variable(n).name for n in measured]
@@ -161,7 +165,10 @@ def kalman(
     system = _with_disturbances(plant, linear, list(unknown), states)
     sizes = [plant.variable(n).nominal for n in unknown]
     if isinstance(process, Mapping):
-        given = {plant.variable(n).name: float(v) for n, v in process.items()}
+        given = {
+            plant.variable(n).name: require_positive(f"process[{n!r}]", v, zero=True)
+            for n, v in process.items()
+        }
         drive = np.array([given.get(plant.states[i].name, 0.0) for i in follow.kept])
     else:
         drive = np.full(len(states), require_positive("process", process))
@@ -311,11 +318,15 @@ class WithEstimate:
         self.controller.reset()
         self.filter.reset()
 
+    def aims(self, t: float) -> dict[str, float]:
+        """Those of the controller."""
+        told = getattr(self.controller, "aims", getattr(self.controller, "wanted", None))
+        return dict(told(t)) if told else {}
+
     def __call__(self, t: float, measured: Measured) -> Mapping[str, float]:
         """See :class:`Controller`."""
-        estimate = self.filter.correct(measured)
-        states = [v.name for v in self.filter.point.plant.states]
-        seen = dict(zip(states, estimate.tolist(), strict=True))
+        self.filter.correct(measured)
+        seen = self.filter.estimate.state
         visible = [n for n in (*self.filter.measured, *self.also) if n not in seen]
         seen.update({n: measured[n] for n in visible})
         inputs = self.controller(t, seen)

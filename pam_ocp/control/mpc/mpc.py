@@ -21,6 +21,7 @@ from ...core.errors import (
     UnknownNameError,
     require_count,
     require_finite,
+    require_instance,
     require_positive,
 )
 from ...core.plausible import outside
@@ -57,6 +58,10 @@ KINKS = 0.5
 """Place between the widest roundings (0) and the plant's own (1) at which a controller sees kinks:
 one step of Newton's method a sample does not settle on sharper ones.
 """
+REGULATED = 0.1
+"""Part of the largest weight from which on a tracked variable is one that is to arrive."""
+NO_INFLUENCE = 1e-10
+"""Of nominals: what an input moves by less it does not move."""
 FINER = 8
 """How many times finer a prediction is looked at by :meth:`Mpc.prediction_error`."""
 
@@ -96,7 +101,7 @@ class Mpc:
     delay : 0 when the inputs are applied at once, 1 when they take effect a step later: the state
         is then predicted to that time with the inputs applied meanwhile.
     method, substeps : of the integration from node to node, see Step ("rosenbrock" for stiff
-        plants).
+        plants). None: 2 substeps, or as many as "rk4" needs to be stable at the start values.
     solver : "hpipm" or "piqp" for the quadratic programs, or "ipopt" for the whole program;
         "riccati": each call is the one Function that runs as C code and FMU, too (see
         ``pam.control.block``), to the last bit, slower than HPIPM by ten times where it is not
@@ -142,7 +147,7 @@ class Mpc:
         work: int | None = 12,
         delay: int = 0,
         method: StepMethod = "rk4",
-        substeps: int = 2,
+        substeps: int | None = None,
         solver: QpSolver | Literal["ipopt", "riccati"] | None = None,
         tolerance: float = 1e-3,
         compiled: bool | None = False,
@@ -168,11 +173,20 @@ class Mpc:
         self.given = Givens(self.model)
         if not self.given.controls:
             raise InputError(f"plant {plant.name!r} has no input that a controller may choose")
-        how = Step(sample_time, method, substeps)
+        how = Step.of("Mpc", self.model, sample_time, method, substeps)
+        for argument, named in (("track", track), ("terminal", terminal), ("rate", rate)):
+            require_instance(
+                argument, named, Mapping, "give {name: weight}", none=argument != "track"
+            )
         track, terminal = inversion.names(track), terminal and inversion.names(terminal)
         self._penalties = penalties = _penalties(self.model, track, terminal)
         rated = _weights(self.model, inversion.names(rate or {}), "rate", ("input",))
         limits = _limits(self.model, self.given, inversion.bounds(_pairs(plant, bounds)), soft)
+        self.limits = {
+            b.variable.name: (b.low, b.high) for b in limits if b.variable.causality != "input"
+        }
+        """Of states, outputs and constraints: the plant's ranges, narrowed by ``bounds``."""
+        self._telling = _telling(self.plant, track)
         self.program = TrackingProgram(
             self.given,
             how,
@@ -196,16 +210,20 @@ class Mpc:
         self._fine: ca.Function | None = None
         self.reset()
 
-    def reset(self, inputs: Values | None = None) -> None:
+    def reset(self, inputs: Values | None = None, state: Values | None = None) -> None:
         """Forget solutions and statistics;
-        ``inputs`` are those applied now (start values if None).
+        ``inputs`` are those applied now, at ``state`` (start values if None).
         """
         values = self.plant.vector("input", inputs)
-        values = self.inversion.rows(values[None, :])[0]
+        x = self.plant.vector("state") if state is None else self._state(state)
+        values = self.inversion.rows(values[None, :], x=x[None, :])[0]
         names = [v.name for v in self.model.inputs]
         chosen = [names.index(v.name) for v in self.given.controls]
         self._applied: Array = values[chosen] / self.program.u_nominal
         self._warm = False
+        self.idle: tuple[str, ...] = ()
+        """Inputs without influence on what is tracked, where the first call stood."""
+        self._watched = False
         self._record = array("d")
         if self._calls is not None:
             rest = self.inversion.rows(self.plant.vector("input")[None, :])[0]
@@ -277,8 +295,10 @@ class Mpc:
             state's derivative: what an estimator found [SI].
         """
         begin = perf_counter()
-        now = self._state(state)
         q = self.given.vector(values)
+        p = q[: len(self.plant.parameters)]
+        seen = self._state(state)
+        now = self.inversion.inside(seen, p)
         point = self._sqp.point
         self._references(reference or {})
         point.set_given(q)
@@ -286,11 +306,12 @@ class Mpc:
             outcome, fallback, failed = self._by_sqp(now / self.program.x_nominal, q)
         else:
             if not self._record:
-                self._warn_of_dead_inputs(now / self.program.x_nominal, q)
+                self._look_for_dead_inputs(now / self.program.x_nominal, q)
             outcome = self._calls(point, now, self._applied * self.program.u_nominal)
             fallback, failed = False, not outcome.usable
         self._warm = not failed
-        self._applied = self._first_inputs()
+        before, self._applied = self._applied, self._first_inputs()
+        self._sample = now / self.program.x_nominal, before if self.delay else self._applied, q
         record(
             self._record,
             perf_counter() - begin,
@@ -304,7 +325,7 @@ class Mpc:
         )
         si = self._applied * self.program.u_nominal
         chosen = {v.name: float(u) for v, u in zip(self.given.controls, si, strict=True)}
-        return self.inversion.commands(chosen, q[: len(self.plant.parameters)])
+        return self.inversion.commands(chosen, p, dict(zip(self._states, seen, strict=True)))
 
     def _brief(self) -> str:
         names = ", ".join(p.variable.name for p in self._penalties)
@@ -327,7 +348,8 @@ class Mpc:
             columns[v.name] = np.full(len(chosen), point.given[n + i])
         inputs = np.column_stack([columns[v.name] for v in self.model.inputs])
         if self.inversion:
-            inputs = self.inversion.sent(inputs, point.given[:n])
+            states = self.inversion.inside(states, point.given[:n], inwards=False)
+            inputs = self.inversion.sent(inputs, point.given[:n], states)
         t: Array = self.sample_time * np.arange(self.horizon + 1.0)
         held = PiecewisePolynomial(t, inputs[:-1, None, :])
         model = self.plant.with_values(
@@ -355,6 +377,12 @@ class Mpc:
         return worst if np.isfinite(worst) else math.inf
 
     # ---- inside ---------------------------------------------------------------------------------
+    def _expected(self) -> dict[str, float]:
+        """By the model's own step, whatever the SQP has left of defects."""
+        x, u, q = self._sample
+        after = self._going(x, u, q)[0][:, 0] * self.program.x_nominal
+        return {n: float(after[i]) for n, i in self._telling.items()}
+
     def _by_sqp(self, x: Array, q: Array) -> tuple[SqpOutcome, bool, bool]:
         """The program solved from a scaled state: (outcome, IPOPT was asked, it failed too)."""
         if self.delay:
@@ -362,7 +390,7 @@ class Mpc:
         point = self._sqp.point
         self._guess(x)
         if not self._record:
-            self._warn_of_dead_inputs(x, q)
+            self._look_for_dead_inputs(x, q)
         limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
         kept = point.w.copy()
         fallback = failed = False
@@ -383,19 +411,41 @@ class Mpc:
         p = self.program
         return ca.Function("predict", [p.x, p.u, p.q], [how.expression(self.given, p.x, p.u, p.q)])
 
-    def _warn_of_dead_inputs(self, x: Array, q: Array) -> None:
+    def _look_for_dead_inputs(self, x: Array, q: Array) -> None:
+        """Which inputs have no influence on what is tracked, over the horizon, the inputs as they
+        are: with zero slopes a solver of this kind does not find out of where it stands.
+        """
         p = self.program
         step = self._advance(p.x, p.u, p.q)
-        slopes = ca.Function("slopes", [p.x, p.u, p.q], [ca.densify(ca.jacobian(step, p.u))])
-        effect = np.abs(np.asarray(slopes(x, self._applied, q))).max(axis=0, initial=0.0)
-        for variable, size in zip(self.given.controls, effect, strict=True):
-            if size <= 1e-12:
-                warnings.warn(
-                    f"Mpc: {variable.name} has no influence where the plant stands: its slope is "
-                    "0, as in a dead zone, and it will hardly be moved. Declare the dead zone "
-                    "(plant.dead_zone(command, width)), so that its inverse is used",
-                    stacklevel=outside(),
-                )
+        tracked = [e for e in self._penalties if e.variable.causality != "input" and e.weight > 0]
+        if not tracked:
+            return
+        x_si, u_si = self.model.vector("state", attribute="nominal"), p.u_nominal
+        inputs, parameters, _ = self.given.parts(p.q, p.u * u_si)
+        here = ca.vertcat(*(e.expression / e.variable.nominal for e in tracked))
+        values = ca.Function("tracked", [self.model.x, self.model.u, self.model.p], [here])
+        seen = values(p.x * x_si, inputs, parameters)
+        slopes = [ca.jacobian(e, s) for e in (step, seen) for s in (p.x, p.u)]
+        at = ca.Function("slopes", [p.x, p.u, p.q], [step, *map(ca.densify, slopes)])
+        moved, effect = np.zeros((p.nx, p.nu)), np.zeros(p.nu)
+        for _ in range(self.horizon):
+            after, a, b, c, d = (np.asarray(e, dtype=float) for e in at(x, self._applied, q))
+            effect = np.maximum(effect, np.abs(c @ moved + d).max(axis=0))
+            moved, x = a @ moved + b, after.ravel()
+            if not np.all(np.isfinite(moved)):
+                return
+        effect = np.maximum(effect, np.abs(c @ moved).max(axis=0))
+        dead = effect <= NO_INFLUENCE
+        self.idle = tuple(v.name for v, none in zip(self.given.controls, dead, strict=True) if none)
+        if self.idle and not self._watched:
+            names = ", ".join(e.variable.name for e in tracked)
+            warnings.warn(
+                f"Mpc: {', '.join(self.idle)} has no influence on {names} over the horizon from "
+                "where the plant stands: its slope is 0, as in a dead zone, and it will hardly be "
+                "moved. Declare the dead zone (plant.dead_zone(command, width), or of the position "
+                "of a spool), so that its inverse is used",
+                stacklevel=outside(),
+            )
 
     def _by_ipopt(self) -> SqpOutcome:
         if self._ipopt is None:
@@ -478,6 +528,7 @@ class TrackingMpc:
     def reset(self) -> None:
         """See :class:`Controller`."""
         self.mpc.reset(self.inputs)
+        self.mpc._watched = True  # a loop says in its verdict what is the matter
 
     def wanted(self, t: float) -> dict[str, float]:
         """What is to be reached at a time [s]."""
@@ -490,6 +541,31 @@ class TrackingMpc:
     def prediction_error(self) -> float:
         """See :meth:`Mpc.prediction_error`."""
         return self.mpc.prediction_error()
+
+    def aims(self, t: float) -> dict[str, float]:
+        """Of what is wanted states and outputs that have ``REGULATED`` of the largest weight."""
+        weights = {p.variable.name: p.weight for p in self.mpc._penalties}
+        least = REGULATED * max(weights.values())
+        kinds = {v.name for v in (*self.mpc.plant.states, *self.mpc.plant.outputs)}
+        known = {n: self.mpc.plant.variable(n).name for n in self.reference if n not in weights}
+        named = {known.get(n, n): v for n, v in self.wanted(t).items()}
+        return {n: v for n, v in named.items() if n in kinds and weights.get(n, 0.0) >= least}
+
+    def expected(self) -> dict[str, float]:
+        """Velocities (of plants without positions, tracked states) at the end of this sample, by
+        the model.
+        """
+        return self.mpc._expected()
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Of states and outputs, as the Mpc was told."""
+        return self.mpc.limits
+
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Inputs that had no influence on what is tracked where the run began."""
+        return self.mpc.idle
 
     def __call__(self, t: float, measured: Mapping[str, float]) -> dict[str, float]:
         """See :class:`Controller`."""
@@ -505,6 +581,12 @@ class TrackingMpc:
 
 
 # ---- checking the arguments ---------------------------------------------------------------------
+def _telling(plant: Plant, track: Mapping[str, float]) -> dict[str, int]:
+    """{state whose prediction tells of the model: its place}: velocities, or tracked states."""
+    names = [v.name for v in plant.states]
+    found = [v for p in plant.resting() for v in p.velocities if v in names]
+    found = found or [n for n in names if n in track]
+    return {n: names.index(n) for n in found}
 
 
 def _one_on(p: TrackingProgram) -> tuple[Index, Index]:

@@ -184,7 +184,9 @@ class _MpcBlock:
                 )
             )
 
-    def _outputs(self, inputs: ca.MX, p: ca.MX, facts: ca.MX) -> list[tuple[Variable, ca.MX]]:
+    def _outputs(
+        self, inputs: ca.MX, p: ca.MX, x: ca.MX, facts: ca.MX
+    ) -> list[tuple[Variable, ca.MX]]:
         """Commands of the inputs chosen (of openings those that give them), and the facts."""
         found = []
         for i, variable in enumerate(self.given.controls):
@@ -192,7 +194,7 @@ class _MpcBlock:
             if opening is None:
                 found.append((as_output(self.plant.variable(variable.name)), inputs[i]))
                 continue
-            sent = self.inversion.inverse(opening)(inputs[i], p)
+            sent = self.inversion.inverse(opening)(inputs[i], p, x)
             for k, command in enumerate(self.inversion.commands_of(opening)):
                 found.append((as_output(self.plant.variable(command)), sent[k]))
         for i, name in enumerate(FACTS):
@@ -220,17 +222,18 @@ class _MpcBlock:
 
         q = column(self.told)
         p, _ = ca.vertsplit(q, [0, len(self.plant.parameters), len(self.told)])
+        x = column(self.states)
         references = ca.vertcat(*(ca.horzcat(*(seen[n] for n in row)) for row in self.wanted))
         after, chosen, facts = self.core.step(
             memory,
-            column(self.states),
-            self._applied(seen, p),
+            x if self.inversion.exact else self.inversion.entering()(x, p),
+            self._applied(seen, p, x),
             references,
             q,
             column(self.bounds),
             column(self.fallback),
         )
-        outputs = self._outputs(chosen, p, facts)
+        outputs = self._outputs(chosen, p, x, facts)
         step = ca.Function(
             "step",
             [memory, inputs, parameters],
@@ -256,7 +259,7 @@ class _MpcBlock:
             },
         )
 
-    def _applied(self, seen: dict[str, ca.MX], p: ca.MX) -> ca.MX:
+    def _applied(self, seen: dict[str, ca.MX], p: ca.MX, x: ca.MX) -> ca.MX:
         """The inputs of the model that acted since the last call, openings from the commands."""
         found = []
         for variable in self.given.controls:
@@ -266,5 +269,5 @@ class _MpcBlock:
                 continue
             commands = self.inversion.commands_of(opening)
             sent = ca.vertcat(*(seen[self.sent[c]] for c in commands))
-            found.append(self.inversion.forward(opening)(sent, p))
+            found.append(self.inversion.forward(opening)(sent, p, x))
         return ca.MX(ca.vertcat(*found))

@@ -188,7 +188,8 @@ class TrackingProgram:
         matrices = {"to_next": to_next, "to_row": to_row, "hessian": hessian}
         vectors = {"next": following, "row": row, "gradient": gradient, "cost": cost}
         parts = {n: ca.densify(e) for n, e in vectors.items()}
-        parts |= {n: e[:] if e.is_dense() else e.nz[:] for n, e in matrices.items()}
+        # of a single row e[:] is a row
+        parts |= {n: ca.vec(e if e.is_dense() else e.nz[:]) for n, e in matrices.items()}
         place, begin = {}, 0
         for name, part in parts.items():
             place[name] = slice(begin, begin + part.numel())

@@ -1,0 +1,115 @@
+"""What a closed loop did, judged from its signals alone: signals written by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.core.variables import Variable
+from pam_ocp.judge.loop import LoopVerdict, judge_loop
+
+T = np.linspace(0.0, 1.0, 101)
+X = Variable("x", "state", unit="m", nominal=0.01, min=-0.05, max=0.05)
+U = Variable("u", "input", unit="V", min=-1.0, max=1.0)
+
+
+def signals(x, u=None) -> pam.Trajectory:
+    columns = {"x": np.broadcast_to(x, T.shape), "u": np.sin(T) if u is None else u}
+    return pam.Trajectory(T, {n: np.broadcast_to(v, T.shape) for n, v in columns.items()}, [X, U])
+
+
+def goal(x) -> pam.Trajectory:
+    return pam.Trajectory(T, {"x": np.broadcast_to(x, T.shape)}, [X])
+
+
+def test_a_set_point_is_reached_within_a_hundredth_of_the_stroke():
+    arrived = 0.02 * (1 - np.exp(-T / 0.1))
+    assert judge_loop(signals(arrived), wanted=goal(0.02), inputs=["u"])
+    # e^(-0.9/0.25) = 2.73 % of the stroke at the beginning of the last tenth
+    late = judge_loop(signals(0.02 * (1 - np.exp(-T / 0.25))), wanted=goal(0.02), inputs=["u"])
+    assert not late
+    assert late.missed == {"x": pytest.approx(np.exp(-0.9 / 0.25), rel=1e-6)}
+    assert "x ends 0.546474 mm from its set point 20 mm" in str(late)
+
+
+def test_along_a_motion_nothing_is_a_set_point():
+    assert judge_loop(signals(0.0), wanted=goal(0.02 * np.sin(9 * T)), inputs=["u"]).missed == {}
+
+
+def test_what_is_to_stay_is_measured_by_its_nominal():
+    held = signals(0.01 + 5e-6 * np.sin(50 * T))  # 0.5 % of a tenth of nominal
+    assert judge_loop(held, wanted=goal(0.01), inputs=["u"])
+
+
+def test_noise_that_the_controller_sees_is_nobodys_fault():
+    run = signals(0.02 * (1 - np.exp(-T / 0.1)) + 3e-4)
+    assert not judge_loop(run, wanted=goal(0.02), inputs=["u"])
+    assert judge_loop(run, wanted=goal(0.02), inputs=["u"], noise={"x": 1e-4})
+
+
+def test_limits_are_those_of_the_variable_and_those_given():
+    run = signals(0.055 * np.sin(np.pi * T))
+    assert judge_loop(run, inputs=["u"]).broken == {"x": pytest.approx(0.005, rel=1e-9)}
+    narrow = judge_loop(run, inputs=["u"], limits={"x": (-1.0, 0.03)})
+    assert narrow.broken == {"x": pytest.approx(0.025, rel=1e-9)}
+    assert "x leaves its range by 25 mm" in str(narrow)
+
+
+@pytest.mark.parametrize(
+    ("left", "failed", "fine"), [(0, 0, True), (20, 0, True), (21, 0, False), (0, 1, False)]
+)
+def test_a_fifth_of_the_solves_may_be_unfinished_and_none_may_fail(left, failed, fine):
+    calls = {"all": 100, "unconverged": left, "failed": failed}
+    verdict = judge_loop(signals(0.0), inputs=["u"], calls=calls)
+    assert bool(verdict) is fine
+    assert verdict.unconverged == (left + failed) / 100
+
+
+def test_predictions_are_measured_by_the_changes_over_a_sample():
+    x = 0.02 * T
+    told = x[1:] + 0.3 * 0.02 * 0.01  # 30 % of each change beside it
+    verdict = judge_loop(signals(x), inputs=["u"], predicted={"x": told}, sample_time=0.01)
+    assert verdict.prediction == pytest.approx(0.3, rel=1e-9)
+    assert str(verdict) == (
+        "not as asked: predictions of x over one sample miss 30 % of its changes"
+    )
+    near = x[1:] + 0.1 * 0.02 * 0.01
+    assert judge_loop(signals(x), inputs=["u"], predicted={"x": near}, sample_time=0.01)
+
+
+def test_at_rest_predictions_tell_nothing():
+    verdict = judge_loop(
+        signals(0.01), inputs=["u"], predicted={"x": np.full(100, 0.01 + 1e-9)}, sample_time=0.01
+    )
+    assert verdict.prediction is None
+    assert verdict
+
+
+@pytest.mark.parametrize(
+    ("u", "words"),
+    [
+        (0.0, "u had no influence on x"),
+        (1.0, "u stood at an end of the range all the time"),
+        (np.sin(20 * T), "u had no influence on x"),
+    ],
+)
+def test_an_input_that_does_nothing_is_named_where_something_was_missed(u, words):
+    verdict = judge_loop(signals(0.0, u), wanted=goal(0.02), inputs=["u"])
+    assert verdict.idle == ("u",)
+    assert words in str(verdict)
+    assert judge_loop(signals(0.02, u), wanted=goal(0.02), inputs=["u"])
+
+
+def test_an_input_at_its_limits_says_why_a_set_point_was_missed():
+    swinging = signals(0.02 + 0.01 * np.sin(30 * T), np.sign(np.sin(30 * T)))
+    told = str(judge_loop(swinging, wanted=goal(0.02), inputs=["u"]))
+    assert "u is at its limits 100 % of the time" in told
+
+
+def test_a_verdict_without_faults_says_what_was_looked_at():
+    assert str(LoopVerdict()) == "as asked: nothing was to be reached or kept"
+    run = signals(0.02 * (1 - np.exp(-T / 0.1)))
+    assert str(judge_loop(run, wanted=goal(0.02), inputs=["u"])) == (
+        "as asked: x within 1 % of the stroke; limits kept"
+    )
