@@ -32,7 +32,7 @@ SHORTEST = 24
 """Samples of a motion, at least."""
 ROUNDS = 6
 """Gauss-Newton steps to the least squares of these motions."""
-GAINED = 1e-4
+GAINED = 1e-3
 """Of the sum of squares, below which they end."""
 ACCURATE = 0.02
 """Error of the integration, in parts of the residuals."""
@@ -113,18 +113,24 @@ def evidence_of(
     try:
         case = _case(plant, records, outputs, unknowns, rig, z, LEAST_STEPS)
         runs, x0 = _followed(case)
+        z, x0 = _least_squares(case, runs, runs, case.z, x0)
+        fine, ready = runs, _with_starts(case, runs)
+        every = np.concatenate([z, x0.ravel()])
+        modelled = ready.rollout(fine).predicted(every)
         while True:
-            z, x0 = _least_squares(case, runs, x0)
-            ready, every = _with_starts(case, runs), np.concatenate([z, x0.ravel()])
-            coarse = ready.rollout(runs).predicted(every)
-            finer = ready.rollout(replace(runs, steps=2 * runs.steps)).predicted(every)
+            finer = replace(fine, steps=2 * fine.steps)
+            better = ready.rollout(finer).predicted(every)
             gap, rms = (
-                np.sqrt(np.nanmean((finer - a) ** 2, axis=(0, 1))) for a in (coarse, runs.measured)
+                np.sqrt(np.nanmean((better - a) ** 2, axis=(0, 1)))
+                for a in (modelled, runs.measured)
             )
-            if np.all(gap <= ACCURATE * rms) or 2 * case.steps > MOST_STEPS:
-                return _evidence(case, runs, z, x0, finer, gap)
-            case = replace(case, steps=2 * case.steps)
-            runs = replace(runs, steps=case.steps)
+            if np.all(gap <= ACCURATE * rms) or finer.steps > MOST_STEPS:
+                break
+            # values that were found with long steps leave more than they should
+            z, x0 = _least_squares(case, runs, finer, z, x0)
+            every = np.concatenate([z, x0.ravel()])
+            fine, modelled = finer, ready.rollout(finer).predicted(every)
+        return _evidence(case, runs, z, x0, better, gap)
     except (PamError, np.linalg.LinAlgError):
         return None
 
@@ -272,23 +278,30 @@ def solved(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.lstsq(matrix / size, right, rcond=NEGLIGIBLE)[0] / size)
 
 
-def _least_squares(case: _Case, runs: Runs, x0: Array) -> tuple[Array, Array]:
-    """Values and starts of the least squares of these motions, from those of the fit."""
-    ready, k = _with_starts(case, runs), len(case.z)
+def _least_squares(
+    case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array
+) -> tuple[Array, Array]:
+    """Values and starts of the least squares of these motions, from those given.
+
+    runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little
+    off cost a step more, not accuracy.
+    """
+    ready, k = _with_starts(case, runs), len(z)
     rollout = ready.rollout(runs)
-    z, x0 = case.z.copy(), x0.copy()
-    last, kept = np.inf, (z, x0)
-    weights = 1 / rollout.spread
+    motion = rollout if fine is runs else ready.rollout(fine)
+    weights, best, last = 1 / rollout.spread, (z, x0), np.inf
     for _ in range(ROUNDS):
-        blocks = _blocks(rollout, np.concatenate([z, x0.ravel()]), k, 0)
-        squares = sum(float(np.sum((m.error * weights) ** 2)) for m in blocks)
+        every = np.concatenate([z, x0.ravel()])
+        modelled = motion.predicted(every)
+        squares = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
         if not squares < last:
             break
-        kept, done, last = (z, x0), squares > (1 - GAINED) * last, squares
+        best, done = (z, x0), squares > (1 - GAINED) * last
         if done:
             break
+        blocks = _blocks(rollout, every, k, 0, list(modelled))
         weights = 1 / np.maximum(_roots(blocks), 1e-12 * rollout.spread)
-        last = sum(float(np.sum((m.error * weights) ** 2)) for m in blocks)
+        last = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
         error, columns = projected(blocks, weights, lambda m: m.values)
         step = -solved(columns, error) if k else np.zeros(0)
         begun = [
@@ -299,7 +312,7 @@ def _least_squares(case: _Case, runs: Runs, x0: Array) -> tuple[Array, Array]:
             for m in blocks
         ]
         z, x0 = z + step, x0 + np.array(begun)
-    return kept
+    return best
 
 
 def _roots(blocks: Sequence[Motion]) -> Array:
@@ -321,7 +334,8 @@ def _evidence(
     )
     rig = replace(case.rig, delays={**case.rig.delays, **found.delays})
     later = replace(ready, plant=found.plant, records=found.records, unknowns=wide, rig=rig)
-    rollout = later.rollout(later.runs(runs.horizons[0] if runs.horizons else None))
+    length = runs.horizons[0] if runs.horizons else None
+    rollout = later.rollout(later.runs(length))
     at = np.concatenate([z[:count], np.zeros(m), z[count:], x0.ravel()])
     order = [*range(count), *range(count + m, k + m)]
     blocks = []
