@@ -95,8 +95,8 @@ def drawn_rig(rng: np.random.Generator, fault: str) -> Rig:
 
 
 def excitation(rng: np.random.Generator, rig: Rig) -> list[tuple[Any, dict[str, Any], str]]:
-    """(t, inputs, between) of one to three records with 1000 to 2000 samples together."""
-    total, records = int(rng.integers(1000, 2000)), int(rng.integers(1, 4))
+    """(t, inputs, between) of one to three records with 800 to 1500 samples together."""
+    total, records = int(rng.integers(800, 1500)), int(rng.integers(1, 4))
     found = []
     low, high = (1.5e5, 5e5) if len(rig.plant.inputs) == 1 and rig.kind in ("hanging", "spring") else (-1.2e5, 1.2e5)
     (name,) = (v.name for v in rig.plant.inputs)

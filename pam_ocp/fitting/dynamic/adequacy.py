@@ -334,8 +334,7 @@ class _Case:
             _whitened(m, self.stacked(i, chosen), self.weights, noises)
             for i, m in enumerate(self.motions)
         ]
-        one = np.ones(len(self.weights))
-        error, columns = projected(motions, one, lambda m: m.values)
+        error, columns = projected(motions, np.ones(1), lambda m: m.values)
         found = solved(columns, error)
         left = error - columns @ found
         rank = int(np.linalg.matrix_rank(_even(columns), tol=1e-6)) if columns.size else 0
@@ -406,7 +405,7 @@ def _columns(evidence: Evidence) -> tuple[tuple[Suspect, list[Array]], ...]:
             ]
 
         own = [y[:, j] for y in modelled]
-        clock = [(f + np.arange(len(y))) / total - 0.5 for f, y in zip(firsts, own, strict=False)]
+        clock = [(f + np.arange(len(y))) / total for f, y in zip(firsts, own, strict=False)]
         found += [
             (Suspect("scale", name), only(own)),
             (Suspect("scale", name, unit, size), only([size + 0 * y for y in own])),
@@ -496,8 +495,9 @@ def _likeliest(case: _Case, base: _Regressed) -> _Cause:
             continue
         f = (white.squares - wider.squares) / more / (wider.squares / wider.dof)
         if fdtrc(more, wider.dof, max(f, 0.0)) < LEVEL / len(causes):
-            criterion = plain.dof * np.log(plain.squares) + more * np.log(plain.dof)
-            found.append((float(criterion), cause))
+            # what a large fault leaves beside its slope is as coloured as what it takes up
+            sizes = np.log([plain.squares, wider.squares])
+            found.append((float(plain.dof * sizes.mean() + more * np.log(plain.dof)), cause))
     if not found:
         name = "coloured noise" if any(n.order for n in noises) else "unknown"
         return _Cause(name, noises, base)

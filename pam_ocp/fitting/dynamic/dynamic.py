@@ -396,7 +396,15 @@ def _task(
         prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise)
         for r in records
     ]
+    width = max(e.coefficients.shape[1] for e in experiments)
+    if not input_noise:  # held and joined inputs side by side
+        experiments = [replace(e, coefficients=_padded(e.coefficients, width)) for e in experiments]
     return FitTask(plant, experiments, unknowns, method, order, step, constant, input_noise)
+
+
+def _padded(coefficients: Array, width: int) -> Array:
+    """Polynomials (n, degree + 1, nu) with higher powers that are zero."""
+    return np.pad(coefficients, ((0, 0), (0, width - coefficients.shape[1]), (0, 0)))
 
 
 def _noise(plant: Plant, task: FitTask, noise: Mapping[str, float] | None) -> Array:

@@ -150,14 +150,12 @@ def suspected(
 
 
 def _clocks(records: Sequence[Trajectory]) -> list[list[Array]]:
-    """Time over all records, from -1/2 to 1/2; of several also the time in each."""
+    """Time over all records, from 0 to 1; of several also the time in each."""
     ends = np.cumsum([0.0, *(r.duration for r in records)])
-    along = [
-        (e + r.t - r.t[0]) / ends[-1] - 0.5 for e, r in zip(ends[:-1], records, strict=True)
-    ]
+    along = [(e + r.t - r.t[0]) / ends[-1] for e, r in zip(ends[:-1], records, strict=True)]
     if len(records) < 2:
         return [along]
-    return [along, [(r.t - r.t[0]) / r.duration - 0.5 for r in records]]
+    return [along, [(r.t - r.t[0]) / r.duration for r in records]]
 
 
 def _input_suspects(
