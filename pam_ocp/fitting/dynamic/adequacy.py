@@ -6,8 +6,8 @@ themselves, and orthogonal to whatever the plant may lack. Three kinds of tests,
 against the noise found in high differences of the records (J. Rice, Annals of Statistics 12 (1984)
 1215-1230), which knows of no model; and score tests, one of each possible cause (see
 :mod:`.suspects`). Where any of them rejects, causes are tested once more, on residuals whitened as
-autoregressive noise: what is significant even so is no coloured noise, and of it that counts which
-describes the residuals best by Schwarz' criterion (Annals of Statistics 6 (1978) 461-464).
+autoregressive noise: what is significant even so is no coloured noise, and the largest statistic
+names the cause.
 """
 
 from __future__ import annotations
@@ -479,8 +479,8 @@ class _Cause:
 
 
 def _likeliest(case: _Case, base: _Regressed) -> _Cause:
-    """That which takes up most of the residuals, if any is more than autoregressive noise would
-    seem to be: by tests of the residuals whitened as such.
+    """That which takes up most for each of its parameters, if any is more than autoregressive noise
+    would seem to be: by score tests of the residuals whitened as such.
     """
     from scipy.special import fdtrc
 
@@ -489,19 +489,17 @@ def _likeliest(case: _Case, base: _Regressed) -> _Cause:
     causes = [c for c in CAUSES if case.of(c)]
     found: list[tuple[float, str]] = []
     for cause in causes:
-        plain, wider = (case.regressed(case.of(cause), n) for n in (None, noises))
+        wider = case.regressed(case.of(cause), noises)
         more = wider.columns - white.columns
-        if more < 1 or min(wider.dof, plain.dof) < FEWEST:
+        if more < 1 or wider.dof < FEWEST:
             continue
         f = (white.squares - wider.squares) / more / (wider.squares / wider.dof)
         if fdtrc(more, wider.dof, max(f, 0.0)) < LEVEL / len(causes):
-            # what a large fault leaves beside its slope is as coloured as what it takes up
-            sizes = np.log([plain.squares, wider.squares])
-            found.append((float(plain.dof * sizes.mean() + more * np.log(plain.dof)), cause))
+            found.append((float(f), cause))
     if not found:
         name = "coloured noise" if any(n.order for n in noises) else "unknown"
         return _Cause(name, noises, base)
-    name = min(found)[1]
+    name = max(found)[1]
     fit = case.regressed(case.of(name))
     return _Cause(name, case.noises(fit), fit, case.of(name))
 

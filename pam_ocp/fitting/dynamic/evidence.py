@@ -30,10 +30,12 @@ STEEP = 1e3
 """What a start may change, in spreads per nominal, for a motion to be followed."""
 SHORTEST = 24
 """Samples of a motion, at least."""
-ROUNDS = 6
+ROUNDS = 8
 """Gauss-Newton steps to the least squares of these motions."""
-GAINED = 1e-3
+GAINED = 1e-4
 """Of the sum of squares, below which they end."""
+UNSEEN = 1e-10
+"""Length of a column, in that of the longest, below which it is rounding."""
 ACCURATE = 0.02
 """Error of the integration, in parts of the residuals."""
 NEGLIGIBLE = 1e-7
@@ -127,10 +129,10 @@ def evidence_of(
             if np.all(gap <= ACCURATE * rms) or finer.steps > MOST_STEPS:
                 break
             # values that were found with long steps leave more than they should
-            z, x0 = _least_squares(case, runs, finer, z, x0)
+            z, x0 = _least_squares(case, fine, finer, z, x0)
             every = np.concatenate([z, x0.ravel()])
             fine, modelled = finer, ready.rollout(finer).predicted(every)
-        return _evidence(case, runs, z, x0, better, gap)
+        return _evidence(replace(case, steps=fine.steps), fine, z, x0, better, gap)
     except (PamError, np.linalg.LinAlgError):
         return None
 
@@ -264,7 +266,8 @@ def projected(
 
 def _basis(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
-    even = columns[:, size > 0] / size[size > 0]
+    seen = size > UNSEEN * size.max(initial=0.0)
+    even = columns[:, seen] / size[seen]
     if not even.size:
         return np.zeros((len(columns), 0))
     u, s, _ = np.linalg.svd(even, full_matrices=False)
@@ -272,9 +275,11 @@ def _basis(columns: Array) -> Array:
 
 
 def solved(matrix: Array, right: Array) -> Array:
-    """Least squares with columns of unit length; of what is not determined, the shortest."""
+    """Least squares with columns of unit length; of what is not determined, the shortest, and
+    nothing of what is not seen at all (the pressure of a slack muscle).
+    """
     size = np.linalg.norm(matrix, axis=0)
-    size = np.where(size > 0, size, 1.0)
+    size = np.where(size > UNSEEN * size.max(initial=0.0), size, np.inf)
     return np.asarray(np.linalg.lstsq(matrix / size, right, rcond=NEGLIGIBLE)[0] / size)
 
 
@@ -289,30 +294,46 @@ def _least_squares(
     ready, k = _with_starts(case, runs), len(z)
     rollout = ready.rollout(runs)
     motion = rollout if fine is runs else ready.rollout(fine)
-    weights, best, last = 1 / rollout.spread, (z, x0), np.inf
-    for _ in range(ROUNDS):
-        every = np.concatenate([z, x0.ravel()])
-        modelled = motion.predicted(every)
-        squares = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
-        if not squares < last:
-            break
-        best, done = (z, x0), squares > (1 - GAINED) * last
-        if done:
-            break
-        blocks = _blocks(rollout, every, k, 0, list(modelled))
+    weights = 1 / rollout.spread
+    best = np.concatenate([z, x0.ravel()])
+    modelled = motion.predicted(best)
+    for number in range(ROUNDS):
+        blocks = _blocks(rollout, best, k, 0, list(modelled))
         weights = 1 / np.maximum(_roots(blocks), 1e-12 * rollout.spread)
-        last = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
+        last = _squares(modelled, runs, weights)
+        step, gained = _step(blocks, weights, k if number else 0), 0.0
+        for size in (1.0, 0.3, 0.1, 0.02):
+            trial = motion.predicted(best + size * step)
+            squares = _squares(trial, runs, weights)
+            if squares < last:
+                best, modelled, gained = best + size * step, trial, 1 - squares / last
+                break
+        if number and gained < GAINED:
+            break
+    return best[:k], best[k:].reshape(x0.shape)
+
+
+def _squares(modelled: Array, runs: Runs, weights: Array) -> float:
+    found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
+    lost = np.isnan(modelled) & ~np.isnan(runs.measured)
+    return np.inf if lost.any() or not np.isfinite(found) else found
+
+
+def _step(blocks: Sequence[Motion], weights: Array, k: int) -> Array:
+    """Of the values (the first k; none of them moves at first) and all starts."""
+    values = blocks[0].values.shape[2]
+    step = np.zeros(values)
+    if k:
         error, columns = projected(blocks, weights, lambda m: m.values)
-        step = -solved(columns, error) if k else np.zeros(0)
-        begun = [
-            -solved(
-                (m.start * weights[:, None]).reshape(m.error.size, -1),
-                ((m.error + m.values @ step) * weights).ravel(),
-            )
-            for m in blocks
-        ]
-        z, x0 = z + step, x0 + np.array(begun)
-    return best
+        step = -solved(columns, error)
+    begun = [
+        -solved(
+            (m.start * weights[:, None]).reshape(m.error.size, -1),
+            ((m.error + m.values @ step) * weights).ravel(),
+        )
+        for m in blocks
+    ]
+    return np.concatenate([step, *begun])
 
 
 def _roots(blocks: Sequence[Motion]) -> Array:

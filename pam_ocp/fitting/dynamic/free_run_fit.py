@@ -42,6 +42,12 @@ GRACE = 20.0
 """For what is told of a fit that a time limit ended [s]."""
 ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
+POOR = 1e-3
+"""Mean squared error, in parts of the measured variance, above which fits with one unknown less are
+tried as starts, ...
+"""
+FEWER = 6
+"""... at most so many."""
 FIRST = 4
 """A search over many runs begins with horizons of so many samples, which grow this many times."""
 
@@ -277,6 +283,8 @@ class _Search:
         runs = runs_of(self.plant, records, **search.options)
         rollout = Rollout(self.plant, runs, self.unknowns, self.rig)
         before, found = search._descended(records, rollout, z)
+        if spent == 0 and found.cost > POOR and not found.timed:
+            found = search._not_worse(records, rollout, found, z)
         found = replace(found, evaluations=spent + found.evaluations)
         with spared(GRACE):
             return search._result(records, runs, rollout, before, found), found
@@ -300,6 +308,29 @@ class _Search:
             z = guess  # short runs say little of what takes long
         budget = max(self.evaluations - spent, 1)
         return before, self._search(rollout, z, "full horizon", spent, budget)
+
+    def _not_worse(
+        self, records: Sequence[Trajectory], rollout: Rollout, found: Descent, z: Array
+    ) -> Descent:
+        """The same, or what is found from where a fit leads that has one unknown less: no freedom
+        makes a fit worse.
+        """
+        u, best = self.unknowns, found
+        spare = [j for j in range(u.shared) if j not in u.places("corrections")]
+        for j in spare[-FEWER:] if len(spare) > 1 else ():
+            low, high = u.low.copy(), u.high.copy()
+            low[j] = high[j] = z[j]
+            fixed = replace(self, unknowns=replace(u, low=low, high=high))
+            try:
+                poorer = fixed._descended(records, rollout, z)[1]
+            except (FitError, TimeIsUp):
+                continue
+            if poorer.timed:
+                break
+            if poorer.cost < best.cost:
+                name, budget = u.names[j], max(self.evaluations - found.evaluations, 4)
+                best = self._search(rollout, poorer.z, f"from without {name}", 0, budget)
+        return replace(best, evaluations=max(best.evaluations, found.evaluations))
 
     def _search(self, rollout: Rollout, z: Array, stage: str, spent: int, budget: int) -> Descent:
         u = self.unknowns

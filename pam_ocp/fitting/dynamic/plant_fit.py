@@ -137,7 +137,7 @@ class PlantFit:
         residuals counted, and where the model is inadequate, with what that may shift.
         """
         linear = self.linearisation
-        told = {} if self.at_bound else self.adequacy.stderr
+        told = {} if self.adequacy.adequate or self.at_bound else self.adequacy.stderr
         rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
         return {
             n: Coefficient(
@@ -158,7 +158,8 @@ class PlantFit:
         if name not in self.coefficients:
             raise UnknownNameError("fitted parameter", name, self.coefficients)
         c = self.coefficients[name]
-        half = student_t(level, self.adequacy.dof or self.linearisation.dof) * c.stderr
+        a = self.adequacy
+        half = student_t(level, self.linearisation.dof if a.adequate else a.dof) * c.stderr
         return c.value - half, c.value + half
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
