@@ -98,7 +98,11 @@ def excitation(rng: np.random.Generator, rig: Rig) -> list[tuple[Any, dict[str, 
     """(t, inputs, between) of one to three records with 800 to 1500 samples together."""
     total, records = int(rng.integers(800, 1500)), int(rng.integers(1, 4))
     found = []
-    low, high = (1.5e5, 5e5) if len(rig.plant.inputs) == 1 and rig.kind in ("hanging", "spring") else (-1.2e5, 1.2e5)
+    low, high = (
+        (1.5e5, 5e5)
+        if len(rig.plant.inputs) == 1 and rig.kind in ("hanging", "spring")
+        else (-1.2e5, 1.2e5)
+    )
     (name,) = (v.name for v in rig.plant.inputs)
     for _ in range(records):
         n = total // records
@@ -172,7 +176,11 @@ def motion(plant: pam.Plant, name: str, u: Any, t: Any, between: Any) -> pam.Tra
 def fitted(rng: np.random.Generator, rig: Rig, records: list[pam.Trajectory]) -> tuple[str, Any]:
     off = {e: v * float(rng.uniform(0.8, 1.25)) for e, v in rig.free.items()}
     start = rig.plant.with_values(
-        {p: v for e, v in off.items() for p in ([e] if "*" not in e else [e.replace("*", i) for i in "12"])}
+        {
+            p: v
+            for e, v in off.items()
+            for p in ([e] if "*" not in e else [e.replace("*", i) for i in "12"])
+        }
     )
     way = str(rng.choice(["whole", "whole", "horizon", "plant"]))
     if way == "plant":
@@ -198,7 +206,9 @@ def one(seed: int, k: int, fault: str) -> dict[str, Any] | None:
     a = fit.adequacy
     inside = {}
     for entry, true in rig.free.items():
-        name = next(n for n in fit.coefficients if entry in (n, n.split(" = ")[0].replace("1", "*")))
+        name = next(
+            n for n in fit.coefficients if entry in (n, n.split(" = ")[0].replace("1", "*"))
+        )
         low, high = fit.interval(name)
         inside[entry] = bool(low <= true <= high)
     return {
@@ -235,12 +245,12 @@ def told(found: list[dict[str, Any]]) -> None:
         ("coloured noise", [f for f in found if f["fault"] == "coloured noise"]),
     ):
         for way in ("all", "whole", "horizon", "plant"):
-            held = [
-                i for f in rows if way in ("all", f["way"]) for i in f["inside"].values()
-            ]
+            held = [i for f in rows if way in ("all", f["way"]) for i in f["inside"].values()]
             if held:
-                print(f"within 95 % intervals, {label}, {way}: {sum(held)} of {len(held)} "
-                      f"({100 * np.mean(held):.1f} %)")
+                print(
+                    f"within 95 % intervals, {label}, {way}: {sum(held)} of {len(held)} "
+                    f"({100 * np.mean(held):.1f} %)"
+                )
 
 
 def main() -> None:
@@ -263,11 +273,20 @@ def main() -> None:
             continue
         found.append(row)
         out = [n for n, i in row["inside"].items() if not i]
-        mark = "" if row["cause"] == FAULTS[fault] else " <<<" if bool(row["cause"]) != (fault != "none") else " <"
-        print(f"{k:4d} {fault:<15} -> {row['cause'] or 'adequate':<23}{mark} {row['rig']}; "
-              f"excess {row['excess']:.2g}, {row['seconds']:.1f} s"
-              + (f"; outside: {', '.join(out)}" if out else "")
-              + ("" if row["tested"] else "; NOT TESTED"), flush=True)
+        mark = (
+            ""
+            if row["cause"] == FAULTS[fault]
+            else " <<<"
+            if bool(row["cause"]) != (fault != "none")
+            else " <"
+        )
+        print(
+            f"{k:4d} {fault:<15} -> {row['cause'] or 'adequate':<23}{mark} {row['rig']}; "
+            f"excess {row['excess']:.2g}, {row['seconds']:.1f} s"
+            + (f"; outside: {', '.join(out)}" if out else "")
+            + ("" if row["tested"] else "; NOT TESTED"),
+            flush=True,
+        )
     told(found)
 
 

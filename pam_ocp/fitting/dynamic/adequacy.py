@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..statistics import Array
 from .evidence import Evidence, Motion, projected, solved
@@ -51,9 +50,9 @@ class AdequacyTest:
 
     Examples
     --------
-    >>> test = dynamic_fit.adequacy.tests[0]
-    >>> test.name, 0 <= test.probability <= 1
-    ('whiteness', True)
+    >>> test = pam.fitting.AdequacyTest("whiteness", 60.0, (30, 0), 9e-4, level=1.25e-3)
+    >>> test.rejects
+    True
     """
 
     name: str
@@ -326,9 +325,7 @@ class _Case:
         more = [self.columns[i][1][number] for i in chosen]
         return np.concatenate([m.values, *(c[..., None] for c in more)], axis=2)
 
-    def regressed(
-        self, chosen: Sequence[int], noises: Sequence[Noise] | None = None
-    ) -> _Regressed:
+    def regressed(self, chosen: Sequence[int], noises: Sequence[Noise] | None = None) -> _Regressed:
         """Generalised least squares where ``noises`` of the measured variables are given."""
         motions = [
             _whitened(m, self.stacked(i, chosen), self.weights, noises)
@@ -366,9 +363,7 @@ def _even(columns: Array) -> Array:
     return np.asarray(columns / np.where(size > 0, size, 1.0))
 
 
-def _whitened(
-    m: Motion, columns: Array, weights: Array, noises: Sequence[Noise] | None
-) -> Motion:
+def _whitened(m: Motion, columns: Array, weights: Array, noises: Sequence[Noise] | None) -> Motion:
     """Weighed, filtered, all variables behind each other as one."""
 
     def flat(x: Array) -> Array:
@@ -387,8 +382,7 @@ def _whitened(
 def _columns(evidence: Evidence) -> tuple[tuple[Suspect, list[Array]], ...]:
     """Suspects of the plant, and those of sensors, whose slopes the modelled values are."""
     found = [
-        (s, [m.suspects[..., i] for m in evidence.motions])
-        for i, s in enumerate(evidence.suspects)
+        (s, [m.suspects[..., i] for m in evidence.motions]) for i, s in enumerate(evidence.suspects)
     ]
     total = float(sum(len(m.error) for m in evidence.motions))
     firsts = np.cumsum([0, *(len(m.error) for m in evidence.motions)])
@@ -429,9 +423,7 @@ def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dic
     causes = [c for c in CAUSES if case.of(c)]
     level = LEVEL / (2 + len(causes))
     statistic, lags = _portmanteau(case, base)
-    tests = [
-        AdequacyTest("whiteness", statistic, (lags, 0), float(chdtrc(lags, statistic)), level)
-    ]
+    tests = [AdequacyTest("whiteness", statistic, (lags, 0), float(chdtrc(lags, statistic)), level)]
     noise, most = {}, 0.0
     for j, name in enumerate(case.evidence.outputs):
         sigma, error = record_noise([y[:, j] for y in case.evidence.measured])

@@ -209,9 +209,7 @@ class Coverage:
 
     def seeing(self, *motions: Trajectory) -> Coverage:
         """What would be left if these motions were measured, too; without uncertainties."""
-        return _compared(
-            self.plant, (*self.seen, *motions), self.asked, self.measured, self.usual
-        )
+        return _compared(self.plant, (*self.seen, *motions), self.asked, self.measured, self.usual)
 
     def report(self) -> str:
         """Ranges, octaves, and doubts, as text."""

@@ -244,7 +244,12 @@ def _not_worse(
                 continue
             values = {v.name: float(v.start or 0.0) for v in poorer[0].plant.parameters}
             groups_ = [
-                replace(g, value=float(np.clip(values[plant.parameters[g.members[0]].name], g.low, g.high)))
+                replace(
+                    g,
+                    value=float(
+                        np.clip(values[plant.parameters[g.members[0]].name], g.low, g.high)
+                    ),
+                )
                 for g in unknowns.groups
             ]
             richer = fitted(replace(unknowns, groups=groups_), poorer[0].plant)

@@ -283,9 +283,7 @@ def solved(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.lstsq(matrix / size, right, rcond=NEGLIGIBLE)[0] / size)
 
 
-def _least_squares(
-    case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array
-) -> tuple[Array, Array]:
+def _least_squares(case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array) -> tuple[Array, Array]:
     """Values and starts of the least squares of these motions, from those given.
 
     runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little

@@ -29,8 +29,8 @@ from .disturbances import Disturbances, disturbed
 from .experiment import groups, measured_names
 from .fineness import LEAST_STEPS, MOST_STEPS, fine_runs, fineness
 from .free_run_result import FreeRunFit, ran
-from .progress import Progress, reporter
 from .hidden import hidden_states, settled_starts
+from .progress import Progress, reporter
 from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
 from .rollout import ASTRAY, Rollout
 from .run_statistics import spread_of

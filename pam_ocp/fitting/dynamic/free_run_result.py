@@ -89,7 +89,9 @@ class FreeRunFit:
         if self.spread is None or not self.records or pushed or np.any(self.training.diverged):
             return Adequacy()  # a model with a disturbance says itself that it lacks something
         u, names = self.unknowns, list(self.training.names)
-        known = [r if r.interpolation_known else r.running(self.interpolation) for r in self.records]
+        known = [
+            r if r.interpolation_known else r.running(self.interpolation) for r in self.records
+        ]
         evidence = evidence_of(self.plant, known, names, u, self.rig, self.z)
         own = {n: c.stderr for n, c in self.spread.coefficients.items()}
         given = None if self._whole else own

@@ -141,7 +141,11 @@ class PlantFit:
         rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
         return {
             n: Coefficient(
-                n, float(v), told.get(n, float(e)) if np.isfinite(e) else float(e), u, False,
+                n,
+                float(v),
+                told.get(n, float(e)) if np.isfinite(e) else float(e),
+                u,
+                False,
                 self.descriptions.get(n, ""),
             )  # fmt: skip
             for n, v, e, u in rows

@@ -271,7 +271,11 @@ def given_starts(
         else dict.fromkeys(require_names("starts", given), "all")
     )
     return [
-        (e, w, [n for n in order if fnmatchcase(n, e)] if "*" in e else [_state("starts", e, plant)])
+        (
+            e,
+            w,
+            [n for n in order if fnmatchcase(n, e)] if "*" in e else [_state("starts", e, plant)],
+        )
         for e, w in ways.items()
     ]
 

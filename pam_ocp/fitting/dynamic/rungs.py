@@ -106,7 +106,10 @@ def rungs_of(
             own += ["slip1_force", "slip2_force"]
         elif name == "creep":
             losses += (Creep((200.0,), (1.0,)),)
-            starts = [{"creep1_stiffness": k, "creep1_time": v} for k, v in ((0.1, 1.0), (100.0, 0.3), (100.0, 3.0))]
+            starts = [
+                {"creep1_stiffness": k, "creep1_time": v}
+                for k, v in ((0.1, 1.0), (100.0, 0.3), (100.0, 3.0))
+            ]
             own += ["creep1_stiffness", "creep1_time"]
         plant = build(feed=replace(regulator, **parts), losses=losses)
         static = name == "static"

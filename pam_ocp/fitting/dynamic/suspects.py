@@ -38,8 +38,8 @@ PRESLIDING = 0.05
 
 @dataclass(frozen=True)
 class Suspect:
-    """A parameter at zero. subject : what it changes. It counts in ``size`` [unit]; what has no unit
-    is a share.
+    """A parameter at zero. subject : what it changes. It counts in ``size`` [unit]; what has no
+    unit is a share.
     """
 
     cause: str
@@ -200,7 +200,8 @@ def _force_suspects(
         ("friction or hysteresis", -held),
         *(("law", f) for f in (x, x**2, x**3, -v, -v * ca.fabs(v))),
     ]
-    b.push[velocity] = sum(b.amount(cause, velocity, unit) * f for cause, f in pushes)
+    forces = [b.amount(cause, velocity, unit) * f for cause, f in pushes]
+    b.push[velocity] = ca.sum1(ca.vertcat(*forces))
 
 
 def _sizes(
