@@ -142,7 +142,8 @@ def _sentence(a: Adequacy) -> str:
         "drift": f"{a.subject} drifts (by some {size} along the records)",
         "friction or hysteresis": "friction or hysteresis that the model does not have acts on "
         f"{a.subject} (some {size}, against the direction of motion)",
-        "scale": f"the {'scale' if a.unit == '1' else 'zero'} of {a.subject} is off (by some {size})",
+        "scale": f"the {'scale' if a.unit == '1' else 'zero'} of {a.subject} is off "
+        f"(by some {size})",
         "lag": f"{a.subject} acts later or earlier than in the model (a lag or dead time)",
         "floor": f"the sensor of {a.subject} does not show values at an end of its range (a floor, "
         "slack or saturation)",

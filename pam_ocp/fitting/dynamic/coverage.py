@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -344,7 +345,7 @@ def _parts(records: Sequence[Trajectory]) -> list[Trajectory]:
     found = []
     for r in records:
         edges = np.linspace(0, len(r), pieces + 1).astype(int)
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges.tolist()):
             if b - a > 3:
                 columns = {n: r[n][a:b] for n in r.names}
                 found.append(Trajectory(r.t[a:b], columns, interpolation=r.interpolation))

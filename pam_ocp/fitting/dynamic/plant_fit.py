@@ -147,7 +147,7 @@ class PlantFit:
                 u,
                 False,
                 self.descriptions.get(n, ""),
-            )  # fmt: skip
+            )
             for n, v, e, u in rows
             if n in self.parameters
         }

@@ -49,8 +49,8 @@ class RunUnknowns:
 
     delays : of each, the positions of its inputs. gains, offsets : positions among the measured
     names. starts, own_starts : positions of states whose start is one for all runs, or one for each
-    record. corrections : positions (state, measured name). along : those of ``own_starts`` which are
-    of the record, not of each run: runs begin where the plant has come by then.
+    record. corrections : positions (state, measured name). along : those of ``own_starts`` that
+    hold for the begin of a record: runs begin where the plant has come by then.
     """
 
     groups: Sequence[ParameterGroup] = ()
