@@ -226,8 +226,12 @@ def test_another_record_of_the_same_kind_is_covered_and_an_absurd_one_is_not() -
     fit = fit_free_run(off(), records, list(TRUE), horizon=None, judge=False)
     verdicts = [fit.coverage(record(seed=20 + s), uncertainty=False).verdict for s in range(4)]
     assert verdicts.count("covered") >= 3
-    further = fit.coverage({"muscle.command": 5.4e5}, duration=2.0, uncertainty=False)
-    assert further.verdict in ("covered", "extrapolation")
+    held = hanging().equilibrium({"muscle.command": 5e5})
+    start = {n: float(held[n]) for n in ("x", "v", "muscle.pressure")}
+    further = fit.coverage(
+        {"muscle.command": lambda t: 5e5 + 3e4 * t}, duration=2.0, start=start, uncertainty=False
+    )
+    assert further.verdict == "extrapolation"
     heavy = pam.Trajectory(
         records[0].t,
         {"x": 3 * records[0]["x"], "muscle.command": 3 * records[0]["muscle.command"]},

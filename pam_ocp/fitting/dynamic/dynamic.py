@@ -52,7 +52,7 @@ SLOW = 0.5
 """A higher degree that leaves more than this part of the error is not raised further."""
 CORRECTIONS = 8
 """Of a fit by what its integration is off by, at most."""
-POOR = 0.1
+POOR = 0.3
 """Error, in spreads of a measured variable, above which fits with one parameter less are tried as
 starts, ...
 """
