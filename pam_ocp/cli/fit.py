@@ -178,6 +178,7 @@ def _fit_plant(options: argparse.Namespace) -> int:
             "rmse": fit.rmse,
             "fit_percent": fit.fit_percent,
             "warnings": fit.warnings,
+            "adequacy": asdict(fit.adequacy),
             "validation": [{a.name: a.fit_percent for a in c.agreements} for c in checked],
         },
     )

@@ -92,6 +92,7 @@ def _said(text: str) -> None:
 def _data(found: Any) -> dict[str, Any]:
     return {
         "chosen": found.chosen.name,
+        "warnings": found.warnings,
         "rungs": {
             r.name: {
                 "rmse": r.rmse,

@@ -1,5 +1,7 @@
 # Names of pam_ocp.fitting, loaded at their first use.
 from . import experiments as experiments
+from .dynamic.adequacy import Adequacy as Adequacy
+from .dynamic.adequacy import AdequacyTest as AdequacyTest
 from .dynamic.choice import Choice as Choice
 from .dynamic.choice import Structure as Structure
 from .dynamic.choice import Tried as Tried

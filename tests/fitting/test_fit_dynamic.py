@@ -252,7 +252,8 @@ def test_constant_inputs_are_refused_with_the_parameters_they_cannot_tell(rig: p
 def test_a_wrong_model_is_given_away_by_its_residuals(rig: pam.Plant, records: Any) -> None:
     heavy = rig.with_values({"muscle1.a5": 1.1 * truth(rig, "muscle1.a5")})
     found = fit_plant(heavy, records, ["damping"])
-    assert any("residuals of x follow each other" in text for text in found.warnings)
+    assert any("the model is inadequate" in text for text in found.warnings)
+    assert found.adequacy.excess > 3
 
 
 # ---- what is refused

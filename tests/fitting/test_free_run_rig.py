@@ -234,7 +234,7 @@ def test_progress_is_told_and_a_time_limit_keeps_the_best() -> None:
         ({"delay": (0.2, 0.1)}, "the lower must be the smaller"),
         ({"offsets": ["z"]}, "z is not measured"),
         ({"starts": ["q"]}, "q is measured"),
-        ({"starts": {"z": "each"}}, "choose 'all' or 'record'"),
+        ({"starts": {"z": "each"}}, "choose 'all', 'record' or 'plant'"),
         ({"correct": True}, "correct needs warm_up"),
         ({"every": None}, "every: give the time"),
     ],

@@ -148,6 +148,7 @@ class Choice:
         lines.append(
             f"  {'the choice':<{width}}{'':>6}{row}   (nested: what new records will show)"
         )
+        lines += [f"  warning: {text}" for text in getattr(self.model, "warnings", ())]
         return "\n".join(lines)
 
     __str__ = table

@@ -5,13 +5,21 @@ state, input and output; amplitudes of the inputs by octaves of frequency; place
 states and inputs together (distance to the nearest sample of the records, against that of the
 records' own samples from those of other moments); and what the parameters' uncertainty, carried
 along the motion, makes of the outputs.
+
+How much of each is usual the records tell themselves: parts of them are left out in turn and
+compared with the others. A motion of the same kind is as far from all of them as one part from the
+rest, and exceeds the farthest of n with probability 1/(n + 1) (conformal prediction; V. Vovk, A.
+Gammerman, G. Shafer, Algorithmic Learning in a Random World, 2005). What is farther is an
+extrapolation: sound while it stays within the plant's own limits, leaves no range by more than the
+range itself, and the parameters still determine it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,6 +39,17 @@ LOUDER = 1.25
 """Times the amplitude that the records hold in an octave, from which it counts as new."""
 FAINT = 0.02
 """Amplitudes below this part of an input's largest are not looked at."""
+MOST_USUAL = (0.5, 2.5, 0.5)
+"""Of all three, whatever the records' own parts show."""
+PARTS = 6
+"""Of the records that are left out in turn, at least."""
+TOO_FAR = 1.0
+"""Ranges by which a range may be left before it is absurd to predict there."""
+OCTAVES = 4.0
+"""Times the highest frequency measured, from which it is absurd."""
+BLURRED = 0.5
+"""Standard deviation of a prediction by its parameters, in that of the motion itself, from which
+it tells nothing."""
 USUAL = 99.0
 """Percentile of the distances among the records' own samples up to which a place counts as seen."""
 APART = 0.1
@@ -71,9 +90,9 @@ class Band:
     asked: float
 
     @property
-    def new(self) -> bool:
-        """Whether the records do not hold this amplitude at such frequencies."""
-        return self.asked > LOUDER * self.seen
+    def louder(self) -> float:
+        """Times the amplitude that the records hold at such frequencies."""
+        return self.asked / max(self.seen, 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +102,14 @@ class Coverage:
     reaches : of every variable. bands : octaves of the inputs. far : share of the samples whose
     state and inputs together are farther from all of the records than these are from each other.
     uncertainty : {measured variable: (standard deviation of the prediction by that of the
-    parameters, the same along the records)}, RMS over the samples [its unit].
+    parameters, the same along the records)}, RMS over the samples [its unit]. usual : what of
+    beyond, louder and far parts of the records show against the others.
 
     Examples
     --------
     >>> seen = pam.fitting.coverage(dynamic_fit, {"muscle.command": 5e5}, duration=0.5)
-    >>> seen.covered
-    False
+    >>> seen.verdict
+    'absurd'
     """
 
     reaches: tuple[Reach, ...]
@@ -100,22 +120,62 @@ class Coverage:
     seen: tuple[Trajectory, ...] = field(repr=False)
     plant: Plant = field(repr=False)
     measured: tuple[str, ...] = field(repr=False)
+    usual: tuple[float, float, float] = (BEYOND, LOUDER, BEYOND)
 
     @property
     def left(self) -> tuple[Reach, ...]:
         """Variables that leave what was seen, the farthest first."""
-        out = [r for r in self.reaches if r.beyond > BEYOND]
+        out = [r for r in self.reaches if r.beyond > self.usual[0]]
         return tuple(sorted(out, key=lambda r: -r.beyond))
 
     @property
     def new_bands(self) -> tuple[Band, ...]:
         """Octaves with amplitudes that the records do not hold."""
-        return tuple(b for b in self.bands if b.new)
+        return tuple(b for b in self.bands if b.louder > self.usual[1])
 
     @property
     def covered(self) -> bool:
         """Whether the records hold the like of this motion."""
-        return not self.left and not self.new_bands and self.far <= BEYOND
+        return not self.left and not self.new_bands and self.far <= self.usual[2]
+
+    @property
+    def verdict(self) -> Literal["covered", "extrapolation", "absurd"]:
+        """Of a motion that is not covered, whether the plant may still be asked for it."""
+        if self.covered:
+            return "covered"
+        return "absurd" if self.absurdities else "extrapolation"
+
+    @property
+    def absurdities(self) -> tuple[str, ...]:
+        """Why it makes no sense to predict this motion, in words; empty where it does."""
+        words = []
+        for r in self.reaches:
+            v = self.plant.variable(r.name)
+            slack = 1e-6 * max(v.nominal, r.seen[1] - r.seen[0])
+            if r.asked[0] < v.min - slack or r.asked[1] > v.max + slack:
+                words.append(
+                    f"{r.name} goes to {r.asked[0]:.4g} .. {r.asked[1]:.4g} {_unit(r.unit)}, which "
+                    f"the plant cannot ({v.min:.4g} .. {v.max:.4g})"
+                )
+            elif r.beyond > max(TOO_FAR, self.usual[0]):
+                words.append(
+                    f"{r.name} goes {r.beyond:.1f} times its whole measured range beyond it"
+                )
+        held = [b.high for b in self.bands if b.seen >= FAINT * max(c.seen for c in self.bands)]
+        for b in self.new_bands:
+            if held and b.low >= OCTAVES * max(held):
+                words.append(
+                    f"{b.name} swings at {b.low:.3g} .. {b.high:.3g} Hz, where the records end at "
+                    f"{max(held):.3g} Hz"
+                )
+        for name, (here, _) in self.uncertainty.items():
+            held_ = _column(name, self.asked)
+            if held_.size and here > BLURRED * max(float(held_.std()), 1e-300):
+                words.append(
+                    f"{name} would be uncertain by ±{here:.3g} by its parameters alone, where it "
+                    f"moves by {float(held_.std()):.3g} (standard deviations)"
+                )
+        return tuple(words)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -134,7 +194,7 @@ class Coverage:
                 f"were {b.seen:.3g}: lags, dead time and slew limits there are extrapolated, so "
                 "amplitude and phase may be off"
             )
-        if self.far > BEYOND:
+        if self.far > self.usual[2]:
             words.append(
                 f"{100 * self.far:.0f} % of its states and inputs, taken together, lie far from "
                 "all that was measured, even where each alone does not: couplings (force over "
@@ -150,7 +210,7 @@ class Coverage:
 
     def seeing(self, *motions: Trajectory) -> Coverage:
         """What would be left if these motions were measured, too; without uncertainties."""
-        return _compared(self.plant, (*self.seen, *motions), self.asked, self.measured)
+        return _compared(self.plant, (*self.seen, *motions), self.asked, self.measured, self.usual)
 
     def report(self) -> str:
         """Ranges, octaves, and doubts, as text."""
@@ -161,14 +221,19 @@ class Coverage:
         lines.append(f"{'input':<28}{'octave [Hz]':>26}{'measured':>13}{'asked':>13}")
         for b in self.bands:
             octave = f"{b.low:.3g} .. {b.high:.3g}"
-            mark = "  new" if b.new else ""
+            mark = "  new" if b in self.new_bands else ""
             lines.append(f"{b.name:<28}{octave:>26}{b.seen:>13.3g}{b.asked:>13.3g}{mark}")
         lines.append(
-            "covered: the records hold the like of it"
-            if self.covered
-            else "a prediction may fail here:"
+            {
+                "covered": "covered: the records hold the like of it",
+                "extrapolation": "an extrapolation that the plant may be asked for; a prediction "
+                "may fail here:",
+                "absurd": "absurd: the records say nothing of such a motion; a prediction may fail "
+                "here:",
+            }[self.verdict]
         )
-        lines += [f"  - {text}" for text in self.doubts]
+        lines += [f"  - {text}" for text in self.absurdities if self.verdict == "absurd"]
+        lines += [f"  - {text}" for text in self.doubts if self.verdict != "covered"]
         return "\n".join(lines)
 
     __str__ = report
@@ -228,7 +293,7 @@ def coverage(
     asked = _asked(plant, other, duration, sample, start)
     before = [visited(plant, r) for r in fit.records]
     measured = _measured(fit)
-    found = _compared(plant, before, asked, measured)
+    found = _compared(plant, before, asked, measured, _usual(plant, before))
     spread = _uncertainty(fit, before, asked, measured) if uncertainty else {}
     return replace(found, uncertainty=spread)
 
@@ -238,6 +303,7 @@ def _compared(
     before: Sequence[Trajectory],
     asked: Sequence[Trajectory],
     measured: tuple[str, ...],
+    usual: tuple[float, float, float],
 ) -> Coverage:
     names = [v.name for v in (*plant.states, *plant.inputs)]
     shown = [*names, *(n for n in measured if n not in names)]
@@ -250,7 +316,40 @@ def _compared(
         tuple(before),
         plant,
         measured,
+        usual,
     )
+
+
+def _usual(plant: Plant, records: Sequence[Trajectory]) -> tuple[float, float, float]:
+    """The most by which a part of the records leaves the others: beyond their ranges, louder in an
+    octave, far from all of them.
+    """
+    parts = _parts(records)
+    names = [v.name for v in (*plant.states, *plant.inputs)]
+    found = [(BEYOND, LOUDER, BEYOND)]
+    for i, part in enumerate(parts if len(parts) > 2 else ()):
+        rest = [p for k, p in enumerate(parts) if k != i]
+        beyond = max(_reach(plant, n, rest, [part]).beyond for n in names)
+        bands = [b.louder for v in plant.inputs for b in _bands(v.name, rest, [part])]
+        found.append((beyond, max(bands, default=0.0), _far(plant, names, rest, [part])))
+    ends = zip(np.nanmax(found, axis=0), MOST_USUAL, strict=True)
+    beyond, louder, far = (float(min(most, end)) for most, end in ends)
+    return beyond, louder, far
+
+
+def _parts(records: Sequence[Trajectory]) -> list[Trajectory]:
+    """Whole records, or pieces of them where they are few."""
+    pieces = max(1, -(-PARTS // len(records)))
+    if pieces == 1:
+        return list(records)
+    found = []
+    for r in records:
+        edges = np.linspace(0, len(r), pieces + 1).astype(int)
+        for a, b in pairwise(edges.tolist()):
+            if b - a > 3:
+                columns = {n: r[n][a:b] for n in r.names}
+                found.append(Trajectory(r.t[a:b], columns, interpolation=r.interpolation))
+    return found
 
 
 def visited(

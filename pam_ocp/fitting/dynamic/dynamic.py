@@ -9,7 +9,7 @@ the parameters.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -52,6 +52,12 @@ SLOW = 0.5
 """A higher degree that leaves more than this part of the error is not raised further."""
 CORRECTIONS = 8
 """Of a fit by what its integration is off by, at most."""
+POOR = 0.3
+"""Error, in spreads of a measured variable, above which fits with one parameter less are tried as
+starts, ...
+"""
+FEWER = 6
+"""... at most so many."""
 NARROWING = 40
 """Iterations with roundings that are not the plant's own."""
 
@@ -169,6 +175,20 @@ def fit_plant(
         return _fitted(task, sigma, (low, high), noise is not None, degree)
 
     def fitted(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
+        found = at_first(ran)
+        many = len(unknowns.groups) > 1
+        if not many or found[0].status == TIMED or not _poor(found[0]) or process_noise or noisy:
+            return found
+        return _not_worse(found, unknowns, lambda u, p: again(found[0].method, ran, u, p))
+
+    def again(
+        way: FitMethod, ran: Sequence[Trajectory], u: Unknowns, start: Plant
+    ) -> tuple[PlantFit, float]:
+        task = _task(start, ran, u, way, degree, step, high, inputs, noisy)
+        task = replace(task, iterations=iterations, report=reporter(progress))
+        return _fitted(task, _noise(plant, task, noise), (low, high), noise is not None, degree)
+
+    def at_first(ran: Sequence[Trajectory]) -> tuple[PlantFit, float]:
         first, *rest = ways
         try:
             found = by(first, ran)
@@ -195,6 +215,49 @@ def _ways(plant: Plant, records: Sequence[Trajectory], method: Any, noisy: bool)
     if held or np.abs(poles.imag).max(initial=0.0) * sampling > RINGING:
         return ["simulation"]
     return ["collocation", "simulation"]
+
+
+def _poor(fit: PlantFit) -> bool:
+    """Whether a measured variable is met badly: there may be a better optimum."""
+    for name, error in fit.rmse.items():
+        spread = float(np.std(np.concatenate([r[name] for r in fit.records])))
+        if error > POOR * spread:
+            return True
+    return False
+
+
+def _not_worse(
+    found: tuple[PlantFit, float],
+    unknowns: Unknowns,
+    fitted: Callable[[Unknowns, Plant], tuple[PlantFit, float]],
+) -> tuple[PlantFit, float]:
+    """The same, or what is found from where a fit leads that has one parameter less: no freedom
+    makes a fit worse.
+    """
+    best, plant = found, found[0].plant
+    start = {plant.parameters[m].name: g.value for g in unknowns.groups for m in g.members}
+    for j in range(len(unknowns.groups))[-FEWER:]:
+        fewer = [g for i, g in enumerate(unknowns.groups) if i != j]
+        try:
+            poorer = fitted(replace(unknowns, groups=fewer), plant.with_values(start))
+            if not poorer[1] < best[1]:
+                continue
+            values = {v.name: float(v.start or 0.0) for v in poorer[0].plant.parameters}
+            groups_ = [
+                replace(
+                    g,
+                    value=float(
+                        np.clip(values[plant.parameters[g.members[0]].name], g.low, g.high)
+                    ),
+                )
+                for g in unknowns.groups
+            ]
+            richer = fitted(replace(unknowns, groups=groups_), poorer[0].plant)
+        except FitError:
+            continue
+        if richer[1] < best[1]:
+            best = richer
+    return best
 
 
 def _fitted(
@@ -396,7 +459,15 @@ def _task(
         prepare(plant, r, unknowns.names, longest_delay, step, constant, input_noise)
         for r in records
     ]
+    width = max(e.coefficients.shape[1] for e in experiments)
+    if not input_noise:  # held and joined inputs side by side
+        experiments = [replace(e, coefficients=_padded(e.coefficients, width)) for e in experiments]
     return FitTask(plant, experiments, unknowns, method, order, step, constant, input_noise)
+
+
+def _padded(coefficients: Array, width: int) -> Array:
+    """Polynomials (n, degree + 1, nu) with higher powers that are zero."""
+    return np.pad(coefficients, ((0, 0), (0, width - coefficients.shape[1]), (0, 0)))
 
 
 def _noise(plant: Plant, task: FitTask, noise: Mapping[str, float] | None) -> Array:

@@ -29,8 +29,9 @@ from .disturbances import Disturbances, disturbed
 from .experiment import groups, measured_names
 from .fineness import LEAST_STEPS, MOST_STEPS, fine_runs, fineness
 from .free_run_result import FreeRunFit, ran
+from .hidden import hidden_states, settled_starts
 from .progress import Progress, reporter
-from .rig import Delay, Rig, RunUnknowns, known_rig, unknowns_of
+from .rig import Delay, Rig, RunUnknowns, given_starts, known_rig, unknowns_of
 from .rollout import ASTRAY, Rollout
 from .run_statistics import spread_of
 from .runs import FreeRun, Runs, runs_of
@@ -41,6 +42,12 @@ GRACE = 20.0
 """For what is told of a fit that a time limit ended [s]."""
 ASTRAY_COST = 1.0
 """Mean squared error, in parts of the measured variance, from which runs count as astray."""
+POOR = 1e-3
+"""Mean squared error, in parts of the measured variance, above which fits with one unknown less are
+tried as starts, ...
+"""
+FEWER = 6
+"""... at most so many."""
 FIRST = 4
 """A search over many runs begins with horizons of so many samples, which grow this many times."""
 
@@ -135,6 +142,7 @@ def fit_free_run(
     evaluations: int = 60,
     progress: Progress = False,
     time_limit: float | None = None,
+    judge: bool = True,
 ) -> FreeRunFit:
     """Fit parameters so that free runs (see :func:`free_run`) stay near what was measured.
 
@@ -147,8 +155,11 @@ def fit_free_run(
     delay : dead time of the inputs [s], for all or ``{input or pattern: ...}``; (low, high) is
         estimated. Below zero where a record shows an input later than it acted.
     gains, offsets : measured variables whose sensor has an unknown gain, or offset.
-    starts : states that are not measured and whose start is to be estimated: names or patterns (one
-        start for all runs), or {name: "all" or "record"}.
+    starts : where states that are not measured begin. By default each record has a start of its
+        own for them, which is estimated, and runs from later moments begin where the plant has
+        come by then along the inputs; of whole records the measured states and velocities have
+        one, too. Names or patterns here have one start for all runs, or {name: "all", "record"
+        (one for all runs of a record), or "plant" (the plant's start value)}.
     correct : True to estimate how much of its error a run takes up at each sample of ``warm_up``
         (measured states and their velocities), and {other state: [measured variables]} for those.
     steps : see :func:`free_run`; by default so many that twice as many would move no value by more
@@ -165,6 +176,8 @@ def fit_free_run(
     progress : True prints each step; a function is called as progress(stage, evaluations, cost).
     time_limit : [s]; the best until then is kept, and the fit says so. OutOfTime where there is
         none.
+    judge : whether the residuals are tested at once and a warning says so where the model is
+        inadequate; ``fit.adequacy`` does it when it is asked for.
 
     Raises
     ------
@@ -199,6 +212,9 @@ def fit_free_run(
     if correct and not runs.warm:
         argument = "disturbance" if disturbance else "correct"
         raise InputError(f"{argument} needs warm_up=...: seconds before each start to correct in")
+    given = {n for _, _, names in given_starts(plant, starts) for n in names}
+    hidden = hidden_states(plant, runs.names, {*given, *pushed.by}, horizon is None)
+    guesses = settled_starts(plant, runs, len(chosen), hidden).T
     unknowns, rig = unknowns_of(
         plant,
         wanted,
@@ -211,8 +227,9 @@ def fit_free_run(
         starts=starts,
         correct=correct,
         pushed=pushed.by,
+        hidden=dict(zip(hidden, guesses, strict=True)),
     )
-    if not unknowns.names:
+    if not unknowns.shared:
         raise InputError("free is empty: name at least one parameter of the plant")
     search = _Search(plant, unknowns, rig, options, evaluations, begin_short, reporter(progress))
 
@@ -222,11 +239,14 @@ def fit_free_run(
         return fit, count * float(np.log(max(fit.cost[1], 1e-300)))
 
     fit, between, words = decided(plant, chosen, fitted)
-    for text in (*fit.training.warnings, *fit.coarse):
+    fit = replace(fit, interpolation=between, inputs_ran=words)
+    told = fit.training.warnings + fit.coarse
+    if judge and fit.converged:
+        told += (fit.adequacy.sentence,)
+    for text in filter(None, told):
         warnings.warn(text, RuntimeWarning, stacklevel=outside())
-    return replace(
-        fit, interpolation=between, inputs_ran=words, seconds=time.perf_counter() - began
-    )
+    object.__setattr__(fit, "seconds", time.perf_counter() - began)
+    return fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +283,8 @@ class _Search:
         runs = runs_of(self.plant, records, **search.options)
         rollout = Rollout(self.plant, runs, self.unknowns, self.rig)
         before, found = search._descended(records, rollout, z)
+        if spent == 0 and found.cost > POOR and not found.timed:
+            found = search._not_worse(records, rollout, found, z)
         found = replace(found, evaluations=spent + found.evaluations)
         with spared(GRACE):
             return search._result(records, runs, rollout, before, found), found
@@ -286,6 +308,29 @@ class _Search:
             z = guess  # short runs say little of what takes long
         budget = max(self.evaluations - spent, 1)
         return before, self._search(rollout, z, "full horizon", spent, budget)
+
+    def _not_worse(
+        self, records: Sequence[Trajectory], rollout: Rollout, found: Descent, z: Array
+    ) -> Descent:
+        """The same, or what is found from where a fit leads that has one unknown less: no freedom
+        makes a fit worse.
+        """
+        u, best = self.unknowns, found
+        spare = [j for j in range(u.shared) if j not in u.places("corrections")]
+        for j in spare[-FEWER:] if len(spare) > 1 else ():
+            low, high = u.low.copy(), u.high.copy()
+            low[j] = high[j] = z[j]
+            fixed = replace(self, unknowns=replace(u, low=low, high=high))
+            try:
+                poorer = fixed._descended(records, rollout, z)[1]
+            except (FitError, TimeIsUp):
+                continue
+            if poorer.timed:
+                break
+            if poorer.cost < best.cost:
+                name, budget = u.names[j], max(self.evaluations - found.evaluations, 4)
+                best = self._search(rollout, poorer.z, f"from without {name}", 0, budget)
+        return replace(best, evaluations=max(best.evaluations, found.evaluations))
 
     def _search(self, rollout: Rollout, z: Array, stage: str, spent: int, budget: int) -> Descent:
         u = self.unknowns
@@ -355,13 +400,15 @@ class _Search:
         own = found.z[u.shared :] * u.scale[u.shared :]
         edge = (found.z - u.low < 1e-9) | (u.high - found.z < 1e-9)
         spread = spread_of(rollout, runs, u, found.z, edge)
+        # hidden starts that are found by default are nobody's question
+        named = u.shared if u.along else len(u.names)
         stderr = np.array([c.stderr for c in spread.coefficients.values()]) / u.scale[: u.shared]
         steps = fineness(rollout, found.z, finer, ~edge, stderr)
         return FreeRunFit(
             fitted,
             training,
             values,
-            tuple(n for n, at in zip(u.names, edge, strict=True) if at),
+            tuple(n for n, at in zip(u.names[:named], edge, strict=False) if at),
             dict(zip(runs.names, steps.gap.tolist(), strict=True)),
             (before, found.cost),
             found.status,
@@ -378,6 +425,8 @@ class _Search:
             fine=steps.fine,
             converged=found.converged,
             records=tuple(records),
+            unknowns=u,
+            z=found.z,
         )
 
 
@@ -407,8 +456,10 @@ def _require_sense(rollout: Rollout, z: Array, unknowns: RunUnknowns) -> None:
             "plant.with_values(...), or raise steps"
         )
     _, _, square, damped = rollout.normal(z)
-    # a correction may begin where the runs need none
-    fixed = unknowns.places("corrections")
+    # a correction may begin where the runs need none, and a hidden start may be forgotten at once
+    fixed = unknowns.places("corrections").tolist()
+    if unknowns.along:
+        fixed += list(range(unknowns.shared, len(unknowns.names)))
     dead = [
         n
         for j, n in enumerate(unknowns.names)

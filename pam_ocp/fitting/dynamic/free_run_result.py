@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +19,11 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, student_t
+from .adequacy import Adequacy, adequacy_of
 from .descent import descend
-from .rig import Rig, unknowns_of
+from .evidence import evidence_of
+from .hidden import settled_starts
+from .rig import Rig, RunUnknowns, unknowns_of
 from .rollout import Rollout
 from .run_statistics import Spread
 from .runs import FreeRun, Runs, runs_of
@@ -73,19 +76,61 @@ class FreeRunFit:
     fine: bool = True
     converged: bool = True
     records: tuple[Trajectory, ...] = field(default=(), repr=False)
+    unknowns: RunUnknowns = field(default_factory=RunUnknowns, repr=False)
+    z: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    """Of the unknowns, scaled."""
+
+    @cached_property
+    def adequacy(self) -> Adequacy:
+        """What the residuals of one motion through each record tell about the model; see
+        :class:`Adequacy`.
+        """
+        pushed = any(n.endswith(".disturbance") for n, _ in self.rig.corrections)
+        if self.spread is None or not self.records or pushed or np.any(self.training.diverged):
+            return Adequacy()  # a model with a disturbance says itself that it lacks something
+        u, names = self.unknowns, list(self.training.names)
+        known = [
+            r if r.interpolation_known else r.running(self.interpolation) for r in self.records
+        ]
+        evidence = evidence_of(self.plant, known, names, u, self.rig, self.z)
+        own = {n: c.stderr for n, c in self.spread.coefficients.items()}
+        given = None if self._whole else own
+        return adequacy_of(evidence, 1 / self.training.sizes, given)
+
+    @property
+    def _whole(self) -> bool:
+        """Whether the runs are one motion through each record, its start free."""
+        whole = self.options.get("horizon") is None and not self.options.get("warm_up")
+        return whole and len(self.unknowns.own_starts) == len(self.plant.states)
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
-        """Every unknown but the starts of single records, with its standard error."""
-        return {} if self.spread is None else self.spread.coefficients
+        """Every unknown but the starts of single records, with its standard error: that of
+        autocorrelated residuals, and where the model is inadequate, of what that may shift.
+        """
+        if self.spread is None:
+            return {}
+        told = {} if self.at_bound else self.adequacy.stderr
+        found = self.spread.coefficients
+        return {n: replace(c, stderr=told.get(n, c.stderr)) for n, c in found.items()}
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the ``coefficients``, in their order."""
+        assert self.spread is not None
+        k = len(self.coefficients)
+        plain = np.sqrt(np.maximum(np.diag(self.spread.covariance)[:k], 1e-300))
+        ratio = np.array([c.stderr for c in self.coefficients.values()]) / plain
+        return np.asarray(self.spread.covariance[:k, :k] * np.outer(ratio, ratio))
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval; its errors may follow each other along a record (see ``spread``)."""
+        """Confidence interval; residuals may be autocorrelated (see ``coefficients``)."""
         if name not in self.coefficients:
             raise UnknownNameError("fitted parameter", name, self.coefficients)
         assert self.spread is not None
-        c = self.coefficients[name]
-        half = student_t(level, self.spread.dof) * c.stderr
+        c, a = self.coefficients[name], self.adequacy
+        own = self._whole and name in a.stderr and not self.at_bound
+        half = student_t(level, a.dof if own else self.spread.dof) * c.stderr
         return c.value - half, c.value + half
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
@@ -99,6 +144,7 @@ class FreeRunFit:
         if not self.converged:
             found.append(f"the search did not come to its end: {self.status}")
         found += self.coarse
+        found += [text for text in (self.adequacy.sentence,) if text]
         return tuple(found)
 
     @cached_property
@@ -118,24 +164,29 @@ class FreeRunFit:
             said += f", and {most} by some {self.moved[most]:.1f} standard errors"
         return (said + f"; give steps={4 * steps}",)
 
-    def validate(self, records: Trajectory | Sequence[Trajectory]) -> FreeRun:
+    def validate(self, records: Trajectory | Sequence[Trajectory], **options: Any) -> FreeRun:
         """Runs of the same kind along other records; a warning says so where some diverge.
 
-        Starts that each record has for itself are estimated from it; nothing else is.
+        Starts that each record has for itself are estimated from it; nothing else is. ``options``
+        of the runs that differ, such as ``every``.
         """
         chosen = [records] if isinstance(records, Trajectory) else list(records)
         known = [r if r.interpolation_known else r.running(self.interpolation) for r in chosen]
-        options = {**self.options, "outputs": list(self.training.names)}
+        options = {**self.options, "outputs": list(self.training.names), **options}
         if not self.own_starts:
             return ran(self.plant, runs_of(self.plant, known, **options), (), self.rig)
         runs = runs_of(self.plant, known, **options)
+        along = list(self.unknowns.along)
+        states = [v.name for v in self.plant.states]
+        guesses = settled_starts(self.plant, runs, len(known), along).T
         unknowns, _ = unknowns_of(
             self.plant,
             (),
             runs.names,
             len(known),
             runs.t[0],
-            starts=dict.fromkeys(self.own_starts, "record"),
+            starts={n: "record" for n in self.own_starts if states.index(n) not in along},
+            hidden=dict(zip(along, guesses, strict=True)),
         )
         rollout = Rollout(self.plant, runs, unknowns, self.rig)
         found = descend(rollout, unknowns.guess, unknowns.low, unknowns.high, 30)

@@ -10,7 +10,8 @@ significantly worse than the best is marked.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,10 +24,15 @@ from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared
 from ...core.trajectory import Trajectory
 from ...plants.feeds import Regulator
+from ...plants.plant import Plant
+from ...plants.undelayed import without_dead_times
 from ..statistics import student_t
+from .adequacy import Adequacy, adequacy_of
 from .climbing import Task, climbed
-from .experiment import measured_names
+from .evidence import evidence_of
+from .experiment import ParameterGroup, groups, measured_names
 from .ladder_result import Ladder, Part, RungFit, compared
+from .rig import Rig, unknowns_of
 from .rungs import LADDER, Builder, Rung, rungs_of
 from .whole_runs import usual_steps
 
@@ -118,7 +124,7 @@ def fit_ladder(
     with limited(time_limit):
         found = _climbed_all(ladder, task, executor, progress)
         with spared(REPORTING):
-            return Ladder(
+            result = Ladder(
                 tuple(compared(found, level)),
                 tuple(parts),
                 fold,
@@ -128,6 +134,39 @@ def fit_ladder(
                 time.perf_counter() - began,
                 tuple(r.name for r in ladder[len(found) :]),
             )
+            rung = next(r for r in ladder if r.name == result.chosen.name)
+            adequacy = Adequacy() if rung.static else _adequacy(result, rung, chosen)
+            return replace(result, adequacy=adequacy, seconds=time.perf_counter() - began)
+
+
+def _adequacy(ladder: Ladder, rung: Rung, records: Sequence[Trajectory]) -> Adequacy:
+    """Of the chosen rung, its dead times exact as in its runs."""
+    fit, names = ladder.chosen, list(ladder.outputs)
+    lines, times = fit.plant.delay_lines, {}
+    plant = without_dead_times(fit.plant)
+    for line in lines:
+        times[line.outlet] = float(fit.plant.variable(line.time).start or 0.0)
+        records = [
+            Trajectory(
+                r.t,
+                {n: r[n] for n in r.names} | {line.outlet: r[line.source]},
+                interpolation=r.interpolation,
+            )
+            for r in records
+        ]
+    known = {v.name for v in plant.parameters}
+    every = zip(rung.free, groups(fit.plant, rung.free, {}), strict=True)
+    free = [entry for entry, group in every if _all_in(fit.plant, group, known)]
+    unknowns, _ = unknowns_of(plant, groups(plant, free, {}), names, len(records), 1.0)
+    rig = Rig({n: d for n, d in times.items() if d})
+    evidence = evidence_of(plant, records, names, unknowns, rig, unknowns.guess)
+    weights = 1 / np.array([max(fit.rmse[n], 1e-300) for n in names])
+    given = {n: c.stderr for n, c in fit.coefficients.items()}
+    return adequacy_of(evidence, weights, given)
+
+
+def _all_in(plant: Plant, group: ParameterGroup, known: Collection[str]) -> bool:
+    return all(plant.parameters[m].name in known for m in group.members)
 
 
 def _climbed_all(

@@ -13,6 +13,7 @@ from ...core.errors import UnknownNameError
 from ...plants.plant import Plant
 from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, student_t
+from .adequacy import Adequacy
 from .cross_validation import paired
 from .run_statistics import BLOCKS
 
@@ -84,6 +85,13 @@ class Ladder:
     level: float
     seconds: float
     unclimbed: tuple[str, ...] = ()
+    adequacy: Adequacy = field(default_factory=Adequacy)
+    """What the residuals of the chosen rung tell; nothing is tested of a static one."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before the chosen rung is used; empty when there is nothing."""
+        return tuple(filter(None, (self.adequacy.sentence,)))
 
     def __getitem__(self, name: str) -> RungFit:
         return next(r for r in self.rungs if r.name.removeprefix("+ ") == name.removeprefix("+ "))
@@ -112,9 +120,10 @@ class Ladder:
         found = self.chosen if rung is None else self[rung]
         blocks = max(1, -(-BLOCKS // self.records)) * self.records
         t = student_t(self.level if level is None else level, blocks - 1)
+        told = self.adequacy.stderr if found is self.chosen else {}
+        halves = {n: t * told.get(n, c.stderr) for n, c in found.coefficients.items()}
         return {
-            n: (c.value - t * c.stderr, c.value + t * c.stderr)
-            for n, c in found.coefficients.items()
+            n: (c.value - halves[n], c.value + halves[n]) for n, c in found.coefficients.items()
         }
 
     @property
@@ -162,6 +171,7 @@ class Ladder:
         ]
         intervals = self.intervals()
         lines += [coefficient_line(c, intervals[n]) for n, c in self.chosen.coefficients.items()]
+        lines += [f"    warning: {text}" for text in self.warnings]
         return "\n".join(lines)
 
     __str__ = report

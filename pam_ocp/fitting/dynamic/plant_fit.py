@@ -20,6 +20,10 @@ from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ..static.correlation import neighbours, widening
 from ..statistics import Array, Coefficient, Linearisation, coefficient_frame, student_t
+from .adequacy import Adequacy, adequacy_of
+from .evidence import evidence_of
+from .experiment import groups
+from .rig import Rig, unknowns_of
 from .transcribe import FitMethod
 
 if TYPE_CHECKING:
@@ -95,17 +99,55 @@ class PlantFit:
 
     # ---- parameters ---------------------------------------------------------------------------
     @cached_property
-    def coefficients(self) -> dict[str, Coefficient]:
-        """Every unknown but the initial states, by name."""
-        rows = zip(
-            self.linearisation.names,
-            self.linearisation.values,
-            self.linearisation.stderr(),
-            self.linearisation.units,
-            strict=True,
+    def adequacy(self) -> Adequacy:
+        """What the residuals of one motion through each record tell about the model; see
+        :class:`Adequacy`. Of a smoothed motion, of inputs with errors, or of records that are not
+        sampled at equal steps nothing is tested.
+        """
+        if self.process_noise or self.input_noise or not self.records:
+            return Adequacy()
+        linear, names = self.linearisation, list(self.measured)
+        found = dict(zip(linear.names, linear.values, strict=True))
+        known = {v.name for v in self.plant.parameters}
+        free = [n.split(" = ") for n in self.parameters if n.split(" = ")[0] in known]
+        free_delay = "delay" in self.parameters
+        unknowns, _ = unknowns_of(
+            self.plant,
+            groups(self.plant, [tuple(n) if len(n) > 1 else n[0] for n in free], {}),
+            names,
+            len(self.records),
+            float(np.median(np.diff(self.records[0].t))),
+            delay=(self.delay - 1.0, self.delay + 1.0) if free_delay else self.delay,
+            gains=tuple(self.gains),
+            offsets=tuple(self.offsets),
         )
+        z = np.array([found[n] for n in unknowns.names]) / unknowns.scale
+        z[unknowns.places("gains")] -= 1.0
+        rig = Rig({v.name: self.delay for v in self.plant.inputs if self.delay})
+        records = [
+            _complete(r if r.interpolation_known else r.running(self.interpolation), self.inputs)
+            for r in self.records
+        ]
+        evidence = evidence_of(self.plant, records, names, unknowns, rig, z)
+        return adequacy_of(evidence, 1 / np.array([self.noise[n] for n in names]))
+
+    @cached_property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Every unknown but the initial states, by name; standard errors with autocorrelated
+        residuals counted, and where the model is inadequate, with what that may shift.
+        """
+        linear = self.linearisation
+        told = {} if self.adequacy.adequate or self.at_bound else self.adequacy.stderr
+        rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
         return {
-            n: Coefficient(n, float(v), float(e), u, False, self.descriptions.get(n, ""))
+            n: Coefficient(
+                n,
+                float(v),
+                told.get(n, float(e)) if np.isfinite(e) else float(e),
+                u,
+                False,
+                self.descriptions.get(n, ""),
+            )
             for n, v, e, u in rows
             if n in self.parameters
         }
@@ -116,11 +158,12 @@ class PlantFit:
         return {n: c.value for n, c in self.coefficients.items()}
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval from the Gauss-Newton covariance."""
+        """Confidence interval by Student's t, of as many residuals as are independent."""
         if name not in self.coefficients:
             raise UnknownNameError("fitted parameter", name, self.coefficients)
         c = self.coefficients[name]
-        half = student_t(level, self.linearisation.dof) * c.stderr
+        a = self.adequacy
+        half = student_t(level, self.linearisation.dof if a.adequate else a.dof) * c.stderr
         return c.value - half, c.value + half
 
     def intervals(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
@@ -131,7 +174,11 @@ class PlantFit:
     def covariance(self) -> Array:
         """Covariance of the parameters, in the order of ``coefficients``."""
         places = [self.linearisation.names.index(n) for n in self.coefficients]
-        return np.asarray(self.linearisation.covariance[np.ix_(places, places)])
+        plain = np.asarray(self.linearisation.covariance[np.ix_(places, places)])
+        size = np.sqrt(np.maximum(np.diag(plain), 1e-300))
+        wider = np.array([c.stderr for c in self.coefficients.values()])
+        ratio = np.where(np.isfinite(wider), wider / size, 1.0)
+        return np.asarray(plain * np.outer(ratio, ratio))
 
     @property
     def rank(self) -> int:
@@ -220,7 +267,9 @@ class PlantFit:
                 f"between the samples the integration is off by {self.integration_error:.2g} "
                 "standard deviations of the noise; give a smaller step=..."
             )
-        coloured = {n: r for n, r in self.autocorrelation.items() if r > COLOURED}
+        found += [text for text in (self.adequacy.sentence,) if text]
+        tested = bool(self.adequacy.tests)
+        coloured = {n: r for n, r in self.autocorrelation.items() if r > COLOURED and not tested}
         for name, r in coloured.items():
             found.append(
                 f"residuals of {name} follow each other (correlation {r:.2f}): the model leaves "
@@ -267,3 +316,12 @@ class PlantFit:
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())
         return f"PlantFit({self.plant.name!r}: {shown})"
+
+
+def _complete(record: Trajectory, inputs: Mapping[str, float]) -> Trajectory:
+    """With the inputs that were constant as columns."""
+    missing = {n: np.full(len(record), v) for n, v in inputs.items() if n not in record}
+    if not missing:
+        return record
+    columns = {n: record[n] for n in record.names} | missing
+    return Trajectory(record.t, columns, interpolation=record.interpolation)

@@ -18,7 +18,7 @@ from ..statistics import Array
 from .disturbances import GAIN
 from .experiment import ParameterGroup
 
-__all__ = ["Delay", "Rig", "RunUnknowns", "known_rig", "unknowns_of"]
+__all__ = ["Delay", "Rig", "RunUnknowns", "given_starts", "known_rig", "unknowns_of"]
 
 Delay: TypeAlias = "float | tuple[float, float] | Mapping[str, float | tuple[float, float]]"
 """[s] of all inputs, or by input (a name or a pattern: those have one delay in common); a pair is
@@ -49,7 +49,8 @@ class RunUnknowns:
 
     delays : of each, the positions of its inputs. gains, offsets : positions among the measured
     names. starts, own_starts : positions of states whose start is one for all runs, or one for each
-    record. corrections : positions (state, measured name).
+    record. corrections : positions (state, measured name). along : those of ``own_starts`` that
+    hold for the begin of a record: runs begin where the plant has come by then.
     """
 
     groups: Sequence[ParameterGroup] = ()
@@ -59,6 +60,7 @@ class RunUnknowns:
     starts: Sequence[int] = ()
     corrections: Sequence[tuple[int, int]] = ()
     own_starts: Sequence[int] = ()
+    along: Sequence[int] = ()
     records: int = 1
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
@@ -136,10 +138,12 @@ def unknowns_of(
     starts: Mapping[str, str] | Sequence[str] = (),
     correct: Mapping[str, Sequence[str]] | bool = False,
     pushed: Mapping[str, tuple[str, int]] | None = None,
+    hidden: Mapping[int, Array] | None = None,
 ) -> tuple[RunUnknowns, Rig]:
     """What is sought, and the rig where the search begins.
 
-    pushed : {disturbance: (measured name that corrects it, power of 1/s in its gain)}.
+    pushed : {disturbance: (measured name that corrects it, power of 1/s in its gain)}. hidden :
+    {state: guesses of its start in each record}, of those that are found by default.
     """
     order = [v.name for v in plant.states]
     inputs = [v.name for v in plant.inputs]
@@ -172,8 +176,13 @@ def unknowns_of(
     rows += begin
     pulls, values = _corrections(plant, correct, measured, sampling, pushed or {})
     rows += values
+    guesses = dict(hidden or {})
     for r in range(records):
-        rows += [(f"{n[:-1]}, record {r + 1})", *rest) for n, *rest in map(_of(plant), own)]
+        for place in (*own, *guesses):
+            name, unit, value, size, low, high = _start_row(plant, place)
+            if place in guesses:
+                value = float(guesses[place][r]) / size
+            rows.append((f"{name[:-1]}, record {r + 1})", unit, value, size, low, high))
     guess, scale, low_z, high_z = np.array([r[2:] for r in rows], dtype=float).reshape(-1, 4).T
     unknowns = RunUnknowns(
         tuple(groups),
@@ -182,7 +191,8 @@ def unknowns_of(
         tuple(shifted),
         tuple(common),
         tuple(pulls),
-        tuple(own),
+        (*own, *guesses),
+        tuple(guesses),
         records,
         tuple(r[0] for r in rows),
         tuple(r[1] for r in rows),
@@ -250,26 +260,41 @@ def _state(argument: str, name: str, plant: Plant) -> str:
     return variable.name
 
 
-def _starts(
-    plant: Plant, given: Mapping[str, str] | Sequence[str], measured: Sequence[str]
-) -> tuple[list[int], list[int]]:
-    """Positions of states with one start for all runs, and with one for each record."""
+def given_starts(
+    plant: Plant, given: Mapping[str, str] | Sequence[str]
+) -> list[tuple[str, str, list[str]]]:
+    """(entry, way, its states) of the argument ``starts``."""
     order = [v.name for v in plant.states]
     ways = (
         dict(given)
         if isinstance(given, Mapping)
         else dict.fromkeys(require_names("starts", given), "all")
     )
+    return [
+        (
+            e,
+            w,
+            [n for n in order if fnmatchcase(n, e)] if "*" in e else [_state("starts", e, plant)],
+        )
+        for e, w in ways.items()
+    ]
+
+
+def _starts(
+    plant: Plant, given: Mapping[str, str] | Sequence[str], measured: Sequence[str]
+) -> tuple[list[int], list[int]]:
+    """Positions of states with one start for all runs, and with one for each record."""
+    order = [v.name for v in plant.states]
     common: list[int] = []
     own: list[int] = []
-    for entry, way in ways.items():
-        names = [n for n in order if fnmatchcase(n, entry)] if "*" in entry else [entry]
-        if way not in ("all", "record"):
-            raise InputError(f"starts[{entry!r}] = {way!r}: choose 'all' or 'record'")
-        for name in names:
-            known = _state("starts", name, plant)
+    for entry, way, names in given_starts(plant, given):
+        if way not in ("all", "record", "plant"):
+            raise InputError(f"starts[{entry!r}] = {way!r}: choose 'all', 'record' or 'plant'")
+        for known in names:
             if known in measured:
                 raise InputError(f"starts: {known} is measured, and so is where it starts")
+            if way == "plant":
+                continue
             (common if way == "all" else own).append(order.index(known))
     return common, own
 
@@ -284,10 +309,6 @@ def _start_row(plant: Plant, place: int) -> tuple[str, str, float, float, float,
         v.min / v.nominal,
         v.max / v.nominal,
     )
-
-
-def _of(plant: Plant) -> Any:
-    return lambda place: _start_row(plant, place)
 
 
 def _corrections(

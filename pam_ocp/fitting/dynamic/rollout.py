@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -77,7 +78,7 @@ class Rollout:
     def predicted(self, z: Array) -> Array:
         """(n, K, ny) in SI; NaN behind the end of a run."""
         found = np.full(self.runs.measured.shape, np.nan)
-        for part, y, _ in self._computed(z, False):
+        for part, y, _ in self.computed(z, False):
             found[part.rows, : part.samples] = y
         return np.asarray(np.where(np.isnan(self.runs.measured), np.nan, found))
 
@@ -117,7 +118,7 @@ class Rollout:
         self, z: Array, damped: bool = True
     ) -> Iterator[tuple[NDArray[np.intp], Array, Array, NDArray[np.bool_]]]:
         """In parts: (runs, residuals (m, K ny), their slopes (m, K ny, nz), which are damped)."""
-        for part, y, slopes in self._computed(z, True):
+        for part, y, slopes in self.computed(z, True):
             m, k, ny = y.shape
             errors = self._error(part.rows, y).reshape(m, k * ny)
             per_spread = slopes / self.spread[:, None]
@@ -169,11 +170,14 @@ class Rollout:
             first += count
         return parts
 
-    def _computed(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
-        """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing)."""
+    def computed(self, z: Array, deep: bool) -> Iterator[tuple[_Part, Array, Array]]:
+        """(part, outputs (m, K, ny), slopes (m, K, ny, local unknowns) or nothing); local are the
+        unknowns that all runs share and a record's own starts.
+        """
         runs, ny = self.runs, len(self.runs.names)
         driven, delays = self._driven(z)
         x0, s0 = self._begun(z)
+        self._came_to(z, x0, s0, deep)
         shared = z[: self._unknowns.shared]
         for part in self._parts[deep]:
             check()
@@ -241,6 +245,30 @@ class Rollout:
             x0[:, place] = z[columns] * u.scale[columns]
             slopes[:, place, u.shared + k] = u.scale[u.shared + k]
         return x0, slopes
+
+    def _came_to(self, z: Array, x0: Array, slopes: Array, deep: bool) -> None:
+        """Puts hidden states of runs in the middle of a record to where the plant has come by then:
+        from start to start along the inputs, all other states set anew at each of them.
+        """
+        runs, hidden = self.runs, list(self._unknowns.along)
+        driven, delays = self._driven(z)
+        given = np.concatenate([z[: self._unknowns.shared], delays])
+        order = np.lexsort((runs.first, runs.record))
+        for before, row in pairwise(order if hidden else ()):
+            count = int(runs.first[row] - runs.first[before])
+            if runs.record[row] != runs.record[before]:
+                continue
+            start = x0[before]
+            if deep:
+                start = np.concatenate([start, slopes[before].T.ravel()])
+            u = _windows(driven, runs, np.array([before]), count)
+            nothing = np.zeros((len(runs.names) + 1, count))
+            end = native(self._along(deep, count, 1), start, u, nothing, given)[0]
+            last = np.asarray(end)[:, -1]
+            nx = x0.shape[1]
+            x0[row, hidden] = last[hidden]
+            if deep:
+                slopes[row, hidden] = last[nx:].reshape(-1, nx).T[hidden]
 
     def _sensors(self, z: Array) -> tuple[Array, Array]:
         u, names = self._unknowns, self.runs.names

@@ -63,7 +63,10 @@ def rungs_of(
     dynamic: Sequence[str | Sequence[str]] | None = None,
     names: Sequence[str] = LADDER,
 ) -> list[Rung]:
-    """The rungs of :func:`fit_ladder` for an arrangement; see there."""
+    """The rungs of :func:`fit_ladder` for an arrangement; see there.
+
+    One start of each is (nearly) the rung before, so that no rung fits worse than it.
+    """
     regulator = require_instance(
         "feed", feed or Regulator(), Regulator, "give a Regulator or PairRegulator"
     )
@@ -82,28 +85,31 @@ def rungs_of(
         fast: dict[str, Sequence[float]] = {}
         if name == "lag":
             own += ["lag"] + (["venting_lag"] if regulator.venting_lag is not None else [])
-            starts = [dict.fromkeys(own, value) for value in (0.02, 0.1)]
+            starts = [dict.fromkeys(own, value) for value in (0.002, 0.02, 0.1)]
         elif name == "dead time":
             given = regulator.dead_time
             line = given if isinstance(given, DeadTime) else DeadTime(0.01, order=3)
             parts["dead_time"] = line
-            starts = [{"dead_time": value} for value in (0.004, 0.02, 0.06)]
+            starts = [{"dead_time": value} for value in (0.001, 0.004, 0.02, 0.06)]
             own += ["dead_time"]
         elif name == "slew":
             parts["slew"] = regulator.slew or 1e6
-            fast = {"slew": (0.9, 0.5, 0.25)}
+            fast = {"slew": (3.0, 0.9, 0.5, 0.25)}
             own += ["slew"]
         elif name == "friction":
             losses += (CoulombFriction(5.0, speed=3e-3),)
-            starts = [{"friction_constant": value} for value in (1.0, 8.0)]
+            starts = [{"friction_constant": value} for value in (0.0, 1.0, 8.0)]
             own += ["friction_constant"]
         elif name == "memory":
             losses += (MaxwellSlip((2.0, 2.0), SLIP_YIELDS, edge=1.0),)
-            starts = [{"slip1_force": v, "slip2_force": v} for v in (1.0, 6.0)]
+            starts = [{"slip1_force": v, "slip2_force": v} for v in (0.0, 1.0, 6.0)]
             own += ["slip1_force", "slip2_force"]
         elif name == "creep":
             losses += (Creep((200.0,), (1.0,)),)
-            starts = [{"creep1_stiffness": 100.0, "creep1_time": v} for v in (0.3, 3.0)]
+            starts = [
+                {"creep1_stiffness": k, "creep1_time": v}
+                for k, v in ((0.1, 1.0), (100.0, 0.3), (100.0, 3.0))
+            ]
             own += ["creep1_stiffness", "creep1_time"]
         plant = build(feed=replace(regulator, **parts), losses=losses)
         static = name == "static"

@@ -16,7 +16,7 @@ from ...plants.plant import Plant, require_plant
 from ..statistics import Array
 from .dynamic import fit_plant
 from .experiment import groups
-from .free_run_fit import fit_free_run, free_run
+from .free_run_fit import fit_free_run
 from .free_run_result import FreeRunFit
 from .plant_fit import PlantFit
 
@@ -54,7 +54,9 @@ class FreeRunStructure:
 
     def fit(self, records: Sequence[Trajectory], /) -> FreeRunFit:
         """See :func:`fit_free_run`."""
-        return fit_free_run(self.plant, list(records), self.free, **self.options)
+        return fit_free_run(
+            self.plant, list(records), self.free, **{"judge": False, **self.options}
+        )
 
     def losses(self, model: FreeRunFit, records: Sequence[Trajectory], /) -> Array:
         """Mean squared error of each record over each horizon, variable by variable."""
@@ -65,16 +67,9 @@ class FreeRunStructure:
         long = [i for i, r in enumerate(records) if _reaches(r, shortest, options)]
         found = np.full((len(records), len(several), len(model.training.names)), np.nan)
         if long:
-            rig = model.rig
-            runs = free_run(
-                model.plant,
+            runs = model.validate(
                 [records[i] for i in long],
                 horizon=several if shortest is not None else None,
-                delay=rig.delays,
-                gains=rig.gains,
-                offsets=rig.offsets,
-                starts=rig.starts,
-                corrections=rig.corrections,
                 **options,
             )
             for k, h in enumerate(several):

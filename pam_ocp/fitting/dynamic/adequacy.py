@@ -1,0 +1,585 @@
+"""Whether a fitted plant is adequate to its records: what its residuals tell, and of what.
+
+Under an adequate model residuals are white, as large as the noise that the records show by
+themselves, and orthogonal to whatever the plant may lack. Three kinds of tests, at a common level
+(Bonferroni): a portmanteau test (G. Ljung, G. Box, Biometrika 65 (1978) 297-303); lack of fit
+against the noise found in high differences of the records (J. Rice, Annals of Statistics 12 (1984)
+1215-1230), which knows of no model; and score tests, one of each possible cause (see
+:mod:`.suspects`). Where any of them rejects, causes are tested once more, on residuals whitened as
+autoregressive noise: what is significant even so is no coloured noise, and the largest statistic
+names the cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..statistics import Array
+from .evidence import Evidence, Motion, projected, solved
+from .suspects import CAUSES, Suspect
+
+__all__ = ["Adequacy", "AdequacyTest", "Noise", "adequacy_of", "noise_of"]
+
+LEVEL = 0.01
+"""Probability that an adequate model is called inadequate."""
+ORDERS = (2, 3, 4, 5)
+"""Of the differences in which noise is looked for."""
+MEDIAN = 0.6744897501960817
+"""Of the absolute value of a standard normal variable."""
+EFFICIENCY = 2.72
+"""Variance of a noise found by a median, in that of one found by squares."""
+NEGLIGIBLE = 1e-6
+"""Of a suspect's column, that is left when the fitted values are projected out."""
+FEWEST = 10
+"""Degrees of freedom of the residuals below which nothing is said."""
+DEEPEST = 12
+"""Order of the autoregressive noise, at most."""
+EXACT = 5.0
+"""Residuals below so many errors of the integration are not looked at: records without noise."""
+RESOLVED = 1e-5
+"""The same, in parts of what the variable ranges over: no sensor resolves that much, it is what a
+simulation or a file rounds."""
+
+
+@dataclass(frozen=True)
+class AdequacyTest:
+    """A test of the residuals; it rejects below ``level``, its share of the common level.
+
+    Examples
+    --------
+    >>> test = pam.fitting.AdequacyTest("whiteness", 60.0, (30, 0), 9e-4, level=1.25e-3)
+    >>> test.rejects
+    True
+    """
+
+    name: str
+    statistic: float
+    dof: tuple[int, int]
+    probability: float
+    level: float
+
+    @property
+    def rejects(self) -> bool:
+        """Whether an adequate model would hardly leave such residuals."""
+        return self.probability < self.level
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """What the residuals of a dynamic fit tell about its model.
+
+    cause : "" for an adequate model, else the likeliest of "drift", "friction or hysteresis",
+    "scale", "lag", "floor", "law", "coloured noise", "unknown". subject : what it concerns; amount
+    [unit] : as much of it describes the residuals. explained : part of the excess over white noise
+    that it takes up. tests : all that were made. noise : of each measured variable as its record
+    shows it without a model; rms : of the residuals [its unit]. correlation : of neighbouring
+    residuals. shifts : by how much fitted values would change with the cause in the model.
+    stderr : standard errors, with autocorrelated residuals and these shifts counted. dof : degrees
+    of freedom, of as many independent residuals as tell as much.
+
+    Examples
+    --------
+    >>> dynamic_fit.adequacy.adequate, dynamic_fit.adequacy.sentence
+    (True, '')
+    """
+
+    cause: str = ""
+    subject: str = ""
+    amount: float = 0.0
+    unit: str = "1"
+    explained: float = 0.0
+    tests: tuple[AdequacyTest, ...] = ()
+    noise: Mapping[str, float] = field(default_factory=dict)
+    rms: Mapping[str, float] = field(default_factory=dict)
+    correlation: Mapping[str, float] = field(default_factory=dict)
+    shifts: Mapping[str, float] = field(default_factory=dict)
+    stderr: Mapping[str, float] = field(default_factory=dict)
+    dof: int = 0
+
+    @property
+    def adequate(self) -> bool:
+        """Whether no test rejects the model."""
+        return not self.cause
+
+    @property
+    def excess(self) -> float:
+        """Residuals over the noise that the records show, of the variable where it is largest."""
+        return max((self.rms[n] / max(s, 1e-300) for n, s in self.noise.items()), default=1.0)
+
+    @property
+    def sentence(self) -> str:
+        """What is likely to be missing, in one sentence; empty for an adequate model."""
+        return "" if self.adequate else _sentence(self)
+
+    def report(self) -> str:
+        """The verdict and its tests, as text."""
+        rows = [
+            f"    {t.name}: {t.statistic:.3g} ({t.dof[0]}, {t.dof[1]} degrees of freedom), "
+            f"probability {t.probability:.2g}{' *' if t.rejects else ''}"
+            for t in self.tests
+        ]
+        head = self.sentence or (
+            "the residuals show no sign of an inadequate model"
+            if self.tests
+            else "the residuals were not tested: they are as small as the integration's error, or "
+            "the plant cannot be followed through the records"
+        )
+        return "\n".join([f"    {head}", *rows])
+
+    __str__ = report
+
+
+UNTESTED = Adequacy()
+"""Of records without noise, or that the plant cannot be followed through."""
+
+
+def _sentence(a: Adequacy) -> str:
+    size = f"{100 * a.amount:+.2g} %" if a.unit == "1" else f"{a.amount:+.2g} {a.unit}"
+    likely = {
+        "drift": f"{a.subject} drifts (by some {size} along the records)",
+        "friction or hysteresis": "friction or hysteresis that the model does not have acts on "
+        f"{a.subject} (some {size}, against the direction of motion)",
+        "scale": f"the {'scale' if a.unit == '1' else 'zero'} of {a.subject} is off "
+        f"(by some {size})",
+        "lag": f"{a.subject} acts later or earlier than in the model (a lag or dead time)",
+        "floor": f"the sensor of {a.subject} does not show values at an end of its range (a floor, "
+        "slack or saturation)",
+        "law": f"a force on {a.subject} depends on position or speed in another way than in the "
+        "model (force law, load, damping)",
+        "coloured noise": f"the noise of {a.subject} is coloured (neighbouring residuals have a "
+        f"correlation of {max(a.correlation.values(), default=0.0):.2f})",
+        "unknown": "what is missing looks like none of drift, friction, scale, lag or coloured "
+        "noise",
+    }[a.cause]
+    worst = max(a.noise, key=lambda n: a.rms[n] / max(a.noise[n], 1e-300))
+    found = (
+        f"the model is inadequate to these records (residuals of {worst} are {a.excess:.2g} times "
+        f"its noise): probably {likely}"
+    )
+    moved = {
+        n: s / e for n, s in a.shifts.items() if (e := a.stderr.get(n, 0.0)) and abs(s) > 0.5 * e
+    }
+    if moved:
+        most = max(moved, key=lambda n: abs(moved[n]))
+        found += f"; with it {most} would change by {a.shifts[most]:+.2g}"
+    return found + "; intervals are widened accordingly"
+
+
+# ---- noise --------------------------------------------------------------------------------------
+def record_noise(series: Sequence[Array]) -> tuple[float, float]:
+    """(standard deviation of white noise on a smooth signal, relative standard error of its
+    square).
+
+    By the median of its absolute differences, so that jumps of the signal do not count; the least
+    over the orders, as what a difference leaves of the signal only adds.
+    """
+    found, count = [], 0
+    for order in ORDERS:
+        weights = np.array([1.0])
+        for _ in range(order):
+            weights = np.convolve(weights, [1.0, -1.0])
+        size = np.sqrt(np.sum(weights**2))
+        parts = [np.convolve(s, weights, "valid") / size for s in series if len(s) > 2 * order]
+        if not parts:
+            break
+        every = np.concatenate(parts)
+        scale = float(np.median(np.abs(every))) / MEDIAN
+        own = np.correlate(weights, weights, "full") / size**2
+        # quantised: most differences are zero
+        root = float(np.sqrt(np.mean(every**2)))
+        error = float(EFFICIENCY * 2 * np.sum(own**2) / every.size)
+        found.append((scale if scale > 0 else root, error))
+        count = every.size
+    if not count:
+        return 0.0, float("inf")
+    sigma, error = min(found)
+    return sigma, float(np.sqrt(error))
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Autoregressive noise: e_t = sum a_j e_(t-j) + innovation, of this variance."""
+
+    coefficients: Array
+    innovation: float
+
+    @property
+    def order(self) -> int:
+        return int(self.coefficients.size)
+
+    def whitened(self, x: Array) -> Array:
+        """Along the first axis, without the first ``order`` values; in standard deviations."""
+        p = self.order
+        found = x[p:].copy()
+        for j, a in enumerate(self.coefficients, 1):
+            found -= a * x[p - j : len(x) - j]
+        return np.asarray(found / np.sqrt(max(self.innovation, 1e-300)))
+
+    def meat(self, x: Array) -> Array:
+        """x^T R x with the noise's covariance R: what all innovations, also those before the first
+        sample, make of x.
+        """
+        from scipy.signal import lfilter
+
+        if not self.order:
+            return np.asarray(self.innovation * (x.T @ x))
+        before = min(20 * len(x), 2000)
+        reverse = np.concatenate([x[::-1], np.zeros((before, x.shape[1]))])
+        made = lfilter([1.0], [1.0, *(-self.coefficients)], reverse, axis=0)
+        return np.asarray(self.innovation * (made.T @ made))
+
+    @property
+    def effective(self) -> float:
+        """Part of the samples that would tell as much of a mean if they were independent."""
+        if not self.order:
+            return 1.0
+        impulse = np.zeros((1, 1)) + 1.0
+        variance = float(self.meat(impulse)[0, 0])
+        long = self.innovation / max(1 - float(self.coefficients.sum()), 1e-3) ** 2
+        return float(min(max(variance / long, 1e-3), 1.0))
+
+
+def noise_of(series: Sequence[Array], most: int = DEEPEST, lost: float = 0.0) -> Noise:
+    """Of residuals (each a series about zero), the order by Schwarz' criterion.
+
+    lost : degrees of freedom that the fit took from them.
+    """
+    n = sum(len(s) for s in series)
+    deepest = max(0, min(most, n // 20, min(len(s) for s in series) // 4))
+    covariance = np.array(
+        [sum(float(s[k:] @ s[: len(s) - k]) for s in series) for k in range(deepest + 1)]
+    ) / max(n - lost, 1.0)
+    a, variance = np.empty(0), covariance[0]
+    best = (n * np.log(max(variance, 1e-300)), a, variance)
+    for p in range(1, deepest + 1):
+        if not variance > 1e-12 * covariance[0]:
+            break
+        k = (covariance[p] - a @ covariance[p - 1 : 0 : -1] if p > 1 else covariance[1]) / variance
+        a = np.concatenate([a - k * a[::-1], [k]])
+        variance *= 1 - k**2
+        criterion = n * np.log(max(variance, 1e-300)) + p * np.log(n)
+        if criterion < best[0]:
+            best = (criterion, a, variance)
+    return Noise(best[1], float(best[2]))
+
+
+# ---- tests --------------------------------------------------------------------------------------
+def adequacy_of(
+    evidence: Evidence | None, weights: Array, stderr: Mapping[str, float] | None = None
+) -> Adequacy:
+    """weights : (ny,) with which the fit counted its residuals. stderr : of its values, where these
+    are not those of the least squares of the motions.
+
+    Without tests where there is no evidence, or the residuals are those of the integration or of
+    rounding: records without noise.
+    """
+    if evidence is None:
+        return UNTESTED
+    motions = evidence.motions
+    rms = _roots(motions)
+    reach = np.array([np.ptp(np.concatenate(evidence.measured)[:, i]) for i in range(len(rms))])
+    if np.any(rms <= np.maximum(EXACT * evidence.integration, RESOLVED * reach)):
+        return UNTESTED
+    case = _Case(evidence, motions, 1 / rms, _columns(evidence))
+    base = case.regressed(())
+    if base.dof < FEWEST:
+        return UNTESTED
+    case = _Case(evidence, motions, 1 / base.sigma, case.columns)
+    base = case.regressed(())
+    tests, noise = _tests(case, base)
+    rejected = any(t.rejects for t in tests)
+    cause = _likeliest(case, base) if rejected else _Cause("", case.noises(base), base)
+    return _verdict(case, base, cause, tests, noise, weights, stderr)
+
+
+@dataclass(frozen=True, eq=False)
+class _Regressed:
+    """Residuals of motions by least squares in starts, values and some suspects. rows : all of
+    them, whitened if they were; squares : their sum; share : of the degrees of freedom lost.
+    """
+
+    values: Array
+    residuals: list[Array]
+    squares: float
+    dof: int
+    columns: int
+    sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    evidence: Evidence
+    motions: Sequence[Motion]
+    weights: Array
+    columns: tuple[tuple[Suspect, Sequence[Array]], ...]
+    """Suspects with their slopes (K, ny) in each motion."""
+
+    def of(self, cause: str) -> tuple[int, ...]:
+        return tuple(i for i, (s, _) in enumerate(self.columns) if s.cause == cause)
+
+    def stacked(self, number: int, chosen: Sequence[int]) -> Array:
+        """Slopes (K, ny, k + chosen) of a motion."""
+        m = self.motions[number]
+        more = [self.columns[i][1][number] for i in chosen]
+        return np.concatenate([m.values, *(c[..., None] for c in more)], axis=2)
+
+    def regressed(self, chosen: Sequence[int], noises: Sequence[Noise] | None = None) -> _Regressed:
+        """Generalised least squares where ``noises`` of the measured variables are given."""
+        motions = [
+            _whitened(m, self.stacked(i, chosen), self.weights, noises)
+            for i, m in enumerate(self.motions)
+        ]
+        error, columns = projected(motions, np.ones(1), lambda m: m.values)
+        found = solved(columns, error)
+        left = error - columns @ found
+        rank = int(np.linalg.matrix_rank(_even(columns), tol=1e-6)) if columns.size else 0
+        starts = sum(
+            int(np.linalg.matrix_rank(_even(m.start.reshape(-1, m.start.shape[2])), tol=1e-6))
+            for m in motions
+        )
+        dof = error.size - rank - starts
+        residuals = []
+        for i, m in enumerate(self.motions):
+            e = m.error - self.stacked(i, chosen) @ found
+            w = self.weights[:, None]
+            begun = solved((m.start * w).reshape(e.size, -1), (e * self.weights).ravel())
+            residuals.append(e - m.start @ begun)
+        every = np.concatenate(residuals)
+        sigma = np.sqrt(np.sum(every**2, axis=0) / max(len(every) * dof / error.size, 1.0))
+        return _Regressed(found, residuals, float(left @ left), dof, rank, np.asarray(sigma))
+
+    def noises(self, fit: _Regressed) -> list[Noise]:
+        lost = (fit.columns) / len(self.weights)
+        return [
+            noise_of([r[:, i] * self.weights[i] for r in fit.residuals], lost=lost)
+            for i in range(len(self.weights))
+        ]
+
+
+def _even(columns: Array) -> Array:
+    size = np.linalg.norm(columns, axis=0)
+    return np.asarray(columns / np.where(size > 0, size, 1.0))
+
+
+def _whitened(m: Motion, columns: Array, weights: Array, noises: Sequence[Noise] | None) -> Motion:
+    """Weighed, filtered, all variables behind each other as one."""
+
+    def flat(x: Array) -> Array:
+        y = x * weights[:, None] if x.ndim == 3 else x * weights
+        parts = [
+            y[:, i] if noises is None else noises[i].whitened(y[:, i]) for i in range(y.shape[1])
+        ]
+        return np.concatenate(parts)
+
+    def wide(x: Array) -> Array:
+        return flat(x)[:, None, :]
+
+    return Motion(flat(m.error)[:, None], wide(m.start), wide(columns), wide(m.start[..., :0]))
+
+
+def _columns(evidence: Evidence) -> tuple[tuple[Suspect, list[Array]], ...]:
+    """Suspects of the plant, and those of sensors, whose slopes the modelled values are."""
+    found = [
+        (s, [m.suspects[..., i] for m in evidence.motions]) for i, s in enumerate(evidence.suspects)
+    ]
+    total = float(sum(len(m.error) for m in evidence.motions))
+    firsts = np.cumsum([0, *(len(m.error) for m in evidence.motions)])
+    modelled = [m.error + y for m, y in zip(evidence.motions, evidence.measured, strict=True)]
+    for j, name in enumerate(evidence.outputs):
+        measured = np.concatenate([y[:, j] for y in evidence.measured])
+        size = max(float(measured.std()), 1e-300)
+        unit, (low, high) = evidence.units[j], np.percentile(measured, [2, 98])
+
+        def only(values: Sequence[Array], place: int = j) -> list[Array]:
+            return [
+                np.stack([v if i == place else 0 * v for i in range(len(evidence.outputs))], axis=1)
+                for v in values
+            ]
+
+        own = [y[:, j] for y in modelled]
+        clock = [(f + np.arange(len(y))) / total for f, y in zip(firsts, own, strict=False)]
+        found += [
+            (Suspect("scale", name), only(own)),
+            (Suspect("scale", name, unit, size), only([size + 0 * y for y in own])),
+            (Suspect("drift", f"the scale of {name}"), only(_times(clock, own))),
+            (Suspect("drift", f"the zero of {name}", unit, size), only([size * c for c in clock])),
+            (Suspect("lag", f"the sensor of {name}"), only([np.gradient(y) for y in own])),
+            (Suspect("floor", name), only([np.maximum(low - y, 0.0) for y in own])),
+            (Suspect("floor", name), only([np.maximum(y - high, 0.0) for y in own])),
+            (Suspect("floor", name), only([size * (y < low) for y in own])),
+        ]
+    return tuple(found)
+
+
+def _times(first: Sequence[Array], second: Sequence[Array]) -> list[Array]:
+    return [a * b for a, b in zip(first, second, strict=True)]
+
+
+def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dict[str, float]]:
+    from scipy.special import chdtrc, fdtrc, ndtr
+
+    causes = [c for c in CAUSES if case.of(c)]
+    level = LEVEL / (2 + len(causes))
+    statistic, lags = _portmanteau(case, base)
+    tests = [AdequacyTest("whiteness", statistic, (lags, 0), float(chdtrc(lags, statistic)), level)]
+    noise, most = {}, 0.0
+    for j, name in enumerate(case.evidence.outputs):
+        sigma, error = record_noise([y[:, j] for y in case.evidence.measured])
+        noise[name] = min(sigma, float(base.sigma[j])) or float(base.sigma[j])
+        own = np.sqrt(error**2 + 2 / base.dof)
+        ratio = float(base.sigma[j] / max(sigma, 1e-300))
+        most = max(most, (min(ratio, 1e6) ** 2 - 1) / own if np.isfinite(own) else 0.0)
+    chance = 1 - (1 - float(ndtr(-most))) ** len(noise) if most < 8 else 0.0
+    tests.append(AdequacyTest("noise of the records", most, (base.dof, 0), chance, level))
+    for cause in causes:
+        wider = case.regressed(case.of(cause))
+        more = wider.columns - base.columns
+        if more < 1 or wider.dof < FEWEST:
+            continue
+        f = (base.squares - wider.squares) / more / (wider.squares / wider.dof)
+        chance = float(fdtrc(more, wider.dof, max(f, 0.0)))
+        tests.append(AdequacyTest(cause, f, (more, wider.dof), chance, level))
+    return tuple(tests), noise
+
+
+def _portmanteau(case: _Case, base: _Regressed) -> tuple[float, int]:
+    """Of Ljung and Box, over all series; (statistic, degrees of freedom)."""
+    total, lags = 0.0, 0
+    shortest = min(len(r) for r in base.residuals)
+    for j in range(len(case.weights)):
+        series = [r[:, j] for r in base.residuals]
+        n = sum(len(s) for s in series)
+        most = max(1, min(int(10 * np.log10(n)), shortest // 3))
+        zero = sum(float(s @ s) for s in series)
+        for k in range(1, most + 1):
+            pairs = sum(len(s) - k for s in series)
+            r = sum(float(s[k:] @ s[:-k]) for s in series) / zero
+            total += n * (n + 2) * r**2 / max(pairs, 1)
+        lags += most
+    return total, lags
+
+
+# ---- causes -------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class _Cause:
+    name: str
+    noises: list[Noise]
+    fit: _Regressed
+    chosen: tuple[int, ...] = ()
+
+
+def _likeliest(case: _Case, base: _Regressed) -> _Cause:
+    """That which takes up most for each of its parameters, if any is more than autoregressive noise
+    would seem to be: by score tests of the residuals whitened as such.
+    """
+    from scipy.special import fdtrc
+
+    noises = case.noises(base)
+    white = case.regressed((), noises)
+    causes = [c for c in CAUSES if case.of(c)]
+    found: list[tuple[float, str]] = []
+    for cause in causes:
+        wider = case.regressed(case.of(cause), noises)
+        more = wider.columns - white.columns
+        if more < 1 or wider.dof < FEWEST:
+            continue
+        f = (white.squares - wider.squares) / more / (wider.squares / wider.dof)
+        if fdtrc(more, wider.dof, max(f, 0.0)) < LEVEL / len(causes):
+            found.append((float(f), cause))
+    if not found:
+        name = "coloured noise" if any(n.order for n in noises) else "unknown"
+        return _Cause(name, noises, base)
+    name = max(found)[1]
+    fit = case.regressed(case.of(name))
+    return _Cause(name, case.noises(fit), fit, case.of(name))
+
+
+# ---- verdict ------------------------------------------------------------------------------------
+def _verdict(
+    case: _Case,
+    base: _Regressed,
+    cause: _Cause,
+    tests: tuple[AdequacyTest, ...],
+    noise: dict[str, float],
+    weights: Array,
+    given: Mapping[str, float] | None,
+) -> Adequacy:
+    e = case.evidence
+    k = len(e.names)
+    rms = dict(zip(e.outputs, base.sigma.tolist(), strict=True))
+    follows = {
+        name: float(
+            sum(r[1:, j] @ r[:-1, j] for r in base.residuals)
+            / max(sum(r[:, j] @ r[:, j] for r in base.residuals), 1e-300)
+        )
+        for j, name in enumerate(e.outputs)
+    }
+    shifts = (cause.fit.values[:k] - base.values[:k]) * -e.scale if cause.chosen else np.zeros(k)
+    # the noise that the values were found in: with all that the model leaves out
+    covariance = _covariance(case, case.noises(base), weights)
+    stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * e.scale
+    off = shifts**2
+    if given is not None:
+        stderr = np.array([given[n] for n in e.names])
+        off += (e.shifts * e.scale) ** 2 if cause.name else 0.0
+    stderr = np.sqrt(stderr**2 + off)
+    subject, amount, unit = _subject(case, cause)
+    part = 0.0
+    if cause.chosen:
+        part = 1 - case.regressed(cause.chosen).squares / max(base.squares, 1e-300)
+    n = sum(len(r) for r in base.residuals)
+    effective = sum(x.effective * n for x in case.noises(base))
+    return Adequacy(
+        cause.name,
+        subject,
+        amount,
+        unit,
+        float(part),
+        tests,
+        noise,
+        rms,
+        follows,
+        dict(zip(e.names, shifts.tolist(), strict=True)),
+        dict(zip(e.names, stderr.tolist(), strict=True)),
+        max(int(effective - k), 2),
+    )
+
+
+def _covariance(case: _Case, noises: Sequence[Noise], weights: Array) -> Array:
+    """Of values found by least squares with these weights, (J^T J)^-1 J^T R J (J^T J)^-1."""
+    projections, k = [], len(case.evidence.names)
+    if not k:
+        return np.empty((0, 0))
+    for m in case.motions:
+        one = [Motion(m.error, m.start, m.values, m.suspects)]
+        _, columns = projected(one, weights, lambda x: x.values)
+        projections.append(columns.reshape(*m.error.shape, k))
+    every = np.concatenate([p.reshape(-1, k) for p in projections])
+    size = np.linalg.norm(every, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv((every / size).T @ (every / size), rcond=1e-13, hermitian=True)
+    meat = np.zeros((k, k))
+    for p in projections:
+        for j, noise in enumerate(noises):
+            meat += noise.meat(p[:, j] * weights[j] / case.weights[j] / size)
+    return np.asarray(inverse @ meat @ inverse / np.outer(size, size))
+
+
+def _subject(case: _Case, cause: _Cause) -> tuple[str, float, str]:
+    """Of the suspects of a cause, the one that takes up most by itself, and how much of it."""
+    if cause.name == "coloured noise":
+        order = [n.effective for n in cause.noises]
+        return case.evidence.outputs[int(np.argmin(order))], 0.0, "1"
+    if not cause.chosen:
+        return "", 0.0, "1"
+    alone = [(case.regressed((i,), cause.noises), i) for i in cause.chosen]
+    fit, i = min(alone, key=lambda a: a[0].squares)
+    suspect = case.columns[i][0]
+    return suspect.subject, float(-fit.values[-1]) * suspect.size, suspect.unit
+
+
+def _roots(motions: Sequence[Motion]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.concatenate([m.error for m in motions]) ** 2, axis=0)))

@@ -1,0 +1,382 @@
+"""What the residuals of a fit are made of: one motion through each record, its start free, with the
+slopes of the residuals in the fitted values, in the start and in what the plant may lack.
+
+A record too long for one motion (an unstable plant) is cut into as many as it needs. Starts are
+nuisance: they are projected out of each motion by itself, so there may be many of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...core.errors import PamError
+from ...core.trajectory import Trajectory
+from ...plants.plant import Plant
+from ..statistics import Array
+from .experiment import ParameterGroup
+from .fineness import LEAST_STEPS, MOST_STEPS
+from .hidden import settled_starts
+from .rig import Rig, RunUnknowns
+from .rollout import Rollout
+from .runs import Runs, runs_of
+from .suspects import Suspect, suspected
+
+__all__ = ["Evidence", "Motion", "evidence_of"]
+
+STEEP = 1e3
+"""What a start may change, in spreads per nominal, for a motion to be followed."""
+SHORTEST = 24
+"""Samples of a motion, at least."""
+ROUNDS = 8
+"""Gauss-Newton steps to the least squares of these motions."""
+GAINED = 1e-4
+"""Of the sum of squares, below which they end."""
+UNSEEN = 1e-10
+"""Length of a column, in that of the longest, below which it is rounding."""
+ACCURATE = 0.02
+"""Error of the integration, in parts of the residuals."""
+NEGLIGIBLE = 1e-7
+"""Of a column, that is left when those before are projected out: nothing new."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """error (K, ny): modelled less measured. start (K, ny, nx), values (K, ny, k), suspects (K, ny,
+    m): slopes of it.
+    """
+
+    error: Array
+    start: Array
+    values: Array
+    suspects: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Motions with their slopes in ``names`` (scaled values) and in ``suspects``.
+
+    shifts : where the least squares of these motions have the values, less those of the fit.
+    integration : RMS of what halved steps change, of each measured variable.
+    """
+
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    names: tuple[str, ...]
+    scale: Array
+    motions: tuple[Motion, ...]
+    suspects: tuple[Suspect, ...]
+    shifts: Array
+    integration: Array
+    measured: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """What is run: see :func:`evidence_of`."""
+
+    plant: Plant
+    records: Sequence[Trajectory]
+    outputs: Sequence[str]
+    groups: Sequence[ParameterGroup]
+    unknowns: RunUnknowns
+    rig: Rig
+    z: Array
+    steps: int
+
+    def runs(self, length: float | None) -> Runs:
+        """Whole records, or pieces [s] of them, each with a number and a start of its own."""
+        found = runs_of(
+            self.plant, self.records, length, length, list(self.outputs), 2, self.steps, 0.0
+        )
+        return replace(
+            found,
+            record=np.arange(len(found.record)),
+            inputs=[found.inputs[r] for r in found.record],
+        )
+
+    def rollout(self, runs: Runs) -> Rollout:
+        return Rollout(self.plant, runs, self.unknowns, self.rig)
+
+
+def evidence_of(
+    plant: Plant,
+    records: Sequence[Trajectory],
+    outputs: Sequence[str],
+    unknowns: RunUnknowns,
+    rig: Rig,
+    z: Array,
+) -> Evidence | None:
+    """plant : fitted. unknowns : of the fit; only those that all records share count. z : their
+    values. None where the plant cannot be followed through the records.
+    """
+    try:
+        case = _case(plant, records, outputs, unknowns, rig, z, LEAST_STEPS)
+        runs, x0 = _followed(case)
+        z, x0 = _least_squares(case, runs, runs, case.z, x0)
+        fine, ready = runs, _with_starts(case, runs)
+        every = np.concatenate([z, x0.ravel()])
+        modelled = ready.rollout(fine).predicted(every)
+        while True:
+            finer = replace(fine, steps=2 * fine.steps)
+            better = ready.rollout(finer).predicted(every)
+            gap, rms = (
+                np.sqrt(np.nanmean((better - a) ** 2, axis=(0, 1)))
+                for a in (modelled, runs.measured)
+            )
+            if np.all(gap <= ACCURATE * rms) or finer.steps > MOST_STEPS:
+                break
+            # values that were found with long steps leave more than they should
+            z, x0 = _least_squares(case, fine, finer, z, x0)
+            every = np.concatenate([z, x0.ravel()])
+            fine, modelled = finer, ready.rollout(finer).predicted(every)
+        return _evidence(replace(case, steps=fine.steps), fine, z, x0, better, gap)
+    except (PamError, np.linalg.LinAlgError):
+        return None
+
+
+def _case(
+    plant: Plant,
+    records: Sequence[Trajectory],
+    outputs: Sequence[str],
+    u: RunUnknowns,
+    rig: Rig,
+    z: Array,
+    steps: int,
+) -> _Case:
+    """Only what belongs to the model: no observer, and every motion with a start of its own."""
+    kept = [*u.places("groups"), *u.places("delays"), *u.places("gains"), *u.places("offsets")]
+    x_nominal = plant.vector("state", attribute="nominal")
+    nx = len(x_nominal)
+    shared = RunUnknowns(
+        groups=u.groups,
+        delays=u.delays,
+        gains=u.gains,
+        offsets=u.offsets,
+        own_starts=tuple(range(nx)),
+        names=tuple(u.names[i] for i in kept),
+        scale=u.scale[kept],
+    )
+    columns = {
+        v.name: np.full(len(records[0]), float(v.start or 0.0))
+        for v in plant.inputs
+        if any(v.name not in r for r in records)
+    }
+    whole = [
+        r
+        if not columns
+        else Trajectory(
+            r.t,
+            {n: r[n] for n in r.names}
+            | {n: np.full(len(r), c[0]) for n, c in columns.items() if n not in r},
+            interpolation=r.interpolation,
+        )
+        for r in records
+    ]
+    return _Case(
+        plant,
+        whole,
+        outputs,
+        u.groups,
+        shared,
+        replace(rig, corrections={}, starts={}),
+        np.asarray(z)[kept],
+        steps,
+    )
+
+
+def _with_starts(case: _Case, runs: Runs) -> _Case:
+    """With names and scales of as many starts as there are motions."""
+    n, nominal = len(runs.record), case.plant.vector("state", attribute="nominal")
+    u, k = case.unknowns, len(case.z)
+    every = RunUnknowns(
+        groups=u.groups,
+        delays=u.delays,
+        gains=u.gains,
+        offsets=u.offsets,
+        own_starts=u.own_starts,
+        records=n,
+        names=(*u.names[:k], *(f"start {i}" for i in range(n * len(nominal)))),
+        scale=np.concatenate([u.scale[:k], np.tile(nominal, n)]),
+    )
+    return replace(case, unknowns=every)
+
+
+def _followed(case: _Case) -> tuple[Runs, Array]:
+    """Motions as long as their starts stay in sight, and guesses of these (n, nx), scaled."""
+    sampling = case.records[0].duration / (len(case.records[0]) - 1)
+    length: float | None = None
+    samples = max(len(r) for r in case.records) - 2
+    while True:
+        runs = case.runs(length)
+        ready = _with_starts(case, runs)
+        nx = len(case.plant.states)
+        nominal = case.plant.vector("state", attribute="nominal")
+        x0 = settled_starts(case.plant, runs, len(runs.record), range(nx)) / nominal
+        rollout = ready.rollout(runs)
+        z = np.concatenate([case.z, x0.ravel()])
+        steep = 0.0
+        for part, y, slopes in rollout.computed(z, True):
+            own = np.abs(slopes[..., len(case.z) :]) / rollout.spread[:, None]
+            inside = np.arange(part.samples) < runs.length[part.rows][:, None]
+            size = np.where(np.isfinite(own), own, np.inf).max(axis=(2, 3), initial=0.0)
+            steep = max(steep, float(np.where(inside, size, 0.0).max(initial=0.0)))
+            if not np.all(np.isfinite(y[inside])):
+                steep = np.inf
+        if steep <= STEEP or samples < 2 * SHORTEST:
+            return runs, x0
+        samples //= 2
+        length = samples * sampling
+
+
+def _blocks(
+    rollout: Rollout, z: Array, k: int, m: int, targets: Sequence[Array] | None = None
+) -> list[Motion]:
+    """targets : predictions that count as modelled, in place of those of the slopes' run."""
+    runs, found = rollout.runs, {}
+    for part, y, slopes in rollout.computed(z, True):
+        for i, row in enumerate(part.rows):
+            n = int(runs.length[row])
+            modelled = y[i, :n] if targets is None else targets[row][:n]
+            s = np.nan_to_num(slopes[i, :n])
+            found[int(row)] = Motion(
+                modelled - runs.measured[row, :n], s[..., k + m :], s[..., :k], s[..., k : k + m]
+            )
+    return [found[i] for i in range(len(runs.record))]
+
+
+def projected(
+    motions: Sequence[Motion], weights: Array, more: Callable[[Motion], Array]
+) -> tuple[Array, Array]:
+    """(error (n,), columns (n, .)) of all motions, weighed, their starts projected out.
+
+    weights : (ny,) of the measured variables. more : the columns (K, ny, .) of a motion.
+    """
+    errors, columns = [], []
+    for m in motions:
+        basis = _basis((m.start * weights[:, None]).reshape(-1, m.start.shape[2]))
+        e = (m.error * weights).ravel()
+        c = (more(m) * weights[:, None]).reshape(len(e), -1)
+        errors.append(e - basis @ (basis.T @ e))
+        columns.append(c - basis @ (basis.T @ c))
+    return np.concatenate(errors), np.concatenate(columns)
+
+
+def _basis(columns: Array) -> Array:
+    size = np.linalg.norm(columns, axis=0)
+    seen = size > UNSEEN * size.max(initial=0.0)
+    even = columns[:, seen] / size[seen]
+    if not even.size:
+        return np.zeros((len(columns), 0))
+    u, s, _ = np.linalg.svd(even, full_matrices=False)
+    return np.asarray(u[:, s > NEGLIGIBLE * s[0]])
+
+
+def solved(matrix: Array, right: Array) -> Array:
+    """Least squares with columns of unit length; of what is not determined, the shortest, and
+    nothing of what is not seen at all (the pressure of a slack muscle).
+    """
+    size = np.linalg.norm(matrix, axis=0)
+    size = np.where(size > UNSEEN * size.max(initial=0.0), size, np.inf)
+    return np.asarray(np.linalg.lstsq(matrix / size, right, rcond=NEGLIGIBLE)[0] / size)
+
+
+def _least_squares(case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array) -> tuple[Array, Array]:
+    """Values and starts of the least squares of these motions, from those given.
+
+    runs : with the steps of the slopes; fine : with those of the motions. Slopes that are a little
+    off cost a step more, not accuracy.
+    """
+    ready, k = _with_starts(case, runs), len(z)
+    rollout = ready.rollout(runs)
+    motion = rollout if fine is runs else ready.rollout(fine)
+    weights = 1 / rollout.spread
+    best = np.concatenate([z, x0.ravel()])
+    modelled = motion.predicted(best)
+    for number in range(ROUNDS):
+        blocks = _blocks(rollout, best, k, 0, list(modelled))
+        weights = 1 / np.maximum(_roots(blocks), 1e-12 * rollout.spread)
+        last = _squares(modelled, runs, weights)
+        step, gained = _step(blocks, weights, k if number else 0), 0.0
+        for size in (1.0, 0.3, 0.1, 0.02):
+            trial = motion.predicted(best + size * step)
+            squares = _squares(trial, runs, weights)
+            if squares < last:
+                best, modelled, gained = best + size * step, trial, 1 - squares / last
+                break
+        if number and gained < GAINED:
+            break
+    return best[:k], best[k:].reshape(x0.shape)
+
+
+def _squares(modelled: Array, runs: Runs, weights: Array) -> float:
+    found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
+    lost = np.isnan(modelled) & ~np.isnan(runs.measured)
+    return np.inf if lost.any() or not np.isfinite(found) else found
+
+
+def _step(blocks: Sequence[Motion], weights: Array, k: int) -> Array:
+    """Of the values (the first k; none of them moves at first) and all starts."""
+    values = blocks[0].values.shape[2]
+    step = np.zeros(values)
+    if k:
+        error, columns = projected(blocks, weights, lambda m: m.values)
+        step = -solved(columns, error)
+    begun = [
+        -solved(
+            (m.start * weights[:, None]).reshape(m.error.size, -1),
+            ((m.error + m.values @ step) * weights).ravel(),
+        )
+        for m in blocks
+    ]
+    return np.concatenate([step, *begun])
+
+
+def _roots(blocks: Sequence[Motion]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.concatenate([m.error for m in blocks]) ** 2, axis=0)))
+
+
+def _evidence(
+    case: _Case, runs: Runs, z: Array, x0: Array, modelled: Array, gap: Array
+) -> Evidence:
+    ready, k = _with_starts(case, runs), len(z)
+    found = suspected(case.plant, case.records, case.groups, _delays(case, z))
+    suspects = found.suspects
+    u, m, count = ready.unknowns, len(suspects), len(case.groups)
+    wide = replace(
+        u,
+        groups=found.groups,
+        names=(*u.names[:count], *(s.subject for s in suspects), *u.names[count:]),
+        scale=np.concatenate([u.scale[:count], np.ones(m), u.scale[count:]]),
+    )
+    rig = replace(case.rig, delays={**case.rig.delays, **found.delays})
+    later = replace(ready, plant=found.plant, records=found.records, unknowns=wide, rig=rig)
+    length = runs.horizons[0] if runs.horizons else None
+    rollout = later.rollout(later.runs(length))
+    at = np.concatenate([z[:count], np.zeros(m), z[count:], x0.ravel()])
+    order = [*range(count), *range(count + m, k + m)]
+    blocks = []
+    for b in _blocks(rollout, at, k + m, 0, list(modelled)):
+        own = b.values[..., count : count + m]
+        blocks.append(replace(b, values=b.values[..., order], suspects=own))
+    return Evidence(
+        tuple(runs.names),
+        tuple(case.plant.variable(n).unit for n in runs.names),
+        u.names[:k],
+        u.scale[:k],
+        tuple(blocks),
+        suspects,
+        z - case.z,
+        np.asarray(gap),
+        tuple(r[:n] for r, n in zip(runs.measured, runs.length, strict=True)),
+    )
+
+
+def _delays(case: _Case, z: Array) -> Mapping[str, float]:
+    u = case.unknowns
+    found = dict(case.rig.delays)
+    for place, members in zip(u.places("delays"), u.delays, strict=True):
+        found |= {case.plant.inputs[i].name: float(z[place] * u.scale[place]) for i in members}
+    return found

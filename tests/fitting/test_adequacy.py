@@ -1,0 +1,242 @@
+"""A dynamic fit says when its model is inadequate, and of what; hidden starts are found; no freedom
+makes a fit worse.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pam_ocp as pam
+from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
+from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise
+
+TRUE = {"damping": 80.0, "muscle.lag": 0.08}
+NOISE = 2e-5
+
+
+def hanging(losses: Any = (), **values: float) -> pam.Plant:
+    feed = pam.feeds.Regulator(0.08)
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, damping=80.0, feed=feed, losses=losses)
+    return plant.with_values(values)
+
+
+def record(fault: str = "", seed: int = 0, samples: int = 500) -> pam.Trajectory:
+    """Staircases of half a second; the fault is the rig's, not the model's."""
+    random, t = np.random.default_rng(seed), 0.01 * np.arange(samples)
+    u = np.repeat(random.uniform(2e5, 5e5, samples // 50), 50)
+    loss = pam.losses.CoulombFriction(15.0, speed=5e-3) if fault == "friction" else ()
+    plant = hanging(loss)
+    acts = u * (1 + 0.08 * t / t[-1]) if fault == "drift" else u
+    if fault == "lag":
+        acts = np.concatenate([u[:1], u[:1], u[:-2]])
+    start = plant.equilibrium({"muscle.command": u[0]})
+    run = pam.simulate(
+        plant, {"muscle.command": acts}, t=t, start=start, interpolation="previous", rtol=1e-9
+    )
+    noise = random.standard_normal(samples)
+    if fault == "coloured noise":
+        for k in range(1, samples):
+            noise[k] = 0.9 * noise[k - 1] + np.sqrt(1 - 0.9**2) * noise[k]
+    x = run["x"] * (1.03 if fault == "scale" else 1.0) + NOISE * noise
+    columns = {"x": x, "muscle.command": u}
+    return pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+
+
+def off() -> pam.Plant:
+    return hanging(damping=150.0, **{"muscle.lag": 0.05})
+
+
+def fitted(fault: str, **options: Any) -> Any:
+    return fit_free_run(
+        off(), record(fault), list(TRUE), **{"horizon": None, "judge": False, **options}
+    )
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause"),
+    [
+        ("friction", "friction or hysteresis"),
+        ("drift", "drift"),
+        ("scale", "scale"),
+        ("lag", "lag"),
+        ("coloured noise", "coloured noise"),
+    ],
+)
+def test_what_the_model_lacks_is_named(fault: str, cause: str) -> None:
+    fit = fitted(fault)
+    assert fit.adequacy.cause == cause
+    assert any("the model is inadequate" in text for text in fit.warnings)
+    assert fit.adequacy.sentence in str(fit)
+    if fault == "scale":
+        assert fit.adequacy.subject == "x"
+
+
+def test_an_adequate_model_is_called_so_and_its_noise_is_that_of_the_sensor() -> None:
+    fit = fitted("")
+    assert fit.adequacy.adequate
+    assert fit.adequacy.tests
+    assert fit.warnings == ()
+    assert fit.adequacy.noise["x"] == pytest.approx(NOISE, rel=0.15)
+    for name, true in TRUE.items():
+        low, high = fit.interval(name, 0.999)
+        assert low <= true <= high
+
+
+def test_a_fit_warns_aloud() -> None:
+    with pytest.warns(RuntimeWarning, match="probably friction or hysteresis"):
+        fitted("friction", judge=True)
+
+
+def test_fits_of_whole_motions_say_it_too() -> None:
+    fit = fit_plant(off(), record("friction"), list(TRUE))
+    assert fit.adequacy.cause == "friction or hysteresis"
+    assert fit.adequacy.sentence in fit.report()
+    plain = fit.linearisation.stderr()[fit.linearisation.names.index("damping")]
+    assert fit.coefficients["damping"].stderr > 5 * plain
+
+
+def test_records_without_noise_are_not_judged() -> None:
+    clean = record()
+    plant = hanging()
+    run = pam.simulate(
+        plant,
+        {"muscle.command": clean["muscle.command"]},
+        t=clean.t,
+        start=plant.equilibrium({"muscle.command": clean["muscle.command"][0]}),
+        interpolation="previous",
+        rtol=1e-9,
+    )
+    exact = pam.Trajectory(
+        clean.t,
+        {"x": run["x"], "muscle.command": clean["muscle.command"]},
+        [plant.variable(n) for n in ("x", "muscle.command")],
+        "previous",
+    )
+    fit = fit_free_run(off(), exact, list(TRUE), horizon=None)
+    assert fit.adequacy == Adequacy()
+    assert "not tested" in fit.adequacy.report()
+
+
+# ---- noise ---------------------------------------------------------------------------------------
+def test_noise_is_seen_beneath_a_signal_with_jumps() -> None:
+    t = np.linspace(0, 10, 2000)
+    signal = np.sin(t) + np.repeat(np.random.default_rng(1).uniform(-3, 3, 20), 100)
+    sigma, error = record_noise([signal + 0.01 * np.random.default_rng(2).standard_normal(2000)])
+    assert sigma == pytest.approx(0.01, rel=0.15)
+    assert 0.01 < error < 0.3
+
+
+def test_the_order_of_autoregressive_noise_is_found() -> None:
+    random = np.random.default_rng(3)
+    white = random.standard_normal(4000)
+    assert noise_of([white]).order == 0
+    e = white.copy()
+    for k in range(2, e.size):
+        e[k] += 1.2 * e[k - 1] - 0.5 * e[k - 2]
+    found = noise_of([e])
+    np.testing.assert_allclose(found.coefficients[:2], [1.2, -0.5], atol=0.05)
+    assert found.innovation == pytest.approx(1.0, rel=0.1)
+    # the variance of a sum of n: n times the spectrum at zero, 1/(1 - 1.2 + 0.5)^2
+    ones = np.ones((2000, 1))
+    assert float(found.meat(ones)[0, 0]) / 2000 == pytest.approx(1 / 0.3**2, rel=0.25)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_under_coloured_noise() -> None:
+    """20 records, AR(1) with 0.9; independent errors would cover about one in two."""
+    inside = 0
+    for seed in range(20):
+        fit = fit_free_run(
+            off(), record("coloured noise", seed), list(TRUE), horizon=None, judge=False
+        )
+        for name, true in TRUE.items():
+            low, high = fit.interval(name)
+            inside += low <= true <= high
+    assert inside >= 33  # of 40; 1 in 260 of fewer at 95 %
+
+
+# ---- hidden starts -------------------------------------------------------------------------------
+@pytest.mark.parametrize("options", [{"horizon": None}, {"horizon": 0.3, "every": 0.2}])
+def test_pressures_that_nobody_measured_begin_where_they_belong(options: Any) -> None:
+    fit = fitted("", **options)
+    for name, true in TRUE.items():
+        assert fit.values[name] == pytest.approx(true, rel=0.05)
+
+
+def test_runs_in_mid_record_have_exact_slopes_through_their_hidden_past() -> None:
+    from pam_ocp.fitting.dynamic.experiment import groups
+    from pam_ocp.fitting.dynamic.hidden import hidden_states, settled_starts
+    from pam_ocp.fitting.dynamic.rig import unknowns_of
+    from pam_ocp.fitting.dynamic.rollout import Rollout
+    from pam_ocp.fitting.dynamic.runs import runs_of
+
+    plant, cut = off(), record(samples=150)
+    runs = runs_of(plant, [cut], 0.2, 0.3, ["x"], 3, 4)
+    places = hidden_states(plant, ["x"], (), False)
+    assert [plant.states[i].name for i in places] == ["muscle.pressure"]
+    guesses = settled_starts(plant, runs, 1, places).T
+    assert guesses[0, 0] == pytest.approx(cut["muscle.command"][0], rel=1e-6)
+    unknowns, rig = unknowns_of(
+        plant,
+        groups(plant, list(TRUE), {}),
+        ["x"],
+        1,
+        0.01,
+        hidden=dict(zip(places, guesses, strict=True)),
+    )
+    rollout, z = Rollout(plant, runs, unknowns, rig), unknowns.guess * 1.02
+    exact = rollout.jacobian(z)
+    for i, unit in enumerate(np.eye(len(z))):
+        step = 1e-6 * unit
+        difference = (rollout.residuals(z + step) - rollout.residuals(z - step)) / 2e-6
+        np.testing.assert_allclose(exact[:, i], difference, atol=1e-5 * np.abs(exact).max())
+
+
+# ---- nested models -------------------------------------------------------------------------------
+def test_one_parameter_more_never_fits_worse() -> None:
+    noisy, poor = record("friction", 4), off()
+    few = fit_free_run(poor, noisy, ["damping"], horizon=None, judge=False)
+    more = fit_free_run(poor, noisy, ["damping", "muscle.lag"], horizon=None, judge=False)
+    most = fit_free_run(
+        poor, noisy, ["damping", "muscle.lag"], horizon=None, offsets=["x"], judge=False
+    )
+    assert more.cost[1] <= few.cost[1] * (1 + 1e-6)
+    assert most.cost[1] <= more.cost[1] * (1 + 1e-6)
+
+
+def test_held_and_joined_inputs_fit_side_by_side() -> None:
+    held = record()
+    t, u = held.t, np.interp(held.t, [0, 1, 2, 3, 5], [3e5, 4e5, 2.5e5, 4.5e5, 3e5])
+    plant = hanging()
+    start = plant.equilibrium({"muscle.command": u[0]})
+    run = pam.simulate(plant, {"muscle.command": u}, t=t, start=start, interpolation="linear")
+    x = run["x"] + NOISE * np.random.default_rng(5).standard_normal(t.size)
+    variables = [plant.variable(n) for n in ("x", "muscle.command")]
+    joined = pam.Trajectory(t, {"x": x, "muscle.command": u}, variables, "linear")
+    fit = fit_plant(off(), [held, joined], list(TRUE))
+    assert fit.values["damping"] == pytest.approx(80.0, rel=0.01)
+
+
+# ---- coverage ------------------------------------------------------------------------------------
+def test_another_record_of_the_same_kind_is_covered_and_an_absurd_one_is_not() -> None:
+    records = [record(seed=s) for s in range(6)]
+    fit = fit_free_run(off(), records, list(TRUE), horizon=None, judge=False)
+    verdicts = [fit.coverage(record(seed=20 + s), uncertainty=False).verdict for s in range(4)]
+    assert verdicts.count("covered") >= 3
+    held = hanging().equilibrium({"muscle.command": 5e5})
+    start = {n: float(held[n]) for n in ("x", "v", "muscle.pressure")}
+    further = fit.coverage(
+        {"muscle.command": lambda t: 5e5 + 3e4 * t}, duration=2.0, start=start, uncertainty=False
+    )
+    assert further.verdict == "extrapolation"
+    heavy = pam.Trajectory(
+        records[0].t,
+        {"x": 3 * records[0]["x"], "muscle.command": 3 * records[0]["muscle.command"]},
+        interpolation="previous",
+    )
+    absurd = fit.coverage(heavy, uncertainty=False)
+    assert absurd.verdict == "absurd"
+    assert "which the plant cannot" in absurd.report()
