@@ -65,6 +65,8 @@ def drawn_rig(rng: np.random.Generator, fault: str) -> Rig:
     damping = float(rng.uniform(40, 150))
     mass = float(rng.uniform(2, 12) if kind == "hanging" else rng.uniform(1, 5))
 
+    stiff, preload = float(rng.uniform(3e3, 8e3)), float(rng.uniform(50, 150))
+
     def build(losses: Any = ()) -> pam.Plant:
         given = {"feed": feed, "losses": losses}
         if kind == "hanging":
@@ -73,10 +75,8 @@ def drawn_rig(rng: np.random.Generator, fault: str) -> Rig:
             return pam.AntagonisticSlide(muscle, mass, damping=damping, **given)
         if kind == "joint":
             return pam.AntagonisticJoint(muscle, 0.02 * mass, damping=4e-3 * damping, **given)
-        stiff, preload = rng_fixed["stiffness"], rng_fixed["preload"]
         return pam.SpringOverMuscle(muscle, mass, stiff, preload, damping=damping, **given)
 
-    rng_fixed = {"stiffness": float(rng.uniform(3e3, 8e3)), "preload": float(rng.uniform(50, 150))}
     plant = build()
     first = "muscle" if single else "muscle1"
     position = "theta" if kind == "joint" else "x"
@@ -126,13 +126,11 @@ def with_fault(rng: np.random.Generator, rig: Rig, fault: str) -> tuple[list[pam
     signals = excitation(rng, rig)
     strong = rng.uniform(0.5, 1.0)
     losses: Any = ()
-    unit = 0.04 if rig.kind == "joint" else 1.0
     if fault == "friction":
         losses = L.CoulombFriction(25.0 * strong, speed=5e-3)
     if fault == "hysteresis":
         losses = L.BoucWen(30.0 * strong, float(rng.uniform(0.002, 0.01)))
     true = rig.build(losses)
-    del unit
     late, target = int(rng.integers(1, 5)), str(rng.choice(rig.outputs))
     by_input, rho = bool(rng.random() < 0.5), float(rng.uniform(0.6, 0.95))
     ends = np.cumsum([0.0, *(t[-1] for t, _, _ in signals)])
