@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.calibration import AMBIENT
 from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
 from ...core.shown import shown
-from .assign import assigned, require_columns
+from .assign import Assigned, assigned, require_columns
+from .doubts import Column, checked_cells, doubts_of, doubts_of_table, require_missing
 from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, complete, say
@@ -31,7 +32,7 @@ from .table_checks import (
     contraction_of,
 )
 
-__all__ = ["ForceTable", "TableWords", "read_table", "require_table", "table_of"]
+__all__ = ["ForceTable", "TableWords", "read_table", "require_table", "table_columns", "table_of"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -184,6 +185,7 @@ def read_table(
     delimiter: str | None = None,
     decimal: str | None = None,
     empty: Literal["drop", "refuse"] = "drop",
+    missing: Any = "found",
     ramp: bool | None = None,
     floor: float | Literal["found"] | None = "found",
 ) -> ForceTable:
@@ -211,6 +213,8 @@ def read_table(
     pivot : headers of what runs down, across, and stands in the cells, where a pivot does not say
         it: ``("contraction [%]", "pressure [bar]", "force [N]")``.
     empty : rows with empty cells are dropped, counted and said in a ReadingWarning, or refused.
+    missing : values that mark missing ones, as they stand: ``[9999, "off"]``. "found": 9999, -999,
+        1e30, 65535 and their like where they stand apart from all others; None: there are none.
     ramp : True: the rows are a slow ramp in the order of time, to be binned to cells; False: each
         row is a cell; None: find out. See :mod:`pam_ocp.fitting.tables.ramps`.
     floor : force [N] at or below which the sensor shows nothing: these cells are slack. "found": a
@@ -222,7 +226,8 @@ def read_table(
 
     Raises
     ------
-    InputError, UnknownNameError : one sentence with column, row, value and remedy.
+    InputError, UnknownNameError : one sentence with column, row, value and remedy. What no rig
+    measures, but cannot be ruled out, is doubted in a UnitWarning with the keyword to settle it.
 
     Examples
     --------
@@ -236,6 +241,7 @@ def read_table(
         units=units,
         ambient_pressure=ambient_pressure,
         empty=empty,
+        missing=missing,
         ramp=ramp,
         floor=floor,
         sheet=sheet,
@@ -267,6 +273,7 @@ class TableWords:
     units: dict[str, str]
     ambient: float
     empty: str
+    missing: Any
     ramp: bool | None
     floor: Any
 
@@ -279,6 +286,7 @@ class TableWords:
         units: Mapping[str, str] | None = None,
         ambient_pressure: float = AMBIENT,
         empty: str = "drop",
+        missing: Any = "found",
         ramp: bool | None = None,
         floor: Any = "found",
         **layout: Any,
@@ -290,22 +298,34 @@ class TableWords:
             dict(units or {}),
             require_positive("ambient_pressure", ambient_pressure, "Pa"),
             empty,
+            require_missing(missing),
             ramp,
             floor if floor in (None, "found") else require_finite("floor", floor, "N"),
         )
         return Reading.of(columns, **layout), words
 
 
+def table_columns(found: Assigned, words: TableWords) -> dict[str, Column]:
+    """The columns of a table by their quantities."""
+    return {q: Column(h, q, q, scale, q in words.units) for q, (h, scale) in found.items()}
+
+
 def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     """The table that columns hold. Raises InputError."""
     found = assigned(raw, words.columns, words.units, words.ambient)
     require_columns(raw, found)
+    columns = table_columns(found, words)
+    raw = checked_cells(raw, tuple(columns.values()), words.missing)
     raw = complete(raw, [header for header, _ in found.values()], words.empty)
     series = {q: Series(q, header, scale, raw) for q, (header, scale) in found.items()}
     check_pressure(series["pressure"])
     check_force(series["force"])
     kappa = contraction_of(series, words.rest_length)
     p, force, notes = series["pressure"].si, np.array(series["force"].si), list(raw.notes)
+    notes += [
+        doubt for q, column in columns.items() for doubt in doubts_of(raw, column, series[q].si)
+    ]
+    notes += doubts_of_table(columns, p, kappa, force)
     floor = floor_of(force) if words.floor == "found" else words.floor
     at_floor = np.zeros(force.size, bool) if floor is None else force <= floor
     force[at_floor] = np.minimum(force[at_floor], 0.0)
