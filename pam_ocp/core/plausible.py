@@ -156,7 +156,9 @@ def meant_within(value: float, unit: str, low: float, high: float) -> str:
 
 def inside_by(numbers: Mapping[str, float], now: str = "") -> list[str]:
     """The units by which all these numbers are usual, {key of MEASURED: as they stand}: the one
-    nearest to typical sizes first. now : the unit by which they are not.
+    nearest to typical sizes first, and those that are not ten times as far from them.
+
+    now : the unit by which they are not.
     """
 
     def away(name: str) -> float:
@@ -166,7 +168,9 @@ def inside_by(numbers: Mapping[str, float], now: str = "") -> list[str]:
         return sum(abs(math.log(s / MEASURED[k].typical)) for k, s in sizes.items())
 
     names = dict.fromkeys(name for k in numbers for name in MEASURED[k].units if name != now)
-    return sorted((n for n in names if away(n) < math.inf), key=away)
+    nearest = min(map(away, names), default=math.inf)
+    likely = [n for n in names if away(n) < math.inf and away(n) <= nearest + math.log(10)]
+    return sorted(likely, key=away)
 
 
 def doubt(

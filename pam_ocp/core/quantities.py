@@ -42,9 +42,13 @@ def quantity(where: str, value: Any, *units: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise InputError(f"{where} = {value!r}: give a number in SI, or a text as '15 mm'")
     if not isinstance(value, str):
-        if math.isnan(value):
+        try:
+            given = float(value)
+        except OverflowError:
+            raise InputError(f"{where} is larger than any float (1.8e308)") from None
+        if math.isnan(given):
             raise InputError(f"{where} is not a number")
-        return float(value)
+        return given
     match = _QUANTITY.match(value)
     if match is None:
         raise InputError(

@@ -88,6 +88,9 @@ class Variable:
                 f"{self.name}: display_unit {self.display_unit!r} does not measure the same "
                 f"quantity as unit {self.unit!r}"
             )
+        for argument in ("nominal", "min", "max", "widest"):
+            number = self.number(getattr(self, argument), argument)
+            object.__setattr__(self, argument, number)
         if not (math.isfinite(self.nominal) and self.nominal > 0):
             raise InputError(f"{self.name}: nominal = {self.nominal} must be finite and > 0")
         if math.isnan(self.min) or math.isnan(self.max) or self.min > self.max:
@@ -118,6 +121,10 @@ class Variable:
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number")
         try:
             return float(value)
+        except OverflowError:
+            raise InputError(
+                f"{self.name}: {argument} is larger than any float (1.8e308)"
+            ) from None
         except (TypeError, ValueError, RuntimeError):
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
 

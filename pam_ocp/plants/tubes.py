@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import casadi as ca
 
-from ..core.errors import InputError, require_finite, require_positive
+from ..core.errors import InputError, require_count, require_finite, require_positive
 from ..core.system import Declares
 from ..muscles.gas import GAS_CONSTANT
 from .airflow import Air, Place, between, holding
@@ -134,10 +134,7 @@ class LumpedTube:
     def __post_init__(self) -> None:
         require_positive("LumpedTube.length", self.length, "m")
         require_positive("LumpedTube.diameter", self.diameter, "m")
-        if self.segments != int(self.segments) or not 1 <= self.segments <= 100:
-            raise InputError(
-                f"LumpedTube.segments = {self.segments} must be a whole number 1 .. 100"
-            )
+        require_count("LumpedTube.segments", self.segments, 1, 100)
         if not 1 <= require_finite("LumpedTube.exponent", self.exponent) <= 1.67:
             raise InputError(f"LumpedTube.exponent = {self.exponent:g} must lie in 1 .. 1.67")
 

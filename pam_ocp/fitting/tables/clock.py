@@ -153,8 +153,8 @@ def doubts_of_clock(header: str, t: Array, said: str | None, wanted: str | None)
         return [
             Doubt(
                 f"{header!r} counts {t[0]:g}, {t[1]:g}, {t[2]:g}, ... ({read}): if it numbers the "
-                "samples, say units={'time': 'count * 1 ms'} with their distance, else units={'time': "
-                "'s'}"
+                "samples, say units={'time': 'count * 1 ms'} with their distance, else "
+                "units={'time': 's'}"
             )
         ]
     elif sample.least / wide <= step <= sample.most * wide and whole <= run.most and not short:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.calibration import Scale
-from ...core.errors import InputError
-from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, inside_by
+from ...core.errors import InputError, require_positive
+from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, doubt, inside_by
 from ...core.variables import Variable
 from .cells import is_empty, is_number, numbers_of
 from .headers import MEASURED as SAID_MEASURED
@@ -30,6 +30,7 @@ __all__ = [
     "doubts_of",
     "doubts_of_table",
     "kind_of",
+    "require_ambient",
     "require_missing",
 ]
 
@@ -158,6 +159,13 @@ def require_missing(missing: Any) -> Any:
     return values
 
 
+def require_ambient(pressure: Any) -> float:
+    """The pressure of the surroundings [Pa absolute]. Raises InputError; doubts a wrong unit."""
+    found = require_positive("ambient_pressure", pressure, "Pa")
+    doubt("ambient_pressure", found, "Pa")
+    return found
+
+
 def _equal(cells: Sequence[Any], given: Sequence[Any], sign: str) -> NDArray[np.bool_]:
     texts = {v.strip().lower() for v in given if isinstance(v, str)}
     numbers = [float(v) for v in given if not isinstance(v, str)]
@@ -246,11 +254,11 @@ def _signed(raw: RawTable, column: Column) -> RawTable:
     if (grouped and (not settled or fits_now is None)) or (not grouped and thousands):
         shown = next(c for c in texts if "." in c or "," in c)
         one, two = (numbers_of([shown], sign)[0][0] for sign in (now, other))
-        doubt = Doubt(
+        both = Doubt(
             f"{shown!r} in {header!r} is read as {one:g}, and could be {two:g}: say "
             f"decimal={now!r} or decimal={other!r}"
         )
-        return replace(raw, notes=(*raw.notes, doubt))
+        return replace(raw, notes=(*raw.notes, both))
     return raw
 
 

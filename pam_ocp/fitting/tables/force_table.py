@@ -16,10 +16,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.calibration import AMBIENT
-from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.errors import (
+    InputError,
+    UnknownNameError,
+    require_finite,
+    require_numbers,
+    require_positive,
+)
 from ...core.shown import shown
 from .assign import Assigned, assigned, require_columns
-from .doubts import Column, checked_cells, doubts_of, doubts_of_table, require_missing
+from .doubts import (
+    Column,
+    checked_cells,
+    doubts_of,
+    doubts_of_table,
+    require_ambient,
+    require_missing,
+)
 from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
 from .raw import RawTable, complete, say
@@ -78,7 +91,9 @@ class ForceTable:
 
     def __post_init__(self) -> None:
         for name in ("pressure", "contraction", "force"):
-            array = np.array(getattr(self, name), dtype=float)
+            unit = {"pressure": "Pa", "contraction": "1", "force": "N"}[name]
+            given = require_numbers(name, getattr(self, name), unit, doubted=unit == "Pa")
+            array = np.array(given)
             if array.shape != (array.size,) or array.size != np.size(self.pressure):
                 raise InputError(
                     f"{name} has shape {array.shape}; pressure, contraction and force of a table "
@@ -296,7 +311,7 @@ class TableWords:
             None if rest_length is None else require_positive("rest_length", rest_length, "m"),
             dict(columns) if isinstance(columns, Mapping) else {},
             dict(units or {}),
-            require_positive("ambient_pressure", ambient_pressure, "Pa"),
+            require_ambient(ambient_pressure),
             empty,
             require_missing(missing),
             ramp,

@@ -17,7 +17,15 @@ from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
 from .clock import Clock, doubts_of_clock, find_clock, mended, parts_of, read_clock
-from .doubts import Column, above_ambient, checked_cells, doubts_of, kind_of, require_missing
+from .doubts import (
+    Column,
+    above_ambient,
+    checked_cells,
+    doubts_of,
+    kind_of,
+    require_ambient,
+    require_missing,
+)
 from .headers import parse_header
 from .raw import Doubt, RawTable, complete, say
 from .record_columns import check_size, display_of, record_scale, record_variables
@@ -77,7 +85,7 @@ class RecordWords:
             max_gap,
             clock,
             sample_time,
-            require_positive("ambient_pressure", ambient_pressure, "Pa"),
+            require_ambient(ambient_pressure),
             empty,
             require_missing(missing),
         )
