@@ -9,7 +9,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
+from ..core.errors import InputError
 from ..core.stop import ask, native
 from .blas import one_thread
 
@@ -115,10 +117,25 @@ class Nlp(Native):
         """
         if self._watch is not None:
             self._watch.error = None
+            _check_bounds(kwargs)
         found = super().__call__(*args, **kwargs)
         if self._watch is not None and self._watch.error is not None:
             raise self._watch.error
         return found
+
+
+def _check_bounds(given: Mapping[str, Any]) -> None:
+    """InputError where a lower bound lies above its upper one, or is NaN."""
+    for kind in "xg":
+        low, high = (given.get(f"{end}b{kind}") for end in "lu")
+        if low is None or high is None:
+            continue
+        crossed = np.ravel(~(np.asarray(low, float) <= np.asarray(high, float)))
+        if crossed.any():
+            raise InputError(
+                f"bound {int(np.argmax(crossed))} of {kind}: the lower end must be a number, and "
+                "not above the upper one"
+            )
 
 
 def nlpsol(
@@ -140,5 +157,6 @@ def nlpsol(
     if plugin == "ipopt":
         shown = sizes or tuple(problem[k].numel() if k in problem else 0 for k in ("x", "g", "p"))
         watch = _Watch((shown[0], shown[1], shown[2]), report)
-        options = {**options, "iteration_callback": watch}
+        # its own check prints that there are more equations than unknowns, which the status says
+        options = {**options, "iteration_callback": watch, "inputs_check": False}
     return Nlp(native(ca.nlpsol, name, plugin, problem, options), watch)
