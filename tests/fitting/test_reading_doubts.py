@@ -374,6 +374,19 @@ def test_a_record_in_a_unit_that_cannot_be_is_doubted_and_read(plant: Any, rig: 
     assert words in said[pam.UnitWarning]
 
 
+def test_pressures_that_were_set_and_those_that_muscles_bear_are_not_doubted(plant: Any):
+    held = {"t": [0.0, 1.0, 2.0], "muscle_pressure [bar]": [1.0, 2.0, 3.0]}
+    high = {"t": T, "muscle_pressure [bar]": 5.5 + 3.3 * WAVE}
+    for rig in (held, high):
+        assert not heard(pam.read_record, rig, plant)[1]
+    beside = {
+        "t": T,
+        "muscle_pressure [bar]": 1.01 + BARS / 2,
+        "muscle_command [bar]": 1 + BARS / 2,
+    }
+    assert not heard(pam.read_record, beside, plant)[1]
+
+
 def test_the_other_way_of_counting_is_a_calibration(plant: Any):
     for rig in (record(x=-MM), record(x=-MM / 1e3, x_head="x")):
         _, said = heard(pam.read_record, rig, plant)

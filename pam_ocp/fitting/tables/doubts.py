@@ -36,6 +36,8 @@ __all__ = [
 
 Array: TypeAlias = NDArray[np.float64]
 
+FEW_ROWS = 20
+"""Fewer are set points that were held, and no record of what a sensor read."""
 VACUUM = -1.1e5
 """No gauge pressure lies lower [Pa]."""
 NEAR_AMBIENT = (9.5e4, 1.06e5)
@@ -313,7 +315,8 @@ def _beyond(column: Column, si: Array) -> list[Doubt]:
         return []
     edge = OUTSIDE * (v.max - v.min)
     low, high = float(si.min()), float(si.max())
-    if v.min - edge <= low and high <= v.max + edge:
+    most = max(v.max + edge, MEASURED["pressure"].most if column.kind == "pressure" else -np.inf)
+    if v.min - edge <= low and high <= most:
         return []
     turned = v.min <= -high and -low <= v.max
     per = "" if column.scale is not None else f" * 1 {v.unit}"
@@ -335,10 +338,12 @@ def above_ambient(column: Column, si: Array, command: Array | None = None) -> li
     """
     if column.settled or not si.size or (column.scale is not None and column.scale.shift):
         return []
-    low = float(np.percentile(si, 5)) if si.size >= 20 else float(si.min())
+    low = float(np.percentile(si, 5)) if si.size >= FEW_ROWS else float(si.min())
     if command is not None:
         above = float(np.median(si - command))
         absolute = NEAR_AMBIENT[0] < above < NEAR_AMBIENT[1] and low > 0.8 * NEAR_AMBIENT[0]
+    elif si.size < FEW_ROWS and _nominal(low):
+        absolute = False
     else:
         absolute = NEAR_AMBIENT[0] < low < NEAR_AMBIENT[1] and float(si.max()) > 1.5 * low
     return [_absolute(column, float(si.min()))] if absolute else []
@@ -408,9 +413,13 @@ def _from_zero(p: Array, contraction: Array, force: Array, strong: NDArray[np.bo
         zero = -begin / slope if slope > 0 else 0.0
         return float(p.min()) if 0.8e5 < zero < 1.25e5 and p.min() > 0.8e5 else 0.0
     low = float(p.min())
-    nominal = low == float(f"{low:.1g}")
     near = NEAR_AMBIENT[0] < low < NEAR_AMBIENT[1] and float(p.max()) > 2 * low
-    return low if near and not nominal and np.any(strong) else 0.0
+    return low if near and not _nominal(low) and np.any(strong) else 0.0
+
+
+def _nominal(pressure: float) -> bool:
+    """Whether it is a set point, 1 bar, which no sensor reads so exactly."""
+    return pressure == float(f"{pressure:.1g}")
 
 
 def _rises(gain: Array, contraction: Array) -> bool:
