@@ -364,6 +364,8 @@ def test_tables_that_are_right_are_not_doubted():
         (record(x=MM + 100), "check its unit and its zero"),
         ({**record(), "F": 3e4 + WAVE}, "{'muscle.force': 'gf'}"),
         ({**record(), "muscle_pressure [bar]": BARS + 1.013}, "'muscle.pressure': 'bar abs'"),
+        ({**record(), "F [N]": -300 + WAVE}, "{'muscle.force': '0 N - x'}"),
+        ({"t": T, "F": -300 + WAVE}, "{'f': '0 N - x * 1 N'}"),
         ({"t": T, "p [bar]": 1.013 + np.maximum(0, 3 * WAVE)}, "'p': 'bar abs'"),
     ],
 )
@@ -372,6 +374,17 @@ def test_a_record_in_a_unit_that_cannot_be_is_doubted_and_read(plant: Any, rig: 
     read, said = heard(pam.read_record, rig, owner)
     assert len(read) == N
     assert words in said[pam.UnitWarning]
+
+
+def test_degrees_taken_for_radians_are_doubted_and_read_by_the_answer():
+    joint = pam.AntagonisticJoint("DMSP-20-300", limits=(-0.6, 0.6))
+    for head in ("theta", "Winkel", "joint angle"):
+        rig = {"t": T, head: 5 * WAVE}
+        _, said = heard(pam.read_record, rig, joint)
+        assert answered(said[pam.UnitWarning]) == {"theta": "deg"}
+        read, said = heard(pam.read_record, rig, joint, units={"theta": "deg"})
+        np.testing.assert_allclose(read["theta"], np.radians(5 * WAVE))
+        assert not said
 
 
 def test_pressures_that_were_set_and_those_that_muscles_bear_are_not_doubted(plant: Any):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...core.calibration import Scale
 from ...core.errors import InputError, require_positive
 from ...core.plausible import FORCE_PER_PRESSURE, MEASURED, doubt, inside_by
+from ...core.units import unit
 from ...core.variables import Variable
 from .cells import is_empty, is_number, numbers_of
 from .headers import MEASURED as SAID_MEASURED
@@ -298,6 +299,9 @@ def doubts_of(raw: RawTable, column: Column, si: Array) -> list[Doubt]:
         most = f"{usual.least:g} .. {usual.most:g} {name}".rstrip()
         words = f"{shown}, where {column.kind}s of such rigs reach {most}{guess}"
         return [Doubt(f"{words} {_remedy(column, found[0] if found else '...')}")]
+    own = column.variable is None or column.variable.name.rpartition(".")[2] == "force"
+    if column.kind == "force" and own and column.plain and float(si.max()) <= 0:
+        return [Doubt(f"{shown}, and never pulls (> 0): {_turned(column, 'N')}")]
     return _beyond(column, si)
 
 
@@ -318,17 +322,31 @@ def _beyond(column: Column, si: Array) -> list[Doubt]:
     most = max(v.max + edge, MEASURED["pressure"].most if column.kind == "pressure" else -np.inf)
     if v.min - edge <= low and high <= most:
         return []
-    turned = v.min <= -high and -low <= v.max
-    per = "" if column.scale is not None else f" * 1 {v.unit}"
-    base = v.unit if column.scale is None else column.scale.unit
-    flip = f"units={{{column.argument!r}: '0 {base} - x{per}'}} if it counts the other way"
     what = (
         f"{column.header!r} runs from {v.shown(low)} to {v.shown(high)} ({column.reading}), where "
         f"{v.name} lies within {v.shown(v.min)} .. {v.shown(v.max)}: "
     )
-    if turned and column.plain:
-        return [Doubt(f"{what}say {flip}, {_remedy(column, column.unit).partition('say ')[2]}")]
-    return [Doubt(f"{what}check its unit and its zero. {_remedy(column, '...')}")]
+    if not column.plain:
+        return [Doubt(f"{what}check its calibration. {_remedy(column, '...')}")]
+    if v.min <= -high and -low <= v.max:
+        return [Doubt(what + _turned(column, v.unit))]
+    factor = 1.0 if column.scale is None else column.scale.measured.factor
+    sizes = {u: unit(u).factor / factor for u in MEASURED[column.kind].units if u != column.unit}
+    fitting = [u for u, f in sizes.items() if v.min - edge <= f * low and f * high <= v.max + edge]
+    guess = (
+        f"did you mean {' or '.join(fitting[:2])}?" if fitting else "check its unit and its zero."
+    )
+    return [Doubt(f"{what}{guess} {_remedy(column, fitting[0] if fitting else '...')}")]
+
+
+def _turned(column: Column, si: str) -> str:
+    """What to say of a column that counts the other way."""
+    per = "" if column.scale is not None else f" * 1 {si}"
+    base = si if column.scale is None else column.scale.unit
+    return (
+        f"say units={{{column.argument!r}: '0 {base} - x{per}'}} if it counts the other way, "
+        f"units={{{column.argument!r}: {column.unit!r}}} if it is so"
+    )
 
 
 def above_ambient(column: Column, si: Array, command: Array | None = None) -> list[Doubt]:

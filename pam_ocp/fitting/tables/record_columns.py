@@ -35,8 +35,6 @@ _COMMANDS = words_of(
     p ref, p des, reference, ref, target, soll, sollwert, druck soll, solldruck, consigne, consigna,
     setpunkt"""
 )
-_PLACES = {"x": PLACES["position"], "phi": PLACES["angle"]}
-"""Names of a plant's motion: how headers call it."""
 
 
 def record_scale(
@@ -165,10 +163,10 @@ def _meant(plant: Plant, name: str) -> str | None:
     if match is None:
         return None
     kind = " ".join(f"{match['kind']} {match['rest']}".split())
-    for variable, names in _PLACES.items():
+    for names in PLACES.values():
         if kind in names and not match["number"]:
-            found = [v.name for v in plant.variables if v.name == variable]
-            return found[0] if found else None
+            found = [v.name for v in plant.states if v.name in names]
+            return found[0] if len(found) == 1 else None
     last = "command" if kind in _COMMANDS else next((k for k in NAMES if kind in NAMES[k]), None)
     if last is None:
         return None
