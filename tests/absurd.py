@@ -305,7 +305,11 @@ CALLS: dict[str, tuple[Call, str]] = {
         lambda: pam.Muscle(muscle().law, 0.3, burst_pressure=8),
         WARNS + "8 bar",
     ),
-    "LumpedTube(segments='many')": (lambda: pam.feeds.LumpedTube(segments="many"), "whole number"),
+    "LumpedTube(segments='many')": (
+        lambda: pam.feeds.LumpedTube(segments="many"),
+        "is not a number",
+    ),
+    "LumpedTube(segments=2.5)": (lambda: pam.feeds.LumpedTube(segments=2.5), "whole number"),
     "Variable(max='6 bar')": (
         lambda: pam.Variable("p", "input", unit="Pa", max="6 bar", nominal="3 bar"),
         WORKS,
