@@ -21,6 +21,14 @@ import pam_ocp as pam
 WORKS, WARNS = "works", "warns: "
 NAME = "DMSP-20-300"
 Call = Callable[[], Any]
+SAID = {
+    "Pa": "3 bar",
+    "N": "300 N",
+    "1": "10 %",
+    "m3": "100 cm3",
+    "m3/(s.Pa)": "2e-8 m3/(s.Pa)",
+}
+"""A quantity of each unit as a text."""
 
 
 @cache
@@ -219,6 +227,137 @@ CALLS: dict[str, tuple[Call, str]] = {
     "start pressure 1e3 Pa": (lambda: plant().with_values({"muscle.pressure": 1e3}), WORKS),
     "start pressure 0": (lambda: plant().with_values({"muscle.pressure": 0}), WORKS),
     "x=0.1 mm": (lambda: plant().with_values(x=1e-4), WORKS),
+    # ---- what muscles and gases answer -----------------------------------------------------------
+    **{
+        f"{name}({label})": (lambda call=call, value=value: call(value), expected)
+        for name, unit, call in (
+            ("force of p", "Pa", lambda p: muscle().force(p, 0.1)),
+            ("stiffness of p", "Pa", lambda p: muscle().stiffness(p, 0.1)),
+            ("tension of p", "Pa", lambda p: muscle().tension(p, 0.1)),
+            ("blocked_force of p", "Pa", lambda p: muscle().blocked_force(p)),
+            ("max_contraction of p", "Pa", lambda p: muscle().max_contraction(p)),
+            ("dtension_dkappa of p", "Pa", lambda p: muscle().law.dtension_dkappa(p, 0.1)),
+            ("closed_stiffness of p", "Pa", lambda p: pam.gas.closed_stiffness(muscle(), p, 0.1)),
+            ("air_mass of p", "Pa", lambda p: pam.gas.air_mass(p, 1e-4)),
+            ("iso6358 of p", "Pa", lambda p: pam.gas.iso6358(p, 1e5, 2e-8)),
+            ("specific_exergy of p", "Pa", lambda p: pam.gas.specific_exergy(p, 1e5, 293.15)),
+            ("pressure of F", "N", lambda f: muscle().pressure(f, 0.1)),
+            ("force of kappa", "1", lambda k: muscle().force(3e5, k)),
+            ("pressure of kappa", "1", lambda k: muscle().pressure(300.0, k)),
+            ("gain_area of kappa", "1", lambda k: muscle().law.gain_area(k)),
+            ("muscle_volume of kappa", "1", lambda k: pam.gas.muscle_volume(muscle(), k)),
+            ("air_mass of V", "m3", lambda v: pam.gas.air_mass(4e5, v)),
+            ("iso6358 of C", "m3/(s.Pa)", lambda c: pam.gas.iso6358(6e5, 1e5, c)),
+        )
+        for label, value, expected in (
+            ("a text", SAID[unit], WORKS),
+            ("a list of texts", [SAID[unit], SAID[unit]], WORKS),
+            ("another unit", "3 lumen", "unknown unit"),
+            ("another quantity", "3 kg", "measures something else"),
+            ("a word", "high", "is not a number"),
+            ("nan", math.nan, "finite"),
+            ("inf", math.inf, "finite"),
+            ("an array with nan", np.array([0.1, math.nan]), "sample 1 is nan"),
+            ("10**400", 10**400, "larger than any float"),
+            ("a list with 10**400", [0.1, 10**400], "larger than any float"),
+            ("None", None, "is not a number"),
+            ("an object", object(), "is not a number"),
+            ("a complex number", 1j, "is not a number"),
+            ("complex numbers", np.array([1j]), "numbers only"),
+            ("ragged rows", [[1.0, 2.0], [3.0]], "rows differ in length"),
+        )
+    },
+    "force(3 for bar)": (lambda: muscle().force(3, 0.1), WARNS + "3 bar"),
+    "force([1, 2, 3] for bar)": (lambda: muscle().force([1, 2, 3], 0.1), WARNS + "3 bar"),
+    "force(10 for 10 %)": (lambda: muscle().force(3e5, 10), "did you mean 10 % = 0.1"),
+    "force('10 %')": (lambda: muscle().force(3e5, "10 %"), WORKS),
+    "max_contraction(6 for bar)": (lambda: muscle().max_contraction(6), WARNS + "6 bar"),
+    "air_mass(-1)": (lambda: pam.gas.air_mass(-1e5, 1e-3), "must be >= 0"),
+    "air_mass(4 for bar)": (lambda: pam.gas.air_mass(4, 1e-3), WARNS + "4 bar"),
+    "air_mass at 20 for degC": (lambda: pam.gas.air_mass(4e5, 1e-3, 20), WARNS + "20 degC"),
+    "air_mass at 0 K": (lambda: pam.gas.air_mass(4e5, 1e-3, 0), "temperature = 0 K"),
+    "iso6358(C=700 l/min)": (
+        lambda: pam.gas.iso6358(6e5, 1e5, 700),
+        WARNS + "conductance_from_flow",
+    ),
+    "iso6358(b=1)": (lambda: pam.gas.iso6358(6e5, 1e5, 2e-8, 1.0), "within 0 .. 0.99"),
+    "iso6358(arrays)": (lambda: pam.gas.iso6358([6e5, 7e5], 1e5, 2e-8), WORKS),
+    "conductance_from_flow('700 l/min')": (
+        lambda: pam.gas.conductance_from_flow("700 l/min"),
+        WORKS,
+    ),
+    "with_rest_length('250 mm')": (lambda: muscle().with_rest_length("250 mm"), WORKS),
+    "with_rest_length(10**400)": (lambda: muscle().with_rest_length(10**400), "larger than any"),
+    "Muscle(rest_length=None)": (lambda: pam.Muscle(muscle().law, None), "is not a number"),
+    "pressure_range=('0 bar', '6 bar')": (
+        lambda: pam.Muscle(muscle().law, 0.3, pressure_range=("0 bar", "6 bar")),
+        WORKS,
+    ),
+    "pressure_range=6e5": (
+        lambda: pam.Muscle(muscle().law, 0.3, pressure_range=6e5),
+        "give (low, high)",
+    ),
+    "contraction_range=(0, 25) for %": (
+        lambda: pam.Muscle(muscle().law, 0.3, contraction_range=(0, 25)),
+        "did you mean 25 %",
+    ),
+    "burst_pressure=8 for bar": (
+        lambda: pam.Muscle(muscle().law, 0.3, burst_pressure=8),
+        WARNS + "8 bar",
+    ),
+    "LumpedTube(segments='many')": (
+        lambda: pam.feeds.LumpedTube(segments="many"),
+        "is not a number",
+    ),
+    "LumpedTube(segments=2.5)": (lambda: pam.feeds.LumpedTube(segments=2.5), "whole number"),
+    "Variable(max='6 bar')": (
+        lambda: pam.Variable("p", "input", unit="Pa", max="6 bar", nominal="3 bar"),
+        WORKS,
+    ),
+    "Variable(nominal=None)": (
+        lambda: pam.Variable("x", "state", nominal=None),
+        "nominal = None is not a number",
+    ),
+    "ForceTable([3] for bar)": (lambda: pam.ForceTable([3], [0.0], [100.0]), WARNS + "3 bar"),
+    "ForceTable(['3 bar'])": (lambda: pam.ForceTable(["3 bar"], [0.0], ["100 N"]), WORKS),
+    "Trajectory(['0 s', '20 ms'])": (
+        lambda: pam.Trajectory(["0 s", "20 ms"], {"x": [0, 1]}),
+        WORKS,
+    ),
+    "Trajectory([0, 'late'])": (
+        lambda: pam.Trajectory([0, "late"], {"x": [0, 1]}),
+        "numbers only",
+    ),
+    "motion.at('5 ms')": (lambda: motion().at("5 ms"), WORKS),
+    "motion.at(None)": (lambda: motion().at(None), "is not a number"),
+    "free_vibration('5 mm')": (
+        lambda: pam.vibration.free_vibration(plant(), {"muscle.pressure": 3e5}, "5 mm"),
+        WORKS,
+    ),
+    "backbone('high')": (
+        lambda: pam.vibration.backbone(plant(), {"muscle.pressure": 3e5}, ["high"]),
+        "numbers only",
+    ),
+    # ---- numbers beyond floats -------------------------------------------------------------------
+    "mass=10**400": (lambda: pam.HangingLoad(NAME, 10**400), "larger than any float"),
+    "lag=10**400": (lambda: pam.feeds.Regulator(10**400), "larger than any float"),
+    "start=10**400": (lambda: plant().with_values(x=10**400), "larger than any float"),
+    "equilibrium(x=10**400)": (lambda: plant().equilibrium(x=10**400), "larger than any float"),
+    "simulate(duration=10**400)": (lambda: run(duration=10**400), "larger than any float"),
+    "simulate(max_steps=10**400)": (lambda: run(max_steps=10**400), "larger than any count"),
+    "simulate(t=[0, 10**400])": (
+        lambda: run(duration=None, t=[0, 10**400]),
+        "larger than any float",
+    ),
+    "plan(stop=10**400)": (lambda: posed(stops=[{"x": 0}, {"x": 10**400}]), "larger than any"),
+    "plan(bounds=10**400)": (
+        lambda: posed(bounds={"x": (-0.01, 10**400)}),
+        "larger than any float",
+    ),
+    "rest_length=10**400": (
+        lambda: pam.read_table("DMSP-20-300_static.csv", rest_length=10**400),
+        "larger than any float",
+    ),
     # ---- expressions -----------------------------------------------------------------------------
     "math.sin(x)": (lambda: own(lambda x, v: -math.sin(x)), "casadi.sin"),
     "float(x)": (lambda: own(lambda x, v: -float(x)), "holds the constant nan"),
@@ -284,7 +423,30 @@ CALLS: dict[str, tuple[Call, str]] = {
     "simulate(duration=None)": (lambda: run(duration=None), "give duration"),
     "simulate(t=[0, nan])": (lambda: run(duration=None, t=[0, math.nan]), "must be finite"),
     "simulate(t=[1, 0])": (lambda: run(duration=None, t=[1, 0]), "rise from sample to sample"),
-    "simulate(t='1 s')": (lambda: run(duration=None, t="1 s"), "numbers only"),
+    "simulate(t='1 s')": (lambda: run(duration=None, t="1 s"), "at least two times"),
+    "simulate(rtol='1e-8')": (lambda: run(rtol="1e-8"), WORKS),
+    "simulate(inputs={..: ['1 bar', '2 bar']})": (
+        lambda: run(
+            inputs={"muscle.command": ["1 bar", "2 bar"]}, t=["0 s", "10 ms"], duration=None
+        ),
+        WORKS,
+    ),
+    "simulate(inputs={..: ragged})": (
+        lambda: run(inputs={"muscle.command": [1e5, [2e5, 3e5]]}),
+        "rows differ in length",
+    ),
+    "simulate(inputs={..: function of text})": (
+        lambda: run(inputs={"muscle.command": lambda t: "3 bar"}),
+        WORKS,
+    ),
+    "simulate(inputs={..: function of 3})": (
+        lambda: run(inputs={"muscle.command": lambda t: 3.0}),
+        WARNS + "3 bar",
+    ),
+    "simulate(inputs={..: function of None})": (
+        lambda: run(inputs={"muscle.command": lambda t: None}),
+        "it must give one finite number",
+    ),
     "simulate(rtol=10)": (lambda: run(rtol=10), "must lie in 1e-14"),
     "simulate(method='euler')": (lambda: run(method="euler"), "choose one of"),
     "simulate(method='rk4', step=-1)": (lambda: run(method="rk4", step=-1), "must be > 0"),

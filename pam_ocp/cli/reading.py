@@ -51,6 +51,13 @@ def add_reading(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--delimiter", metavar="C", help="between cells, where it is taken wrongly"
     )
+    command.add_argument(
+        "--missing",
+        nargs="*",
+        metavar="VALUE",
+        help="what marks a missing value (default: 9999, -999, 1e30 and their like where they "
+        "stand apart); without a VALUE: nothing does",
+    )
     command.add_argument("--decimal", choices=(".", ","), help="where it is taken wrongly")
     command.add_argument(
         "--pivot",
@@ -88,6 +95,8 @@ def reading_options(options: argparse.Namespace) -> dict[str, Any]:
     for name in ("ambient_pressure", "pick", "skip", "delimiter", "decimal"):
         if getattr(options, name) is not None:
             found[name] = getattr(options, name)
+    if options.missing is not None:
+        found["missing"] = [_number(text) for text in options.missing] or None
     if options.sheet is not None:
         found["sheet"] = int(options.sheet) if options.sheet.isdigit() else options.sheet
     if getattr(options, "floor", None) is not None:

@@ -10,6 +10,9 @@ from collections.abc import Iterable
 from numbers import Integral
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .exceptions import (
     ExportError,
     FitError,
@@ -23,6 +26,7 @@ from .exceptions import (
     VibrationError,
     WriteError,
 )
+from .plausible import doubt, meant_within
 from .quantities import is_quantity, quantity
 
 __all__ = [
@@ -42,10 +46,12 @@ __all__ = [
     "require_flag",
     "require_instance",
     "require_names",
+    "require_numbers",
     "require_positive",
     "require_tolerance",
 ]
 
+LARGEST_COUNT = 2**63 - 1
 LEAST_TOLERANCE = 1e-14
 """Some fifty times the spacing of numbers; below, an integrator counts rounding errors."""
 
@@ -62,6 +68,8 @@ def require_instance(
 def require_count(argument: str, value: Any, least: int = 1, most: int | None = None) -> int:
     """``value`` as an int, or an InputError when it is no whole number of this range."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if whole and abs(value) > LARGEST_COUNT:
+        raise InputError(f"{argument} is larger than any count here (2^63 - 1)")
     if not whole or value < least or (most is not None and value > most):
         allowed = f">= {least}" if most is None else f"from {least} to {most}"
         raise InputError(f"{argument} = {value!r}: give a whole number {allowed}")
@@ -107,12 +115,74 @@ def require_finite(argument: str, value: Any, unit: str = "") -> float:
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except OverflowError:
-        number = math.inf if value > 0 else -math.inf
+        raise InputError(f"{argument} is larger than any float (1.8e308)") from None
     except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{argument} = {value!r} is not a number; give a float") from None
     if not math.isfinite(number):
         raise InputError(f"{argument} = {number} must be a finite number {unit}".rstrip())
     return number
+
+
+def require_numbers(
+    argument: str,
+    value: Any,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    doubted: bool = False,
+) -> Any:
+    """``value`` as a float, or as an array of floats, all finite and from ``low`` to ``high``
+    [unit]; CasADi expressions pass as they are.
+
+    Numbers may be texts such as "3 bar", in lists, too. doubted : warn (UnitWarning) of a size far
+    from any usual one. Raises InputError.
+    """
+    if type(value).__module__.startswith("casadi"):
+        return value
+    scalar = isinstance(value, float) or is_quantity(value)
+    array = None if scalar else _array(argument, value)
+    if array is None or array.ndim == 0:
+        found: Any = require_finite(argument, value, unit)
+        worst, place = found, ""
+    else:
+        found = _floats(argument, array, unit)
+        outside = ~(np.isfinite(found) & (found >= low) & (found <= high)).ravel()
+        if not found.size:
+            return found
+        row = int(np.argmax(outside if outside.any() else np.abs(found).ravel()))
+        worst, place = float(found.flat[row]), f": sample {row}"
+        if not math.isfinite(worst):
+            raise InputError(f"{argument}{place} is {worst}; all must be finite")
+    if not low <= worst <= high:
+        ends = f">= {low:g}" if high == math.inf else f"within {low:g} .. {high:g}"
+        shown = f"{argument}{place} = {worst:g}" + (f" {unit}" if unit not in ("", "1") else "")
+        hint = meant_within(worst, unit, low, high) if unit else ""
+        raise InputError(f"{shown} must be {ends}{hint}")
+    if doubted:
+        doubt(argument, found, unit)
+    return found
+
+
+def _array(argument: str, value: Any) -> NDArray[Any]:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise InputError(f"{argument}: rows differ in length; give one for each place") from None
+    return np.asarray(value, dtype=object) if array.dtype.kind in "US" else array
+
+
+def _floats(argument: str, array: NDArray[Any], unit: str) -> NDArray[np.float64]:
+    """An array of floats; its cells may be texts."""
+    if array.dtype.kind in "fiu":
+        return np.asarray(array, dtype=float)
+    try:
+        if array.dtype.kind != "O":
+            raise InputError(f"these are {array.dtype}")
+        flat = [require_finite(f"sample {i}", v, unit) for i, v in enumerate(array.flat)]
+    except InputError as error:
+        raise InputError(f"{argument} does not hold numbers only: {error}") from None
+    return np.array(flat, dtype=float).reshape(array.shape)
 
 
 def require_positive(argument: str, value: Any, unit: str = "", zero: bool = False) -> float:

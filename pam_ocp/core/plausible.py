@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,18 @@ import numpy as np
 
 from .units import unit as unit_of
 
-__all__ = ["UnitWarning", "Usual", "doubt", "largest_usual", "meant", "meant_within", "outside"]
+__all__ = [
+    "FORCE_PER_PRESSURE",
+    "MEASURED",
+    "UnitWarning",
+    "Usual",
+    "doubt",
+    "inside_by",
+    "largest_usual",
+    "meant",
+    "meant_within",
+    "outside",
+]
 
 FAR = 100.0
 """What a variable calls its nominal size says what is usual for it: only so many times more is
@@ -76,6 +88,21 @@ _USUAL: dict[str, Usual] = {
     "Hz": Usual(0.0, 1e5, (), 1.0),
 }
 _TIME_CONSTANT = Usual(0.0, 5.0, ("ms",), 0.05)
+MEASURED: dict[str, Usual] = {
+    "pressure": Usual(1e4, 1e6, ("bar", "kPa", "MPa", "psi", "mbar", "Pa"), 3e5),
+    "force": Usual(1.0, 2e4, ("kN", "lbf", "kgf", "gf", "mN"), 1e3),
+    "contraction": Usual(2e-3, 0.45, ("%",), 0.2),
+    "length": Usual(5e-3, 4.0, ("mm", "cm", "in"), 0.3),
+    "position": Usual(0.0, 2.0, ("mm", "cm", "in"), 0.03),
+    "angle": Usual(0.0, 2 * math.pi, ("deg",), 0.5),
+    "sample time": Usual(1e-5, 1.0, ("ms", "us", "ns", "d"), 1e-2),
+    "duration": Usual(0.1, 30 * 86400.0, ("ms", "us", "ns", "d"), 10.0),
+}
+"""What rigs of this field measure: sizes of the largest value of a column [SI], in gauge pressure.
+Muscles bear some 8 bar and pull with some kN, their stroke is a quarter of their length.
+"""
+FORCE_PER_PRESSURE = (1e-5, 0.03)
+"""Force per gauge pressure [m2] of muscles of 1 to 60 mm in diameter: pi r0^2 times some 20."""
 _BY_KIND = {unit_of(name).exponents: usual for name, usual in _USUAL.items()}
 
 
@@ -125,6 +152,25 @@ def meant_within(value: float, unit: str, low: float, high: float) -> str:
                 f"; did you mean {value:g} {name} = {inside:g}{'' if unit == '1' else f' {unit}'}?"
             )
     return ""
+
+
+def inside_by(numbers: Mapping[str, float], now: str = "") -> list[str]:
+    """The units by which all these numbers are usual, {key of MEASURED: as they stand}: the one
+    nearest to typical sizes first, and those that are not ten times as far from them.
+
+    now : the unit by which they are not.
+    """
+
+    def away(name: str) -> float:
+        sizes = {k: abs(_in_si(v, name)) for k, v in numbers.items()}
+        if not all(MEASURED[k].least <= s <= MEASURED[k].most and s > 0 for k, s in sizes.items()):
+            return math.inf
+        return sum(abs(math.log(s / MEASURED[k].typical)) for k, s in sizes.items())
+
+    names = dict.fromkeys(name for k in numbers for name in MEASURED[k].units if name != now)
+    nearest = min(map(away, names), default=math.inf)
+    likely = [n for n in names if away(n) < math.inf and away(n) <= nearest + math.log(10)]
+    return sorted(likely, key=away)
 
 
 def doubt(

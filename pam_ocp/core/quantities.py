@@ -12,7 +12,7 @@ from .units import unit as unit_of
 
 __all__ = ["TOO_LARGE", "is_quantity", "known_keys", "pair", "quantity", "table"]
 
-TOO_LARGE = "the number given is larger than any that can be computed with (1.8e308)"
+TOO_LARGE = "is larger than any float (1.8e308)"
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
 
@@ -44,12 +44,12 @@ def quantity(where: str, value: Any, *units: str) -> float:
         raise InputError(f"{where} = {value!r}: give a number in SI, or a text as '15 mm'")
     if not isinstance(value, str):
         try:
-            number = float(value)
+            given = float(value)
         except OverflowError:
-            raise InputError(f"{where}: {TOO_LARGE}") from None
-        if math.isnan(number):
+            raise InputError(f"{where} {TOO_LARGE}") from None
+        if math.isnan(given):
             raise InputError(f"{where} is not a number")
-        return number
+        return given
     match = _QUANTITY.match(value)
     if match is None:
         raise InputError(
@@ -57,7 +57,7 @@ def quantity(where: str, value: Any, *units: str) -> float:
         )
     number, name = float(match[1]), match[2]
     if math.isinf(number):
-        raise InputError(f"{where}: {TOO_LARGE}")
+        raise InputError(f"{where} {TOO_LARGE}")
     if not name:
         return number
     try:

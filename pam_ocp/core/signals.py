@@ -14,8 +14,8 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError
-from .quantities import TOO_LARGE, is_quantity, quantity
+from .errors import InputError, require_numbers
+from .quantities import is_quantity
 from .system import HasInputs
 from .variables import Causality
 
@@ -179,35 +179,18 @@ def _by_name(plant: HasInputs, inputs: Any) -> dict[str, Any]:
     return {v.name: (inputs.t, inputs[v.name]) for v in plant.inputs}
 
 
-def numbers(argument: str, value: Any, unit: str = "") -> Array:
-    """``value`` as an array of finite numbers, which may be texts such as "3 bar" where ``unit`` is
-    known; InputError when it is none.
-    """
-    if unit and isinstance(value, list | tuple):
-        value = [quantity(argument, v, unit) if is_quantity(v) else v for v in value]
-    try:
-        array = np.array(value, dtype=float)
-    except OverflowError:
-        raise InputError(f"{argument}: {TOO_LARGE}") from None
-    except (TypeError, ValueError):
-        raise InputError(f"{argument}: {type(value).__name__} does not hold numbers only") from None
-    if not np.all(np.isfinite(array)):
-        row = int(np.argmin(np.isfinite(array.ravel())))
-        raise InputError(f"{argument}: sample {row} is {array.ravel()[row]}; all must be finite")
-    return array
-
-
 def _one(variable: Any, value: Any, t: Array, interpolation: Interpolation) -> PiecewisePolynomial:
     if callable(value):
         return _from_function(variable, value, t)
     label = f"input {variable.name}"
     if isinstance(value, tuple) and len(value) == 2:
-        times, samples = (numbers(label, v) for v in value)
-    elif np.ndim(value) == 0:
+        times = require_numbers(label, value[0], "s")
+        samples = require_numbers(label, value[1], variable.unit)
+    elif is_quantity(value) or not isinstance(value, list | tuple | np.ndarray):
         constant = np.full((1, 1, 1), variable.check(value))
         return PiecewisePolynomial(np.array([t[0], t[-1]]), constant)
     else:
-        times, samples = t, numbers(label, value)
+        times, samples = t, require_numbers(label, value, variable.unit)
     variable.doubt(samples)
     if samples.shape != times.shape or samples.ndim != 1 or len(samples) < 2:
         raise InputError(
@@ -261,6 +244,8 @@ def _from_function(
                 "shorter duration, or samples as (times, values)"
             )
     begins, cubics = (np.concatenate(part) for part in zip(*found, strict=True))
+    largest = begins[int(np.argmax(np.abs(cubics[:, 0]))), None]
+    variable.doubt(sample(largest, np.zeros(1), np.zeros(1)))
     order = np.argsort(begins, kind="stable")
     return PiecewisePolynomial(np.append(begins[order], t[-1]), cubics[order][:, :, None])
 
@@ -273,13 +258,16 @@ def _sampled(
     def checked(value: Any, time: float) -> float:
         if isinstance(value, float) and isfinite(value):
             return value
-        array = np.asarray(value, float)
-        if array.size != 1 or not np.isfinite(array).all():
+        try:
+            array = np.ravel(require_numbers("value", value, variable.unit))
+        except InputError:
+            array = np.empty(0)
+        if array.size != 1:
             raise InputError(
-                f"input {variable.name}: the function gives {array} at t = {time:g} s; "
+                f"input {variable.name}: the function gives {str(value)[:60]} at t = {time:g} s; "
                 "it must give one finite number"
             )
-        return float(array.reshape(()))
+        return float(array[0])
 
     def values(begins: Array, lengths: Array, places: Array) -> Array:
         times = (begins[:, None] + lengths[:, None] * places).ravel().tolist()

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import courtesy
-from .errors import InputError, UnknownNameError
+from .errors import InputError, UnknownNameError, require_numbers
 from .files import (
     MOST_NAME,
     atomic_path,
@@ -112,7 +112,7 @@ class Trajectory:
     ) -> None:
         self.signals = signals
         self.events: tuple[Event, ...] = tuple(events)
-        self.t: Array = np.array(t, dtype=float)
+        self.t: Array = _column("t", t, "s")
         if self.t.ndim != 1 or self.t.size == 0:
             raise InputError(f"t has shape {self.t.shape}; give a row of at least one time")
         if not np.all(np.isfinite(self.t)) or not np.all(np.diff(self.t) > 0):
@@ -129,7 +129,7 @@ class Trajectory:
         for variable in self.variables:
             if variable.name not in columns:
                 raise UnknownNameError("column", variable.name, columns)
-            column = np.array(columns[variable.name], dtype=float)
+            column = _column(variable.name, columns[variable.name], variable.unit)
             if column.shape != self.t.shape:
                 raise InputError(
                     f"column {variable.name!r} has shape {column.shape}, the times {self.t.shape}"
@@ -181,7 +181,7 @@ class Trajectory:
 
         Inputs follow ``signals`` or else ``interpolation``; all else is joined by straight lines.
         """
-        times = np.atleast_1d(np.asarray(t, float))
+        times = np.ravel(require_numbers("t", t, "s"))
         slack = 1e-9 * (1 + abs(self.t[-1]))
         if times.min() < self.t[0] - slack or times.max() > self.t[-1] + slack:
             raise InputError(
@@ -457,3 +457,11 @@ class Comparison:
             for d in self.deviations
         ]
         return "\n".join(lines)
+
+
+def _column(name: str, values: Any, unit: str) -> Array:
+    """A copy of numbers, gaps (NaN) among them; texts with units are numbers, too."""
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.array(require_numbers(name, values, unit))

@@ -66,6 +66,7 @@ _SYMBOLS: dict[str, tuple[tuple[int, ...], float]] = {
     "kN": (_exponents(kg=1, m=1, s=-2), 1e3),
     "lbf": (_exponents(kg=1, m=1, s=-2), 4.4482216152605),
     "mN": (_exponents(kg=1, m=1, s=-2), 1e-3),
+    "gf": (_exponents(kg=1, m=1, s=-2), 9.80665e-3),
     "kgf": (_exponents(kg=1, m=1, s=-2), 9.80665),
     "J": (_exponents(kg=1, m=2, s=-2), 1.0),
     "W": (_exponents(kg=1, m=2, s=-3), 1.0),

@@ -13,7 +13,7 @@ import numpy as np
 from . import units
 from .errors import InputError
 from .plausible import doubt, meant_within
-from .quantities import TOO_LARGE, is_quantity, quantity
+from .quantities import is_quantity, quantity
 from .shown import shown
 
 __all__ = ["Causality", "Memory", "Variable", "variable_of"]
@@ -88,6 +88,9 @@ class Variable:
                 f"{self.name}: display_unit {self.display_unit!r} does not measure the same "
                 f"quantity as unit {self.unit!r}"
             )
+        for argument in ("nominal", "min", "max", "widest"):
+            number = self.number(getattr(self, argument), argument)
+            object.__setattr__(self, argument, number)
         if not (math.isfinite(self.nominal) and self.nominal > 0):
             raise InputError(f"{self.name}: nominal = {self.nominal} must be finite and > 0")
         if math.isnan(self.min) or math.isnan(self.max) or self.min > self.max:
@@ -119,7 +122,9 @@ class Variable:
         try:
             return float(value)
         except OverflowError:
-            raise InputError(f"{self.name}: {argument}: {TOO_LARGE}") from None
+            raise InputError(
+                f"{self.name}: {argument} is larger than any float (1.8e308)"
+            ) from None
         except (TypeError, ValueError, RuntimeError):
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number") from None
 

@@ -177,7 +177,7 @@ def check_fmus(
     """
     if isinstance(paths, (str, os.PathLike)):
         raise InputError(f"paths = {str(paths)!r} is one file; give a list of them, or check_fmu")
-    require_positive("tolerance", tolerance)
+    tolerance = require_positive("tolerance", tolerance)
     duration = require_positive("duration", duration, "s")
     time_limit = require_positive("time_limit", time_limit, "s")
     require_instance("against", against, Trajectory, "give a Trajectory, or none", none=True)

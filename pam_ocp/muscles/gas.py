@@ -13,10 +13,11 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from ..core.errors import InputError, require_finite, require_positive
+from ..core.errors import InputError, require_finite, require_numbers, require_positive
+from ..core.quantities import is_quantity
 from ..core.registry import Registry
 from ..core.stop import turns
-from .law import FloatOrSX
+from .law import CONTRACTIONS, FloatOrSX, at_point
 from .pneumatic_muscle import Muscle
 
 __all__ = [
@@ -47,6 +48,10 @@ REFERENCE_TEMPERATURE = 293.15
 """T0 of ISO 6358 [K]."""
 REFERENCE_DENSITY = 1.185
 """rho0 of ISO 6358 [kg/m3]: air at 1 bar absolute and T0."""
+LEAST = 1e-9
+"""Of what must be above zero, in SI."""
+LARGEST_RATIO = 0.99
+"""Of critical pressure ratios."""
 LAMINAR_RATIO = 0.999
 """Above this ratio of pressures the flow is linear in their difference."""
 
@@ -222,7 +227,7 @@ def muscle_volume(muscle: Muscle, kappa: Any, volume: Volume | None = None) -> A
     """
     symbol = ca.SX.sym("kappa")
     expression = (volume or ConsistentVolume()).filled(muscle, symbol, _number)
-    values = np.asarray(kappa, dtype=float)
+    values = np.asarray(require_numbers("kappa", kappa, "1", *CONTRACTIONS))
     found = ca.Function("volume", [symbol], [ca.SX(expression)])(values.reshape(1, -1))
     array = np.asarray(found, dtype=float).reshape(values.shape)
     return array if array.ndim else float(array)
@@ -236,6 +241,9 @@ def air_mass(absolute: Any, volume: Any, temperature: Any = REFERENCE_TEMPERATUR
     >>> print(f"{1e3 * pam.gas.air_mass(1e5, 1e-3):.2f} g")  # a litre at 1 bar
     1.19 g
     """
+    absolute = require_numbers("absolute", absolute, "Pa", 0.0, doubted=True)
+    volume = require_numbers("volume", volume, "m3", 0.0, doubted=True)
+    temperature = require_numbers("temperature", temperature, "K", LEAST, doubted=True)
     return absolute * volume / (GAS_CONSTANT * temperature)
 
 
@@ -397,6 +405,7 @@ def closed_stiffness(muscle: Muscle, p: Any, kappa: Any, gas: Gas | None = None)
     True
     """
     gas = gas or Gas()
+    p, kappa = at_point(p, kappa)
     pressure, contraction = ca.SX.sym("p"), ca.SX.sym("kappa")
     chamber = gas.chamber(muscle, contraction)
     tension = muscle.tension(pressure, contraction)
@@ -424,7 +433,7 @@ def iso6358(
 ) -> Any:
     """Mass flow [kg/s] through an orifice by ISO 6358, negative when it runs backwards.
 
-    upstream, downstream : absolute pressures [Pa]; floats or CasADi expressions.
+    upstream, downstream : absolute pressures [Pa]; floats, arrays or CasADi expressions.
     conductance : sonic conductance C [m3/(s Pa)]; critical_ratio : b.
     temperature : of the air upstream [K].
 
@@ -441,6 +450,29 @@ def iso6358(
     >>> pam.gas.iso6358(7e5, 2e5, 2.75e-8) == choked
     True
     """
+    given = (
+        require_numbers("upstream", upstream, "Pa", 0.0, doubted=True),
+        require_numbers("downstream", downstream, "Pa", 0.0, doubted=True),
+        require_numbers("conductance", conductance, "m3/(s.Pa)", 0.0, doubted=True),
+        require_numbers("critical_ratio", critical_ratio, "1", 0.0, LARGEST_RATIO),
+        require_numbers("temperature", temperature, "K", LEAST, doubted=True),
+        laminar_ratio,
+    )
+    if not any(isinstance(g, np.ndarray) for g in given):
+        return _iso6358(*given)
+    rows = np.broadcast_arrays(*given)
+    found = _iso6358(*(ca.DM(row.reshape(1, -1)) for row in rows))
+    return np.asarray(found, dtype=float).reshape(rows[0].shape)
+
+
+def _iso6358(
+    upstream: Any,
+    downstream: Any,
+    conductance: Any,
+    critical_ratio: Any,
+    temperature: Any,
+    laminar_ratio: Any,
+) -> Any:
     high, low = ca.fmax(upstream, downstream), ca.fmin(upstream, downstream)
     ratio = ca.fmin(ca.fmax(low / high, critical_ratio), laminar_ratio)
     subsonic = ca.sqrt(1 - ((ratio - critical_ratio) / (1 - critical_ratio)) ** 2)
@@ -467,13 +499,16 @@ def conductance_from_flow(
     >>> print(f"{pam.gas.conductance_from_flow(700.0):.2e}")
     2.75e-08
     """
-    require_positive("flow", flow, "l/min")
-    if not 0 <= require_finite("critical_ratio", critical_ratio) < 1:
+    flow = 60e3 * require_positive("flow", flow, "m3/s") if is_quantity(flow) else flow
+    flow = require_positive("flow", flow, "l/min")
+    critical_ratio = require_finite("critical_ratio", critical_ratio, "1")
+    if not 0 <= critical_ratio < 1:
         raise InputError(
             f"critical_ratio = {critical_ratio:g} must lie in 0 .. 1 (usual: 0.2 to 0.5)"
         )
-    require_positive("downstream", downstream, "Pa")
-    if not downstream < require_positive("upstream", upstream, "Pa"):
+    upstream = require_positive("upstream", upstream, "Pa")
+    downstream = require_positive("downstream", downstream, "Pa")
+    if not downstream < upstream:
         raise InputError(f"upstream = {upstream:g} Pa must be above downstream = {downstream:g} Pa")
     ratio = max(downstream / upstream, critical_ratio)
     subsonic = math.sqrt(1 - ((ratio - critical_ratio) / (1 - critical_ratio)) ** 2)
@@ -491,6 +526,9 @@ def specific_exergy(absolute: Any, ambient: Any, temperature: Any, own: Any = No
     >>> print(f"{1e-3 * pam.gas.specific_exergy(7e5, 1e5, 293.15):.0f} kJ/kg")  # R T ln 7
     164 kJ/kg
     """
+    absolute = require_numbers("absolute", absolute, "Pa", LEAST, doubted=True)
+    ambient = require_numbers("ambient", ambient, "Pa", LEAST, doubted=True)
+    temperature = require_numbers("temperature", temperature, "K", LEAST, doubted=True)
     exergy = GAS_CONSTANT * temperature * ca.log(absolute / ambient)
     if own is None:
         return exergy

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.errors import InputError
+from ..core.errors import InputError, require_numbers
 from ..core.registry import Registry
 from ..core.stop import locked
 from ..core.variables import Variable
@@ -39,6 +39,9 @@ SLACK_WIDTH = 1.0
 
 LARGEST_CONTRACTION = 0.45
 """No muscle contracts further: the ideal braid of any angle ends at 0.42."""
+
+CONTRACTIONS = (-1.0, 1.0)
+"""Beyond, a contraction is none: percent, or a length."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
@@ -196,6 +199,7 @@ class ForceLaw(ABC):
         return not ca.depends_on(slope, p)
 
     def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
+        p, kappa = at_point(p, kappa)
         if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa)):
             self.validity.check(f"{self.name} law", p, kappa)
         return evaluate(self.function(), index, p, kappa, list(self.values.values()))
@@ -225,6 +229,8 @@ class ForceLaw(ABC):
         force (G <= 0: for the six-parameter law beyond kappa of about 0.31), or where no
         pressure gives the tension.
         """
+        tension = require_numbers("force", tension, "N")
+        kappa = require_numbers("kappa", kappa, "1", *CONTRACTIONS)
         arguments = (tension, kappa, *self.values.values())
         symbolic = any(isinstance(a, (ca.SX, ca.MX)) for a in arguments)
         if not self.is_affine():
@@ -241,8 +247,6 @@ class ForceLaw(ABC):
                 f"kappa = {np.max(np.asarray(kappa)):g}: pressure does not raise the force of this "
                 "law any more; ask for contractions below its largest (about 0.3)"
             )
-        if not symbolic:
-            tension = np.asarray(tension, dtype=float)
         result = (tension - offset) / slope
         return float(result) if isinstance(result, np.ndarray) and not result.ndim else result
 
@@ -262,6 +266,7 @@ class ForceLaw(ABC):
                 lambda k: evaluate(self.function(), 0, pressure, k, values), LARGEST_CONTRACTION
             )
 
+        p = require_numbers("p", p, "Pa", doubted=True)
         found = np.vectorize(largest, otypes=[float])(np.asarray(p, dtype=float))
         return found if found.ndim else float(found)
 
@@ -271,8 +276,11 @@ class ForceLaw(ABC):
 
         Times the rest length this is the volume [m3] by which the muscle grows, since virtual
         work says dF/dp = -dV/dl. Here by Gauss-Legendre with 12 points (to rounding for smooth
-        laws); laws with a closed form override it.
+        laws); laws with a closed form override ``_gain_area``.
         """
+        return self._gain_area(require_numbers("kappa", kappa, "1", *CONTRACTIONS))
+
+    def _gain_area(self, kappa: Any) -> Any:
         return self._gain_integral(0.0, kappa)
 
     def _gain_integral(self, start: Any, end: Any) -> Any:
@@ -289,6 +297,14 @@ class ForceLaw(ABC):
             at = start + half * (1 + float(node))
             total += float(weight) * self.function()(0.0, at, coefficients)[2]
         return half * total
+
+
+def at_point(p: Any, kappa: Any) -> tuple[Any, Any]:
+    """Gauge pressure [Pa] and contraction, checked: numbers, arrays or CasADi expressions."""
+    return (
+        require_numbers("p", p, "Pa", doubted=True),
+        require_numbers("kappa", kappa, "1", *CONTRACTIONS),
+    )
 
 
 def evaluate(function: ca.Function, index: int, p: Any, kappa: Any, rest: list[Any]) -> Any:
@@ -355,7 +371,7 @@ class SixParameterLaw(ForceLaw):
             + self.a6
         )
 
-    def gain_area(self, kappa: Any) -> Any:
+    def _gain_area(self, kappa: Any) -> Any:
         """(a1/a3)(e^(a3 kappa) - 1) + a4 kappa^2/2 + a5 kappa [m2]; our inference from eq. (3)."""
         exponential = self.a1 / self.a3 * ca.expm1(self.a3 * kappa)
         return exponential + self.a4 * kappa**2 / 2 + self.a5 * kappa

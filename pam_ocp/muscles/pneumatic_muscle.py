@@ -9,14 +9,14 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import casadi as ca
+import numpy as np
 
 from .. import courtesy
-from ..core.errors import InputError, require_positive
+from ..core.errors import InputError, require_numbers, require_positive
 from ..core.plausible import doubt
-from ..core.quantities import is_quantity, quantity
 from ..core.shown import shown
 from ..core.stop import locked
-from .law import SLACK_WIDTH, FloatOrSX, ForceLaw, clamp, evaluate
+from .law import CONTRACTIONS, SLACK_WIDTH, FloatOrSX, ForceLaw, at_point, clamp, evaluate
 from .validity import Validity, warn_beyond
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ class Muscle:
             ("mass", "kg"),
         ):
             value = getattr(self, argument)
-            if value is not None and not isinstance(value, ca.SX):
+            required = argument in ("rest_length", "slack_width")
+            if (value is not None or required) and not isinstance(value, ca.SX):
                 number = require_positive(argument, value, unit)
                 doubt(argument, number, unit)
                 object.__setattr__(self, argument, number)
@@ -101,8 +102,13 @@ class Muscle:
                 f"rest_length = {self.rest_length:g} m, but the {self.law.name} law holds "
                 f"{own:g} m; give both the same, or use Muscle.with_rest_length"
             )
-        for argument in ("pressure_range", "contraction_range"):
-            low, high = getattr(self, argument)
+        for argument, unit in (("pressure_range", "Pa"), ("contraction_range", "1")):
+            ends = getattr(self, argument)
+            if not isinstance(ends, tuple | list | np.ndarray) or len(ends) != 2:
+                raise InputError(f"{argument} = {ends!r}: give (low, high)")
+            allowed = CONTRACTIONS if unit == "1" else (-math.inf, math.inf)
+            low, high = (require_numbers(argument, end, unit, *allowed) for end in ends)
+            object.__setattr__(self, argument, (low, high))
             if not low < high:
                 raise InputError(
                     f"{argument} = ({low:g}, {high:g}): the lower end must be the smaller"
@@ -116,6 +122,7 @@ class Muscle:
         for argument, unit in (("burst_pressure", "Pa"), ("pull_off", "N")):
             if getattr(self, argument) is not None:
                 number = require_positive(argument, getattr(self, argument), unit)
+                doubt(argument, number, unit)
                 object.__setattr__(self, argument, number)
 
     @property
@@ -165,7 +172,7 @@ class Muscle:
 
     def with_rest_length(self, rest_length: float) -> Muscle:
         """The same muscle with another rest length [m], also in a law that holds it."""
-        require_positive("rest_length", rest_length, "m")
+        rest_length = require_positive("rest_length", rest_length, "m")
         law = self.law
         if "rest_length" in law.values:
             law = law.substituted(lambda n, v: rest_length if n == "rest_length" else v)
@@ -193,8 +200,7 @@ class Muscle:
         return f"{self.name}: {self.law.title}, rest length {1e3 * self.rest_length:g} mm"
 
     def _evaluate(self, index: int, p: Any, kappa: Any) -> Any:
-        p = quantity("p", p, "Pa") if is_quantity(p) else p
-        kappa = quantity("kappa", kappa, "1") if is_quantity(kappa) else kappa
+        p, kappa = at_point(p, kappa)
         rest = [*self.law.values.values(), self.rest_length, self.slack_width]
         if not any(isinstance(a, (ca.SX, ca.MX)) for a in (p, kappa, *rest)):
             self.law.validity.check(f"{self.law.name} law", p, kappa)

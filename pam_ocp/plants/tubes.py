@@ -134,10 +134,9 @@ class LumpedTube:
     def __post_init__(self) -> None:
         require_positive("LumpedTube.length", self.length, "m")
         require_positive("LumpedTube.diameter", self.diameter, "m")
-        if self.segments != int(self.segments) or not 1 <= self.segments <= 100:
-            raise InputError(
-                f"LumpedTube.segments = {self.segments} must be a whole number 1 .. 100"
-            )
+        segments = require_finite("LumpedTube.segments", self.segments)
+        if segments != int(segments) or not 1 <= segments <= 100:
+            raise InputError(f"LumpedTube.segments = {segments:g} must be a whole number 1 .. 100")
         if not 1 <= require_finite("LumpedTube.exponent", self.exponent) <= 1.67:
             raise InputError(f"LumpedTube.exponent = {self.exponent:g} must lie in 1 .. 1.67")
 

@@ -13,10 +13,11 @@ from ..core.errors import (
     SimulationError,
     require_count,
     require_names,
+    require_numbers,
     require_positive,
     require_tolerance,
 )
-from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, numbers, signals
+from ..core.signals import Inputs, Interpolation, PiecewisePolynomial, signals
 from ..core.stop import verb
 from ..core.trajectory import Event, Trajectory
 from ..plants.plant import Given, Plant, Values, by_name, require_plant
@@ -117,7 +118,7 @@ def simulate(
     if start is not None and not isinstance(start, Mapping):
         plant = plant.with_values(by_name("start", start, "input"))
     times = _times(inputs, duration, t)
-    step = _check_numerics(rtol, step, max_steps)
+    rtol, step = _check_numerics(rtol, step, max_steps)
     events = tuple(require_names("events", events))
     x0 = plant.vector("state", _start(plant, inputs, start))
     u = signals(plant, inputs, times, interpolation)
@@ -181,18 +182,18 @@ def evaluated(
     return Trajectory(t, columns, variables, between, events, inputs)
 
 
-def _check_numerics(rtol: float, step: float | None, max_steps: int) -> float | None:
+def _check_numerics(rtol: float, step: float | None, max_steps: int) -> tuple[float, float | None]:
     """The step [s]; InputError where one of these is none."""
-    require_tolerance("rtol", rtol)
+    rtol = require_tolerance("rtol", rtol)
     require_count("max_steps", max_steps)
-    return None if step is None else require_positive("step", step, "s")
+    return rtol, None if step is None else require_positive("step", step, "s")
 
 
 def _times(inputs: Inputs, duration: float | None, t: ArrayLike | None) -> Array:
     if t is not None:
         if duration is not None:
             raise InputError("give duration or t, not both")
-        times = numbers("t", t, "s")
+        times = np.atleast_1d(require_numbers("t", t, "s"))
         if times.ndim != 1 or times.size < 2 or not np.all(np.diff(times) > 0):
             raise InputError("t must hold at least two times that rise from sample to sample")
         return times

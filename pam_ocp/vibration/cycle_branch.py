@@ -164,7 +164,7 @@ def continue_cycle(
     variable, low, high = _range(cycle, parameter, within)
     if direction not in ("larger", "smaller", "up", "down"):
         raise InputError(f"direction = {direction!r}: choose 'larger', 'smaller', 'up' or 'down'")
-    require_positive("step", step)
+    step = require_positive("step", step)
     periodic = Periodic(cycle.plant, variable.name, cycle.settings.degree)
     settings = replace(
         cycle.settings,

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import courtesy
-from ..core.errors import InputError, VibrationError, require_finite, require_positive
+from ..core.errors import (
+    InputError,
+    VibrationError,
+    require_finite,
+    require_numbers,
+    require_positive,
+)
 from ..core.shown import shown
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
@@ -184,10 +190,10 @@ def free_vibration(
     variable = plant.variable(state)
     if variable.causality != "state":
         raise InputError(f"state: {variable.name} is an {variable.causality}; give a state")
-    require_finite("offset", offset, variable.unit)
+    offset = require_finite("offset", offset, variable.unit)
     if offset == 0:
         raise InputError("offset = 0: the plant would stay at rest; give a distance from rest")
-    require_positive("cycles", cycles)
+    cycles = require_positive("cycles", cycles)
     period = 1 / _natural_frequency(point)
     x0 = dict(zip([v.name for v in plant.states], point.x, strict=True))
     x0.update(carried(plant, point.x, point.u, variable.name, offset))
@@ -275,9 +281,9 @@ def backbone(
     >>> found.amplitudes.round(4)
     array([0.001, 0.005])
     """
-    starts = np.atleast_1d(np.asarray(offsets, dtype=float))
-    if not starts.size:
-        raise InputError("offsets is empty: give at least one distance from rest")
+    starts = np.atleast_1d(require_numbers("offsets", offsets, plant.variable(state).unit))
+    if not starts.size or starts.ndim > 1:
+        raise InputError("offsets: give a row of at least one distance from rest")
     point = at if isinstance(at, OperatingPoint) else equilibrium(plant, at, memory=memory)
     motions = [
         free_vibration(plant, point, float(a), state=state, cycles=4.0, rtol=rtol) for a in starts

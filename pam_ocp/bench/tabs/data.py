@@ -11,6 +11,7 @@ from nicegui import events, ui
 
 from ...core.errors import InputError
 from ...core.units import unit as unit_of
+from ...fitting.tables.cells import is_number
 from ...fitting.tables.labels import LABELS
 from ...fitting.tables.table_checks import QUANTITIES
 from .. import elements as el
@@ -29,7 +30,7 @@ UNITS = {
     "force": ("N", "kN", "lbf", "kgf"),
     "length": ("mm", "cm", "m", "in"),
     "contraction": ("%", "1"),
-    "time": ("s", "ms", "min"),
+    "time": ("s", "ms", "us", "min", "d"),
 }
 NONE = "-"
 UNNAMED = " (none named)"
@@ -206,6 +207,7 @@ class Data(Tab):
         if said.get("kind", item.get("is")) == "record":
             clocks = {"": "mend its faults", "cut": "cut at gaps", "refuse": "refuse"}
             el.choice("Clock", clocks, said.get("clock", ""), lambda v: self._say(clock=v or None))
+            self._missing(said)
             return
         el.Field(
             "Rest length",
@@ -238,8 +240,21 @@ class Data(Tab):
             self._cells_said,
             "numbers of cells that are switched off, as 3, 17-20; a click on a cell does the same",
         )
+        self._missing(said)
         coloured = {"pressure": "pressure", "branch": "branch", "run": "repeat", "file": "file"}
         el.choice("Colour by", coloured, self._colour, self._coloured)
+
+    def _missing(self, said: Mapping[str, Any]) -> None:
+        el.text_field(
+            "Missing values",
+            ", ".join(map(str, said.get("missing") or ())),
+            self._missing_said,
+            "what marks them in the file, as 9999, off; found where nothing is said",
+        )
+
+    def _missing_said(self, text: str) -> None:
+        marks = [mark.strip() for mark in text.split(",") if mark.strip()]
+        self._say(missing=[float(m) if is_number(m) else m for m in marks] or None)
 
     @property
     def _colour(self) -> str:

@@ -13,26 +13,14 @@ from numpy.typing import NDArray
 
 __all__ = ["decimal_of", "is_empty", "is_number", "is_stamp", "number", "numbers_of"]
 
-EMPTY = frozenset(
-    {
-        "",
-        "nan",
-        "na",
-        "n/a",
-        "#n/a",
-        "#nv",
-        "#na",
-        "null",
-        "none",
-        "-",
-        "--",
-        "---",
-        "nil",
-        "missing",
-    }
-    | {"#div/0!", "#value!", "#wert!", "#num!", "#zahl!", "#ref!", "#bezug!", "1.#qnan", "-1.#ind"}
-)
-"""What stands in a cell that holds nothing, in lower case."""
+_EMPTY = """
+    nan na n/a n.a. k.a. #n/a #nv #na #n/d <na> nat null none nil missing - -- --- nan(ind)
+    -nan(ind) nan(snan) +nan -nan 1.#qnan -1.#qnan 1.#ind -1.#ind 1.#inf -1.#inf #div/0! #value!
+    #wert! #num! #zahl! #ref! #bezug! over overload overrange overflow underrange ol +ol -ol error
+    err fault invalid nodata bad ? ??? * *** #### ##### ######
+    """
+EMPTY = frozenset(_EMPTY.split()) | {""}
+"""What stands in a cell that holds no reading, in lower case."""
 _BLANKS = "’' \u00a0\u202f"
 _INFINITE = ("inf", "-inf", "+inf", "infinity", "-infinity")
 
@@ -89,7 +77,9 @@ def number(cell: Any, decimal: str = ".") -> float:
     if text.lower() in EMPTY:
         return float("nan")
     if _NUMBERS[decimal].match(text) is None:
-        return float(text)  # inf and their like; else it raises
+        if text.lower() in _INFINITE:
+            return float(text)
+        raise ValueError(f"{text!r} is no number")
     text = re.sub(f"[{_BLANKS}]", "", text).replace("D", "e").replace("d", "e")
     text = text.replace("," if decimal == "." else ".", "")
     return float(text.replace(",", "."))

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from ...core.calibration import scale_of
 from ...core.errors import InputError, UnknownNameError, require_positive
+from ...core.plausible import MEASURED, inside_by
 from ...core.units import unit
 from .cells import is_stamp
 from .headers import TIME_NAMES, is_unit, parse_header
-from .raw import RawTable
-from .stamps import joined, seconds_of_numbers, seconds_of_stamps
+from .raw import Doubt, RawTable
+from .stamps import DAYS, in_days, in_round_days, joined, seconds_of_numbers, seconds_of_stamps
 
-__all__ = ["Clock", "find_clock", "mended", "parts_of", "read_clock"]
+__all__ = ["Clock", "doubts_of_clock", "find_clock", "mended", "parts_of", "read_clock"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -27,9 +28,11 @@ COARSE = 0.3
 """Share of steps of no length from which on the clock is coarser than the record."""
 FEW = 20
 """Rows below which a single wrong stamp cannot be told from two clocks."""
-WRAPS = (2.0**16, 2.0**32)
+DECLARED = 60.0
+"""A file that names the unit may have steps so much shorter or longer than usual ones."""
+WRAPS = (2.0**16, 2.0**24, 2.0**32)
 """Counts at which a counter begins anew."""
-PERIODS = (60.0, 3600.0, 86400.0)
+PERIODS = (60.0, 3600.0, 43200.0, 86400.0)
 """Seconds after which a time of day does."""
 
 
@@ -91,8 +94,13 @@ def find_clock(raw: RawTable, time: str | None = None) -> tuple[RawTable, str | 
     return raw, named[0] if named else None
 
 
-def read_clock(raw: RawTable, header: str, wanted: str | None) -> tuple[Array, str]:
-    """(times [s] with NaN for empty cells, what they were). Raises InputError."""
+def read_clock(
+    raw: RawTable, header: str, wanted: str | None
+) -> tuple[Array, str, tuple[Doubt, ...]]:
+    """(times [s] with NaN for empty cells, what they were, whether that is doubted).
+
+    Raises InputError.
+    """
     cells = raw.columns[header]
     there = [c for c in list(cells)[:200] if c is not None and c != ""]
 
@@ -100,11 +108,14 @@ def read_clock(raw: RawTable, header: str, wanted: str | None) -> tuple[Array, s
         return f"{raw.label}: column {header!r}, {raw.row(i)}"
 
     if there and sum(is_stamp(c) for c in there) > len(there) / 2:
-        return seconds_of_stamps(cells, place)
+        return *seconds_of_stamps(cells, place), ()
     said = raw.unit(header)
     values = raw.numbers(header)
     if wanted is None and (said is None or said == "s"):
-        return seconds_of_numbers(values, header, said)
+        t, kind = seconds_of_numbers(values, header, said)
+        doubted = kind and (said is not None or (kind in DAYS and not in_days(header)))
+        how = f"{header!r} is read as {kind}; say units={{'time': 's'}} if it counts seconds"
+        return t, kind, ((Doubt(how),) if doubted else ())
     scale = scale_of(place(0), wanted or said or "s", unit("s"), said)
     if not scale.measured.compatible(unit("s")):
         raise InputError(
@@ -118,7 +129,46 @@ def read_clock(raw: RawTable, header: str, wanted: str | None) -> tuple[Array, s
                 f"{raw.label}: column {header!r} says {said} but units['time'] = {wanted!r}; "
                 "correct the header or leave units away"
             )
-    return seconds_of_numbers(scale.si(values), header, "s")
+    return *seconds_of_numbers(scale.si(values), header, "s", settled=True), ()
+
+
+def doubts_of_clock(header: str, t: Array, said: str | None, wanted: str | None) -> list[Doubt]:
+    """Doubts of the unit of times [s]: steps, or a length, that records of such rigs do not have.
+
+    said, wanted : the units that the file and the user name.
+    """
+    steps = np.diff(t)
+    if wanted is not None or t.size < 3 or not np.any(steps > 0):
+        return []
+    step, whole = float(np.median(steps[steps > 0])), float(t[-1] - t[0])
+    factor = 1.0 if said is None else scale_of(header, said, None, None).measured.factor
+    wide = 1.0 if said is None else DECLARED
+    sample, run = MEASURED["sample time"], MEASURED["duration"]
+    short = t.size >= FEW and said is None and whole < run.least
+    read = f"read in {said or 's'}" + ("" if said else ", as no unit was named")
+    likely = inside_by({"sample time": step / factor, "duration": whole / factor}, said or "s")
+    if said is None and in_round_days(step):
+        likely = ["d", *(name for name in likely if name != "d")]
+    elif said is None and t.size >= FEW and np.all(steps == 1) and t[0] == round(t[0]):
+        return [
+            Doubt(
+                f"{header!r} counts {t[0]:g}, {t[1]:g}, {t[2]:g}, ... ({read}): if it numbers the "
+                "samples, say units={'time': 'count * 1 ms'} with their distance, else "
+                "units={'time': 's'}"
+            )
+        ]
+    elif sample.least / wide <= step <= sample.most * wide and whole <= run.most and not short:
+        return []
+    guess = f"did you mean {' or '.join(likely[:2])}? " if likely else ""
+    named = f"units={{'time': {likely[0] if likely else '...'!r}}}"
+    how = f"Say {named}" if said is None else "Correct the header"
+    return [
+        Doubt(
+            f"{header!r} steps by {step:.4g} s, {whole:.4g} s in all ({read}), where such rigs "
+            f"take a sample each {sample.least:g} .. {sample.most:g} s: {guess}{how}, or "
+            f"units={{'time': {said or 's'!r}}} if it is so"
+        )
+    ]
 
 
 def mended(raw: RawTable, header: str, t: Array, factor: float) -> tuple[RawTable, Array]:

@@ -17,10 +17,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.calibration import AMBIENT
-from ...core.errors import InputError, UnknownNameError, require_finite, require_positive
+from ...core.errors import (
+    InputError,
+    UnknownNameError,
+    require_finite,
+    require_numbers,
+    require_positive,
+)
 from ...core.quantities import quantity
 from ...core.shown import shown
-from .assign import assigned, require_columns
+from .assign import Assigned, assigned, require_columns
+from .doubts import (
+    Column,
+    checked_cells,
+    doubts_of,
+    doubts_of_table,
+    require_ambient,
+    require_missing,
+)
 from .floor import DETECTED, Floor, find_floor, part_names
 from .labels import read_labels
 from .ramps import Ramp, floor_of, ramp_of
@@ -40,6 +54,7 @@ __all__ = [
     "joined_floor",
     "read_table",
     "require_table",
+    "table_columns",
     "table_of",
 ]
 
@@ -94,7 +109,9 @@ class ForceTable:
 
     def __post_init__(self) -> None:
         for name in ("pressure", "contraction", "force"):
-            array = np.array(getattr(self, name), dtype=float)
+            unit = {"pressure": "Pa", "contraction": "1", "force": "N"}[name]
+            given = require_numbers(name, getattr(self, name), unit, doubted=unit == "Pa")
+            array = np.array(given)
             if array.shape != (array.size,) or array.size != np.size(self.pressure):
                 raise InputError(
                     f"{name} has shape {array.shape}; pressure, contraction and force of a table "
@@ -263,6 +280,7 @@ def read_table(
     delimiter: str | None = None,
     decimal: str | None = None,
     empty: Literal["drop", "refuse"] = "drop",
+    missing: Any = "found",
     ramp: bool | None = None,
     floor: float | str | None = "found",
 ) -> ForceTable:
@@ -290,6 +308,8 @@ def read_table(
     pivot : headers of what runs down, across, and stands in the cells, where a pivot does not say
         it: ``("contraction [%]", "pressure [bar]", "force [N]")``.
     empty : rows with empty cells are dropped, counted and said in a ReadingWarning, or refused.
+    missing : values that mark missing ones, as they stand: ``[9999, "off"]``. "found": 9999, -999,
+        1e30, 65535 and their like where they stand apart from all others; None: there are none.
     ramp : True: the rows are a slow ramp in the order of time, to be binned to cells; False: each
         row is a cell; None: find out. See :mod:`pam_ocp.fitting.tables.ramps`.
     floor : force [N], or text with a unit, at or below which the sensor shows nothing: these cells
@@ -304,7 +324,8 @@ def read_table(
 
     Raises
     ------
-    InputError, UnknownNameError : one sentence with column, row, value and remedy.
+    InputError, UnknownNameError : one sentence with column, row, value and remedy. What no rig
+    measures, but cannot be ruled out, is doubted in a UnitWarning with the keyword to settle it.
 
     Examples
     --------
@@ -318,6 +339,7 @@ def read_table(
         units=units,
         ambient_pressure=ambient_pressure,
         empty=empty,
+        missing=missing,
         ramp=ramp,
         floor=floor,
         sheet=sheet,
@@ -352,6 +374,7 @@ class TableWords:
     units: dict[str, str]
     ambient: float
     empty: str
+    missing: Any
     ramp: bool | None
     floor: Any
 
@@ -364,6 +387,7 @@ class TableWords:
         units: Mapping[str, str] | None = None,
         ambient_pressure: float = AMBIENT,
         empty: str = "drop",
+        missing: Any = "found",
         ramp: bool | None = None,
         floor: Any = "found",
         **layout: Any,
@@ -373,24 +397,36 @@ class TableWords:
             None if rest_length is None else require_positive("rest_length", rest_length, "m"),
             dict(columns) if isinstance(columns, Mapping) else {},
             dict(units or {}),
-            require_positive("ambient_pressure", ambient_pressure, "Pa"),
+            require_ambient(ambient_pressure),
             empty,
+            require_missing(missing),
             ramp,
             _floor_said(floor),
         )
         return Reading.of(columns, **layout), words
 
 
+def table_columns(found: Assigned, words: TableWords) -> dict[str, Column]:
+    """The columns of a table by their quantities."""
+    return {q: Column(h, q, q, scale, q in words.units) for q, (h, scale) in found.items()}
+
+
 def table_of(raw: RawTable, words: TableWords) -> ForceTable:
     """The table that columns hold. Raises InputError."""
     found = assigned(raw, words.columns, words.units, words.ambient)
     require_columns(raw, found)
+    columns = table_columns(found, words)
+    raw = checked_cells(raw, tuple(columns.values()), words.missing)
     raw = complete(raw, [header for header, _ in found.values()], words.empty)
     series = {q: Series(q, header, scale, raw) for q, (header, scale) in found.items()}
     check_pressure(series["pressure"])
     check_force(series["force"])
     kappa = contraction_of(series, words.rest_length)
     p, force, notes = series["pressure"].si, np.array(series["force"].si), list(raw.notes)
+    notes += [
+        doubt for q, column in columns.items() for doubt in doubts_of(raw, column, series[q].si)
+    ]
+    notes += doubts_of_table(columns, p, kappa, force)
     floor = {"found": floor_of(force), "zero": None}.get(words.floor, words.floor)
     at_floor = np.zeros(force.size, bool) if floor is None else force <= floor
     force[at_floor] = np.minimum(force[at_floor], 0.0)

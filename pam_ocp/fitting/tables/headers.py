@@ -15,6 +15,7 @@ from ...core.units import unit
 __all__ = [
     "MEASURED",
     "NAMES",
+    "PLACES",
     "TIME_NAMES",
     "is_unit",
     "matching",
@@ -56,6 +57,11 @@ NAMES: dict[str, frozenset[str]] = {
     ),
 }
 """Quantity: names by which a header calls it."""
+PLACES: dict[str, frozenset[str]] = {
+    "position": words_of("x, position, pos, displacement, weg, hub, stroke, posición, posizione"),
+    "angle": words_of("phi, φ, angle, joint angle, winkel, gelenkwinkel, theta, q, ángulo"),
+}
+"""Motion of a load: names by which a header calls it."""
 TIME_NAMES = words_of(
     """time, t, zeit, timestamp, time stamp, date, datetime, date time, elapsed, elapsed time,
     datum, uhrzeit, zeitstempel, datum uhrzeit, messzeit, temps, tiempo, tempo, tijd, tid, czas,

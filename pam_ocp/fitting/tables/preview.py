@@ -13,16 +13,16 @@ import numpy as np
 
 from ...core.calibration import Scale
 from ...core.errors import InputError
-from ...core.units import unit
 from .assign import assigned
 from .cells import is_empty, is_stamp
 from .clock import Clock, find_clock, read_clock
 from .dialect import Unsaid
-from .force_table import ForceTable, TableWords, table_of
+from .doubts import checked_cells
+from .force_table import ForceTable, TableWords, table_columns, table_of
 from .labels import LABELS
-from .raw import RawTable
-from .record_columns import record_scale, record_variables
-from .records import RecordWords, loaded, record_parts
+from .raw import Doubt, RawTable
+from .record_columns import record_variables
+from .records import RecordWords, columns_of, loaded, record_parts
 from .sources import is_source, naming, sources_of
 from .table_checks import QUANTITIES
 
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ColumnView", "Preview", "Previews", "look"]
 
-NEAR_AMBIENT = (8e4, 1.1e5)
-"""A pressure that never falls below such a value [Pa] is probably absolute."""
 _TABLE_ONLY = ("rest_length", "ramp", "floor", "pivot")
 _RECORD_ONLY = (
     "time",
@@ -240,6 +238,7 @@ def _table(source: Any, raw: RawTable, words: TableWords, options: dict[str, Any
     problem, table = "", None
     try:
         found = assigned(raw, words.columns, words.units, words.ambient)
+        raw = checked_cells(raw, tuple(table_columns(found, words).values()), words.missing)
         meanings = {header: (quantity, scale) for quantity, (header, scale) in found.items()}
         table = table_of(raw, words)
     except InputError as error:
@@ -284,7 +283,6 @@ def _column(
     except InputError:
         return ColumnView(header, meaning, "text", None, None, empty)
     values = values[~np.isnan(values)]
-    doubts = []
     base = known[meaning][0] if meaning in known else None
     shown = said or ""
     if scale is not None:
@@ -294,19 +292,7 @@ def _column(
             shown = f"{base or 'SI'} by {scale.unit}"
     elif base is not None:
         shown = said or f"{base} (none named)"
-    if (
-        meaning.rpartition(".")[2] == "pressure"
-        and values.size
-        and (scale is None or not scale.shift)
-    ):
-        si = values if scale is None or scale.formula is not None else scale.si(values)
-        if NEAR_AMBIENT[0] < si.min() < NEAR_AMBIENT[1] and si.max() > 2 * si.min():
-            doubts.append(
-                f"{header!r} never falls below {si.min() / 1e5:.3g} bar: if it is absolute, give "
-                f"units={{{meaning!r}: '{said or 'bar'} abs'}}"
-            )
-    if meaning and values.size >= 50:
-        doubts += _saturated(header, values)
+    doubts = _saturated(header, values) if meaning and values.size >= 50 else []
     low, high = (float(values.min()), float(values.max())) if values.size else (None, None)
     return ColumnView(header, meaning, shown, low, high, empty, tuple(doubts))
 
@@ -332,14 +318,13 @@ def _record(
         raw, header = find_clock(raw, words.time)
         if header is not None:
             meanings[header] = ("time", None)
-            t, kind = read_clock(raw, header, words.units.get("time"))
+            t, kind, _ = read_clock(raw, header, words.units.get("time"))
             clock = str(Clock.of(header, kind, t[~np.isnan(t)]))
             for variable, name in record_variables(raw, plant, dict(words.columns), header):
-                base = unit(variable.unit) if plant is not None else None
                 meanings[name] = (variable.name, None)
-                wanted = words.units.get(variable.name)
-                scale = record_scale(raw, name, variable.name, base, wanted, words.ambient)
-                meanings[name] = (variable.name, scale)
+            own = columns_of(raw, plant, words, header)
+            meanings |= {c.header: (c.argument, c.scale) for c in own}
+            raw = checked_cells(raw, own, words.missing)
         records, notes, found = record_parts(raw, plant, words)
         clock = str(found)
     except InputError as error:
@@ -362,6 +347,7 @@ def _preview(
     clock: str = "",
     plant: Plant | None = None,
 ) -> Preview:
+    told = tuple(notes if notes else raw.notes)
     name = repr(str(source)) if isinstance(source, str | Path) else "source"
     several = isinstance(result, list) and len(result) > 1
     function = "read_table" if kind == "table" else "read_records" if several else "read_record"
@@ -374,8 +360,11 @@ def _preview(
         len(raw),
         columns,
         clock,
-        tuple(notes if notes else raw.notes),
-        tuple(doubt for c in columns for doubt in c.doubts),
+        tuple(note for note in told if not isinstance(note, Doubt)),
+        (
+            *(note for note in told if isinstance(note, Doubt)),
+            *(doubt for c in columns for doubt in c.doubts),
+        ),
         result,
         problem,
         f"pam.{function}({', '.join(arguments)})",

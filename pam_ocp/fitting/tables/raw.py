@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from ...core.errors import InputError
 from ...core.files import MOST_NAME
-from ...core.plausible import outside
+from ...core.plausible import UnitWarning, outside
 from .cells import decimal_of, numbers_of
 from .headers import matching, parse_header
 
-__all__ = ["RawTable", "ReadingWarning", "complete", "say"]
+__all__ = ["Doubt", "RawTable", "ReadingWarning", "complete", "say"]
 
 
 class ReadingWarning(UserWarning):
@@ -37,10 +37,18 @@ class ReadingWarning(UserWarning):
     """
 
 
+class Doubt(str):
+    """A note on what no rig of this field measures, with the keyword that settles it."""
+
+    __slots__ = ()
+
+
 def say(label: str, notes: Sequence[str]) -> None:
-    """Warn of what was left out or mended; nothing where nothing was."""
-    if notes:
-        warnings.warn(f"{label}: {'; '.join(notes)}", ReadingWarning, stacklevel=outside())
+    """Warn of what was left out or mended, and of what is doubted; nothing where nothing is."""
+    for kind, category in ((False, ReadingWarning), (True, UnitWarning)):
+        words = [note for note in notes if isinstance(note, Doubt) is kind]
+        if words:
+            warnings.warn(f"{label}: {'; '.join(words)}", category, stacklevel=outside())
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,8 @@ class RawTable:
 
     lines : line (or row of the sheet) of each row in its file; rows : its number. decimal : sign in
     cells of text. stated : {header: unit} of a row of units. dialect : how the file was understood,
-    notes : what was left out or mended, both in words.
+    notes : what was left out, mended or doubted, both in words. signs : decimal signs of single
+    columns. decimal_given : the user said the decimal sign. own : written by this package.
     """
 
     label: str
@@ -60,6 +69,9 @@ class RawTable:
     stated: Mapping[str, str] = field(default_factory=dict)
     dialect: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    signs: Mapping[str, str] = field(default_factory=dict)
+    decimal_given: bool = False
+    own: bool = False
 
     def __len__(self) -> int:
         return max(map(len, self.columns.values()), default=0)
@@ -94,13 +106,17 @@ class RawTable:
             said = parse_header(f"{name} [{self.stated[header]}]")[1]
         return said
 
+    def sign(self, header: str) -> str:
+        """The decimal sign of a column."""
+        return self.signs.get(header) or self.decimal or decimal_of(self.columns[header])
+
     def numbers(self, header: str) -> NDArray[np.float64]:
         """A column in the unit in which it stands, NaN for empty cells.
 
         Raises InputError for a cell that is no number, or an infinite one.
         """
         cells = self.columns[header]
-        found, bad = numbers_of(cells, self.decimal or decimal_of(cells))
+        found, bad = numbers_of(cells, self.sign(header))
         if bad is None:
             infinite = np.nonzero(np.isinf(found))[0]
             if not infinite.size:

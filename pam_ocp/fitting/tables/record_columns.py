@@ -9,10 +9,11 @@ import numpy as np
 
 from ...core.calibration import AMBIENT, COUNTS, Scale, scale_of, spelled
 from ...core.errors import InputError
+from ...core.plausible import inside_by
 from ...core.units import Unit, unit
 from ...core.variables import Variable
 from .cells import is_empty, is_number, is_stamp
-from .headers import MEASURED, NAMES, is_unit, parse_header, words_of
+from .headers import MEASURED, NAMES, PLACES, is_unit, parse_header, words_of
 from .raw import RawTable
 
 if TYPE_CHECKING:
@@ -34,11 +35,6 @@ _COMMANDS = words_of(
     p ref, p des, reference, ref, target, soll, sollwert, druck soll, solldruck, consigne, consigna,
     setpunkt"""
 )
-_PLACES: dict[str, frozenset[str]] = {
-    "x": words_of("x, position, pos, displacement, weg, hub, stroke, posición, posizione"),
-    "phi": words_of("phi, φ, angle, joint angle, winkel, gelenkwinkel, theta, q, ángulo"),
-}
-"""Names of a plant's motion: how headers call it."""
 
 
 def record_scale(
@@ -86,9 +82,10 @@ def display_of(scale: Scale | None) -> str:
 
 
 def check_size(
-    raw: RawTable, header: str, variable: Variable, values: Array, said: str | None
+    raw: RawTable, header: str, variable: Variable, values: Array, scale: Scale | None
 ) -> None:
     """Values that no such variable takes come from a wrong unit."""
+    said = None if scale is None else scale.unit
     bound = max((abs(v) for v in (variable.min, variable.max) if np.isfinite(v)), default=np.inf)
     worst = int(np.argmax(np.abs(values)))
     size = float(abs(values[worst]))
@@ -103,8 +100,12 @@ def check_size(
             f"{variable.max:g}: the unit cannot be right; {remedy}"
         )
     if variable.unit == "Pa" and 0 < size < LEAST_PRESSURE:
+        factor = 1.0 if scale is None else scale.measured.factor
+        likely = inside_by({"pressure": size / factor})[:2] or ["bar", "kPa"]
         raise InputError(
-            f"{place} at most ({read}): no muscle moves at that, it looks like bar or kPa; {remedy}"
+            f"{place} at most ({read}): no muscle moves at that, it looks like "
+            f"{' or '.join(likely)}; correct the header or give units={{{variable.name!r}: "
+            f"{likely[0]!r}}}"
         )
 
 
@@ -162,10 +163,10 @@ def _meant(plant: Plant, name: str) -> str | None:
     if match is None:
         return None
     kind = " ".join(f"{match['kind']} {match['rest']}".split())
-    for variable, names in _PLACES.items():
+    for names in PLACES.values():
         if kind in names and not match["number"]:
-            found = [v.name for v in plant.variables if v.name == variable]
-            return found[0] if found else None
+            found = [v.name for v in plant.states if v.name in names]
+            return found[0] if len(found) == 1 else None
     last = "command" if kind in _COMMANDS else next((k for k in NAMES if kind in NAMES[k]), None)
     if last is None:
         return None

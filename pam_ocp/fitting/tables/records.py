@@ -16,8 +16,18 @@ from ...core.signals import Interpolation
 from ...core.trajectory import HELD, Trajectory, interpolation_of
 from ...core.units import unit
 from ...core.variables import Variable
-from .clock import Clock, find_clock, mended, parts_of, read_clock
-from .raw import RawTable, complete, say
+from .clock import Clock, doubts_of_clock, find_clock, mended, parts_of, read_clock
+from .doubts import (
+    Column,
+    above_ambient,
+    checked_cells,
+    doubts_of,
+    kind_of,
+    require_ambient,
+    require_missing,
+)
+from .headers import parse_header
+from .raw import Doubt, RawTable, complete, say
 from .record_columns import check_size, display_of, record_scale, record_variables
 from .sources import Reading, is_source, load, naming, sources_of
 
@@ -25,7 +35,7 @@ if TYPE_CHECKING:
     from ...plants.plant import Plant
     from ..statistics import Array
 
-__all__ = ["RecordWords", "loaded", "read_record", "read_records", "record_parts"]
+__all__ = ["RecordWords", "columns_of", "loaded", "read_record", "read_records", "record_parts"]
 
 
 @dataclass(frozen=True)
@@ -42,6 +52,7 @@ class RecordWords:
     sample_time: float | str | None = None
     ambient: float = AMBIENT
     empty: str = "drop"
+    missing: Any = "found"
 
     @classmethod
     def of(
@@ -57,6 +68,7 @@ class RecordWords:
         sample_time: float | str | None = None,
         ambient_pressure: float = AMBIENT,
         empty: Literal["drop", "refuse"] = "drop",
+        missing: Any = "found",
         **layout: Any,
     ) -> RecordWords:
         """Checked. Raises InputError."""
@@ -73,8 +85,9 @@ class RecordWords:
             max_gap,
             clock,
             sample_time,
-            require_positive("ambient_pressure", ambient_pressure, "Pa"),
+            require_ambient(ambient_pressure),
             empty,
+            require_missing(missing),
         )
 
 
@@ -97,6 +110,7 @@ def read_record(
     delimiter: str | None = None,
     decimal: str | None = None,
     empty: Literal["drop", "refuse"] = "drop",
+    missing: Any = "found",
 ) -> Trajectory:
     """Read one measured record as a Trajectory in SI, sampled as it is; :func:`look` shows
     beforehand what is understood.
@@ -113,9 +127,9 @@ def read_record(
         the left, where the file has none.
     units : {variable: unit} where the header names none; by default SI. ``"bar abs"`` for absolute
         pressures; or a calibration, ``{"muscle1.command": "V * 2 bar/V - 0.3 bar"}``.
-    time : header of the time; by default the one called time or t. Without a unit in seconds.
-        Dates, times of day, days of a spreadsheet and counts from 1970 are read as such, and begin
-        with 0.
+    time : header of the time; by default the one called time or t. Without a unit in seconds
+        (else ``units={"time": "ms"}``); steps that no rig takes are doubted. Dates, times of day,
+        days of a spreadsheet and counts from 1970 are read as such, and begin with 0.
     inputs : how inputs ran between samples: "held" (as a digital controller writes them) or
         "linear". By default as the file says, if a Trajectory wrote it. Where nothing says it, they
         count as linear until a fit tries both (``Trajectory.interpolation_known``).
@@ -127,12 +141,13 @@ def read_record(
         (:func:`read_records` gives all). "refuse": nothing is mended.
     sample_time : resample to even steps [s], or "even": to the usual step of the record.
     ambient_pressure : [Pa], taken off absolute pressures.
-    sheet, skip, pick, delimiter, decimal, empty : as for :func:`read_table`.
+    sheet, skip, pick, delimiter, decimal, empty, missing : as for :func:`read_table`.
 
     Raises
     ------
     InputError : time that runs backwards or has a gap (and where), cells that are no numbers, units
-        that do not fit, no column of use. UnknownNameError : names that are not there.
+        that do not fit, no column of use. UnknownNameError : names that are not there. What no rig
+        measures, but cannot be ruled out, is doubted in a UnitWarning that names the remedy.
 
     Examples
     --------
@@ -151,6 +166,7 @@ def read_record(
         sample_time=sample_time,
         ambient_pressure=ambient_pressure,
         empty=empty,
+        missing=missing,
         sheet=sheet,
         skip=skip,
         pick=pick,
@@ -235,7 +251,7 @@ def loaded(source: Any, how: Reading) -> RawTable:
         columns |= {f"{v.name} [{v.unit}]": saved[v.name].tolist() for v in saved.variables}
         if saved.interpolation_known and saved.named("input"):
             columns[HELD] = [float(saved.interpolation == "previous")] * len(saved)
-        return RawTable(Path(source).name, columns, dialect=("a saved Trajectory",))
+        return RawTable(Path(source).name, columns, dialect=("a saved Trajectory",), own=True)
     return load(source, how)
 
 
@@ -256,28 +272,29 @@ def record_parts(
             f"{raw.label} has no column for the time among {', '.join(map(repr, raw.columns))}: "
             "name it 'time [s]' or give time=..."
         )
-    chosen = record_variables(raw, plant, dict(words.columns), header)
-    known = [variable.name for variable, _ in chosen]
+    columns = columns_of(raw, plant, words, header)
+    known = [column.argument for column in columns]
     unknown = set(words.units) - {*known, "time"}
     if unknown:
         raise UnknownNameError("variable in units", unknown.pop(), known)
-    t, kind = read_clock(raw, header, words.units.get("time"))
+    raw = checked_cells(raw, columns, words.missing)
+    t, kind, doubts = read_clock(raw, header, words.units.get("time"))
     factor = unit(raw.unit(header) or "s").factor if not kind else 1.0
-    timed = replace(
-        raw, columns={**{h: raw.columns[h] for _, h in chosen}, header: t.tolist()}, decimal=None
-    )
-    timed = replace(timed, decimal=raw.decimal) if raw.decimal else timed
-    timed = complete(timed, [header, *(h for _, h in chosen)], words.empty)
+    used = {c.header: raw.columns[c.header] for c in columns}
+    timed = replace(raw, columns={**used, header: t.tolist()})
+    timed = complete(timed, [header, *used], words.empty)
     t = timed.numbers(header)
     if words.clock != "refuse":
         timed, t = mended(timed, header, t, factor)
     spans = parts_of(timed, header, t, words.max_gap, words.clock == "cut")
-    variables, values = _values(timed, plant, chosen, words)
+    variables, values = _values(timed, plant, columns)
     records = [
         Trajectory(t[a:b], {n: v[a:b] for n, v in values.items()}, variables, between)
         for a, b in spans
     ]
-    notes = list(timed.notes)
+    notes = [*timed.notes, *doubts, *_doubts(timed, columns, values)]
+    if not (kind or raw.own):
+        notes += doubts_of_clock(header, t, raw.unit(header), words.units.get("time"))
     if len(spans) > 1:
         notes.append(f"the clock jumps: cut into {len(spans)} parts")
     clock = Clock.of(header, kind, t)
@@ -286,24 +303,49 @@ def record_parts(
     return records, notes, clock
 
 
+def columns_of(raw: RawTable, plant: Plant | None, words: RecordWords, clock: str) -> list[Column]:
+    """The columns of use beside that of the time, with their scales. Raises InputError."""
+    found = []
+    for variable, header in record_variables(raw, plant, dict(words.columns), clock):
+        base = unit(variable.unit) if plant is not None else None
+        wanted = words.units.get(variable.name)
+        scale = record_scale(raw, header, variable.name, base, wanted, words.ambient)
+        if plant is not None:
+            kind = kind_of(variable.name, variable.unit, told=True)
+        else:
+            measured = None if scale is None else display_of(scale)
+            kind = kind_of(parse_header(header)[0], measured, told=False)
+        known = variable if plant is not None else None
+        found.append(Column(header, variable.name, kind, scale, wanted is not None, known))
+    return found
+
+
 def _values(
-    raw: RawTable, plant: Plant | None, chosen: Sequence[tuple[Variable, str]], words: RecordWords
+    raw: RawTable, plant: Plant | None, columns: Sequence[Column]
 ) -> tuple[list[Variable], dict[str, Array]]:
     """Variables and their values in SI."""
     values: dict[str, Array] = {}
     variables = []
-    for variable, header in chosen:
-        base = unit(variable.unit) if plant is not None else None
-        wanted = words.units.get(variable.name)
-        scale = record_scale(raw, header, variable.name, base, wanted, words.ambient)
-        numbers = raw.numbers(header)
-        values[variable.name] = numbers if scale is None else scale.si(numbers)
-        if plant is not None:
-            check_size(raw, header, variable, values[variable.name], wanted or raw.unit(header))
+    for column in columns:
+        header, variable = column.header, column.variable
+        values[column.argument] = column.si(raw.numbers(header))
+        if variable is not None:
+            check_size(raw, header, variable, values[variable.name], column.scale)
         else:
-            variable = Variable(variable.name, "output", unit=display_of(scale))
+            variable = Variable(column.argument, "output", unit=display_of(column.scale))
         variables.append(variable)
     return variables, values
+
+
+def _doubts(raw: RawTable, columns: Sequence[Column], values: Mapping[str, Array]) -> list[Doubt]:
+    """Doubts of the columns of a record, and of pressures beside their commands."""
+    found = [doubt for c in columns for doubt in doubts_of(raw, c, values[c.argument])]
+    for column in columns:
+        part, _, last = column.argument.rpartition(".")
+        if column.kind == "pressure" and last != "command" and not raw.own:
+            command = values.get(f"{part}.command")
+            found += above_ambient(column, values[column.argument], command)
+    return found
 
 
 def _even(record: Trajectory, step: float | str) -> Trajectory:

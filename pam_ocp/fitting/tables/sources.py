@@ -116,7 +116,7 @@ def load(source: Any, how: Reading | None = None) -> RawTable:
         raise InputError(f"{raw.label} is empty: it needs a header and at least one row")
     if len(set(counts.values())) > 1:
         raise InputError(f"{raw.label}: the columns differ in length: {counts}")
-    return raw
+    return replace(raw, decimal_given=how.decimal is not None)
 
 
 def is_source(source: Any) -> bool:

@@ -15,7 +15,7 @@ from ...core.errors import InputError
 from .cells import is_empty, is_stamp
 from .headers import parse_header
 
-__all__ = ["joined", "seconds_of_numbers", "seconds_of_stamps"]
+__all__ = ["DAYS", "in_days", "in_round_days", "joined", "seconds_of_numbers", "seconds_of_stamps"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -25,13 +25,21 @@ DATES = frozenset(
     | {"datum uhrzeit", "messzeit"}
 )
 """Names of columns in which numbers may be a spreadsheet's days."""
-SERIAL = (20_000.0, 80_000.0)
-"""Days of a spreadsheet, of the years 1954 .. 2119."""
-EPOCHS = ((1e8, 1e11, 1.0), (1e11, 1e14, 1e-3), (1e14, 1e17, 1e-6), (1e17, 1e20, 1e-9))
-"""(from, to, seconds per count) of numbers that count from 1970."""
+DAYS = {"days of a spreadsheet": (20_000.0, 80_000.0), "days of MATLAB": (7.1e5, 7.6e5)}
+"""(from, to) of numbers that are days of the years around 2000."""
+EPOCHS = {
+    "counted from 1970 in s": (1e8, 1e11, 1.0),
+    "counted from 1970 in ms": (1e11, 1e14, 1e-3),
+    "counted from 1970 in us": (1e14, 1e17, 1e-6),
+    "counted in 100 ns (Windows, .NET)": (1e17, 7e17, 1e-7),
+    "counted from 1970 in ns": (7e17, 1e20, 1e-9),
+}
+"""(from, to, seconds per count) of numbers that count from a year long ago."""
+SHORTEST = 1e-5
+"""Steps of days that would be seconds are shorter than this [s]."""
 _TIME = (
     r"(?P<h>\d{1,3}):(?P<m>\d{2})(?::(?P<s>\d{2}))?(?:[.,:](?P<f>\d+))?"
-    r"\s*(?P<half>[APap][Mm])?\s*(?:Z|UTC|[+-]\d{2}:?\d{2})?"
+    r"\s*(?P<half>[APap][Mm])?\s*(?:Z|UTC|(?P<zone>[+-]\d{2}:?\d{2}))?"
 )
 _YEAR_FIRST = re.compile(
     rf"(?P<y>\d{{4}})[-/.](?P<a>\d{{1,2}})[-/.](?P<b>\d{{1,2}})(?:[T ,]+{_TIME})?$"
@@ -78,6 +86,9 @@ def _parsed(cell: Any) -> _Stamp | None:
         cell = str(cell)
     if isinstance(cell, datetime):
         seconds = 3600 * cell.hour + 60 * cell.minute + cell.second + 1e-6 * cell.microsecond
+        seconds += 1e-9 * getattr(cell, "nanosecond", 0)  # of pandas
+        ahead = cell.utcoffset()
+        seconds -= ahead.total_seconds() if ahead is not None else 0.0
         return (cell.year, cell.month, cell.day, "y"), seconds
     if isinstance(cell, date):
         return (cell.year, cell.month, cell.day, "y"), 0.0
@@ -104,7 +115,9 @@ def _of_day(match: re.Match[str]) -> float:
         h, m, s = 0, h, m
     if match["half"]:
         h = h % 12 + (12 if match["half"].lower() == "pm" else 0)
-    return 3600 * h + 60 * m + s + fraction
+    zone = (match["zone"] or "").replace(":", "")
+    ahead = int(f"{zone[0]}1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:])) if zone else 0
+    return 3600 * h + 60 * m + s + fraction - ahead
 
 
 def _month_first(stamps: Sequence[_Stamp]) -> bool | None:
@@ -128,21 +141,41 @@ def _seconds(stamp: _Stamp, month_first: bool | None) -> float:
     return date(year, month, day).toordinal() * DAY + stamp[1]
 
 
-def seconds_of_numbers(values: Array, header: str, said: str | None) -> tuple[Array, str]:
-    """(times, what was made of them) of numbers in seconds, or without a unit."""
+def seconds_of_numbers(
+    values: Array, header: str, said: str | None, *, settled: bool = False
+) -> tuple[Array, str]:
+    """(times, what was made of them) of numbers in seconds, or without a unit.
+
+    settled : they are seconds, since 1970 at most.
+    """
     known = values[~np.isnan(values)]
     if known.size < 2:
         return values, ""
     low, high = float(known.min()), float(known.max())
-    days = said is None and SERIAL[0] < low and high < SERIAL[1]
-    fine = float(np.median(np.abs(np.diff(known)))) < 0.01
-    if days and fine and parse_header(header)[0] in DATES:
-        return (values - known[0]) * DAY, "days of a spreadsheet"
-    for least, most, factor in EPOCHS if said is None else EPOCHS[:1]:
-        if least <= low and high < most:
-            unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}[factor]
-            return (values - known[0]) * factor, f"counted from 1970 in {unit}"
+    steps = np.abs(np.diff(known))
+    step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    for kind, (least, most) in DAYS.items():
+        fine = 0 < step < (0.01 if in_days(header) else SHORTEST) or in_round_days(step)
+        if said is None and least < low and high < most and fine:
+            return (values - known[0]) * DAY, kind
+    for kind, (least, most, factor) in EPOCHS.items():
+        if least <= low and high < most and not (settled and factor < 1.0):
+            return (values - known[0]) * factor, kind
     return values, ""
+
+
+def in_days(header: str) -> bool:
+    """Whether a header says that its numbers may be days."""
+    return parse_header(header)[0] in DATES
+
+
+def in_round_days(step: float) -> bool:
+    """Whether a step is 1, 2 or 5 times a power of ten in seconds if it counts days: 1.1574e-5."""
+    size = step * DAY
+    if not 1e-3 <= size <= 60.0:
+        return False
+    digits = size / 10.0 ** np.floor(np.log10(size))
+    return any(abs(digits / d - 1) < 1e-3 for d in (1.0, 2.0, 5.0, 10.0))
 
 
 def joined(days: Sequence[Any], times: Sequence[Any]) -> list[Any] | None:

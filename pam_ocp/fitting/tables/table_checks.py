@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...core.calibration import Scale
 from ...core.errors import InputError
+from ...core.plausible import MEASURED, inside_by
 from ...core.units import unit
 from .headers import NAMES
 from .raw import RawTable
@@ -74,15 +75,21 @@ def check_pressure(pressure: Series) -> None:
         )
     low_end, high_end = LARGEST_PRESSURE
     if not low_end <= largest <= high_end:
-        fitting = [
-            u for u in ("bar", "kPa", "Pa") if 5e4 <= pressure.values[top] * unit(u).factor <= 2e6
-        ]
+        fitting = inside_by({"pressure": float(pressure.values[top])}, pressure.unit)[:2]
         guess = f"it looks like {' or '.join(fitting)}" if fitting else "that cannot be"
         remedy = fitting[0] if fitting else "bar"
+        usual = float(np.median(pressure.si))
+        mark = f"{pressure.values[top]:g}"
+        mixed = (
+            f" (half of the rows stay below {usual / 1e5:.3g} bar: where the column mixes units, "
+            f"mend it; where {mark} marks a missing value, give missing=[{mark}])"
+            if largest > high_end and MEASURED["pressure"].least < usual < high_end / 10
+            else ""
+        )
         raise InputError(
             f"the largest {pressure.shown(top)} ({pressure.reading}) is {largest / 1e5:g} bar, "
             f"outside {low_end / 1e5:g} .. {high_end / 1e5:g} bar: {guess}; "
-            f"correct the header or give units={{'pressure': {remedy!r}}}"
+            f"correct the header or give units={{'pressure': {remedy!r}}}{mixed}"
         )
 
 

@@ -103,7 +103,7 @@ class HildebrandtLaw(ForceLaw):
         active = self.c0 + self.c1 * kappa + self.c2 * kappa**2
         return p * active - (self.b0 * root + self.b1 + self.b2 * kappa + self.b3 * kappa**2)
 
-    def gain_area(self, kappa: Any) -> Any:
+    def _gain_area(self, kappa: Any) -> Any:
         return self.c0 * kappa + self.c1 * kappa**2 / 2 + self.c2 * kappa**3 / 3
 
 

@@ -1,0 +1,37 @@
+"""Solvers of CasADi as this library calls them: they print nothing, and say what went wrong."""
+
+from __future__ import annotations
+
+import math
+
+import casadi as ca
+import pytest
+
+from pam_ocp.core.errors import InputError
+from pam_ocp.numerics.solvers import nlpsol, quiet_ipopt
+
+
+def solver(*equations: ca.SX, of: ca.SX) -> object:
+    problem = {"x": of, "f": ca.sumsqr(of), "g": ca.vertcat(*equations)}
+    return nlpsol("least", "ipopt", problem, quiet_ipopt())
+
+
+def test_more_equations_than_unknowns_print_nothing_and_are_a_status(capfd) -> None:
+    x = ca.SX.sym("x")
+    found = solver(x - 1, x - 2, of=x)
+    found(lbg=0, ubg=0)
+    assert found.stats()["return_status"] == "Not_Enough_Degrees_Of_Freedom"
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(("low", "high"), [([0.0, 1.0], [1.0, 0.0]), ([0.0, math.nan], 1.0)])
+def test_crossed_bounds_are_refused_with_their_place(low, high) -> None:
+    x = ca.SX.sym("x", 2)
+    with pytest.raises(InputError, match="bound 1 of x"):
+        solver(x[0], of=x)(lbx=low, ubx=high)
+
+
+def test_bounds_that_meet_are_an_equality() -> None:
+    x = ca.SX.sym("x", 2)
+    found = solver(x[0] + x[1], of=x)(lbx=[1.0, -5], ubx=[1.0, 5], lbg=0, ubg=0)
+    assert found["x"].full().ravel() == pytest.approx([1.0, -1.0])
