@@ -472,8 +472,8 @@ class _Cause:
 
 
 def _likeliest(case: _Case, base: _Regressed) -> _Cause:
-    """That with the suspect which takes up most, if any is more than autoregressive noise would seem
-    to be: by score tests of the residuals whitened as such.
+    """That with the suspect which takes up most, if any is more than autoregressive noise may
+    seem to be: by score tests of the residuals whitened as such.
     """
     from scipy.special import fdtrc
 
