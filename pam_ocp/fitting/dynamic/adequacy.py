@@ -6,8 +6,8 @@ themselves, and orthogonal to whatever the plant may lack. Three kinds of tests,
 against the noise found in high differences of the records (J. Rice, Annals of Statistics 12 (1984)
 1215-1230), which knows of no model; and score tests, one of each possible cause (see
 :mod:`.suspects`). Where any of them rejects, causes are tested once more, on residuals whitened as
-autoregressive noise: what is significant even so is no coloured noise, and the largest statistic
-names the cause.
+autoregressive noise: what is significant even so is no coloured noise, and the single suspect that
+takes up most of them names the cause.
 """
 
 from __future__ import annotations
@@ -472,15 +472,15 @@ class _Cause:
 
 
 def _likeliest(case: _Case, base: _Regressed) -> _Cause:
-    """That which takes up most for each of its parameters, if any is more than autoregressive noise
-    would seem to be: by score tests of the residuals whitened as such.
+    """That with the suspect which takes up most, if any is more than autoregressive noise may
+    seem to be: by score tests of the residuals whitened as such.
     """
     from scipy.special import fdtrc
 
     noises = case.noises(base)
     white = case.regressed((), noises)
     causes = [c for c in CAUSES if case.of(c)]
-    found: list[tuple[float, str]] = []
+    found: dict[str, tuple[float, float]] = {}
     for cause in causes:
         wider = case.regressed(case.of(cause), noises)
         more = wider.columns - white.columns
@@ -488,11 +488,16 @@ def _likeliest(case: _Case, base: _Regressed) -> _Cause:
             continue
         f = (white.squares - wider.squares) / more / (wider.squares / wider.dof)
         if fdtrc(more, wider.dof, max(f, 0.0)) < LEVEL / len(causes):
-            found.append((float(f), cause))
+            # causes have more or fewer suspects: the best of each by itself is what compares
+            alone = [case.regressed((i,), noises).squares for i in case.of(cause)]
+            found[cause] = (float(min(alone)), float(f))
     if not found:
         name = "coloured noise" if any(n.order for n in noises) else "unknown"
         return _Cause(name, noises, base)
-    name = max(found)[1]
+    name = min(found, key=lambda n: found[n][0])
+    forces = [n for n in ("friction or hysteresis", "law") if n in found]
+    if name in forces:  # both push the same velocity: all suspects of each count
+        name = max(forces, key=lambda n: found[n][1])
     fit = case.regressed(case.of(name))
     return _Cause(name, case.noises(fit), fit, case.of(name))
 
