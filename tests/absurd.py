@@ -297,6 +297,14 @@ CALLS: dict[str, tuple[Call, str]] = {
         lambda: pam.Muscle(muscle().law, 0.3, pressure_range=6e5),
         "give (low, high)",
     ),
+    "pressure_range=(0, [1, 2])": (
+        lambda: pam.Muscle(muscle().law, 0.3, pressure_range=(0, [1, 2])),
+        "is not a number",
+    ),
+    "equilibrium(x=ragged)": (
+        lambda: plant().equilibrium(x=[0.02, [0.03, 0.04]]),
+        "is not a number",
+    ),
     "contraction_range=(0, 25) for %": (
         lambda: pam.Muscle(muscle().law, 0.3, contraction_range=(0, 25)),
         "did you mean 25 %",

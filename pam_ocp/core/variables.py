@@ -117,7 +117,7 @@ class Variable:
         """
         if is_quantity(value):
             return quantity(f"{self.name}: {argument}", value, self.unit)
-        if isinstance(value, bool | np.bool_) or np.ndim(value) > 0:
+        if isinstance(value, bool | np.bool_ | list | tuple) or np.ndim(value) > 0:
             raise InputError(f"{self.name}: {argument} = {value!r} is not a number")
         try:
             return float(value)

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from .. import courtesy
-from ..core.errors import InputError, require_numbers, require_positive
+from ..core.errors import InputError, require_finite, require_numbers, require_positive
 from ..core.plausible import doubt
 from ..core.shown import shown
 from ..core.stop import locked
@@ -107,7 +107,10 @@ class Muscle:
             if not isinstance(ends, tuple | list | np.ndarray) or len(ends) != 2:
                 raise InputError(f"{argument} = {ends!r}: give (low, high)")
             allowed = CONTRACTIONS if unit == "1" else (-math.inf, math.inf)
-            low, high = (require_numbers(argument, end, unit, *allowed) for end in ends)
+            low, high = (
+                require_numbers(argument, require_finite(argument, end, unit), unit, *allowed)
+                for end in ends
+            )
             object.__setattr__(self, argument, (low, high))
             if not low < high:
                 raise InputError(
