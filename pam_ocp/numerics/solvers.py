@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..core.errors import InputError
 from ..core.stop import ask, native
 from .blas import one_thread
 
@@ -124,17 +125,19 @@ class Nlp(Native):
 
 
 def _require_bounds(given: Mapping[str, Any]) -> None:
-    """Raises RuntimeError, as CasADi does, where a lower bound is above its upper one."""
-    for low, high in (("lbx", "ubx"), ("lbg", "ubg")):
-        symbolic = any(isinstance(given.get(n), ca.SX | ca.MX) for n in (low, high))
-        if low not in given or high not in given or symbolic:
+    """InputError where a lower bound lies above its upper one, or is NaN."""
+    for kind in "xg":
+        low, high = (given.get(f"{end}b{kind}") for end in "lu")
+        if low is None or high is None or isinstance(low, ca.SX | ca.MX):
             continue
-        lower, upper = (np.asarray(ca.DM(given[n]), float).ravel() for n in (low, high))
+        ends = (np.asarray(ca.DM(end), float).ravel() for end in (low, high))
+        lower, upper = np.broadcast_arrays(*ends)
         wrong = ~((lower <= upper) & (lower < np.inf) & (upper > -np.inf))
         if wrong.any():
-            i = int(np.argmax(wrong))
-            ends = (v[i] if v.size > 1 else v[0] for v in (lower, upper))
-            raise RuntimeError(f"{low} <= {high} is violated at {i}: {', '.join(map(str, ends))}")
+            raise InputError(
+                f"bound {int(np.argmax(wrong))} of {kind}: the lower end must be a number, and not "
+                "above the upper one"
+            )
 
 
 def nlpsol(

@@ -189,7 +189,7 @@ def test_a_user_without_a_home_gets_files_and_no_complaint(tmp_path):
         (("--samples", HUGE), "argument --samples: 401 digits are more than"),
         (("--samples", "999999999"), "--samples = 999999999: give a whole number from 2 to"),
         (("--set", f"mass={HUGE}"), "mass: "),
-        (("--input", f"muscle.command={HUGE}"), "muscle.command: --input: the number given"),
+        (("--input", f"muscle.command={HUGE}"), "muscle.command: --input is larger than any float"),
         (("--rtol", HUGE), "rtol = inf must be a finite number"),
         (("--time-limit", HUGE), "time_limit = inf must be a finite number"),
     ],
