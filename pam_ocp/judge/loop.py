@@ -106,8 +106,9 @@ def judge_loop(
     --------
     >>> still = pam.simulate(plant, duration=1.0, start=point)
     >>> wanted = pam.Trajectory(still.t, {"x": still["x"] + 0.01}, [still.variable("x")])
-    >>> print(pam.judge.judge_loop(still, wanted=wanted, inputs=["muscle.command"]).missed)
-    {'x': 1.0}
+    >>> missed = pam.judge.judge_loop(still, wanted=wanted, inputs=["muscle.command"]).missed
+    >>> round(missed["x"], 6)
+    1.0
     """
     noise = noise or {}
     missed, words = _missed(motion, wanted, noise)

@@ -41,6 +41,10 @@ DAMPING = (1e-2, 1e-1)
 """Of Levenberg and Marquardt: first and largest; grows by 4 when a step is longer than the one
 before.
 """
+PROXIMAL = 1e-5
+"""Least damping of a call's further steps, which moves no solution: inputs near the end of a horizon
+whose changes nobody weighs have none, and would wander at each step.
+"""
 
 
 @dataclass(frozen=True)
@@ -166,7 +170,9 @@ class Sqp:
         """
         point, spent, before, damping, done = self.point, 0.0, np.inf, 0.0, 0
         for k in range(1, iterations + 1):
-            miss, count, seconds = self._step(damping, math.inf if k == 1 else OVER * work - done)
+            least = 0.0 if k == 1 else PROXIMAL
+            most = math.inf if k == 1 else OVER * work - done
+            miss, count, seconds = self._step(max(damping, least), most)
             spent += seconds
             done += count
             if not miss <= MISS and k > 1 and done >= OVER * work:
