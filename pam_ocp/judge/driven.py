@@ -33,6 +33,15 @@ LEAST = 2
 _TAUS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
 _WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 """Lobatto's rule with five points, exact to degree 7."""
+_POWERS = np.vander(_TAUS, increasing=True)
+_SLOPES = np.column_stack([np.zeros(5), _POWERS[:, :4] * np.arange(1, 5)]) @ np.linalg.inv(_POWERS)
+"""(points, points) from values at the points to slopes of the polynomial through them, by tau."""
+RESOLVED = 3e-4
+"""What slopes of the polynomial through a cell's states may miss their rates by, times the length
+of the cell, in nominals: beyond, the cell is split, or what swings inside would be overlooked.
+"""
+SPLITS = 7
+"""Times that cells are split, at most: what is quicker is over before it counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +115,28 @@ def driven(
         count = max(LEAST, int(np.ceil(PARTS * (right - left) / (end - begin))))
         cells += list(pairwise(np.linspace(left, right, count + 1)))
     edges = np.array(cells)
-    t = edges[:, :1] + (edges[:, 1:] - edges[:, :1]) * _TAUS
-    every = np.append(t[:, :-1].ravel(), end)
     asked = np.zeros(0) if further is None else np.clip(further, begin, end)
+    for splits in range(SPLITS + 1):
+        t = edges[:, :1] + (edges[:, 1:] - edges[:, :1]) * _TAUS
+        every, states, beside = _integrated(plant, start, inputs, t, asked)
+        x = np.concatenate(
+            [states[:-1].reshape(len(t), -1, states.shape[1]), states[4::4, None]], axis=1
+        ).transpose(2, 0, 1)
+        u, slope = _inputs(inputs, t)
+        rough = _unresolved(plant, t, x, u)
+        if splits == SPLITS or not rough.any():
+            break
+        middles = edges[rough].mean(axis=1)
+        edges = np.array(list(pairwise(np.sort(np.append(edges[:, 0], [*middles, end])))))
+    trajectory = evaluated(plant, every, states, inputs)
+    return Driven(plant, trajectory, t, x, u, slope), beside
+
+
+def _integrated(
+    plant: Plant, start: Array, inputs: PiecewisePolynomial, t: Array, asked: Array
+) -> tuple[Array, Array, Array]:
+    """(times of all cells, states there, states at the times asked for)."""
+    every = np.append(t[:, :-1].ravel(), t[-1, -1])
     both = merged(np.concatenate([every, asked]))
     run = Integration.over(plant, inputs, both, np.asarray(start, float), rtol=TOLERANCE)
     states = run()
@@ -116,15 +144,19 @@ def driven(
         names = [v.name for v in plant.states]
         at = dict(zip(names, np.asarray(start, float), strict=True))
         simulate(plant, inputs, t=every, rtol=TOLERANCE, start=at)
-        raise SimulationError("the integrator gave up", float(begin), None)
-    beside = run.at(asked, states)
-    states = run.at(every, states)
-    trajectory = evaluated(plant, every, states, inputs)
-    x = np.concatenate(
-        [states[:-1].reshape(len(t), -1, states.shape[1]), states[4::4, None]], axis=1
-    )
-    u, slope = _inputs(inputs, t)
-    return Driven(plant, trajectory, t, x.transpose(2, 0, 1), u, slope), beside
+        raise SimulationError("the integrator gave up", float(every[0]), None)
+    return every, run.at(every, states), run.at(asked, states)
+
+
+def _unresolved(plant: Plant, t: Array, x: Array, u: Array) -> NDArray[np.bool_]:
+    """(cells,) where states swing between the points."""
+    flat = (part.reshape(len(part), t.size) for part in (x, u))
+    rates = plant.function(*flat, plant.vector("parameter"))[0]
+    known = np.asarray(rates, float).reshape(x.shape)
+    h = (t[:, -1] - t[:, 0])[:, None]
+    nominal = plant.vector("state", attribute="nominal")[:, None, None]
+    missed = np.abs(x @ _SLOPES.T - h * known) / nominal
+    return np.asarray(missed.max(axis=(0, 2)) > RESOLVED)
 
 
 def _apart(times: Array, near: float) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..core.stop import TimeIsUp
 from .result import Solved
 from .solvers.backend import Backend, Solver
-from .solvers.diagnosis import Conflict, advice, elastic
+from .solvers.diagnosis import Conflict, advice, elastic, resolving
 from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, narrowing, widened
 from .solvers.side_by_side import solved_side_by_side
@@ -211,14 +211,19 @@ class Run:
         an elastic re-solve converged to, where another guess does not lead to such a point.
         """
         problem, mesh, options = self.program.problem, self.program.mesh, self.backend.ipopt_options
-        ends = []
-        for balanced in (True, False):
-            guess = by_stops(problem, mesh, balanced=balanced)
-            ends.append(elastic(self.program, guess, options))
-            if ends[-1].feasible:
-                self.feasible = True
-                return ends[-1].w
-        self.conflicts = next((end.conflicts for end in ends if end.conflicting), ())
+        for each in dict.fromkeys((mesh, resolving(mesh))):
+            program = self.program if each is mesh else transcribe(problem, each)
+            ends = []
+            for balanced in (True, False):
+                ends.append(elastic(program, by_stops(problem, each, balanced=balanced), options))
+                if ends[-1].feasible:
+                    self.feasible = True
+                    if each is mesh:
+                        return ends[-1].w
+                    return from_solution(problem, mesh, unpack(problem, each, ends[-1].w))
+            self.conflicts = next((end.conflicts for end in ends if end.conflicting), ())
+            if self.conflicts:
+                break
         return None
 
     def from_another(self, previous: Solved) -> Solved:

@@ -212,3 +212,24 @@ def test_a_plan_from_a_file_is_judged_by_the_words_in_it(tmp_path):
         again = pam.load_plan(plan.save(tmp_path / "plan.npz"), cart())
     assert again.judgement.objective == pytest.approx(plan.judgement.objective, rel=1e-9)
     assert [f.label for f in again.judgement.findings] == [f.label for f in plan.judgement.findings]
+
+
+def test_what_swings_many_times_between_two_points_is_seen_and_counted():
+    # a free oscillator of 400 rad/s: 64 swings in a second, on one piece of the input
+    swing, plant = 400.0, pam.Plant("fork")
+    x, v = plant.state("x", nominal=1.0), plant.state("v", nominal=swing)
+    plant.input("pull", min=-1.0, max=1.0)
+    plant.der(x, v)
+    plant.der(v, -(swing**2) * x)
+    asked = Statement(
+        [pam.Stop({}, rest=False), pam.Stop({}, rest=False)],
+        duration=1.0,
+        minimise={"square(x)": 1.0},
+        bounds={"x": (-0.9, 0.9)},
+    )
+    held = PiecewisePolynomial(np.array([0.0, 1.0]), np.zeros((1, 1, 1)))
+    found = judge(plant, asked, Motion(np.array([1.0, 0.0]), held, (1.0,)))
+    # the integral of cos^2 over the second
+    assert found.objective == pytest.approx(0.5 + np.sin(2 * swing) / (4 * swing), rel=1e-6)
+    assert found.constraint == "x"
+    assert found.violation == pytest.approx(0.1, rel=1e-3)

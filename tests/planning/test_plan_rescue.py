@@ -124,7 +124,7 @@ def test_an_elastic_solve_that_converged_names_what_is_missing():
     assert end.conflicting
     # 0.1 s at 10 m/s2 to and fro: a T^2 / 4 = 0.025 m, of 1 m
     assert sum(c.excess for c in end.conflicts) > 0.4
-    outcome = SimpleNamespace(stopped=False, status="s", iterations=3)
+    outcome = SimpleNamespace(stopped=False, status="s", iterations=3, advice="")
     words = explanation("cart", outcome, end.conflicts, feasible=False)
     assert words.startswith("no plan found for cart")
     assert words.endswith("which is no proof that there is no plan.")
@@ -134,7 +134,7 @@ def test_a_solver_at_its_limit_is_no_conflict():
     with pytest.raises(pam.PlanError, match="does not prove that there is no plan") as caught:
         pam.plan(cart(), [{"x": 0.0}, {"x": 1.0}], options={"max_iter": 1})
     assert caught.value.plan.conflicts == ()
-    outcome = SimpleNamespace(stopped=False, status="s", iterations=3)
+    outcome = SimpleNamespace(stopped=False, status="s", iterations=3, advice="")
     assert "seems to exist" in explanation("cart", outcome, (), feasible=True)
 
 

@@ -368,7 +368,8 @@ def test_more_starts_keep_the_best(slide):
     found = [end["objective"] for end in best.statistics["starts"] if end["solved"]]
     assert len(found) > 3
     assert found[0] == pytest.approx(own.objective, rel=1e-9)
-    assert best.objective == min(found) <= own.objective
+    assert best.statistics["objective_on_mesh"] == min(found)
+    assert best.objective <= own.objective * (1 + 1e-9)
     assert max(found) > min(found) * (1 + 1e-4)  # they differ here, or there were nothing to choose
     assert best.replay_error < 0.01
     everywhere = pam.plan(slide, STOPS, cyclic="mirrored", method=pam.Collocation(20, 3), starts=12)

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from ...core.shown import shown
 from ...numerics.solvers import nlpsol
 from ..problem.problem import Budget, Condition
+from ..transcription.mesh import Collocation, Mesh
 from ..transcription.transcription import Program
 from .ipopt_options import DEFAULTS
 from .solver import Outcome, limit
 
-__all__ = ["Conflict", "Elastic", "advice", "elastic", "explanation"]
+__all__ = ["Conflict", "Elastic", "advice", "elastic", "explanation", "resolving"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -25,6 +26,8 @@ NOTABLE = 1e-6
 """Violations below this part of nominal are rounding."""
 ENOUGH = 4.0
 """Times the limit of a first solve: for a re-solve that has to converge to say anything."""
+RESOLVING = 25, 2
+"""Intervals of a leg, at least, and their degree, on which conflicts are looked for."""
 NAMED = 3
 """How many constraints a message names."""
 
@@ -106,6 +109,15 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
     slack = np.zeros(g.numel())
     slack[chosen] = found[len(lbx) :].reshape(2, -1).max(axis=0)
     return Elastic(bool(stats["success"]), _conflicts(program, slack), found[: len(lbx)])
+
+
+def resolving(mesh: Mesh) -> Mesh:
+    """A mesh of enough short intervals of a low degree; itself where it has as many. On one that
+    does not resolve a motion's oscillations an elastic solve does not converge.
+    """
+    legs = 1 + mesh.intervals[-1].leg
+    enough = len(mesh.intervals) >= RESOLVING[0] * legs
+    return mesh if enough else Collocation(*RESOLVING).mesh(legs)
 
 
 def _conflicts(program: Program, slack: Array) -> tuple[Conflict, ...]:
