@@ -271,6 +271,18 @@ CALLS: dict[str, tuple[Call, str]] = {
     "force([1, 2, 3] for bar)": (lambda: muscle().force([1, 2, 3], 0.1), WARNS + "3 bar"),
     "force(10 for 10 %)": (lambda: muscle().force(3e5, 10), "did you mean 10 % = 0.1"),
     "force('10 %')": (lambda: muscle().force(3e5, "10 %"), WORKS),
+    **{
+        f"{name}(-2 bar)": (call, "must be >= -101325")
+        for name, call in (
+            ("force", lambda: muscle().force(-2e5, 0.1)),
+            ("tension", lambda: muscle().tension([1e5, -2e5], 0.1)),
+            ("stiffness", lambda: muscle().stiffness("-2 bar", 0.1)),
+            ("max_contraction", lambda: muscle().max_contraction(-2e5)),
+        )
+    },
+    "force(a small vacuum)": (lambda: muscle().force(-2e4, 0.1), WORKS),
+    "force(True)": (lambda: muscle().force(True, 0.1), "p = True"),
+    "force(numpy True)": (lambda: muscle().force(np.True_, 0.1), "p = True"),
     "max_contraction(6 for bar)": (lambda: muscle().max_contraction(6), WARNS + "6 bar"),
     "air_mass(-1)": (lambda: pam.gas.air_mass(-1e5, 1e-3), "must be >= 0"),
     "air_mass(4 for bar)": (lambda: pam.gas.air_mass(4, 1e-3), WARNS + "4 bar"),

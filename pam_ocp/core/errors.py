@@ -113,13 +113,15 @@ def require_finite(argument: str, value: Any, unit: str = "") -> float:
     if is_quantity(value):
         value = quantity(argument, value, *([unit] if unit else []))
     try:
-        number = math.nan if isinstance(value, bool) else float(value)
+        number = math.nan if isinstance(value, bool | np.bool_) else float(value)
     except OverflowError:
         raise InputError(f"{argument} is larger than any float (1.8e308)") from None
     except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{argument} = {value!r} is not a number; give a float") from None
     if not math.isfinite(number):
-        raise InputError(f"{argument} = {number} must be a finite number {unit}".rstrip())
+        given = value if isinstance(value, bool | np.bool_) else number
+        kind = f"number {unit}" if unit not in ("", "1") else "number"
+        raise InputError(f"{argument} = {given} must be a finite {kind}")
     return number
 
 
