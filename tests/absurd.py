@@ -339,6 +339,18 @@ CALLS: dict[str, tuple[Call, str]] = {
         "nominal = None is not a number",
     ),
     "ForceTable([3] for bar)": (lambda: pam.ForceTable([3], [0.0], [100.0]), WARNS + "3 bar"),
+    "table.subset('x')": (
+        lambda: pam.ForceTable([1e5], [0.0], [100.0]).subset("x"),
+        "give a mask of 1 cells",
+    ),
+    "table.subset([7])": (lambda: pam.ForceTable([1e5], [0.0], [100.0]).subset([7]), "out of"),
+    "hysteresis(None)": (lambda: pam.fitting.hysteresis(None), "read it with read_table"),
+    "weights of words": (
+        lambda: pam.fit_force(
+            pam.ForceTable([1e5, 2e5], [0.0, 0.1], [100.0, 90.0]), weights=["a", "b"]
+        ),
+        "does not hold numbers only",
+    ),
     "ForceTable(['3 bar'])": (lambda: pam.ForceTable(["3 bar"], [0.0], ["100 N"]), WORKS),
     "Trajectory(['0 s', '20 ms'])": (
         lambda: pam.Trajectory(["0 s", "20 ms"], {"x": [0, 1]}),

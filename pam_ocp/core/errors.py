@@ -46,6 +46,7 @@ __all__ = [
     "require_flag",
     "require_instance",
     "require_names",
+    "require_ends",
     "require_numbers",
     "require_positive",
     "require_tolerance",
@@ -164,6 +165,18 @@ def require_numbers(
     if doubted:
         doubt(argument, found, unit)
     return found
+
+
+def require_ends(argument: str, ends: Any, unit: str = "") -> tuple[float, float]:
+    """(low, high) of numbers or texts such as "3 bar"; ends may be infinite. Raises InputError."""
+    if not isinstance(ends, list | tuple | np.ndarray) or len(ends) != 2:
+        raise InputError(f"{argument} = {ends!r}: give (low, high)")
+    low, high = (
+        end if end in (-math.inf, math.inf) else require_finite(argument, end, unit) for end in ends
+    )
+    if not low < high:
+        raise InputError(f"{argument} = {ends!r} must be (low, high), the first the smaller")
+    return float(low), float(high)
 
 
 def _array(argument: str, value: Any) -> NDArray[Any]:
