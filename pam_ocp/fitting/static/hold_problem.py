@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import FitError, InputError, UnknownNameError, require_ends
+from ...core.errors import FitError, UnknownNameError, require_ends
 from ...core.stop import check
 from ..statistics import Array
 from .hold_model import HoldModel
