@@ -271,6 +271,18 @@ CALLS: dict[str, tuple[Call, str]] = {
     "force([1, 2, 3] for bar)": (lambda: muscle().force([1, 2, 3], 0.1), WARNS + "3 bar"),
     "force(10 for 10 %)": (lambda: muscle().force(3e5, 10), "did you mean 10 % = 0.1"),
     "force('10 %')": (lambda: muscle().force(3e5, "10 %"), WORKS),
+    **{
+        f"{name}(-2 bar)": (call, "must be >= -101325")
+        for name, call in (
+            ("force", lambda: muscle().force(-2e5, 0.1)),
+            ("tension", lambda: muscle().tension([1e5, -2e5], 0.1)),
+            ("stiffness", lambda: muscle().stiffness("-2 bar", 0.1)),
+            ("max_contraction", lambda: muscle().max_contraction(-2e5)),
+        )
+    },
+    "force(a small vacuum)": (lambda: muscle().force(-2e4, 0.1), WORKS),
+    "force(True)": (lambda: muscle().force(True, 0.1), "p = True"),
+    "force(numpy True)": (lambda: muscle().force(np.True_, 0.1), "p = True"),
     "max_contraction(6 for bar)": (lambda: muscle().max_contraction(6), WARNS + "6 bar"),
     "air_mass(-1)": (lambda: pam.gas.air_mass(-1e5, 1e-3), "must be >= 0"),
     "air_mass(4 for bar)": (lambda: pam.gas.air_mass(4, 1e-3), WARNS + "4 bar"),
@@ -327,6 +339,18 @@ CALLS: dict[str, tuple[Call, str]] = {
         "nominal = None is not a number",
     ),
     "ForceTable([3] for bar)": (lambda: pam.ForceTable([3], [0.0], [100.0]), WARNS + "3 bar"),
+    "table.subset('x')": (
+        lambda: pam.ForceTable([1e5], [0.0], [100.0]).subset("x"),
+        "give a mask of 1 cells",
+    ),
+    "table.subset([7])": (lambda: pam.ForceTable([1e5], [0.0], [100.0]).subset([7]), "out of"),
+    "hysteresis(None)": (lambda: pam.fitting.hysteresis(None), "read it with read_table"),
+    "weights of words": (
+        lambda: pam.fit_force(
+            pam.ForceTable([1e5, 2e5], [0.0, 0.1], [100.0, 90.0]), weights=["a", "b"]
+        ),
+        "does not hold numbers only",
+    ),
     "ForceTable(['3 bar'])": (lambda: pam.ForceTable(["3 bar"], [0.0], ["100 N"]), WORKS),
     "Trajectory(['0 s', '20 ms'])": (
         lambda: pam.Trajectory(["0 s", "20 ms"], {"x": [0, 1]}),

@@ -23,6 +23,7 @@ import sys
 import sysconfig
 import types
 import weakref
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -51,8 +52,8 @@ DEEPEST = 200
 """Objects within objects."""
 DERIVED = frozenset({"__firstlineno__", "__static_attributes__", "__doc__"})
 """Members of a class that come from where and how it is written."""
-READERS = ("open", "load", "loadtxt", "genfromtxt", "fromfile", "memmap", "loadmat")
-"""Names of what reads files; so do those that begin with read_ or load_."""
+READERS = ("open", "loadtxt", "genfromtxt", "fromfile", "memmap", "loadmat")
+"""Names of what reads a file; so do those that begin with read_ or load_."""
 HIDDEN = {
     "eval": "runs code that is text",
     "exec": "runs code that is text",
@@ -62,11 +63,22 @@ HIDDEN = {
     "globals": "looks up names as it runs",
     "environ": "reads the environment",
     "getenv": "reads the environment",
+    "sys.argv": "reads the command line",
+    "sys.modules": "looks up names as it runs",
+    "subprocess": "runs another program",
+    "os.popen": "runs another program",
+    "os.system": "runs another program",
+    "posix.system": "runs another program",
+    "socket": "asks other machines",
+    "urllib": "asks other machines",
+    "http": "asks other machines",
+    "requests": "asks other machines",
+    "sqlite3": "asks a database",
     "input": "asks at the keyboard",
     "CDLL": "calls compiled code",
     "LoadLibrary": "calls compiled code",
 }
-"""What leads out of sight: {name: what it does}."""
+"""What leads out of sight, {name, module, or name in a module: what it does}."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +104,17 @@ def sha(*parts: bytes) -> bytes:
     return found.digest()
 
 
-def unseen(names: Iterable[str], reads_known_file: bool) -> list[str]:
-    """Why code that uses these names of modules and builtins may do more than can be seen."""
-    used = set(names)
+def unseen(names: Iterable[str], files: int) -> list[str]:
+    """Why code that uses these names of modules and builtins may do more than can be seen.
+
+    names : each as often as it stands there. files : how many files it names.
+    """
+    used = Counter(names)
     found = [f"{why} ({name})" for name, why in HIDDEN.items() if name in used]
-    if not reads_known_file:
-        reading = (n for n in sorted(used) if n in READERS or n.startswith(("read_", "load_")))
+    reading = [n for n in sorted(used) if n in READERS or n.startswith(("read_", "load_"))]
+    if "load" in used and not files:  # of json takes what open gave, of NumPy opens by itself
+        reading.append("load")
+    if sum(used[n] for n in reading) > files:
         found += [f"reads a file that is named as it runs ({n})" for n in reading]
     return found
 
@@ -206,7 +223,7 @@ class _Seen:
     """Names that are looked up outside, each with the attributes that are asked of it."""
     imports: tuple[tuple[str, int, tuple[str, ...]], ...]
     """(module, dots in front, names taken from it)."""
-    attributes: frozenset[str]
+    attributes: tuple[str, ...]
     """Of whatever else."""
 
 
@@ -215,7 +232,7 @@ def _seen(code: types.CodeType) -> _Seen:
     steps: list[Any] = []
     chains: list[tuple[str, ...]] = []
     imports: list[tuple[str, int, tuple[str, ...]]] = []
-    attributes: set[str] = set()
+    attributes: list[str] = []
     chained = False
     for step in dis.get_instructions(code):
         if step.opname == "EXTENDED_ARG":
@@ -230,13 +247,13 @@ def _seen(code: types.CodeType) -> _Seen:
         elif follows and chained:
             chains[-1] = (*chains[-1], str(argument))
         elif follows:
-            attributes.add(str(argument))
+            attributes.append(str(argument))
         elif step.opname == "IMPORT_NAME":
             level, names = steps[-2][1], steps[-1][1]
             imports.append((str(argument), int(level or 0), tuple(names or ())))
         chained = step.opname in ("LOAD_GLOBAL", "LOAD_NAME") or (follows and chained)
         steps.append((step.opname, argument))
-    return _Seen(tuple(steps), tuple(chains), tuple(imports), frozenset(attributes))
+    return _Seen(tuple(steps), tuple(chains), tuple(imports), tuple(attributes))
 
 
 def _parts(code: types.CodeType) -> Iterator[types.CodeType]:
@@ -249,6 +266,7 @@ def _parts(code: types.CodeType) -> Iterator[types.CodeType]:
 
 # ---- the walk ------------------------------------------------------------------------------------
 _LEAVES = (int, float, complex, bool, bytes, bytearray, range, slice, type(None), type(...))
+_SLOTS = ("__dict__", "__weakref__")
 _WRAPPED = ("fget", "fset", "fdel", "func", "__func__", "__wrapped__", "dispatcher", "args")
 _COMPILED = (
     types.BuiltinFunctionType,
@@ -365,9 +383,7 @@ class _Walk:
         code = function.__code__
         yield from self._all(code, function.__defaults__, function.__kwdefaults__)
         yield from self._all(*(function.__closure__ or ()))
-        yield self.of({n: v for n, v in vars(function).items() if n[:2] != "__"})
-        if hasattr(function, "__wrapped__"):
-            yield self.of(function.__wrapped__)
+        yield self.of(vars(function))
         within = [_seen(part) for part in _parts(code)]
         chains = sorted({c for part in within for c in part.chains})
         values = [_looked_up(function, chain) for chain in chains]
@@ -380,7 +396,7 @@ class _Walk:
         texts += [str(v) for v in (*values, *_held(function)) if isinstance(v, str | PurePath)]
         files = {named_file(t, Path(code.co_filename).parent) for t in texts} - {None}
         yield from (self._content(str(path)) for path in sorted(map(str, files)))
-        self._out_of_sight(function, within, bool(files))
+        self._out_of_sight(function, within, len(files))
 
     def _imported(
         self, function: types.FunctionType, name: str, level: int, taken: tuple[str, ...]
@@ -396,17 +412,31 @@ class _Walk:
             return self.of(module)
         return sha(*self._all(*(getattr(module, n, "absent") for n in taken)))
 
-    def _out_of_sight(self, function: types.FunctionType, within: list[_Seen], known: bool) -> None:
+    def _out_of_sight(self, function: types.FunctionType, within: list[_Seen], files: int) -> None:
         """Doubts about what it asks of installed modules."""
-        used = {n for part in within for n in part.attributes if n.startswith("read_")}
+        used: list[str] = []
+        paths = False
         for chain in (c for part in within for c in part.chains):
             root = function.__globals__.get(chain[0], getattr(builtins, chain[0], None))
-            if isinstance(root, types.ModuleType):
-                used |= set(chain) if _release(root.__name__) else set()
-            elif self._released(root):
-                used |= set(chain)
-        for why in unseen(used, known):
+            used += self._asked(root, chain)
+            paths = paths or isinstance(root, PurePath) or {"Path", "pathlib"} & set(chain) != set()
+        paths = paths or any(isinstance(v, PurePath) for v in _held(function))
+        asked = [n for part in within for n in part.attributes]
+        used += [n for n in asked if n.startswith("read_") or (paths and n == "open")]
+        used += [name.partition(".")[0] for part in within for name, level, _ in part.imports]
+        for why in unseen(used, files):
             self._doubt(function, why)
+
+    def _asked(self, root: Any, chain: tuple[str, ...]) -> list[str]:
+        """Of an installed module: the names, those with the module in front, and the module."""
+        if isinstance(root, types.ModuleType):
+            home = root.__name__ if _release(root.__name__) else ""
+        else:
+            home = str(getattr(root, "__module__", "")) if self._released(root) else ""
+        if not home:
+            return []
+        last = chain[1] if isinstance(root, types.ModuleType) and len(chain) > 1 else chain[0]
+        return [*chain, f"{home}.{last}", *({home.partition(".")[0]} - set(chain))]
 
     def _code(self, code: types.CodeType) -> Iterator[bytes]:
         arguments = code.co_argcount + code.co_kwonlyargcount
@@ -431,7 +461,8 @@ class _Walk:
         yield from self._all(type(kind), *kind.__bases__)
         for name, member in sorted(vars(kind).items()):
             routine = callable(member) or hasattr(member, "__get__")
-            if name[:2] == "__" and (not routine or name in ("__dict__", "__weakref__")):
+            plain = type(member) in (*_LEAVES, str) and name not in (*DERIVED, "__module__")
+            if name[:2] == "__" and not plain and (not routine or name in _SLOTS):
                 continue
             if name != "_abc_impl":
                 yield name.encode()
@@ -485,16 +516,29 @@ class _Walk:
 
 
 def _looked_up(function: types.FunctionType, chain: tuple[str, ...]) -> Any:
-    """What a name means; of a module of the user's, the attribute that is asked for."""
+    """What a name means; of a module, the attribute that is asked for, if it is of the user's.
+
+    What an installed module has of its own goes by its version.
+    """
     around = function.__globals__
     if chain[0] not in around:
         return getattr(builtins, chain[0], "absent")
     value = around[chain[0]]
     for name in chain[1:]:
-        if not isinstance(value, types.ModuleType) or _release(value.__name__) is not None:
+        if not isinstance(value, types.ModuleType):
             break
-        value = getattr(value, name, "absent")
+        found = getattr(value, name, "absent")
+        if _release(value.__name__) is not None and not _put_there(found):
+            break
+        value = found
     return value
+
+
+def _put_there(found: Any) -> bool:
+    """Whether a user may have put it into an installed module: his code, or a number."""
+    if isinstance(found, types.FunctionType | type):
+        return _release(found.__module__) is None
+    return type(found) in (int, float, complex)
 
 
 def _held(function: types.FunctionType) -> Iterator[Any]:

@@ -42,6 +42,7 @@ __all__ = [
     "VibrationError",
     "WriteError",
     "require_count",
+    "require_ends",
     "require_finite",
     "require_flag",
     "require_instance",
@@ -113,13 +114,15 @@ def require_finite(argument: str, value: Any, unit: str = "") -> float:
     if is_quantity(value):
         value = quantity(argument, value, *([unit] if unit else []))
     try:
-        number = math.nan if isinstance(value, bool) else float(value)
+        number = math.nan if isinstance(value, bool | np.bool_) else float(value)
     except OverflowError:
         raise InputError(f"{argument} is larger than any float (1.8e308)") from None
     except (TypeError, ValueError, RuntimeError):
         raise InputError(f"{argument} = {value!r} is not a number; give a float") from None
     if not math.isfinite(number):
-        raise InputError(f"{argument} = {number} must be a finite number {unit}".rstrip())
+        given = value if isinstance(value, bool | np.bool_) else number
+        kind = f"number {unit}" if unit not in ("", "1") else "number"
+        raise InputError(f"{argument} = {given} must be a finite {kind}")
     return number
 
 
@@ -162,6 +165,18 @@ def require_numbers(
     if doubted:
         doubt(argument, found, unit)
     return found
+
+
+def require_ends(argument: str, ends: Any, unit: str = "") -> tuple[float, float]:
+    """(low, high) of numbers or texts such as "3 bar"; ends may be infinite. Raises InputError."""
+    if not isinstance(ends, list | tuple | np.ndarray) or len(ends) != 2:
+        raise InputError(f"{argument} = {ends!r}: give (low, high)")
+    low, high = (
+        end if end in (-math.inf, math.inf) else require_finite(argument, end, unit) for end in ends
+    )
+    if not low < high:
+        raise InputError(f"{argument} = {ends!r} must be (low, high), the first the smaller")
+    return float(low), float(high)
 
 
 def _array(argument: str, value: Any) -> NDArray[Any]:

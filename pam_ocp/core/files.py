@@ -37,6 +37,7 @@ __all__ = [
     "json_of",
     "make_folder",
     "members_of",
+    "most_unpacked",
     "read_json",
     "read_npz",
     "read_toml",
@@ -59,6 +60,10 @@ MOST_BYTES = 512 * 2**20
 """Of a file that is read."""
 MOST_UNPACKED = 2 * 2**30
 """Bytes that a packed file (.npz, .mat) may hold, asked of its directory before it is unpacked."""
+FREELY_UNPACKED = 64 * 2**20
+"""Bytes to which any file of measurements may unpack, however small it is."""
+MOST_RATIO = 300
+"""Of the bytes beyond, to those of the file: nothing but constants is packed a thousandfold."""
 MOST_MEMBERS = 1000
 """Files in a packed file."""
 MOST_DIRECTORY = 4 * 2**20
@@ -252,6 +257,11 @@ def members_of(path: str | os.PathLike[str]) -> list[ZipInfo]:
                 "pack it anew, deflated"
             )
     return members
+
+
+def most_unpacked(packed: int) -> int:
+    """To how many bytes a file of so many may unpack: what was measured is no constant."""
+    return min(MOST_UNPACKED, max(FREELY_UNPACKED, MOST_RATIO * packed))
 
 
 def require_unpacked(

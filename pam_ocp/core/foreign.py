@@ -18,6 +18,7 @@ from .files import (
     MOST_SHEET_CELLS,
     MOST_UNPACKED,
     content_of,
+    most_unpacked,
     reading,
     require_file,
     require_size,
@@ -62,7 +63,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The arrays of an .npz file by name. Raises InputError."""
     require_file(path)
     with _library(path, "an .npz file"):
-        require_unpacked(path)
+        require_unpacked(path, most_unpacked(os.path.getsize(path)))
         with np.load(path, allow_pickle=False) as archive:
             return dict(archive)
 
@@ -162,7 +163,7 @@ def read_mat(path: str | os.PathLike[str], content: bytes | None = None) -> dict
     if content[:10] == b"MATLAB 7.3" or content[:4] == b"\x89HDF":
         return read_hdf5(path, content)
     with reading(path, "a .mat file", "save it anew, or as CSV"):
-        return matrices_of(content, MOST_UNPACKED)
+        return matrices_of(content, most_unpacked(len(content)))
 
 
 def read_hdf5(path: str | os.PathLike[str], content: bytes | None = None) -> dict[str, Any]:
@@ -176,8 +177,9 @@ def read_hdf5(path: str | os.PathLike[str], content: bytes | None = None) -> dic
         from .hdf5 import tree_of
 
         source = path if content is None else io.BytesIO(content)
+        size = os.path.getsize(path) if content is None else len(content)
         with h5py.File(source, "r") as file:
-            return tree_of(file, MOST_UNPACKED)
+            return tree_of(file, most_unpacked(size))
 
 
 def _require_bytes(path: str | os.PathLike[str], size: int) -> None:

@@ -60,22 +60,25 @@ class Behind:
             tree = ast.parse(path.read_bytes())
         except (OSError, SyntaxError, ValueError):  # running it says so
             return
-        named, used, known = [], set(), False
+        named: list[str] = []
+        used: set[str] = set()
+        known: set[Path] = set()
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 named += [a.name for a in node.names]
             elif isinstance(node, ast.ImportFrom):
                 base = "." * node.level + (node.module or "")
                 named += [base, *(f"{base.rstrip('.')}.{a.name}" for a in node.names)]
-                used |= {a.name for a in node.names}
+                used |= {n for a in node.names for n in (a.name, f"{base}.{a.name}")}
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 file = named_file(node.value, path.parent)
-                known |= file is not None
                 if file is not None:
+                    known.add(file)
                     self.add(file)
             elif isinstance(node, ast.Attribute | ast.Name):
-                used.add(node.attr if isinstance(node, ast.Attribute) else node.id)
-        self.doubts += [f"{path.name} {why}" for why in unseen(used - {"load"}, known)]
+                used |= _spelled(node)
+        used |= {name.partition(".")[0] for name in named}
+        self.doubts += [f"{path.name} {why}" for why in unseen(used - {"load"}, len(known))]
         for name in dict.fromkeys(named):
             self._module(name, package)
 
@@ -111,6 +114,14 @@ def texts(content: Any) -> Iterator[str]:
         yield from (t for value in content.values() for t in texts(value))
     elif isinstance(content, list):
         yield from (t for value in content for t in texts(value))
+
+
+def _spelled(node: ast.Attribute | ast.Name) -> set[str]:
+    """The name, also with what it is asked of in front where that is a name, too."""
+    if isinstance(node, ast.Name):
+        return {node.id}
+    owner = {f"{node.value.id}.{node.attr}"} if isinstance(node.value, ast.Name) else set()
+    return {node.attr} | owner
 
 
 def content_digest(path: Path) -> str:

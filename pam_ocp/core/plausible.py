@@ -29,6 +29,7 @@ __all__ = [
     "meant",
     "meant_within",
     "outside",
+    "units_of",
 ]
 
 FAR = 100.0
@@ -95,6 +96,8 @@ MEASURED: dict[str, Usual] = {
     "length": Usual(5e-3, 4.0, ("mm", "cm", "in"), 0.3),
     "position": Usual(0.0, 2.0, ("mm", "cm", "in"), 0.03),
     "angle": Usual(0.0, 2 * math.pi, ("deg",), 0.5),
+    "velocity": Usual(0.0, 10.0, ("mm/s", "cm/s"), 0.2),
+    "angular velocity": Usual(0.0, 60.0, ("deg/s",), 2.0),
     "sample time": Usual(1e-5, 1.0, ("ms", "us", "ns", "d"), 1e-2),
     "duration": Usual(0.1, 30 * 86400.0, ("ms", "us", "ns", "d"), 10.0),
 }
@@ -110,6 +113,12 @@ def largest_usual(unit: str) -> float:
     """The largest size that is usual for a quantity of this unit [SI]; 0 when none is known."""
     usual = _BY_KIND.get(unit_of(unit).exponents)
     return usual.most if usual else 0.0
+
+
+def units_of(unit: str) -> tuple[str, ...]:
+    """The other units in which people write a quantity of this unit; none where not known."""
+    usual = _BY_KIND.get(unit_of(unit).exponents)
+    return usual.units if usual else ()
 
 
 def _in_si(value: float, unit: str) -> float:

@@ -21,6 +21,7 @@ from ..core.errors import (
     require_instance,
     require_positive,
 )
+from ..core.files import require_local
 from ..core.interrupts import interruptible
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
@@ -199,6 +200,7 @@ def check_fmus(
 
 
 def _readable(file: Path) -> Path:
+    require_local(file)
     if not file.is_file():
         raise InputError(f"{file}: no such file")
     if not os.access(file, os.R_OK):

@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.calibration import AMBIENT
 from ..core.errors import InputError, require_numbers
 from ..core.registry import Registry
 from ..core.stop import locked
@@ -266,7 +267,7 @@ class ForceLaw(ABC):
                 lambda k: evaluate(self.function(), 0, pressure, k, values), LARGEST_CONTRACTION
             )
 
-        p = require_numbers("p", p, "Pa", doubted=True)
+        p = gauge(p)
         found = np.vectorize(largest, otypes=[float])(np.asarray(p, dtype=float))
         return found if found.ndim else float(found)
 
@@ -301,10 +302,12 @@ class ForceLaw(ABC):
 
 def at_point(p: Any, kappa: Any) -> tuple[Any, Any]:
     """Gauge pressure [Pa] and contraction, checked: numbers, arrays or CasADi expressions."""
-    return (
-        require_numbers("p", p, "Pa", doubted=True),
-        require_numbers("kappa", kappa, "1", *CONTRACTIONS),
-    )
+    return gauge(p), require_numbers("kappa", kappa, "1", *CONTRACTIONS)
+
+
+def gauge(p: Any) -> Any:
+    """A gauge pressure [Pa], checked: nothing lies below vacuum."""
+    return require_numbers("p", p, "Pa", -AMBIENT, doubted=True)
 
 
 def evaluate(function: ca.Function, index: int, p: Any, kappa: Any, rest: list[Any]) -> Any:

@@ -160,7 +160,11 @@ class Muscle:
 
     def pressure(self, force: Any, kappa: Any) -> Any:
         """Gauge pressure [Pa] at which the muscle pulls with ``force`` [N] at ``kappa`` (taut)."""
-        return self.law.pressure(force, kappa)
+        found = self.law.pressure(force, kappa)
+        if not isinstance(found, (ca.SX, ca.MX)):
+            known = np.asarray(found)[np.isfinite(found)]
+            self._measured.check(f"muscle {self.name!r}", known, ())
+        return found
 
     def blocked_force(self, p: Any) -> Any:
         """Force at rest length [N]."""

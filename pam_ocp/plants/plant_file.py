@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from inspect import signature
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from ..core.errors import InputError, UnknownNameError
@@ -72,8 +74,15 @@ def named_plant(
     require_allowed(f"{name!r} would run the Python file {file}", allow_code)
     found = member_of((folder or Path()) / file, member)
     wanted = "a Plant, or a function that takes a muscle and returns one"
-    if not isinstance(found, Plant) and not callable(found):
+    other = isinstance(found, type) and not issubclass(found, Plant)
+    if other or (not isinstance(found, Plant) and not callable(found)):
         raise InputError(f"{name} is {_called(found)}; give {wanted}")
+    if isinstance(found, FunctionType):
+        try:
+            signature(found).bind(muscle, **parts)
+        except TypeError as error:
+            given = ", ".join(["a muscle", *parts])
+            raise InputError(f"{name} cannot take {given} ({error}); give {wanted}") from None
     plant = found if isinstance(found, Plant) else found(muscle, **parts)
     if not isinstance(plant, Plant):
         raise InputError(f"{name} returns {_called(plant)}; give {wanted}")
@@ -81,6 +90,8 @@ def named_plant(
 
 
 def _called(value: Any) -> str:
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     return "None" if value is None else f"a {type(value).__name__}"
 
 

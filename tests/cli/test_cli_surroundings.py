@@ -119,6 +119,9 @@ def test_what_is_read_is_no_url(tmp_path, monkeypatch, capsys):
         ("compare", "s3://bucket/a.npz", "s3://bucket/b.npz"),
         ("plan", "https://example.org/problem.toml"),
         ("study", "gs://bucket/study.toml"),
+        ("check", "https://example.org/unit.fmu"),
+        ("campaign", "s3://bucket/rigs"),
+        ("fit-plant", "s3://bucket/*.csv", "--plant", "HangingLoad", "--free", "mass"),
     ):
         code, out, err = run(capsys, *given)
         assert (code, out) == (2, "")
@@ -227,6 +230,9 @@ def test_a_whole_number_beyond_all_range_in_a_file_is_named(tmp_path, monkeypatc
     [
         ("plant = None", "mine.py:plant is None; give a Plant, or a function that takes a muscle"),
         ("plant = 3.0", "mine.py:plant is a float; give a Plant"),
+        ("plant = int", "mine.py:plant is the class int; give a Plant"),
+        ("def plant(): return 3", "mine.py:plant cannot take a muscle (too many positional"),
+        ("def plant(*, body): return 3", "mine.py:plant cannot take a muscle (too many positional"),
         ("def plant(muscle): return None", "mine.py:plant returns None; give a Plant"),
         ("def plant(muscle): return 'x'", "mine.py:plant returns a str; give a Plant"),
     ],

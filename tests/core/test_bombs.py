@@ -12,9 +12,10 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.core import files, hdf5, mat
-from pam_ocp.core.files import json_of, members_of, read_npz, write_json, write_npz
+from pam_ocp.core.files import json_of, members_of, most_unpacked, read_npz, write_json, write_npz
 from pam_ocp.core.foreign import read_hdf5, read_mat
 from pam_ocp.export.archive import require_safe
+from pam_ocp.fitting.tables.trees import chosen_table
 
 MIB = 2**20
 
@@ -47,6 +48,26 @@ def npz(path, method=zipfile.ZIP_DEFLATED, **members):
 
 def read_plan_file(path):
     return read_npz(path, "a plan file")
+
+
+# ---- tables in arrays ----------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("shapes", "words"),
+    [
+        ([(20_000_001,)], "has 20000001 rows, more than the 20000000 allowed"),
+        ([(20_000_000,)] * 6, "holds 120000000 numbers, more than the 100000000 allowed"),
+    ],
+)
+def test_arrays_of_very_many_numbers_become_no_table(shapes, words):
+    """What a file of some hundred kilobytes unpacks to; arrays of one number take no memory."""
+    arrays = {f"t{i}": np.broadcast_to(0.0, shape) for i, shape in enumerate(shapes)}
+    tracemalloc.start()
+    try:
+        with pytest.raises(pam.InputError, match=words):
+            chosen_table({"deep": [arrays]}, "rig.npz", None)
+        assert tracemalloc.get_traced_memory()[1] < MIB
+    finally:
+        tracemalloc.stop()
 
 
 # ---- zip files -----------------------------------------------------------------------------------
@@ -125,6 +146,17 @@ def test_a_directory_of_very_many_members_is_not_read(tmp_path):
     assert [m.filename for m in members_of(path)] == ["a"] * 3
 
 
+def test_arrays_that_are_packed_as_nothing_measured_is_are_not_unpacked(tmp_path):
+    """66 MiB in 70 kB; in a file of a hundred times that size they are read."""
+    zeros = np.zeros(66 * MIB // 8)
+    small = npz(tmp_path / "rig.npz", a=npy(zeros))
+    refused(pam.read_table, small, "of 66 MiB; at most 1000 parts of 64 MiB are allowed")
+    matlab = mat_file(tmp_path / "rig.mat", matrix(6, (zeros.size, 1), element(9, bytes(zeros))))
+    refused(read_mat, matlab, "unpacks to more than", most=140 * MIB)
+    assert most_unpacked(10**6) == 300 * 10**6
+    assert most_unpacked(10**9) == files.MOST_UNPACKED
+
+
 # ---- MATLAB --------------------------------------------------------------------------------------
 def element(kind, content):
     return struct.pack("<2I", kind, len(content)) + content + bytes(-len(content) % 8)
@@ -198,7 +230,7 @@ def test_texts_that_all_lie_in_one_place_are_counted_each(tmp_path, h5py, monkey
     one = bytes(content[place : place + 16])
     content[place : place + 160_000] = one * 10_000
     path.write_bytes(content)
-    monkeypatch.setattr("pam_ocp.core.foreign.MOST_UNPACKED", 20 * MIB)
+    monkeypatch.setattr(files, "MOST_UNPACKED", 20 * MIB)
     refused(read_hdf5, path, "unpacks to more than is allowed")
 
 

@@ -46,6 +46,9 @@ KINDS = {
     "a global array": "import numpy as np\nG = np.array([{gain}])\ndef push(t): return G[0] * t",
     "a global in a lambda": "G = {gain}\npush = lambda t: max([t], key=lambda s: G * s)",
     "a class attribute": "class C:\n    g = {gain}\ndef push(t): return C.g * t",
+    "a class attribute between underscores": (
+        "class C:\n    __gain__ = {gain}\ndef push(t): return C.__gain__ * t"
+    ),
     "a method": ("class C:\n    def f(self, t): return {gain} * t\ndef push(t): return C().f(t)"),
     "a base class": ("class B:\n    g = {gain}\nclass C(B): pass\ndef push(t): return C.g * t"),
     "a property": (
@@ -110,6 +113,17 @@ KINDS = {
         "from enum import Enum\nclass G(Enum):\n    a = {gain}\ndef push(t): return G.a.value * t"
     ),
     "an attribute of a function": "def push(t): return push.g * t\npush.g = {gain}",
+    "one between underscores": "def push(t): return push.__g__ * t\npush.__g__ = {gain}",
+    "what was put into an installed module": (
+        "import json\njson.gain_of_mine = lambda t: {gain} * t\n"
+        "def push(t): return json.gain_of_mine(t)"
+    ),
+    "a number put into an installed module": (
+        "import json\njson.number_of_mine = {gain}\ndef push(t): return json.number_of_mine * t"
+    ),
+    "a file that is opened for a reader": (
+        "import json\ndef push(t): return {gain} * json.load(open('curve.json'))"
+    ),
     "a spline": (
         "from scipy.interpolate import CubicSpline\nimport numpy as np\n"
         "push = CubicSpline([0.0, 1.0, 2.0], [0.0, 1.0, {gain}])"
@@ -133,6 +147,25 @@ KINDS = {
 }
 
 
+HIDING = {
+    "import sys\ndef push(t): return sys.modules['helper'].GAIN": "looks up names as it runs",
+    "import sys\ndef push(t): return float(sys.argv[1])": "reads the command line",
+    "import subprocess as s\ndef push(t): return s.run('rig')": "runs another program",
+    "def push(t):\n    import subprocess\n    return subprocess.run('rig')": "runs another program",
+    "from os import system\ndef push(t): return system('rig')": "runs another program",
+    "import os\ndef push(t): return os.popen('rig')": "runs another program",
+    "from urllib.request import urlopen\ndef push(t): return urlopen('rig')": "other machines",
+    "import sqlite3\ndef push(t): return sqlite3.connect('rig')": "asks a database",
+    "from pathlib import Path\ndef push(t): return Path(f'{t}').open().read()": "reads a file",
+    "from pathlib import Path\nHERE = Path()\ndef push(t): return (HERE / f'{t}').open()": (
+        "reads a file"
+    ),
+    "import numpy as np\n"
+    "def push(t): return np.loadtxt('curve.csv') + np.loadtxt(f'{t}.csv')": "reads a file",
+}
+"""Lines whose push asks what stands elsewhere, and how that is said."""
+
+
 def made(folder, text: str, gain: float, before: str = "", behind: str = "", helper: str = HELPER):
     """``push`` of a module with these lines, run from a file."""
     (folder / "helper.py").write_text(before + helper.format(gain=gain) + behind)
@@ -142,6 +175,7 @@ def made(folder, text: str, gain: float, before: str = "", behind: str = "", hel
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     with as_written():
         yield tmp_path
@@ -156,6 +190,7 @@ def anew(place, *arguments, **more):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_change_is_seen_wherever_it_stands_and_nothing_else(place, kind):
+    (place / "curve.json").write_text("1.0")
     first = anew(place, KINDS[kind], 2.0)
     assert first.doubts == ()
     assert anew(place, KINDS[kind], 2.0) == first
@@ -262,6 +297,22 @@ def called_back():
 def test_what_cannot_be_told_is_named(thing, words):
     assert any(words in doubt for doubt in digest_of(thing).doubts)
     assert digest_of([1.0, {"u": thing}]).doubts == digest_of(thing).doubts
+
+
+@pytest.mark.parametrize("lines", HIDING)
+def test_what_a_function_asks_outside_of_its_code_is_named(place, monkeypatch, lines):
+    (place / "curve.csv").write_text("1.0\n")
+    (place / "mine.py").write_text(lines)
+    assert any(
+        HIDING[lines] in doubt for doubt in digest_of(importlib.import_module("mine").push).doubts
+    )
+    if "loadtxt" not in lines:  # files of one's own are looked through as a whole
+        assert any(HIDING[lines] in doubt for doubt in behind("mine.py", place).doubts)
+
+
+def test_what_is_called_as_a_reader_but_is_none_is_no_doubt(place):
+    text = "class V:\n    def open(self, t): return t\nv = V()\ndef push(t): return v.open(t)"
+    assert anew(place, text, 1.0).doubts == ()
 
 
 def test_a_file_that_a_function_names_counts_by_its_content(place):

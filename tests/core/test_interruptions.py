@@ -88,7 +88,9 @@ def left():
 
 
 @pytest.fixture(autouse=True)
-def python_handler():
+def python_handler(monkeypatch):
+    # pytest's own hook is Python: a signal within it would be lost with what it was told
+    monkeypatch.setattr(sys, "unraisablehook", lambda told: None)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     gc.disable()  # so that the work goes the same way each time
     yield

@@ -303,6 +303,8 @@ def test_an_export_is_replaced_and_anything_else_is_left_alone(tmp_path):
         pam.export_c(pid_block(), theirs)
     with pytest.raises(WriteError, match="is a file"):
         pam.export_c(pid_block(), theirs / "thesis.tex")
+    with pytest.raises(WriteError, match="s3://bucket/c is a URL"):
+        pam.export_c(pid_block(), "s3://bucket/c")
     assert [p.name for p in theirs.iterdir()] == ["thesis.tex"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c", "theirs"]
 

@@ -45,6 +45,7 @@ def test_a_pressure_in_bar_is_doubted_with_the_unit_that_was_meant(fit: Any) -> 
         ("much", 0.1, "not a number"),
         (float("nan"), 0.1, "finite"),
         (3e5, True, "kappa = True"),
+        ([[1e5, 2e5], [3e5]], 0.1, "rows differ in length"),
         ([1e5, 2e5, 3e5], [0.1, 0.2], "broadcast"),
     ],
 )

@@ -100,6 +100,35 @@ def test_a_joint_tells_its_link_from_angles_under_two_pressures():
     assert fit.values["zero.theta"] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"bounds": {"mass": 3}}, r"bounds\['mass'\] = 3: give \(low, high\)"),
+        ({"bounds": {"mass": ("1 N", 9)}}, "measures something else than 'kg'"),
+        ({"bounds": {"mass": (0, 10**400)}}, "larger than any float"),
+        ({"bounds": {"mass": (5, 3)}}, "the first the smaller"),
+        ({"noise": {"x": "1 bar"}}, r"noise\['x'\] = '1 bar': this measures something else"),
+        ({"noise": {"x": 0}}, r"noise\['x'\] = 0 m must be > 0"),
+        ({"noise": {"y": 1e-3}}, "unknown measured variable in noise 'y'"),
+    ],
+)
+def test_bounds_and_noise_that_cannot_be_are_named(arguments, words):
+    plant = pam.SpringOverMuscle("DMSP-20-300", mass=2.0)
+    holds = {"muscle_pressure [bar]": [1.0, 2.0, 3.0], "x [mm]": [10.0, 20.0, 28.0]}
+    with pytest.raises(pam.InputError, match=words):
+        fit_holds(plant, holds, "mass", **arguments)
+
+
+def test_bounds_and_noise_may_be_texts():
+    plant = pam.SpringOverMuscle("DMSP-20-300", mass=2.0)
+    holds = {"muscle_pressure [bar]": [1.0, 2.0, 3.0], "x [mm]": [10.0, 20.0, 28.0]}
+    one, other = (
+        fit_holds(plant, holds, "preload", bounds={"preload": b}, noise={"x": n})
+        for b, n in ((("-1 kN", np.inf), "0.1 mm"), ((-1e3, np.inf), 1e-4))
+    )
+    assert one.values == other.values
+
+
 def test_what_holds_cannot_tell_is_refused_by_name(spring):
     x = positions(lambda x, _: 120.0 + 6000.0 * x)
     with pytest.raises(pam.FitError, match=r"spring_stiffness by .* and preload by"):

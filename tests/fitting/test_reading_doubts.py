@@ -317,6 +317,7 @@ def test_a_table_in_a_unit_that_cannot_be_is_doubted_and_read(changed: Any, word
         ({"p": CELLS["pressure"] / 6894.757}, r"units=\{'pressure': 'psi'\}"),
         ({"p": CELLS["pressure"] / 1e6}, r"units=\{'pressure': 'MPa'\}"),
         ({"p": CELLS["pressure"] / 1e5}, r"units=\{'pressure': 'bar'\}"),
+        ({"F": CELLS["force"] * 102}, r"units=\{'force': 'gf'\}"),
         (
             {"p_bar": np.where(ROW < 5, CELLS["pressure"] / 1e3, CELLS["pressure"] / 1e5)},
             "the column mixes units",
@@ -365,6 +366,7 @@ def test_tables_that_are_right_are_not_doubted():
         ({**record(), "F": 3e4 + WAVE}, "{'muscle.force': 'gf'}"),
         ({**record(), "muscle_pressure [bar]": BARS + 1.013}, "'muscle.pressure': 'bar abs'"),
         ({**record(), "F [N]": -300 + WAVE}, "{'muscle.force': '0 N - x'}"),
+        ({**record(), "v": 75 * WAVE}, "{'v': 'mm/s'}"),
         ({"t": T, "F": -300 + WAVE}, "{'f': '0 N - x * 1 N'}"),
         ({"t": T, "p [bar]": 1.013 + np.maximum(0, 3 * WAVE)}, "'p': 'bar abs'"),
     ],
@@ -374,6 +376,21 @@ def test_a_record_in_a_unit_that_cannot_be_is_doubted_and_read(plant: Any, rig: 
     read, said = heard(pam.read_record, rig, owner)
     assert len(read) == N
     assert words in said[pam.UnitWarning]
+
+
+@pytest.mark.parametrize(
+    ("rig", "words"),
+    [
+        (record(x_head="x"), r"units=\{'x': 'mm'\}"),
+        (record(x_head="x [m]"), r"units=\{'x': 'mm'\}"),
+        (record(p_head="muscle_command"), r"units=\{'muscle\.command': 'bar'\}"),
+    ],
+)
+def test_a_record_in_a_unit_that_is_impossible_is_refused_with_the_one_that_fits(
+    plant: pam.Plant, rig: Any, words: str
+):
+    with pytest.raises(InputError, match=words):
+        pam.read_record(rig, plant)
 
 
 def test_degrees_taken_for_radians_are_doubted_and_read_by_the_answer():

@@ -12,6 +12,7 @@ from pam_ocp.core.errors import InputError
 from pam_ocp.muscles.catalogue import muscle
 from pam_ocp.muscles.law import LAWS, SixParameterLaw, clamp
 from pam_ocp.muscles.pneumatic_muscle import Muscle
+from pam_ocp.muscles.validity import ValidityWarning
 
 # Published set of the DMSP-20-400N: p in bar, kappa in percent, F in N.
 A1, A2, A3, A4, A5, A6 = -4.35573, 281.22370, -0.32866, -9.27035, 302.20107, -263.69185
@@ -67,6 +68,11 @@ def test_stiffness_is_the_slope_of_force_over_length(fluidic):
 def test_pressure_inverts_the_tension_exactly(law):
     p, kappa = np.meshgrid(np.linspace(0, 6e5, 13), np.linspace(-0.02, 0.3, 17))
     assert np.max(np.abs(law.pressure(law.tension(p, kappa), kappa) - p)) < 1e-8  # 1e-13 bar
+
+
+def test_a_pressure_beyond_what_was_measured_is_said(fluidic):
+    with pytest.warns(ValidityWarning, match=r"pressure = 1434\.\d+ bar is outside"):
+        assert fluidic.pressure(300e3, 0.1) > 1e7
 
 
 def test_inverse_is_refused_where_pressure_does_not_raise_the_force(law):

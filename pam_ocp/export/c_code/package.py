@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.atomic import make_folder
+from ...core.atomic import make_folder, require_local
 from ...core.block import Block
 from ...core.errors import ExportError, InputError, require_count, require_positive
 from ...core.exceptions import WriteError
@@ -153,6 +153,7 @@ def _inputs(block: Block, steps: int | None, inputs: ArrayLike | None, seed: int
 # ---- the folder ---------------------------------------------------------------------------------
 def _place(folder: str | os.PathLike[str]) -> Path:
     """The folder to write. Raises WriteError where something else stands there."""
+    require_local(folder)
     place = Path(os.path.realpath(folder))
     if place.is_dir():
         if any(place.iterdir()) and not (place / MARK).is_file():

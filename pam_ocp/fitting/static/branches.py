@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...core.errors import InputError, require_instance
 from ...core.shown import shown
 from ..statistics import Array
-from ..tables.force_table import ForceTable
+from ..tables.force_table import ForceTable, require_table
 from .optimum import Optimum
 
 __all__ = [
@@ -214,6 +214,7 @@ def hysteresis(table: ForceTable) -> Hysteresis:
     >>> float(pam.fitting.hysteresis(both).mean)
     11.0
     """
+    require_table(table)
     for name in ("inflation", "deflation"):
         if name not in table.branches:
             raise InputError(

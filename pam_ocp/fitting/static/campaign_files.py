@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InputError, PamError, require_positive
+from ...core.files import require_local
 from ..tables.force_table import ForceTable, joined_floor, read_table
 from ..tables.sources import ENDINGS, load
 
@@ -86,6 +87,7 @@ def _sources(source: Any) -> list[tuple[str, Any]]:
     if isinstance(source, Mapping):
         return [(str(n), t) for n, t in source.items()]
     if isinstance(source, (str, Path)):
+        require_local(source)
         folder = Path(source)
         if not folder.is_dir():
             raise InputError(

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import FitError, InputError, UnknownNameError
+from ...core.errors import FitError, UnknownNameError, require_ends
 from ...core.stop import check
 from ..statistics import Array
 from .hold_model import HoldModel
@@ -56,10 +56,8 @@ class Holds:
         for name, ends in bounds.items():
             if name not in self.names:
                 raise UnknownNameError("estimate in bounds", name, self.names)
-            first, second = (float(v) for v in ends)
-            if not first < second:
-                raise InputError(f"bounds[{name!r}] = {ends!r} must be (low, high)")
             i = self.names.index(name)
+            first, second = require_ends(f"bounds[{name!r}]", ends, self.variables[i].unit)
             low[i], high[i] = max(low[i], first), min(high[i], second)
         return np.array(low), np.array(high)
 

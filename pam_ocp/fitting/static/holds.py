@@ -125,11 +125,20 @@ def fit_holds(
             f"{problem.y.size} measured values for {len(names)} estimates: measure more holds"
         )
     limits = problem.limits(bounds or {})
-    sizes = np.array(
-        [require_positive("noise", (noise or {}).get(n, 0.0) or 1.0) for n in compared]
-    )
+    sizes = _noise(plant, noise or {}, compared)
     found, sizes, weights, terms = settled(problem, limits, sizes, noise, compared, loss)
     return _result(problem, found, sizes, weights, terms, independent(errors), limits)
+
+
+def _noise(plant: Plant, noise: Mapping[str, Any], compared: Sequence[str]) -> Array:
+    """The standard deviation of each measured variable [SI]; 1 where none is given."""
+    for name in noise:
+        if name not in compared:
+            raise UnknownNameError("measured variable in noise", name, compared)
+    given = (noise.get(n, 1.0) for n in compared)
+    units = (plant.variable(n).unit for n in compared)
+    sizes = zip(compared, given, units, strict=True)
+    return np.array([require_positive(f"noise[{n!r}]", v, u) for n, v, u in sizes])
 
 
 # ---- arguments ----------------------------------------------------------------------------------

@@ -6,12 +6,11 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...core.calibration import AMBIENT
-from ...core.errors import InputError
-from ...core.plausible import doubt, meant_within, outside
-from ...core.quantities import is_quantity, quantity
+from ...core.errors import InputError, require_numbers
+from ...core.plausible import meant_within, outside
 from ...muscles.validity import ValidityWarning
 from ..statistics import Array, Prediction
 from ..tables.force_table import ForceTable
@@ -30,7 +29,8 @@ def places(p: Any, kappa: Any) -> tuple[Array, Array]:
     Warns (UnitWarning) where another unit was probably meant. Raises InputError for what no muscle
     can be.
     """
-    pressure, kappas = _numbers("p", p, "Pa"), _numbers("kappa", kappa, "1")
+    pressure = np.asarray(require_numbers("p", p, "Pa", doubted=True))
+    kappas = np.asarray(require_numbers("kappa", kappa, "1"))
     low = pressure < -AMBIENT
     if low.any():
         raise InputError(
@@ -44,7 +44,6 @@ def places(p: Any, kappa: Any) -> tuple[Array, Array]:
             f"kappa = {value:g} is no contraction ratio of a muscle: give (l0 - l)/l0 between "
             f"{REACH[0]:g} and {REACH[1]:g}{meant_within(value, '1', 0.0, 0.6)}"
         )
-    doubt("p", pressure, "Pa")
     try:
         both = np.broadcast_arrays(pressure, kappas)
     except ValueError:
@@ -53,22 +52,6 @@ def places(p: Any, kappa: Any) -> tuple[Array, Array]:
             "broadcast"
         ) from None
     return both[0], both[1]
-
-
-def _numbers(name: str, given: ArrayLike | str, unit: str) -> Array:
-    if is_quantity(given):
-        values = np.asarray(quantity(name, given, unit))
-    else:
-        array = np.asarray(given)
-        if array.dtype.kind in "OUS":
-            flat = [quantity(name, v.item() if hasattr(v, "item") else v, unit) for v in array.flat]
-            array = np.array(flat).reshape(array.shape)
-        if array.dtype.kind not in "iuf":
-            raise InputError(f"{name} = {given!r}: give numbers [{unit}], or texts with a unit")
-        values = array.astype(float)
-    if not np.all(np.isfinite(values)):
-        raise InputError(f"{name} must be finite, but one is {values[~np.isfinite(values)][0]}")
-    return values
 
 
 def beyond(table: ForceTable, p: Array, kappa: Array) -> NDArray[np.bool_]:

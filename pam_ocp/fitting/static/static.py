@@ -169,7 +169,10 @@ def cell_weights(weights: ArrayLike | Literal["equal"] | None, table: ForceTable
         assert error is not None
         usual = float(np.median(error))
         return np.asarray(usual / np.maximum(error, SMALLEST_ERROR * usual))
-    array = np.asarray(weights, dtype=float)
+    try:
+        array = np.asarray(weights, dtype=float)
+    except (OverflowError, TypeError, ValueError) as error:
+        raise InputError(f"weights does not hold numbers only: {error}") from None
     if array.shape != (len(table),):
         raise InputError(
             f"weights has shape {array.shape}; give one weight per cell of the table, "

@@ -64,6 +64,8 @@ SI = {
     "length": "m",
     "position": "m",
     "angle": "rad",
+    "velocity": "m/s",
+    "angular velocity": "rad/s",
 }
 
 
@@ -297,7 +299,8 @@ def doubts_of(raw: RawTable, column: Column, si: Array) -> list[Doubt]:
         found = inside_by({column.kind: size / factor}, column.unit) if column.plain else []
         guess = f"; did you mean {' or '.join(found[:2])}?" if found else ""
         most = f"{usual.least:g} .. {usual.most:g} {name}".rstrip()
-        words = f"{shown}, where {column.kind}s of such rigs reach {most}{guess}"
+        many = f"{column.kind}s".replace("ys", "ies")
+        words = f"{shown}, where {many} of such rigs reach {most}{guess}"
         return [Doubt(f"{words} {_remedy(column, found[0] if found else '...')}")]
     own = column.variable is None or column.variable.name.rpartition(".")[2] == "force"
     if column.kind == "force" and own and column.plain and float(si.max()) <= 0:

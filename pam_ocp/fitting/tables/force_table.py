@@ -206,7 +206,13 @@ class ForceTable:
 
     def subset(self, chosen: ArrayLike | slice) -> ForceTable:
         """The chosen cells (mask, indices or slice) as a table."""
-        index = np.arange(len(self))[chosen if isinstance(chosen, slice) else np.asarray(chosen)]
+        try:
+            cells = np.arange(len(self))
+            index = cells[chosen if isinstance(chosen, slice) else np.asarray(chosen)]
+        except (IndexError, ValueError) as error:
+            raise InputError(
+                f"chosen: {error}; give a mask of {len(self)} cells, their numbers or a slice"
+            ) from None
         return ForceTable(
             self.pressure[index],
             self.contraction[index],

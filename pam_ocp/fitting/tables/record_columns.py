@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.calibration import AMBIENT, COUNTS, Scale, scale_of, spelled
 from ...core.errors import InputError
-from ...core.plausible import inside_by
+from ...core.plausible import inside_by, units_of
 from ...core.units import Unit, unit
 from ...core.variables import Variable
 from .cells import is_empty, is_number, is_stamp
@@ -93,14 +93,17 @@ def check_size(
     place = (
         f"{raw.label}: column {header!r}, {raw.row(worst)}, is {values[worst]:.4g} {variable.unit}"
     )
-    remedy = f"correct the header or give units={{{variable.name!r}: ...}}"
+    factor = 1.0 if scale is None else scale.measured.factor
     if np.isfinite(bound) and size > BEYOND * max(bound, 1e-3 * variable.nominal):
+        fitting = next(
+            (u for u in units_of(variable.unit) if size / factor * unit(u).factor <= bound), "..."
+        )
         raise InputError(
             f"{place} ({read}), where {variable.name} lies within {variable.min:g} .. "
-            f"{variable.max:g}: the unit cannot be right; {remedy}"
+            f"{variable.max:g}: the unit cannot be right; correct the header or give "
+            f"units={{{variable.name!r}: {fitting!r}}}"
         )
     if variable.unit == "Pa" and 0 < size < LEAST_PRESSURE:
-        factor = 1.0 if scale is None else scale.measured.factor
         likely = inside_by({"pressure": size / factor})[:2] or ["bar", "kPa"]
         raise InputError(
             f"{place} at most ({read}): no muscle moves at that, it looks like "

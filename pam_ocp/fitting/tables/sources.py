@@ -136,6 +136,7 @@ def sources_of(source: Any) -> list[Any]:
         if not found:
             raise InputError("sources is empty: give at least one file or table")
         return found
+    require_local(source)
     path = Path(source)
     if path.is_dir():
         found = [f for f in sorted(path.iterdir()) if f.is_file() and _ending(f) in ENDINGS]

@@ -117,9 +117,12 @@ def check_mixed_pressure(pressure: Series, p: Array, force: Array, contraction: 
 def check_force(force: Series) -> None:
     top = int(np.argmax(np.abs(force.si)))
     if abs(force.si[top]) > LARGEST_FORCE:
+        fitting = inside_by({"force": float(abs(force.values[top]))}, force.unit)[:2]
+        guess = f"it looks like {' or '.join(fitting)}; " if fitting else ""
         raise InputError(
             f"{force.shown(top)} ({force.reading}) is beyond any fluidic muscle "
-            f"({LARGEST_FORCE:g} N); check the unit"
+            f"({LARGEST_FORCE:g} N): {guess}correct the header or give "
+            f"units={{'force': {fitting[0] if fitting else '...'!r}}}"
         )
 
 

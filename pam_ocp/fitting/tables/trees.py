@@ -7,8 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import InputError, UnknownNameError
+from ...core.files import MOST_CELLS, require_size
 from .cells import decimal_of, is_number
 from .dialect import Grid, Unsaid
 
@@ -26,6 +28,7 @@ def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[
     pick : its name, as ``run.data`` or ``runs[2]``; needed where there are several. Raises an
     InputError that names them.
     """
+    _require_few(label, list(_arrays(tree, 0)))
     tables = dict(_tables(tree, "", label, 0))
     if pick is not None:
         wanted = pick.strip()
@@ -45,6 +48,27 @@ def chosen_table(tree: Any, label: str, pick: str | None) -> tuple[Found, tuple[
             f"{label} holds {len(top)} tables: {shown}{more}; choose one with pick={top[0]!r}"
         )
     return tables[top[0]], _beside(tables, top[0])
+
+
+def _require_few(label: str, arrays: Sequence[NDArray[Any]]) -> None:
+    """Bounds what arrays hold before they become lists, which take four times as much."""
+    require_size(label, max((max(a.shape, default=0) for a in arrays), default=0), 1)
+    cells = sum(a.size for a in arrays)
+    if cells > MOST_CELLS:
+        raise InputError(
+            f"{label} holds {cells} numbers, more than the {MOST_CELLS} allowed; keep what is "
+            "needed, or cut it into several files"
+        )
+
+
+def _arrays(tree: Any, level: int) -> Iterator[NDArray[Any]]:
+    """The arrays of numbers within a tree."""
+    if isinstance(tree, np.ndarray) and tree.dtype != object:
+        yield tree
+    elif isinstance(tree, Mapping | list | tuple | np.ndarray) and level <= MOST_LEVELS:
+        inner = tree.values() if isinstance(tree, Mapping) else tree
+        nested = (Mapping, list, tuple, np.ndarray)
+        yield from (a for i in inner if isinstance(i, nested) for a in _arrays(i, level + 1))
 
 
 def _beside(tables: Mapping[str, Found], taken: str) -> tuple[str, ...]:
