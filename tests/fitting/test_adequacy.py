@@ -14,6 +14,7 @@ from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
 from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise
 
 TRUE = {"damping": 80.0, "muscle.lag": 0.08}
+PATTERN = {"damping": 80.0, "muscle*.lag": 0.08}
 NOISE = 2e-5
 
 
@@ -96,6 +97,13 @@ def test_fits_of_whole_motions_say_it_too() -> None:
     assert fit.adequacy.sentence in fit.report()
     plain = fit.linearisation.stderr()[fit.linearisation.names.index("damping")]
     assert fit.coefficients["damping"].stderr > 5 * plain
+
+
+def test_parameters_that_a_pattern_holds_equal_are_values_of_the_fit_like_others() -> None:
+    fits = [fit_plant(off(), record("coloured noise"), list(free)) for free in (TRUE, PATTERN)]
+    one, other = (f.adequacy.stderr for f in fits)
+    assert other["muscle*.lag"] == pytest.approx(one["muscle.lag"], rel=1e-3)
+    assert fits[1].coefficients["muscle*.lag"].stderr == other["muscle*.lag"]
 
 
 def test_records_without_noise_are_not_judged() -> None:
