@@ -141,7 +141,8 @@ class PlantFit:
         residuals counted, and where the model is inadequate, with what that may shift.
         """
         linear = self.linearisation
-        told = {} if self.adequacy.adequate or self.at_bound else self.adequacy.stderr
+        a = self.adequacy
+        told = {n: e for n, e in a.stderr.items() if not (a.adequate or n in self.at_bound)}
         rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
         return {
             n: Coefficient(
