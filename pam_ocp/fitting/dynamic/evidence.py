@@ -318,7 +318,8 @@ def _least_squares(case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array) -> 
 
 
 def _squares(modelled: Array, runs: Runs, weights: Array) -> float:
-    found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
+    with np.errstate(over="ignore"):  # a step too long
+        found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
     lost = np.isnan(modelled) & ~np.isnan(runs.measured)
     return np.inf if lost.any() or not np.isfinite(found) else found
 
