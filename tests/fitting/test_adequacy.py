@@ -14,6 +14,7 @@ from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
 from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise
 
 TRUE = {"damping": 80.0, "muscle.lag": 0.08}
+PATTERN = {"damping": 80.0, "muscle*.lag": 0.08}
 NOISE = 2e-5
 
 
@@ -98,6 +99,48 @@ def test_fits_of_whole_motions_say_it_too() -> None:
     assert fit.coefficients["damping"].stderr > 5 * plain
 
 
+def test_parameters_that_a_pattern_holds_equal_are_values_of_the_fit_like_others() -> None:
+    fits = [fit_plant(off(), record("coloured noise"), list(free)) for free in (TRUE, PATTERN)]
+    one, other = (f.adequacy.stderr for f in fits)
+    assert other["muscle*.lag"] == pytest.approx(one["muscle.lag"], rel=1e-3)
+    assert fits[1].coefficients["muscle*.lag"].stderr == other["muscle*.lag"]
+
+
+def test_a_value_that_ends_at_its_bound_is_no_excuse() -> None:
+    """Friction drives the mass to nothing: no motion can be followed there."""
+
+    def spring(losses: Any = (), lag: float = 0.1) -> pam.Plant:
+        feed = pam.feeds.Regulator(lag)
+        return pam.SpringOverMuscle(
+            "DMSP-10-250", 3.0, 6e3, 70.0, damping=64.0, feed=feed, losses=losses
+        )
+
+    rig = spring(pam.losses.CoulombFriction(20.0, speed=5e-3))
+    random, t = np.random.default_rng(3), 0.01 * np.arange(450)
+    u = np.repeat(random.uniform(1.5e5, 5e5, 10), 45)
+    start = rig.equilibrium({"muscle.command": u[0]})
+    run = pam.simulate(
+        rig, {"muscle.command": u}, t=t, start=start, interpolation="previous", rtol=1e-9
+    )
+    noise = {"x": 4e-5, "muscle.pressure": 1e3}
+    columns = {n: run[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
+    columns["muscle.command"] = u
+    shown = pam.Trajectory(t, columns, [rig.variable(n) for n in columns], "previous")
+    fit = fit_free_run(
+        spring(lag=0.11),
+        shown,
+        ["mass", "muscle.lag"],
+        outputs=list(noise),
+        horizon=0.4,
+        every=0.2,
+        judge=False,
+    )
+    assert fit.at_bound == ("mass",)
+    assert fit.adequacy.cause == "friction or hysteresis"
+    low, high = fit.interval("muscle.lag")
+    assert low <= 0.1 <= high
+
+
 def test_records_without_noise_are_not_judged() -> None:
     clean = record()
     plant = hanging()
@@ -156,6 +199,37 @@ def test_intervals_hold_the_truth_under_coloured_noise() -> None:
             low, high = fit.interval(name)
             inside += low <= true <= high
     assert inside >= 33  # of 40; 1 in 260 of fewer at 95 %
+
+
+def test_standard_errors_count_several_outputs_with_the_weights_of_the_fit() -> None:
+    from pam_ocp.fitting.dynamic.rollout import Rollout
+    from pam_ocp.fitting.dynamic.runs import runs_of
+
+    noise, cut = {"x": NOISE, "muscle.pressure": 3e3}, record(samples=300)
+    plant, t = hanging(), cut.t
+    u = 3.5e5 + 0.15 * (
+        cut["muscle.command"] - 3.5e5
+    )  # pressures that range over less than nominal
+    start = plant.equilibrium({"muscle.command": u[0]})
+    motion = pam.simulate(
+        plant, {"muscle.command": u}, t=t, start=start, interpolation="previous", rtol=1e-9
+    )
+    random = np.random.default_rng(7)
+    columns = {"muscle.command": u}
+    columns |= {n: motion[n] + s * random.standard_normal(t.size) for n, s in noise.items()}
+    both = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
+    fit = fit_free_run(off(), both, list(TRUE), horizon=None, outputs=list(noise), judge=False)
+    assert fit.adequacy.adequate
+    runs = runs_of(fit.plant, both, None, None, list(noise), 2, fit.options["steps"])
+    rollout = Rollout(fit.plant, runs, fit.unknowns, fit.rig)
+    slopes = rollout.jacobian(fit.z, damped=False)
+    each = rollout.weights.max() * np.array(list(noise.values())) / rollout.spread
+    scatter = np.tile(each, len(slopes) // 2)  # of the weighted residuals, by theory
+    inverse = np.linalg.inv(slopes.T @ slopes)
+    meat = (slopes * scatter[:, None]).T @ (slopes * scatter[:, None])
+    wanted = np.sqrt(np.diag(inverse @ meat @ inverse)) * fit.unknowns.scale
+    for i, name in enumerate(TRUE):
+        assert fit.coefficients[name].stderr == pytest.approx(wanted[i], rel=0.15)
 
 
 # ---- hidden starts -------------------------------------------------------------------------------

@@ -93,18 +93,24 @@ def test_the_deviance_is_that_of_normal_errors() -> None:
 
 @pytest.mark.slow
 def test_errors_of_measured_inputs_no_longer_bias_the_damping(rig: pam.Plant) -> None:
+    """Of 20 fits; where nothing is biased 16 or more lie above the truth once in 170."""
     noise = {"muscle1.command": 5e3, "muscle2.command": 5e3}
-    hits: dict[bool, list[bool]] = {True: [], False: []}
+    hits, above, named = [], {True: 0, False: 0}, 0
     for seed in range(20):
         record = measured(rig, run(rig, 50 + seed), seed, 5e3, "previous")
         for known in (True, False):
             extra = {"input_noise": noise} if known else {}
             fit = fit_plant(rig, record, FREE, noise={"x": 2e-5}, degree=3, **extra)  # type: ignore[arg-type]
-            for name, (low, high) in fit.intervals().items():
-                truth = float(rig.variable(name.replace("*", "1")).start or 0)
-                hits[known].append(low <= truth <= high)
-    assert np.mean(hits[True]) >= 0.85
-    assert np.mean(hits[False]) < 0.75
+            truth = {n: float(rig.variable(n.replace("*", "1")).start or 0) for n in fit.values}
+            above[known] += fit.values["damping"] > truth["damping"]
+            if known:
+                hits += [low <= truth[n] <= high for n, (low, high) in fit.intervals().items()]
+            else:
+                named += not fit.adequacy.adequate
+    assert np.mean(hits) >= 0.85
+    assert 5 <= above[True] <= 15
+    assert above[False] >= 16
+    assert named == 20  # a fit that leaves such errors out says that something is
 
 
 def test_input_noise_is_refused_where_it_cannot_be(rig: pam.Plant) -> None:
@@ -135,7 +141,7 @@ def test_discarded_sensitivities_are_not_called_no_influence() -> None:
     from pam_ocp.fitting.dynamic.free_run_fit import _require_sense
 
     unknowns = SimpleNamespace(
-        names=("stiffness",), low=[-1.0], high=[1.0], places=lambda kind: np.empty(0)
+        names=("stiffness",), low=[-1.0], high=[1.0], places=lambda kind: np.empty(0), along=()
     )
     for damped, words in ((4, "cannot be told"), (0, "no influence")):
         rollout = SimpleNamespace(

@@ -85,6 +85,7 @@ def test_memories_are_found_back_by_simulation(loss, free):
     beside = plant.with_values({n: 0.7 * v for n, v in truth.items()})
     fit = pam.fit_plant(beside, record, names)
     assert fit.method == "simulation"
+    assert fit.adequacy.adequate
     for name, (low, high) in fit.intervals(level=0.999).items():
         if name in truth:
             assert low < truth[name] < high

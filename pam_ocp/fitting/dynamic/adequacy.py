@@ -35,6 +35,10 @@ NEGLIGIBLE = 1e-6
 """Of a suspect's column, that is left when the fitted values are projected out."""
 FEWEST = 10
 """Degrees of freedom of the residuals below which nothing is said."""
+APART = 2.0
+"""Standard errors by which values may differ from those of whole motions, which tell most: runs
+from measured starts are biased by the noise of these, and what lies farther is not in their width.
+"""
 DEEPEST = 12
 """Order of the autoregressive noise, at most."""
 EXACT = 5.0
@@ -77,8 +81,9 @@ class Adequacy:
     that it takes up. tests : all that were made. noise : of each measured variable as its record
     shows it without a model; rms : of the residuals [its unit]. correlation : of neighbouring
     residuals. shifts : by how much fitted values would change with the cause in the model.
-    stderr : standard errors, with autocorrelated residuals and these shifts counted. dof : degrees
-    of freedom, of as many independent residuals as tell as much.
+    stderr : standard errors, with autocorrelated residuals and these shifts counted, and how far
+    whole motions put the values where that is farther than chance. dof : degrees of freedom, of as
+    many independent residuals as tell as much.
 
     Examples
     --------
@@ -529,7 +534,8 @@ def _verdict(
     off = shifts**2
     if given is not None:
         stderr = np.array([given[n] for n in e.names])
-        off += (e.shifts * e.scale) ** 2 if cause.name else 0.0
+        apart = np.abs(e.shifts * e.scale)
+        off += np.where((apart > APART * stderr) | bool(cause.name), apart**2, 0.0)
     stderr = np.sqrt(stderr**2 + off)
     subject, amount, unit = _subject(case, cause)
     part = 0.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...core.errors import PamError
+from ...core.errors import FitError, PamError
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
@@ -30,6 +30,10 @@ STEEP = 1e3
 """What a start may change, in spreads per nominal, for a motion to be followed."""
 SHORTEST = 24
 """Samples of a motion, at least."""
+LOST = 1e6
+"""As STEEP, but of the shortest motions and of finer steps: beyond it nothing is followed. So it is
+where a memory has kinks, which no step meets.
+"""
 ROUNDS = 8
 """Gauss-Newton steps to the least squares of these motions."""
 GAINED = 1e-4
@@ -241,6 +245,8 @@ def _blocks(
             n = int(runs.length[row])
             modelled = y[i, :n] if targets is None else targets[row][:n]
             s = np.nan_to_num(slopes[i, :n])
+            if np.any(np.abs(s[..., k + m :]) > LOST * rollout.spread[:, None]):
+                raise FitError("motions that depend on their starts without bound tell nothing")
             found[int(row)] = Motion(
                 modelled - runs.measured[row, :n], s[..., k + m :], s[..., :k], s[..., k : k + m]
             )
@@ -312,7 +318,8 @@ def _least_squares(case: _Case, runs: Runs, fine: Runs, z: Array, x0: Array) -> 
 
 
 def _squares(modelled: Array, runs: Runs, weights: Array) -> float:
-    found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
+    with np.errstate(over="ignore"):  # a step too long
+        found = float(np.nansum(((modelled - runs.measured) * weights) ** 2))
     lost = np.isnan(modelled) & ~np.isnan(runs.measured)
     return np.inf if lost.any() or not np.isfinite(found) else found
 

@@ -24,7 +24,7 @@ from .descent import descend
 from .evidence import evidence_of
 from .hidden import settled_starts
 from .rig import Rig, RunUnknowns, unknowns_of
-from .rollout import Rollout
+from .rollout import Rollout, spreads
 from .run_statistics import Spread
 from .runs import FreeRun, Runs, runs_of
 
@@ -93,9 +93,15 @@ class FreeRunFit:
             r if r.interpolation_known else r.running(self.interpolation) for r in self.records
         ]
         evidence = evidence_of(self.plant, known, names, u, self.rig, self.z)
+        if evidence is None and self.at_bound:  # a mass of nothing: no motion can be followed there
+            edge = [n in self.at_bound for n in u.names]
+            begin = np.where(edge, u.guess, self.z)
+            evidence = evidence_of(self.plant, known, names, u, self.rig, begin)
         own = {n: c.stderr for n, c in self.spread.coefficients.items()}
         given = None if self._whole else own
-        return adequacy_of(evidence, 1 / self.training.sizes, given)
+        return adequacy_of(
+            evidence, 1 / spreads(self.plant, names, self.training.measured), given
+        )
 
     @property
     def _whole(self) -> bool:
@@ -110,9 +116,12 @@ class FreeRunFit:
         """
         if self.spread is None:
             return {}
-        told = {} if self.at_bound else self.adequacy.stderr
-        found = self.spread.coefficients
-        return {n: replace(c, stderr=told.get(n, c.stderr)) for n, c in found.items()}
+        a = self.adequacy
+        told = {} if self.at_bound and a.adequate else a.stderr
+        return {
+            n: c if n in self.at_bound else replace(c, stderr=told.get(n, c.stderr))
+            for n, c in self.spread.coefficients.items()
+        }
 
     @property
     def covariance(self) -> Array:

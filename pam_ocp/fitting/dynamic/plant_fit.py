@@ -21,7 +21,7 @@ from ...simulation.compare import RecordComparison, compare_with_record
 from ..static.correlation import neighbours, widening
 from ..statistics import Array, Coefficient, Linearisation, coefficient_frame, student_t
 from .adequacy import Adequacy, adequacy_of
-from .evidence import evidence_of
+from .evidence import Evidence, evidence_of
 from .experiment import groups
 from .rig import Rig, unknowns_of
 from .transcribe import FitMethod
@@ -37,6 +37,8 @@ __all__ = ["PlantFit"]
 ACCURATE = 0.02
 """Largest error of the integration that a fit is content with, in standard deviations of the noise.
 """
+FOLLOWED = 1.5
+"""Times the fit's own residuals that those of the motions which are tested may be."""
 COLOURED = 0.3
 """Correlation of neighbouring residuals from which intervals are called too narrow."""
 
@@ -101,19 +103,19 @@ class PlantFit:
     @cached_property
     def adequacy(self) -> Adequacy:
         """What the residuals of one motion through each record tell about the model; see
-        :class:`Adequacy`. Of a smoothed motion, of inputs with errors, or of records that are not
-        sampled at equal steps nothing is tested.
+        :class:`Adequacy`. Of a smoothed motion, of inputs with errors, of records that are not
+        sampled at equal steps, or of memories whose kinks need a simulation nothing is tested.
         """
         if self.process_noise or self.input_noise or not self.records:
             return Adequacy()
         linear, names = self.linearisation, list(self.measured)
         found = dict(zip(linear.names, linear.values, strict=True))
-        known = {v.name for v in self.plant.parameters}
-        free = [n.split(" = ") for n in self.parameters if n.split(" = ")[0] in known]
         free_delay = "delay" in self.parameters
+        count = len(self.parameters) - len(self.gains) - len(self.offsets) - free_delay
+        free = [tuple(n.split(" = ")) if " = " in n else n for n in self.parameters[:count]]
         unknowns, _ = unknowns_of(
             self.plant,
-            groups(self.plant, [tuple(n) if len(n) > 1 else n[0] for n in free], {}),
+            groups(self.plant, free, {}),
             names,
             len(self.records),
             float(np.median(np.diff(self.records[0].t))),
@@ -129,6 +131,8 @@ class PlantFit:
             for r in self.records
         ]
         evidence = evidence_of(self.plant, records, names, unknowns, rig, z)
+        if evidence is None or _strays(evidence, np.array([self.rmse[n] for n in names])):
+            return Adequacy()
         return adequacy_of(evidence, 1 / np.array([self.noise[n] for n in names]))
 
     @cached_property
@@ -137,7 +141,8 @@ class PlantFit:
         residuals counted, and where the model is inadequate, with what that may shift.
         """
         linear = self.linearisation
-        told = {} if self.adequacy.adequate or self.at_bound else self.adequacy.stderr
+        a = self.adequacy
+        told = {n: e for n, e in a.stderr.items() if not (a.adequate or n in self.at_bound)}
         rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
         return {
             n: Coefficient(
@@ -316,6 +321,15 @@ class PlantFit:
     def __repr__(self) -> str:
         shown = ", ".join(f"{n} = {v:.5g}" for n, v in self.values.items())
         return f"PlantFit({self.plant.name!r}: {shown})"
+
+
+def _strays(evidence: Evidence, rmse: Array) -> bool:
+    """Whether motions with free starts meet the records worse than the fit did: then the steps of
+    their integration do not follow the plant (a memory, a play), and say nothing of the model.
+    """
+    every = np.concatenate([m.error for m in evidence.motions])
+    ratio = np.sqrt(np.mean(every**2, axis=0)) / np.maximum(rmse, 1e-300)
+    return bool(np.exp(np.mean(np.log(np.maximum(ratio, 1e-300)))) > FOLLOWED)
 
 
 def _complete(record: Trajectory, inputs: Mapping[str, float]) -> Trajectory:

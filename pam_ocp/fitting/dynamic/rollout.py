@@ -20,7 +20,7 @@ from .rig import Rig, RunUnknowns
 from .run_inputs import RunSteps
 from .runs import Runs
 
-__all__ = ["ASTRAY", "Rollout"]
+__all__ = ["ASTRAY", "Rollout", "spreads"]
 
 WILD = 1e2
 """Sensitivity (spreads per unit of a scaled unknown) from which a sample's row is damped.
@@ -62,9 +62,7 @@ class Rollout:
                 groups=tuple(unknowns), names=tuple(g.name for g in unknowns), records=0
             )
         self._plant, self.runs, self._unknowns, self._rig = plant, runs, unknowns, rig or Rig()
-        spread = np.nanstd(runs.measured.reshape(-1, len(runs.names)), axis=0)
-        nominal = np.array([plant.variable(v).nominal for v in runs.names])
-        self.spread = np.where(spread > 1e-9 * nominal, spread, nominal)
+        self.spread = spreads(plant, runs.names, runs.measured)
         self.weights = np.sqrt(runs.weights / len(runs.names))
         self._whole: dict[Any, ca.Function] = {}
         self._steps: tuple[bytes, list[Array]] = (b"", [])
@@ -277,6 +275,13 @@ class Rollout:
         gain[list(u.gains)] = 1 + z[u.places("gains")]
         offset[list(u.offsets)] = z[u.places("offsets")] * u.scale[u.places("offsets")]
         return gain, offset
+
+
+def spreads(plant: Plant, names: Sequence[str], measured: Array) -> Array:
+    """Units in which errors count: the standard deviation of what was measured, or nominals."""
+    spread = np.nanstd(measured.reshape(-1, len(names)), axis=0)
+    nominal = np.array([plant.variable(v).nominal for v in names])
+    return np.asarray(np.where(spread > 1e-9 * nominal, spread, nominal))
 
 
 def _late(plant: Plant, runs: Runs, unknowns: RunUnknowns, rig: Rig) -> tuple[tuple[int, ...], ...]:
