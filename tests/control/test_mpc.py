@@ -210,6 +210,8 @@ def test_hpipm_called_directly_solves_the_quadratic_program_that_piqp_solves():
     point, p = mpc._sqp.point, mpc.program
     mpc._references({"x": 0.012, "stiffness": 2e4})
     point()
+    rows, columns = p.h_entries
+    point.h[rows == columns] += sqp.PROXIMAL
     direction = np.zeros(p.size)
     StageQp(point, direction)()
     conic = ca.conic(

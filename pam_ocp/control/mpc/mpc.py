@@ -107,7 +107,9 @@ class Mpc:
         ``pam.control.block``), to the last bit, slower than HPIPM by ten times where it is not
         compiled. None: "hpipm"; where ``compiled`` asks for machine code, an SQP step is one
         function of it, with the interior point of "riccati" inside.
-    tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
+    tolerance : an iteration that changes less ends the SQP, in units of nominal: the errors that
+        are minimised, as they weigh next to the largest weight (root mean square over the horizon),
+        the inputs that are applied, and what predictions and limits were off by.
     compiled : the SQP's steps as machine code (with a ``solver`` that is named: the model's steps
         and their derivatives), a third of the time. True: built if need be, some seconds for each
         structure, once; kept in the cache. None: where it is there. False: never.
