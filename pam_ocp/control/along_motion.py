@@ -169,7 +169,7 @@ def tvlqr(
     --------
     >>> law = pam.control.tvlqr(slide, plan.replay.trajectory)
     >>> start = {v.name: plan.trajectory[v.name][0] for v in slide.states}
-    >>> late = {"duration": plan.duration, "start": start, "parameters": {"mass": 2.1}}
+    >>> late = {"duration": plan.duration, "start": start, "parameters": {"mass": 2.05}}
     >>> loop = pam.closed_loop(law, slide, **late)
     >>> bool(abs(loop["x"][-1] - 0.01) < 2e-3)
     True

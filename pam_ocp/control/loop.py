@@ -181,9 +181,9 @@ def closed_loop(
 
     Raises InputError for what cannot be meant, SimulationError when the side cannot go on. Warns
     once, in the words of ``loop.verdict``, where the loop did not do what it was asked: set points
-    missed by over 1 % of the stroke (over the last tenth of the run), limits broken, over 20 % of a
-    solver's calls not converged or any failed, predictions over a sample that miss over 25 % of its
-    changes, inputs without influence.
+    missed by over 1 % of the stroke and 0.2 % of nominal (over the last tenth of the run), limits
+    broken, over 20 % of a solver's calls not converged or any failed, predictions over a sample
+    that miss over 25 % of its changes, inputs without influence.
 
     Examples
     --------

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
+from ..core.variables import Variable
 
 __all__ = ["LoopVerdict", "judge_loop"]
 
@@ -20,8 +21,14 @@ LATE = 0.1
 """Of a run, at its end: where a set point is to have been reached."""
 MISSED = 0.01
 """Of the stroke: farther from its set point a variable has missed it."""
-SMALLEST_STROKE = 0.1
-"""Of nominal: what is to stay where it is is not measured by less."""
+SMALLEST_STROKE = 0.2
+"""Of nominal: what is to stay where it is, or to go less far, is not measured by less; a hundredth
+of it is what a rig's position sensor tells (20 um where 10 mm are nominal).
+"""
+FIGURES = 3
+"""Digits of a distance that is told."""
+ZERO = 1e-9
+"""Of nominal: a set point below it is told as 0."""
 UNCONVERGED = 0.2
 """Of the calls of a solver: more that are not converged are named."""
 ASTRAY = 0.25
@@ -56,7 +63,8 @@ class LoopVerdict:
     kept: tuple[str, ...] = ()
     """What was looked at and found in order."""
     missed: Mapping[str, float] = field(default_factory=dict)
-    """{variable: distance from its set point at the end, as a part of the stroke}, of those missed.
+    """{variable: distance from its set point at the end, as a part of the stroke}, of those missed;
+    of a variable that is to stay, or goes less far, as a part of a fifth of its nominal value.
     """
     broken: Mapping[str, float] = field(default_factory=dict)
     """{variable: by how much its range was exceeded [its unit]}."""
@@ -119,7 +127,7 @@ def judge_loop(
     faults += told
     broken = _broken(motion, limits or {}, set(inputs))
     faults += [
-        f"{n} leaves its range by {motion.variable(n).shown(size)}" for n, size in broken.items()
+        f"{n} leaves its range by {_told(motion.variable(n), size)}" for n, size in broken.items()
     ]
     if not broken:
         kept.append("limits kept")
@@ -168,11 +176,21 @@ def _missed(
         error = float(np.max(np.abs(motion[name] - goal)[late]))
         if error > MISSED * stroke + NOISE * noise.get(name, 0.0):
             shares[name] = error / stroke
+            way, unit = stroke, "the stroke"
+            if stroke <= SMALLEST_STROKE * variable.nominal:
+                way, unit = variable.nominal, f"its nominal {variable.shown(variable.nominal)}"
             words[name] = (
-                f"{name} ends {variable.shown(error)} from its set point "
-                f"{variable.shown(goal[-1])} ({100 * error / stroke:.3g} % of the stroke)"
+                f"{name} ends {_told(variable, error)} from its set point "
+                f"{_told(variable, goal[-1], 2 * FIGURES)} ({100 * error / way:.3g} % of {unit})"
             )
     return shares, words
+
+
+def _told(variable: Variable, value: float, figures: int = FIGURES) -> str:
+    """A value for people: rounded, and 0 where only arithmetic says otherwise."""
+    if abs(value) <= ZERO * variable.nominal:
+        return variable.shown(0.0)
+    return variable.shown(float(f"{value:.{figures}g}"))
 
 
 def _idle(

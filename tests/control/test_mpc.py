@@ -389,6 +389,19 @@ def test_steps_that_are_applied_before_they_converged_are_counted():
     assert f"not converged {expected} times" in str(loop)
 
 
+def test_inputs_that_nothing_feels_do_not_keep_a_controller_from_converging():
+    """No weight on rates, and two inputs for one tracked position: the last inputs of the horizon,
+    and what both muscles have in common, have no place of their own.
+    """
+    for solver in ("hpipm", "riccati"):
+        mpc = Mpc(benchmark_slide(), horizon=20, sample_time=0.01, track={"x": 1.0}, solver=solver)
+        loop = mpc.closed_loop(benchmark_slide(), {"x": 0.01}, 0.4)
+        assert loop.statistics.unconverged <= 4
+        assert sum(s.iterations for s in loop.statistics.steps[10:]) <= 40
+        assert np.ptp(loop["muscle1.command"][-10:]) < 100.0  # Pa
+        assert loop.verdict
+
+
 def test_the_error_of_a_prediction_is_that_of_a_tight_integration():
     """One RK4 step of 50 ms on a regulator's lag of 50 ms: by SciPy, from node to node."""
     from conftest import scipy_states
