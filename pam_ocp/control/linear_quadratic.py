@@ -75,9 +75,8 @@ class Weighting:
         """{weighted state or output: weight} and R, in units of nominal."""
         given = self.weights
         if given is None:
-            given = {
-                n: w for p, v in self.plant.positions.items() for n, w in ((p, 10.0), (v, 1.0))
-            }
+            moved = self.plant.load_positions.items()  # a spool is to move as it likes
+            given = {n: w for p, v in moved for n, w in ((p, 10.0), (v, 1.0))}
         rows = {
             self.plant.variable(n).name: require_positive(f"weights[{n!r}]", w, zero=True)
             for n, w in given.items()
