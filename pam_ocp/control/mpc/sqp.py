@@ -182,8 +182,10 @@ class Sqp:
 
         No further step is begun after ``work`` iterations of the interior-point method in all; one
         that is cut off at ``OVER`` times that, where it can be, before it was solved is not taken.
+        Where a later program has no solution, the point at which least was left to change is.
         """
         point, spent, before, damping, done = self.point, 0.0, np.inf, PROXIMAL, 0
+        best = np.inf, point.w
         for k in range(1, iterations + 1):
             most = math.inf if k == 1 else OVER * work - done
             miss, size, count, seconds = self._step(damping, most)
@@ -191,8 +193,13 @@ class Sqp:
             done += count
             if not miss <= MISS and k > 1 and done >= OVER * work:
                 return SqpOutcome(True, False, k - 1, before, spent, done)
+            if not miss <= MISS and best[0] < np.inf:
+                point.w[:] = best[1]
+                return SqpOutcome(True, False, k - 1, best[0], spent, done)
             if not miss <= MISS:  # NaN, too
                 return SqpOutcome(False, False, k, np.inf, spent, done)
+            if k > 1 and size < best[0]:
+                best = size, point.w.copy()
             point.w += self.direction
             if size <= self.tolerance:
                 return SqpOutcome(True, True, k, size, spent, done)
@@ -210,7 +217,7 @@ def _infinite(bounds: Array) -> Array:
     return np.where(np.abs(bounds) >= UNBOUNDED, open_ends, bounds)
 
 
-LONGEST = 5.0
+LONGEST = 2.0
 """Processor seconds of one solve by IPOPT; a controller that waits longer has lost its plant."""
 
 
