@@ -293,7 +293,9 @@ def along_stroke(
     array([4.3, 4.2, 4.5])
     """
     path = equilibrium_path(plant, name, values, conditions)
-    seen = list(plant.load_positions) if outputs is None else [plant.variable(n).name for n in outputs]
+    seen = (
+        list(plant.load_positions) if outputs is None else [plant.variable(n).name for n in outputs]
+    )
     if not seen:
         raise InputError(f"along_stroke: {plant.name!r} has no position; name the outputs")
     controls = [v.name for v in plant.inputs if not v.disturbance]

@@ -369,6 +369,7 @@ class _Run:
             predicted={n: [row[n] for row in self.expected] for n in names},
             sample_time=sample_time,
             idle=getattr(self.controller, "idle", ()),
+            behind=_behind(self.controller),
         )
 
     def _estimates(self, t: Array, known: Mapping[str, Variable]) -> Trajectory:
@@ -385,6 +386,14 @@ class _Run:
                 variables.append(Variable(label, "output", unit=unit, nominal=nominal))
                 columns[label] = column
         return Trajectory(t, columns, variables)
+
+
+def _behind(controller: Any) -> list[str]:
+    """Commands that a controller sends through a dead zone behind something that moves."""
+    inversion = getattr(controller, "inversion", None)
+    if inversion is None or inversion.exact:
+        return []
+    return [n for o in inversion.plant.openings if o.carried for n in o.commands]
 
 
 def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:

@@ -25,6 +25,10 @@ SMALLEST_STROKE = 0.2
 """Of nominal: what is to stay where it is, or to go less far, is not measured by less; a hundredth
 of it is what a rig's position sensor tells (20 um where 10 mm are nominal).
 """
+TURNS = 4
+"""In the second half of a run: what passes its middle as often swings."""
+LITTLE = 1e-3
+"""Of an error, what is left of it when it was gone: no way any more."""
 FIGURES = 3
 """Digits of a distance that is told."""
 ZERO = 1e-9
@@ -98,6 +102,7 @@ def judge_loop(
     predicted: Mapping[str, ArrayLike] | None = None,
     sample_time: float = 0.0,
     idle: Sequence[str] = (),
+    behind: Sequence[str] = (),
 ) -> LoopVerdict:
     """The verdict on a closed loop by what happened in it.
 
@@ -109,6 +114,8 @@ def judge_loop(
     predicted : {variable: values at the end of each sample, as they were predicted at its
         beginning}, and ``sample_time`` [s].
     idle : inputs that are known to have no influence where the run began.
+    behind : inputs whose dead zone stands behind something that moves (a spool): it is not crossed
+        at once, and where a loop swings that is why.
 
     Examples
     --------
@@ -119,7 +126,7 @@ def judge_loop(
     1.0
     """
     noise = noise or {}
-    missed, words = _missed(motion, wanted, noise)
+    missed, words = _missed(motion, wanted, noise, behind)
     faults, kept = list(words.values()), []
     if wanted is not None and not missed and (reached := _judged(motion, wanted)):
         kept.append(f"{', '.join(reached)} within {100 * MISSED:g} % of the stroke")
@@ -162,7 +169,10 @@ def _stroke(motion: Trajectory, wanted: Trajectory, name: str) -> float:
 
 
 def _missed(
-    motion: Trajectory, wanted: Trajectory | None, noise: Mapping[str, float]
+    motion: Trajectory,
+    wanted: Trajectory | None,
+    noise: Mapping[str, float],
+    behind: Sequence[str],
 ) -> tuple[dict[str, float], dict[str, str]]:
     """(distances as parts of the stroke, in words), of the set points that were missed."""
     shares: dict[str, float] = {}
@@ -182,8 +192,33 @@ def _missed(
             words[name] = (
                 f"{name} ends {_told(variable, error)} from its set point "
                 f"{_told(variable, goal[-1], 2 * FIGURES)} ({100 * error / way:.3g} % of {unit})"
+                f"{_manner(motion, name, motion[name] - goal, MISSED * stroke, behind)}"
             )
     return shares, words
+
+
+def _manner(
+    motion: Trajectory, name: str, error: Array, allowed: float, behind: Sequence[str]
+) -> str:
+    """How a set point is missed, in words: whether it swings, or is still on its way."""
+    second = motion.t >= motion.t[0] + motion.duration / 2
+    around = error[second] - float(np.mean(error[second]))
+    swing = float(np.ptp(around)) / 2
+    wide = np.abs(around) > swing / 4
+    times = motion.t[second][wide][1:][np.diff(np.sign(around[wide])) != 0]
+    if swing > allowed and len(times) >= TURNS:
+        often = (len(times) - 1) / (2 * (times[-1] - times[0]))
+        told = f", swinging by {_told(motion.variable(name), swing)} at {often:.2g} Hz"
+        if behind:
+            told += (
+                f", while the dead zone of {', '.join(behind)} is crossed behind a part that moves, "
+                "which takes time"
+            )
+        return told
+    begin, end = abs(error[second][0]), abs(error[-1])
+    if len(times) <= 1 and LITTLE * begin < end < begin / 2:
+        return ", still on its way"
+    return ""
 
 
 def _told(variable: Variable, value: float, figures: int = FIGURES) -> str:

@@ -599,6 +599,11 @@ class TrackingMpc:
         return self.mpc._expected()
 
     @property
+    def inversion(self) -> Inversion:
+        """Of the dead zones of its commands."""
+        return self.mpc.inversion
+
+    @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Of states and outputs, as the Mpc was told."""
         return self.mpc.limits
