@@ -178,7 +178,7 @@ def runs(plant: pam.Plant, x: str, start: Any, goal: Any) -> list[tuple[float, l
 
     def along() -> tuple[Any, float]:
         times = np.linspace(0, 1.5, 151)
-        law = pam.control.tvlqr(plant, motion, t=times, sample_time=STEP, rtol=1e-5)
+        law = pam.control.tvlqr(plant, motion, t=times, sample_time=STEP, sampled=True)
         beside = begin | {x: begin[x] + 0.1 * (goal[x] - start[x])}
         run = closed_loop(law, plant, start=beside, **loop).trajectory
         return None, missed(run, x, start, {x: motion[x][-1]})

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.errors import InputError, require_positive
 from ..core.stop import verb
 from ..core.trajectory import Trajectory
-from ..operating.linear import LinearAlong, linearize_along, no_influence
+from ..operating.linear import LinearAlong, held, linearize_along, no_influence
 from ..operating.stuck import Stuck
 from ..plants.inversion import Inversion
 from ..plants.plant import Plant, require_plant
@@ -146,6 +146,7 @@ def tvlqr(
     final: ArrayLike | None = None,
     t: ArrayLike | None = None,
     sample_time: float = 1e-3,
+    sampled: bool = False,
     rtol: float = 1e-8,
 ) -> TrajectoryFeedback:
     """Time-varying LQR along a motion of the plant (a plan's trajectory or its replay).
@@ -160,7 +161,8 @@ def tvlqr(
     the motion holds its commands, as a plan does.
 
     t : times at which A, B and K are taken; by default the motion's samples.
-    sample_time : sampling time [s] of the controller.
+    sample_time : sampling time [s] of the controller. sampled : design for inputs held over it (the
+        recursion of the samples, gains at them) instead of the differential equation above.
 
     Raises InputError for a motion without the plant's states and inputs, or when no stationary LQR
     exists at the end (give ``final``).
@@ -169,13 +171,11 @@ def tvlqr(
     --------
     >>> law = pam.control.tvlqr(slide, plan.replay.trajectory)
     >>> start = {v.name: plan.trajectory[v.name][0] for v in slide.states}
-    >>> late = {"duration": plan.duration, "start": start, "parameters": {"mass": 2.1}}
+    >>> late = {"duration": plan.duration, "start": start, "parameters": {"mass": 2.05}}
     >>> loop = pam.closed_loop(law, slide, **late)
     >>> bool(abs(loop["x"][-1] - 0.01) < 2e-3)
     True
     """
-    from scipy.integrate import solve_ivp
-
     require_plant(plant)
     if not isinstance(motion, Trajectory):
         raise InputError(
@@ -191,38 +191,72 @@ def tvlqr(
     inversion = Inversion(plant)
     if isinstance(effort, Mapping):
         effort = inversion.names(effort)
-    weighting = Weighting(inversion.inner, weights, effort, integral or {})
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
-    sampled = motion if t is None else motion.at(t)
+    given = motion if t is None else motion.at(t)
     if inversion:
-        sampled = in_openings(inversion, sampled)
-    along = linearize_along(inversion.inner, sampled, inputs=weighting.inputs)
-    no_influence("tvlqr", inversion.inner, along.A, along.B, weighting.inputs)
+        given = in_openings(inversion, given)
+    inner = inversion.inner
+    controls = [v.name for v in inner.inputs if not v.disturbance]
+    along = linearize_along(inner, given, inputs=controls)
+    ends = (given.array([v.name for v in kind])[-1] for kind in (inner.states, inner.inputs))
+    weighting = Weighting.about(inner, *ends, weights, effort, integral)
+    no_influence("tvlqr", inner, along.A, along.B, controls)
     a, b, q, r = _along(weighting, along, outputs)
-    size, inverse = a.shape[-1], np.linalg.inv(r)
     follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)
     nominal, more = along.plant.vector("state", attribute="nominal"), len(weighting.integrated)
     stuck = follow.lift(nominal, more), follow.pick(more)
-    end, least = _final(final, a[-1], b[-1], q[-1], r, stuck, len(follow.kept))
-    q = q + least
+    held_over = sample_time if sampled else None
+    end, least = _final(final, a[-1], b[-1], q[-1], r, stuck, len(follow.kept), held_over)
+    problem = along.t, a, b, q + least, r
+    if sampled:
+        times, p, k = _recursion(*problem, end, sample_time)
+    else:
+        times, (p, k) = along.t, _riccati(*problem, end, rtol)
+    if final is None:
+        kept = stuck[1] @ a[-1] @ stuck[0], stuck[1] @ b[-1], k[-1] @ stuck[0]
+        require_quick("tvlqr", plant, kept, sample_time, sampled)
+    gains = [weighting.unscaled(kt) for kt in k]
+    return TrajectoryFeedback(
+        plant,
+        motion,
+        times,
+        np.array([k for k, _ in gains]),
+        np.array([k for _, k in gains]),
+        p,
+        weighting.integrated,
+        sample_time,
+    )
+
+
+def _between(t: Array, matrices: Array, at: float) -> Array:
+    """Matrices given at times, in between."""
+    i = int(np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2))
+    share = (at - t[i]) / (t[i + 1] - t[i])
+    return np.asarray(matrices[i] + share * (matrices[i + 1] - matrices[i]))
+
+
+def _riccati(
+    t: Array, a: Array, b: Array, q: Array, r: Array, end: Array, rtol: float
+) -> tuple[Array, Array]:
+    """(P, gains) at the times ``t``: the differential equation, backwards from ``end``."""
+    from scipy.integrate import solve_ivp
+
+    size, inverse = a.shape[-1], np.linalg.inv(r)
 
     def riccati(time: float, flat: Any) -> Any:
-        i = int(np.clip(np.searchsorted(along.t, time, side="right") - 1, 0, len(along.t) - 2))
-        share = (time - along.t[i]) / (along.t[i + 1] - along.t[i])
-        at, bt, qt = (m[i] + share * (m[i + 1] - m[i]) for m in (a, b, q))
+        at, bt, qt = (_between(t, m, time) for m in (a, b, q))
         p = flat.reshape(size, size)
         pb = p @ bt
         return -(at.T @ p + p @ at - pb @ inverse @ pb.T + qt).ravel()
 
     # entries differ by decades; the largest at the end, or what Q piles up, says what is small
-    span = along.t[-1] - along.t[0]
-    large = max(float(np.abs(end).max()), float(np.abs(q).max() * span), 1e-300)
+    large = max(float(np.abs(end).max()), float(np.abs(q).max() * (t[-1] - t[0])), 1e-300)
     solution = solve_ivp(
         riccati,
-        (along.t[-1], along.t[0]),
+        (t[-1], t[0]),
         end.ravel(),
         method="LSODA",
-        t_eval=along.t[::-1],
+        t_eval=t[::-1],
         rtol=rtol,
         atol=1e-3 * rtol * large,
     )
@@ -232,20 +266,27 @@ def tvlqr(
         )
     p = solution.y.T[::-1].reshape(-1, size, size)
     p = (p + p.swapaxes(1, 2)) / 2
-    kept = stuck[1] @ a[-1] @ stuck[0], stuck[1] @ b[-1], inverse @ b[-1].T @ p[-1] @ stuck[0]
-    if final is None:
-        require_quick("tvlqr", plant, kept, sample_time)
-    gains = [weighting.unscaled(inverse @ bt.T @ pt) for bt, pt in zip(b, p, strict=True)]
-    return TrajectoryFeedback(
-        plant,
-        motion,
-        along.t,
-        np.array([k for k, _ in gains]),
-        np.array([k for _, k in gains]),
-        p,
-        weighting.integrated,
-        sample_time,
-    )
+    return p, inverse @ b.swapaxes(1, 2) @ p
+
+
+def _recursion(
+    t: Array, a: Array, b: Array, q: Array, r: Array, end: Array, sample_time: float
+) -> tuple[Array, Array, Array]:
+    """(times, P, gains) at the samples, for inputs held over each, backwards from ``end``."""
+    count = max(1, round((t[-1] - t[0]) / sample_time))
+    times = t[-1] - sample_time * np.arange(float(count), -1.0, -1.0)
+    p, after, gains = [end], end, []
+    for time in times[::-1]:  # of the sample that begins at each time
+        middle = float(np.clip(time + sample_time / 2, t[0], t[-1]))
+        at, bt, qt = (_between(t, m, middle) for m in (a, b, q))
+        ad, bd = held(at, bt, np.ones(len(at)), sample_time)
+        k = np.linalg.solve(r * sample_time + bd.T @ after @ bd, bd.T @ after @ ad)
+        gains.append(k)
+        if time < times[-1]:
+            after = ad.T @ after @ (ad - bd @ k) + qt * sample_time
+            after = (after + after.T) / 2
+            p.append(after)
+    return times, np.array(p[::-1]), np.array(gains[::-1])
 
 
 def in_openings(inversion: Inversion, motion: Trajectory) -> Trajectory:
@@ -286,6 +327,7 @@ def _final(
     r: Array,
     stuck: tuple[Array, Array],
     states: int,
+    sample_time: float | None,
 ) -> tuple[Array, Array]:
     """P at the end, and what the stationary LQR there needed of weight besides Q.
 
@@ -303,7 +345,7 @@ def _final(
     try:
         lift, pick = stuck
         kept = lift.T @ q @ lift
-        _, p, used = stationary(pick @ a @ lift, pick @ b, kept, r, states)
+        _, p, used = stationary(pick @ a @ lift, pick @ b, kept, r, states, sample_time)
     except ValueError as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"

@@ -293,7 +293,9 @@ def along_stroke(
     array([4.3, 4.2, 4.5])
     """
     path = equilibrium_path(plant, name, values, conditions)
-    seen = list(plant.positions) if outputs is None else [plant.variable(n).name for n in outputs]
+    seen = (
+        list(plant.load_positions) if outputs is None else [plant.variable(n).name for n in outputs]
+    )
     if not seen:
         raise InputError(f"along_stroke: {plant.name!r} has no position; name the outputs")
     controls = [v.name for v in plant.inputs if not v.disturbance]
@@ -301,7 +303,7 @@ def along_stroke(
     nominal = np.array([v.nominal for v in states])
     effort = np.array([plant.variable(n).nominal for n in controls])
     scale = np.array([plant.variable(n).nominal for n in seen])
-    place = [v.name for v in states].index(next(iter(plant.positions), plant.states[0].name))
+    place = [v.name for v in states].index(next(iter(plant.load_positions), plant.states[0].name))
     rows = []
     for point in path.points:
         system = linearize(point.plant, point, inputs=controls, outputs=seen, stuck=True)

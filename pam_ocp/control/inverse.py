@@ -46,19 +46,19 @@ class InverseDynamics:
 
     def __init__(self, plant: Plant) -> None:
         require_plant(plant)
-        if len(plant.positions) > 1 and not self._driven(plant):
+        if len(plant.load_positions) > 1 and not self._driven(plant):
             raise InputError(
                 f"InverseDynamics: in {plant.name!r} no pressure acts on the acceleration of its "
                 "load, only through a tendon or another mass (higher relative degree): the "
                 "pressures that a motion needs follow from its third and fourth derivatives. Plan "
                 "the motion with plan(), and hold it by tvlqr()"
             )
-        if len(plant.positions) != 1:
+        if len(plant.load_positions) != 1:
             raise InputError(
                 f"InverseDynamics needs a plant with one position; {plant.name!r} has "
-                f"{', '.join(plant.positions) or 'none'}"
+                f"{', '.join(plant.load_positions) or 'none'}"
             )
-        ((self.position, self.velocity),) = plant.positions.items()
+        ((self.position, self.velocity),) = plant.load_positions.items()
         self.plant = plant
         where = {v.name: i for i, v in enumerate((*plant.states, *plant.inputs))}
         pressures = [n for n in where if n.endswith(".pressure")]
@@ -82,7 +82,7 @@ class InverseDynamics:
     @staticmethod
     def _driven(plant: Plant) -> bool:
         """Whether a pressure stands in the equation of motion of the first position."""
-        velocity = next(iter(plant.positions.values()))
+        velocity = next(iter(plant.load_positions.values()))
         symbols = {s.name() for s in ca.symvar(plant.expression(f"der({velocity})"))}
         return any(n.endswith(".pressure") for n in symbols)
 

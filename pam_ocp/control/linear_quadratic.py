@@ -19,6 +19,7 @@ from ..plants.inversion import Inversion
 from ..plants.plant import Plant, Values, require_plant
 from .controller import Measured
 from .kinds import CONTROLLERS
+from .reach import effort_units
 from .references import Source
 
 if TYPE_CHECKING:
@@ -47,12 +48,29 @@ class Weighting:
         closed valves), every state gets ``LEAST_WEIGHT`` besides.
     effort : weight of each input, a number or {input: weight}.
     integral : {state or output: weight of its integrated error [per s]}.
+    units : what an effort of 1 is per, of each input [SI], see :func:`effort_units`; by default
+        nominal.
     """
 
     plant: Plant
     weights: Mapping[str, float] | None = None
     effort: float | Mapping[str, float] = 1.0
     integral: Mapping[str, float] = field(default_factory=dict)
+    units: Array | None = None
+
+    @classmethod
+    def about(
+        cls,
+        plant: Plant,
+        x: Array,
+        u: Array,
+        weights: Mapping[str, float] | None,
+        effort: float | Mapping[str, float],
+        integral: Mapping[str, float] | None,
+    ) -> Weighting:
+        """A weighting whose efforts are per what the inputs reach at a state, under inputs."""
+        chosen = [v.name for v in plant.inputs if not v.disturbance]
+        return cls(plant, weights, effort, integral or {}, effort_units(plant, x, u, chosen))
 
     @property
     def inputs(self) -> list[str]:
@@ -75,9 +93,8 @@ class Weighting:
         """{weighted state or output: weight} and R, in units of nominal."""
         given = self.weights
         if given is None:
-            given = {
-                n: w for p, v in self.plant.positions.items() for n, w in ((p, 10.0), (v, 1.0))
-            }
+            moved = self.plant.load_positions.items()  # a spool is to move as it likes
+            given = {n: w for p, v in moved for n, w in ((p, 10.0), (v, 1.0))}
         rows = {
             self.plant.variable(n).name: require_positive(f"weights[{n!r}]", w, zero=True)
             for n, w in given.items()
@@ -100,7 +117,8 @@ class Weighting:
             efforts = [require_positive(f"effort[{n!r}]", named[n]) for n in self.inputs]
         else:
             efforts = [require_positive("effort", self.effort)] * len(self.inputs)
-        return rows, np.diag(np.square(efforts))
+        steps = self.scales(self.inputs) / self.units if self.units is not None else 1.0
+        return rows, np.diag(np.square(np.multiply(efforts, steps)))
 
     def scaled(
         self, a: Array, b: Array, c: Array, all_outputs: list[str]
@@ -392,7 +410,9 @@ def lqr(
     too; the commands that give them are sent. ``effort`` may name either. Held memories
     (hysteresis) stick to the motion about the point: K has zeros for them.
 
-    at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal.
+    at : the point of rest; weights, effort, integral : see :class:`Weighting`, in units of nominal;
+        an input that has its full effect sooner (a servo valve that is open, a slew rate) is
+        weighed per a fifth of that.
     setpoint : {integrated output: value} to reach, or a function of time giving one.
     sample_time : of the controller [s]. sampled : design for inputs held over it
         (``control.dlqr``, exact sampling) instead of the continuous ``control.lqr``.
@@ -415,7 +435,7 @@ def lqr(
     plant = at.plant
     if isinstance(effort, Mapping):
         effort = inversion.names(effort)
-    weighting = Weighting(plant, weights, effort, integral or {})
+    weighting = Weighting.about(plant, at.x, at.u, weights, effort, integral)
     outputs = [v.name for v in (*plant.states, *plant.outputs)]
     system = linearize(plant, at, inputs=weighting.inputs)
     no_influence("lqr", plant, np.asarray(system.A), np.asarray(system.B), weighting.inputs)

@@ -181,9 +181,9 @@ def closed_loop(
 
     Raises InputError for what cannot be meant, SimulationError when the side cannot go on. Warns
     once, in the words of ``loop.verdict``, where the loop did not do what it was asked: set points
-    missed by over 1 % of the stroke (over the last tenth of the run), limits broken, over 20 % of a
-    solver's calls not converged or any failed, predictions over a sample that miss over 25 % of its
-    changes, inputs without influence.
+    missed by over 1 % of the stroke and 0.2 % of nominal (over the last tenth of the run), limits
+    broken, over 20 % of a solver's calls not converged or any failed, predictions over a sample
+    that miss over 25 % of its changes, inputs without influence.
 
     Examples
     --------
@@ -369,6 +369,7 @@ class _Run:
             predicted={n: [row[n] for row in self.expected] for n in names},
             sample_time=sample_time,
             idle=getattr(self.controller, "idle", ()),
+            behind=_behind(self.controller),
         )
 
     def _estimates(self, t: Array, known: Mapping[str, Variable]) -> Trajectory:
@@ -385,6 +386,14 @@ class _Run:
                 variables.append(Variable(label, "output", unit=unit, nominal=nominal))
                 columns[label] = column
         return Trajectory(t, columns, variables)
+
+
+def _behind(controller: Any) -> list[str]:
+    """Commands that a controller sends through a dead zone behind something that moves."""
+    inversion = getattr(controller, "inversion", None)
+    if inversion is None or inversion.exact:
+        return []
+    return [n for o in inversion.plant.openings if o.carried for n in o.commands]
 
 
 def _columns(rows: list[dict[str, float]]) -> dict[str, list[float]]:

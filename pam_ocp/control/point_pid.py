@@ -71,12 +71,12 @@ class PointPid:
             require_finite(f"PointPid.{name}", getattr(self, name))
         require_positive("PointPid.filter_time", self.filter_time, "s")
         require_positive("PointPid.sample_time", self.sample_time, "s")
-        if len(self.plant.positions) != 1:
+        if len(self.plant.load_positions) != 1:
             raise InputError(
                 f"PointPid needs a plant with one position; {self.plant.name!r} has "
-                f"{', '.join(self.plant.positions) or 'none'}"
+                f"{', '.join(self.plant.load_positions) or 'none'}"
             )
-        self.position = next(iter(self.plant.positions))
+        self.position = next(iter(self.plant.load_positions))
         self.inversion, self.point = inside(self.plant, self.at)
         inner = self.point.plant
         inputs = [v.name for v in inner.inputs if not v.disturbance]

@@ -29,6 +29,10 @@ LEAST, MOST = 2, 64
 """Substeps where none are given."""
 GROWTH = 1.01
 """From step to step: what decays in the plant is not to grow by more in a prediction."""
+PLACES, RARE = 256, 0.005
+"""Places in the ranges of states and inputs at which that is looked at, and the share of them at
+which it need not hold: a quick exhaust that opens is ten times quicker than the tube before it.
+"""
 
 
 class Givens:
@@ -109,12 +113,15 @@ class Step:
         cls, verb: str, plant: Plant, length: float, method: StepMethod, substeps: int | None
     ) -> Step:
         """The step of a plant. substeps : None: ``LEAST``, or as many more as rk4 needs to damp
-        what the plant damps, at its start values (E. Hairer, G. Wanner, Solving ODEs II, IV.2).
+        what the plant damps, at its start values and nearly everywhere in its ranges
+        (E. Hairer, G. Wanner, Solving ODEs II, IV.2).
 
         Warns where what is given, or ``MOST`` of them, is not enough for that.
         """
         step = cls(length, method, LEAST if substeps is None else substeps)
         while (time := step._too_quick(plant)) and substeps is None and step.substeps < MOST:
+            step = replace(step, substeps=step.substeps + 1)
+        while substeps is None and step.substeps < MOST and step._grows_about(plant):
             step = replace(step, substeps=step.substeps + 1)
         if time:
             warnings.warn(
@@ -132,11 +139,25 @@ class Step:
             return 0.0
         at = np.concatenate([plant.vector(c) for c in ("state", "input", "parameter")])
         poles = plant.cached(("decaying poles", *at), lambda: _poles(plant))
-        z = poles * self.length / self.substeps
-        growth = np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
+        growth = self._growth(poles)
         if np.max(growth, initial=0.0) <= GROWTH:
             return 0.0
         return float(1 / np.abs(poles[int(np.argmax(growth))]))
+
+    def _grows_about(self, plant: Plant) -> bool:
+        """Whether decaying motions grow here at more than ``RARE`` of the places in the ranges."""
+        if self.method != "rk4":
+            return False
+        at = plant.vector("parameter")
+        poles = plant.cached(("decaying poles about", *at), lambda: _poles_about(plant))
+        if not poles.size:
+            return False
+        return bool(np.mean(np.any(self._growth(poles) > GROWTH, axis=1)) > RARE)
+
+    def _growth(self, poles: NDArray[np.complex128]) -> Array:
+        """Of each motion from substep to substep of rk4."""
+        z = poles * self.length / self.substeps
+        return np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
 
     def expression(self, given: Givens, x: ca.SX, u: ca.SX, q: ca.SX, length: Any = None) -> ca.SX:
         """The state after the step from x; x and u in units of nominal, q in SI."""
@@ -155,6 +176,31 @@ class Step:
             return value, jacobian
 
         return stepped(slopes_at, x, span, self.method, self.substeps)
+
+
+def _poles_about(plant: Plant) -> NDArray[np.complex128]:
+    """Poles [1/s] that decay (0 for those that do not), at places all over the finite ranges of
+    states and inputs; a row each. What has no range stays within its nominal value.
+    """
+    rng = np.random.default_rng(0)
+    columns = []
+    for kind in ("state", "input"):
+        low, high, start, size = (
+            plant.vector(kind, attribute=a) for a in ("min", "max", "start", "nominal")
+        )
+        open_ = ~(np.isfinite(low) & np.isfinite(high))
+        low, high = np.where(open_, start - size, low), np.where(open_, start + size, high)
+        columns.append(rng.uniform(low[:, None], high[:, None], (len(low), PLACES)))
+    x, u = columns
+    p, scale = plant.vector("parameter"), plant.vector("state", attribute="nominal")
+    ratio = scale / scale[:, None]
+    found = []
+    for k in range(PLACES):
+        a = np.asarray(plant.jacobians(x[:, k], u[:, k], p)[0], dtype=float) * ratio
+        if np.all(np.isfinite(a)):
+            found.append(np.linalg.eigvals(a))
+    poles = np.array(found, dtype=np.complex128).reshape(-1, len(scale))
+    return np.where(poles.real < 0, poles, 0.0)
 
 
 def _poles(plant: Plant) -> NDArray[np.complex128]:

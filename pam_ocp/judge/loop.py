@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.shown import shown
 from ..core.trajectory import Trajectory
+from ..core.variables import Variable
 
 __all__ = ["LoopVerdict", "judge_loop"]
 
@@ -20,8 +21,18 @@ LATE = 0.1
 """Of a run, at its end: where a set point is to have been reached."""
 MISSED = 0.01
 """Of the stroke: farther from its set point a variable has missed it."""
-SMALLEST_STROKE = 0.1
-"""Of nominal: what is to stay where it is is not measured by less."""
+SMALLEST_STROKE = 0.2
+"""Of nominal: what is to stay where it is, or to go less far, is not measured by less; a hundredth
+of it is what a rig's position sensor tells (20 um where 10 mm are nominal).
+"""
+TURNS = 4
+"""In the second half of a run: what passes its middle as often swings."""
+LITTLE = 1e-3
+"""Of an error, what is left of it when it was gone: no way any more."""
+FIGURES = 3
+"""Digits of a distance that is told."""
+ZERO = 1e-9
+"""Of nominal: a set point below it is told as 0."""
 UNCONVERGED = 0.2
 """Of the calls of a solver: more that are not converged are named."""
 ASTRAY = 0.25
@@ -56,7 +67,8 @@ class LoopVerdict:
     kept: tuple[str, ...] = ()
     """What was looked at and found in order."""
     missed: Mapping[str, float] = field(default_factory=dict)
-    """{variable: distance from its set point at the end, as a part of the stroke}, of those missed.
+    """{variable: distance from its set point at the end, as a part of the stroke}, of those missed;
+    of a variable that is to stay, or goes less far, as a part of a fifth of its nominal value.
     """
     broken: Mapping[str, float] = field(default_factory=dict)
     """{variable: by how much its range was exceeded [its unit]}."""
@@ -90,6 +102,7 @@ def judge_loop(
     predicted: Mapping[str, ArrayLike] | None = None,
     sample_time: float = 0.0,
     idle: Sequence[str] = (),
+    behind: Sequence[str] = (),
 ) -> LoopVerdict:
     """The verdict on a closed loop by what happened in it.
 
@@ -101,6 +114,8 @@ def judge_loop(
     predicted : {variable: values at the end of each sample, as they were predicted at its
         beginning}, and ``sample_time`` [s].
     idle : inputs that are known to have no influence where the run began.
+    behind : inputs whose dead zone stands behind something that moves (a spool): it is not crossed
+        at once, and where a loop swings that is why.
 
     Examples
     --------
@@ -111,7 +126,7 @@ def judge_loop(
     1.0
     """
     noise = noise or {}
-    missed, words = _missed(motion, wanted, noise)
+    missed, words = _missed(motion, wanted, noise, behind)
     faults, kept = list(words.values()), []
     if wanted is not None and not missed and (reached := _judged(motion, wanted)):
         kept.append(f"{', '.join(reached)} within {100 * MISSED:g} % of the stroke")
@@ -119,7 +134,7 @@ def judge_loop(
     faults += told
     broken = _broken(motion, limits or {}, set(inputs))
     faults += [
-        f"{n} leaves its range by {motion.variable(n).shown(size)}" for n, size in broken.items()
+        f"{n} leaves its range by {_told(motion.variable(n), size)}" for n, size in broken.items()
     ]
     if not broken:
         kept.append("limits kept")
@@ -154,7 +169,10 @@ def _stroke(motion: Trajectory, wanted: Trajectory, name: str) -> float:
 
 
 def _missed(
-    motion: Trajectory, wanted: Trajectory | None, noise: Mapping[str, float]
+    motion: Trajectory,
+    wanted: Trajectory | None,
+    noise: Mapping[str, float],
+    behind: Sequence[str],
 ) -> tuple[dict[str, float], dict[str, str]]:
     """(distances as parts of the stroke, in words), of the set points that were missed."""
     shares: dict[str, float] = {}
@@ -168,11 +186,46 @@ def _missed(
         error = float(np.max(np.abs(motion[name] - goal)[late]))
         if error > MISSED * stroke + NOISE * noise.get(name, 0.0):
             shares[name] = error / stroke
+            way, unit = stroke, "the stroke"
+            if stroke <= SMALLEST_STROKE * variable.nominal:
+                way, unit = variable.nominal, f"its nominal {variable.shown(variable.nominal)}"
             words[name] = (
-                f"{name} ends {variable.shown(error)} from its set point "
-                f"{variable.shown(goal[-1])} ({100 * error / stroke:.3g} % of the stroke)"
+                f"{name} ends {_told(variable, error)} from its set point "
+                f"{_told(variable, goal[-1], 2 * FIGURES)} ({100 * error / way:.3g} % of {unit})"
+                f"{_manner(motion, name, motion[name] - goal, MISSED * stroke, behind)}"
             )
     return shares, words
+
+
+def _manner(
+    motion: Trajectory, name: str, error: Array, allowed: float, behind: Sequence[str]
+) -> str:
+    """How a set point is missed, in words: whether it swings, or is still on its way."""
+    second = motion.t >= motion.t[0] + motion.duration / 2
+    around = error[second] - float(np.mean(error[second]))
+    swing = float(np.ptp(around)) / 2
+    wide = np.abs(around) > swing / 4
+    times = motion.t[second][wide][1:][np.diff(np.sign(around[wide])) != 0]
+    if swing > allowed and len(times) >= TURNS:
+        often = (len(times) - 1) / (2 * (times[-1] - times[0]))
+        told = f", swinging by {_told(motion.variable(name), swing)} at {often:.2g} Hz"
+        if behind:
+            told += (
+                f", while the dead zone of {', '.join(behind)} is crossed behind a part that moves, "
+                "which takes time"
+            )
+        return told
+    begin, end = abs(error[second][0]), abs(error[-1])
+    if len(times) <= 1 and LITTLE * begin < end < begin / 2:
+        return ", still on its way"
+    return ""
+
+
+def _told(variable: Variable, value: float, figures: int = FIGURES) -> str:
+    """A value for people: rounded, and 0 where only arithmetic says otherwise."""
+    if abs(value) <= ZERO * variable.nominal:
+        return variable.shown(0.0)
+    return variable.shown(float(f"{value:.{figures}g}"))
 
 
 def _idle(

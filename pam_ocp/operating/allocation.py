@@ -84,12 +84,12 @@ class Allocation:
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
-        if len(plant.positions) != 1:
+        if len(plant.load_positions) != 1:
             raise InputError(
                 f"Allocation needs a plant with one position; {plant.name!r} has "
-                f"{', '.join(plant.positions) or 'none'}"
+                f"{', '.join(plant.load_positions) or 'none'}"
             )
-        (self.position,) = plant.positions
+        (self.position,) = plant.load_positions
         self._pressures = [plant.variable(f"muscle{i}.pressure") for i in (1, 2)]
         self._function = self._build()
 

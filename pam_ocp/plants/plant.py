@@ -234,6 +234,11 @@ class Plant(Travelling):
                     pairs[name] = other
         return pairs
 
+    @property
+    def load_positions(self) -> dict[str, str]:
+        """:attr:`positions` of what is moved: without those that valves have (their spools)."""
+        return {x: v for x, v in self.positions.items() if not self.variable(x).memory}
+
     def resting(self, named: Collection[str] = ()) -> tuple[Position, ...]:
         """The states whose rates and accelerations vanish where the plant rests, in any
         coordinates.

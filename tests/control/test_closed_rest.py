@@ -17,6 +17,7 @@ from pam_ocp import InputError
 from pam_ocp.control import block
 from pam_ocp.control.blocks.making import BlockController
 from pam_ocp.control.controller_plants import state_feedback_controller
+from pam_ocp.control.reach import effort_units
 from pam_ocp.planning.opened import Opened
 
 F = pam.feeds
@@ -115,11 +116,30 @@ def test_a_pair_behind_spools_holds_position_and_stiffness():
 
 def test_a_spool_is_too_quick_for_a_long_sample_time_and_that_is_said():
     plant, _, goal, begin = hanging(FEEDS["second order"])
-    with pytest.raises(InputError, match=r"sample_time = 0\.004 s is too long.*sampled=True"):
-        pam.lqr(plant, goal, sample_time=4e-3)
+    with pytest.raises(InputError, match=r"sample_time = 0\.04 s is too long.*sampled=True"):
+        pam.lqr(plant, goal, sample_time=0.04)
     motion = pam.simulate(plant, duration=0.1, start=begin)
-    with pytest.raises(InputError, match=r"tvlqr: sample_time = 0\.004 s is too long"):
-        pam.control.tvlqr(plant, motion, sample_time=4e-3, rtol=1e-5)
+    with pytest.raises(InputError, match=r"tvlqr: sample_time = 0\.04 s .*sampled=True"):
+        pam.control.tvlqr(plant, motion, sample_time=0.04, rtol=1e-5)
+
+
+def test_spools_move_as_they_like_under_the_default_weights():
+    """What is moved is weighed: the position of a spool of second order is not."""
+    plant, _, goal, _ = hanging(FEEDS["second order"])
+    named = pam.lqr(plant, goal, weights={"x": 10.0, "v": 1.0}, sample_time=1e-3)
+    assert pam.lqr(plant, goal, sample_time=1e-3).K == pytest.approx(named.K, rel=1e-12)
+    assert list(plant.load_positions) == ["x"]
+
+
+def test_inputs_are_weighed_by_what_they_reach():
+    """A servo valve of 2e-5/Pa is open at 0.5 bar, a fifth of which counts; a regulator has its
+    nominal 1 bar, though one of two muscles goes slack when it is let down.
+    """
+    for feed, unit in ((F.ServoValve(pressure_gain=2e-5), 1e4), (F.Regulator(), 1e5)):
+        plant = pam.AntagonisticSlide("DMSP-20-200N", mass=2.0, feed=feed)
+        goal = plant.equilibrium(x=0.0, stiffness=2.2e4)
+        names = [v.name for v in plant.inputs]
+        assert effort_units(plant, goal.x, goal.u, names) == pytest.approx([unit, unit], rel=0.3)
 
 
 def test_a_dead_zone_that_is_not_declared_is_said_once():

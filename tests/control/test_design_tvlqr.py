@@ -81,6 +81,16 @@ def test_the_cost_to_go_is_what_the_linear_loop_then_costs(slide):
     assert z0 @ feedback.P[0] @ z0 == pytest.approx(solution.y[-1, -1], rel=1e-3)
 
 
+def test_at_rest_a_design_for_held_inputs_is_that_of_dlqr(slide):
+    rest = slide.equilibrium(x=0.0, stiffness=2e4)
+    inputs = {v.name: rest[v.name] for v in slide.inputs}
+    begin = {v.name: rest[v.name] for v in slide.states}
+    motion = pam.simulate(slide, inputs, t=np.linspace(0, 0.2, 21), start=begin)
+    law = tvlqr(slide, motion, sample_time=4e-3, sampled=True)
+    still = lqr(slide, rest, sample_time=4e-3, sampled=True)
+    assert law.K == pytest.approx(np.tile(still.K, (len(law.K), 1, 1)), rel=1e-3, abs=1e-6)
+
+
 def test_a_motion_without_inputs_is_refused_and_a_wrong_end_too(slide, hanging):
     motion = pam.simulate(hanging, duration=0.1)
     with pytest.raises(InputError, match=r"holds no column 'muscle1\.pressure'"):

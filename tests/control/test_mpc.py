@@ -210,6 +210,8 @@ def test_hpipm_called_directly_solves_the_quadratic_program_that_piqp_solves():
     point, p = mpc._sqp.point, mpc.program
     mpc._references({"x": 0.012, "stiffness": 2e4})
     point()
+    rows, columns = p.h_entries
+    point.h[rows == columns] += sqp.PROXIMAL
     direction = np.zeros(p.size)
     StageQp(point, direction)()
     conic = ca.conic(
@@ -385,6 +387,46 @@ def test_steps_that_are_applied_before_they_converged_are_counted():
     assert 0 < expected < len(steps)
     assert loop.statistics.unconverged == expected
     assert f"not converged {expected} times" in str(loop)
+
+
+def test_ipopt_is_asked_less_often_the_longer_it_fails(monkeypatch):
+    mpc = slide_mpc()
+    rest = benchmark_slide().equilibrium(x=0.0, stiffness=2e4)
+    none = sqp.SqpOutcome(False, False, 1, np.inf, 0.0)
+    asked: list[int] = []
+    monkeypatch.setattr(mpc._sqp, "solve", lambda *_: none)
+    monkeypatch.setattr(mpc, "_by_ipopt", lambda: asked.append(1) or none)
+    for _ in range(31):
+        mpc.control(rest.x, {"x": 0.01, "stiffness": 2e4})
+    assert len(asked) == 5  # calls 0, 2, 6, 14 and 30
+    assert (mpc.statistics.failures, mpc.statistics.fallbacks) == (31, 5)
+
+
+def test_predictions_are_stable_where_a_plant_is_quickest():
+    """A quick exhaust opens over 0.2 bar: some 4000/s on the way, 350/s elsewhere; rk4 is stable
+    up to 2.785 over the pole (Hairer and Wanner, IV.2).
+    """
+    feed = pam.feeds.SpoolValve(tube=pam.feeds.Tube(), quick_exhaust=pam.feeds.QuickExhaust())
+    mpc = Mpc(
+        pam.HangingLoad("DMSP-20-200N", 10.0, feed=feed),
+        horizon=5,
+        sample_time=0.01,
+        track={"x": 1.0},
+    )
+    assert 0.01 * 2000 / 2.785 < mpc._how.substeps < 0.01 * 8000 / 2.785
+
+
+def test_inputs_that_nothing_feels_do_not_keep_a_controller_from_converging():
+    """No weight on rates, and two inputs for one tracked position: the last inputs of the horizon,
+    and what both muscles have in common, have no place of their own.
+    """
+    for solver in ("hpipm", "riccati"):
+        mpc = Mpc(benchmark_slide(), horizon=20, sample_time=0.01, track={"x": 1.0}, solver=solver)
+        loop = mpc.closed_loop(benchmark_slide(), {"x": 0.01}, 0.4)
+        assert loop.statistics.unconverged <= 4
+        assert sum(s.iterations for s in loop.statistics.steps[10:]) <= 40
+        assert np.ptp(loop["muscle1.command"][-10:]) < 100.0  # Pa
+        assert loop.verdict
 
 
 def test_the_error_of_a_prediction_is_that_of_a_tight_integration():

@@ -22,8 +22,10 @@ Array: TypeAlias = NDArray[np.float64]
 GAP = 1e-8
 """Mean complementarity that ends a quadratic program: leaves 1e-5 of nominal in the step, below
 what SQP looks at."""
-SHARE, WORK, MISS = 0, 2, 3
-"""Places among the facts of a quadratic program: defects left, iterations, largest violation."""
+SHARE, WORK, MISS, CHANGE = 0, 2, 3, 6
+"""Places among the facts of a quadratic program: defects left, iterations, largest violation, how
+much the step changes.
+"""
 
 
 class MachineStep:
@@ -32,7 +34,7 @@ class MachineStep:
 
     A call, with the damping added to the Hessian's diagonal and the most iterations that the
     interior point may take, returns (largest violation of limits and defects by the step, in units
-    of nominal; its iterations; seconds).
+    of nominal; how much it changes, see QpStep; its iterations; seconds).
     """
 
     def __init__(self, point: TrackingPoint, direction: Array, step: ca.Function) -> None:
@@ -46,7 +48,7 @@ class MachineStep:
         # the given start stands behind the unknowns, and its step, which is 0, behind theirs
         self._direction, self._whole = direction, np.zeros(len(point.unknowns))
 
-    def __call__(self, damping: float, most: float) -> tuple[float, int, float]:
+    def __call__(self, damping: float, most: float) -> tuple[float, float, int, float]:
         begin = perf_counter()
         point, step = self._point, self._step
         y, end, references, q, _, more, iterations = step.arguments
@@ -62,7 +64,7 @@ class MachineStep:
         told = facts[:, 0].tolist()
         # a sum shows what is no number, which a maximum may hide
         miss = max(told[SHARE], told[MISS]) + 0.0 * float(np.sum(self._direction))
-        return miss, int(told[WORK]), perf_counter() - begin
+        return miss, told[CHANGE], int(told[WORK]), perf_counter() - begin
 
 
 def machine_step(program: TrackingProgram, compiled: bool | None) -> ca.Function | None:

@@ -7,7 +7,7 @@ import os
 import warnings
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -107,7 +107,9 @@ class Mpc:
         ``pam.control.block``), to the last bit, slower than HPIPM by ten times where it is not
         compiled. None: "hpipm"; where ``compiled`` asks for machine code, an SQP step is one
         function of it, with the interior point of "riccati" inside.
-    tolerance : largest change in an iteration, in units of nominal, that ends the SQP.
+    tolerance : an iteration that changes less ends the SQP, in units of nominal: the errors that
+        are minimised, as they weigh next to the largest weight (root mean square over the horizon),
+        the inputs that are applied, and what predictions and limits were off by.
     compiled : the SQP's steps as machine code (with a ``solver`` that is named: the model's steps
         and their derivatives), a third of the time. True: built if need be, some seconds for each
         structure, once; kept in the cache. None: where it is there. False: never.
@@ -197,6 +199,7 @@ class Mpc:
             (penalty, penalty),
         )
         self._only_ipopt = solver == "ipopt"
+        self._patience = _Patience()
         if solver in ("ipopt", "riccati"):
             self._sqp = Sqp(self.program, "hpipm", tolerance)
         else:
@@ -220,7 +223,7 @@ class Mpc:
         names = [v.name for v in self.model.inputs]
         chosen = [names.index(v.name) for v in self.given.controls]
         self._applied: Array = values[chosen] / self.program.u_nominal
-        self._warm = False
+        self._warm, self._patience = False, _Patience()
         self.idle: tuple[str, ...] = ()
         """Inputs without influence on what is tracked, where the first call stood."""
         self._watched = False
@@ -392,20 +395,39 @@ class Mpc:
         if not self._record:
             self._look_for_dead_inputs(x, q)
         limit = self.iterations if self._warm else max(self.iterations, FIRST_ITERATIONS)
-        kept = point.w.copy()
+        kept, call = point.w.copy(), len(self._record) // len(fields(MpcStep))
         fallback = failed = False
         if self._only_ipopt:
             outcome = self._by_ipopt()
         else:
             outcome = self._sqp.solve(limit, self.work if self._warm else math.inf)
-            if not outcome.usable:
+            if not outcome.usable and self._rolled_out():
+                outcome = self._sqp.solve(max(self.iterations, FIRST_ITERATIONS))
+            if not outcome.usable and self._patience.asks(call):
                 fallback = True
                 point.w[:] = kept
                 outcome = self._by_ipopt()
+                self._patience.told(call, outcome.usable)
         if not outcome.usable:
             failed = True
             point.w[:] = kept
         return outcome, fallback, failed
+
+    def _rolled_out(self) -> bool:
+        """The motion that the model makes under the inputs that act now, as a guess without
+        defects; False where it grows without bound.
+        """
+        p, point = self.program, self._sqp.point
+        states = p.nx + len(p.rated)
+        x = point.start[: p.nx].copy()
+        point.unknowns[p.at[p.nx : states]] = self._applied[p.rated][:, None]
+        point.unknowns[p.at[states : states + p.nu]] = self._applied[:, None]
+        point.unknowns[p.at[states + p.nu :]] = 0.0
+        for k in range(1, self.horizon + 1):
+            x = self._going(x, self._applied, point.given)[0][:, 0].copy()
+            at = p.at[: p.nx, k] if k < self.horizon else p.at_last[: p.nx]
+            point.unknowns[at] = x
+        return bool(np.all(np.isfinite(point.unknowns)))
 
     def _predictor(self, how: Step) -> ca.Function:
         p = self.program
@@ -512,6 +534,25 @@ class Mpc:
 
 
 @dataclass
+class _Patience:
+    """Of a controller whose programs fail: IPOPT takes seconds to fail, too, so it is asked again
+    after twice as many calls each time.
+    """
+
+    wait: int = 1
+    again: int = 0
+
+    def asks(self, call: int) -> bool:
+        """Whether at this call."""
+        return call >= self.again
+
+    def told(self, call: int, usable: bool) -> None:
+        """What came of it."""
+        self.wait = 1 if usable else 2 * self.wait
+        self.again = call + self.wait
+
+
+@dataclass
 class TrackingMpc:
     """An Mpc as a Controller, with what it is to track.
 
@@ -556,6 +597,11 @@ class TrackingMpc:
         the model.
         """
         return self.mpc._expected()
+
+    @property
+    def inversion(self) -> Inversion:
+        """Of the dead zones of its commands."""
+        return self.mpc.inversion
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:

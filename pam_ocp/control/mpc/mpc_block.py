@@ -23,7 +23,7 @@ _TOLD = {
     "long: the fallback is sent",
     "iterations": "SQP steps",
     "work": "iterations of the interior-point method",
-    "last_step": "largest change in the last SQP step, in units of nominal",
+    "last_step": "how much the last SQP step changed errors and inputs, in units of nominal",
     "converged": "1 where the tolerance was met",
     "active": "number of limits that hold the plan back",
     "violation": "largest violation of a soft limit in the plan, in units of nominal",

@@ -21,7 +21,7 @@ from ...numerics.portable import portable
 from .limit_sides import bounds_of, sides_of
 from .riccati import ITERATIONS, RiccatiQp
 from .shooting import TrackingPoint, TrackingProgram
-from .sqp import DAMPING, MISS, SqpOutcome
+from .sqp import DAMPING, MISS, PROXIMAL, SqpOutcome
 
 __all__ = ["FACTS", "PATIENCE", "RealTimeCalls", "RealTimeIteration"]
 
@@ -133,10 +133,10 @@ class RealTimeIteration:
         states, inputs = self._guess()(
             before, ca.reshape(part["inputs"], p.nu, n), start, applied, warm, q
         )
-        zero = ca.DM([0, math.inf, 0, 0, 0, 0, 0, 0, 0])
-        given = [states, inputs, zero, start, applied, references, q, bounds]
+        begun = ca.DM([PROXIMAL, math.inf, 0, 0, 0, 0, 0, 0, 0])
+        given = [states, inputs, begun, start, applied, references, q, bounds]
         found, chosen, told = inlined(self._sqp(), given)
-        # zero: damping, step, work, iterations, finished, usable, active, violation, converged
+        # begun: damping, step, work, iterations, finished, usable, active, violation, converged
         usable, converged = told[5], told[8]
         failures = _either(usable, 0, failures + 1)
         lost = failures > self.patience
@@ -191,8 +191,7 @@ class RealTimeIteration:
         y = ca.vertcat(states[:, :n], rated, inputs)
         data = qp.write(y, states[:, n], references, q, bounds, damping)
         dy, dy_end, facts = inlined(qp.solve, [*data, qp.iterations])
-        share, miss = facts[0], facts[3]
-        size = ca.fmax(ca.mmax(ca.fabs(dy)), ca.mmax(ca.fabs(dy_end)))
+        share, miss, size = facts[0], facts[3], facts[6]
         finite = ca.sum1(ca.sum2(ca.fabs(dy))) + ca.sum1(ca.fabs(dy_end)) <= LARGEST
         usable = ca.logic_and(finite, ca.fmax(miss, share) <= MISS)
         moved = ca.horzcat(states[:, :n] + dy[: p.nx, :], states[:, n] + dy_end)

@@ -229,7 +229,10 @@ class _Stage:
         active = ca.sum1(self.keep * (self.lam > self.t)) if self.m else ca.SX(0.0)
         if self.ns:  # the slack's own side is not a limit
             active -= self.lam[-1] > self.t[-1]
-        self.look = _function("look", self._here, [ca.vertcat(least, active)])
+        change = ca.bilin(self.packed(self.data)["h"], self.y, self.y)
+        defect = ca.mmax(ca.vertcat(0.0, ca.fabs(self.defect)))
+        seen = ca.vertcat(least, active, change, defect)
+        self.look = _function("look", self._here, [seen])
         start = self._gap(ca.SX.zeros(self.ny), ca.SX.ones(self.ns) * ROOM) + self.d
         t = self.keep * ca.fmax(start, ROOM) + (1 - self.keep)
         self.begin = _function("begin", [self.data], [t, self.keep * FIRST / t])
@@ -319,7 +322,7 @@ class RiccatiQp:
     write : (y (ny, N), end, references, q, bounds, damping) -> data of inner nodes and of the last.
     solve : (data, most iterations) -> (dy, dy of the last node, facts): the share of the defects
     that is left, the complementarity, iterations, the largest miss of a limit, limits that hold,
-    the largest slack.
+    the largest slack, and how much the step changes (see QpStep).
     bounds : those of all sides, symbols of the expressions in ``sides``.
     """
 
@@ -457,8 +460,12 @@ class RiccatiQp:
         slacks = ca.vertcat(ca.vec(found[1]), found[5])
         largest = ca.mmax(slacks) if i.ns else ca.MX(0.0)
         done = found[8][2] - (self.iterations - most)
-        told = ca.vertcat(found[8][:2], done, miss, active, largest)
-        return ca.Function("qp", [data, data_end, most], [_backwards(found[0]), found[4], told])
+        dy, errors = _backwards(found[0]), ca.fmax(ca.sum2(seen[2, :]) + seen_end[2], 0.0)
+        first = ca.mmax(ca.fabs(dy[i.nz :, 0]))
+        change = ca.fmax(ca.sqrt(errors / self.program.error_scale), first)
+        change = ca.fmax(change, ca.mmax(seen[3, :]))
+        told = ca.vertcat(found[8][:2], done, miss, active, largest, change)
+        return ca.Function("qp", [data, data_end, most], [dy, found[4], told])
 
 
 def _function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:

@@ -93,6 +93,10 @@ class TrackingProgram:
         self.nx, self.nu = len(plant.states), len(given.controls)
         self.rated = [i for i, v in enumerate(given.controls) if v.name in rate]
         self.ns = int(any(limit.soft for limit in limits))
+        weights = [*rate.values(), *(max(e.weight, e.terminal) for e in penalties)]
+        self.error_scale = horizon * max(weights)
+        """Of a sum of squared weighted errors over the horizon, to be a mean in units of nominal of
+        what weighs most."""
         self.x_nominal = plant.vector("state", attribute="nominal")
         self.u_nominal = np.array([v.nominal for v in given.controls])
         self._symbols()
@@ -283,11 +287,25 @@ class TrackingProgram:
         ]
         rows = int(begins[-1])
         self.a_sparsity, self.a_at, self.a_rows, self.a_columns = _sorted(entries, rows, self.size)
-        self.h_sparsity, self.h_at, _, _ = _sorted(hessian, self.size, self.size)
+        self.h_sparsity, self.h_at, *self.h_entries = _sorted(hessian, self.size, self.size)
+        """Of the Hessian: pattern, sources, and [rows, columns] of its entries."""
         self.value_at = np.concatenate([b.value for b in blocks])
         self.other_at = np.concatenate([b.other for b in blocks])
         low, high = (np.concatenate([getattr(b, e) for b in blocks]) for e in ("low", "high"))
         self.a_low, self.a_high = (np.clip(b, -UNBOUNDED, UNBOUNDED) for b in (low, high))
+
+    @property
+    def first_inputs(self) -> Index:
+        """Where in ``w`` the inputs at the first node stand."""
+        begin = self.nx + len(self.rated)
+        return self.at[begin : begin + self.nu, 0]
+
+    @property
+    def slacks(self) -> Index:
+        """Where in ``w`` all slacks stand."""
+        extra = [self.carried] * self.ns
+        inner, end = self.at[self.y_size - self.ns :].ravel(), self.at_last[self.nx :]
+        return np.concatenate([inner, end, np.array(extra, dtype=np.intp)])
 
     def _defect_rows(self, k: int, source: Index, at: Index) -> _Rows:
         """next(y_k) - y_(k+1) = 0; the last node's slack is the extra input before it."""

@@ -41,17 +41,15 @@ DAMPING = (1e-2, 1e-1)
 """Of Levenberg and Marquardt: first and largest; grows by 4 when a step is longer than the one
 before.
 """
-PROXIMAL = 1e-5
-"""Least damping of a call's further steps, which moves no solution: inputs near the end of a horizon
-whose changes nobody weighs have none, and would wander at each step.
+PROXIMAL = 1e-6
+"""Damping of every step, which moves no solution: inputs that the errors do not feel (late in the
+horizon, or more of them than is tracked) stay, where barriers would push them about at each step.
 """
 
 
 @dataclass(frozen=True)
 class SqpOutcome:
-    """How a solve ended. ``step`` is the largest change in the last iteration,
-    in units of nominal.
-    """
+    """How a solve ended. ``step``: what the last iteration found to change, see QpStep."""
 
     usable: bool
     converged: bool
@@ -99,13 +97,22 @@ class QpStep:
 
     A call, with the damping added to the Hessian's diagonal, leaves ``direction`` and returns
     (largest violation of rows by it, in units of nominal: solvers disagree on how they report
-    failure; iterations of the interior point, where known; seconds in the solver). How many of them
-    it may take was settled when the solver was made.
+    failure; how much it changes; iterations of the interior point, where known; seconds in the
+    solver). How many of them it may take was settled when the solver was made.
+
+    How much it changes is the largest of three, in units of nominal: the weighted errors that the
+    program minimises (root mean square over the horizon), the inputs at the first node, which are
+    applied, and the rows' violations that it takes away. Inputs late in the horizon that these do
+    not feel have no place of their own, and wander without end.
     """
 
     def __init__(self, point: TrackingPoint, direction: Array, solver: str) -> None:
         self._point, self._direction = point, direction
-        self._diagonal = _diagonal(point.program)
+        rows, columns = point.program.h_entries
+        self._diagonal = np.flatnonzero(rows == columns)
+        self._of_errors = np.flatnonzero(~np.isin(columns, point.program.slacks))
+        self._h_rows, self._h_columns = rows[self._of_errors], columns[self._of_errors]
+        self._first = point.program.first_inputs
         self._stages: StageQp | None = None
         if solver == "hpipm" and available():
             self._stages = self._call = StageQp(point, direction)
@@ -117,14 +124,22 @@ class QpStep:
             self._buffer.set_arg(i, memoryview(argument))  # type: ignore
         self._buffer.set_res(0, memoryview(direction))  # type: ignore
 
-    def __call__(self, damping: float, most: float) -> tuple[float, int, float]:
+    def __call__(self, damping: float, most: float) -> tuple[float, float, int, float]:
         self._point()
-        if damping:
-            self._point.h[self._diagonal] += damping
+        self._point.h[self._diagonal] += damping
         begin = perf_counter()
         self._call()
         spent = perf_counter() - begin
-        return self._miss(), self._stages.iterations if self._stages else 0, spent
+        self._point.h[self._diagonal] -= damping
+        count = self._stages.iterations if self._stages else 0
+        return self._miss(), self._change(), count, spent
+
+    def _change(self) -> float:
+        point, p, d = self._point, self._point.program, self._direction
+        square = float(np.dot(point.h[self._of_errors] * d[self._h_rows], d[self._h_columns]))
+        violated = max(np.max(point.a_low, initial=0.0), np.max(-point.a_high, initial=0.0))
+        first = np.max(np.abs(d[self._first]))
+        return float(max(math.sqrt(max(square, 0.0) / p.error_scale), first, violated))
 
     def _miss(self) -> float:
         p, point = self._point.program, self._point
@@ -134,7 +149,7 @@ class QpStep:
 
 
 class Sqp:
-    """Full Gauss-Newton steps from where ``point`` stands, a QP each, until they are small.
+    """Full Gauss-Newton steps from where ``point`` stands, a QP each, until they change little.
 
     The Gauss-Newton Hessian leaves out the curvature of the constraints; where that makes steps
     cycle, damping is added, which slows them down and does not move the solution.
@@ -156,7 +171,7 @@ class Sqp:
         self.direction = np.zeros(program.size)
         whole = machine_step(program, compiled) if solver is None else None
         self.point = TrackingPoint(program, compiled if whole is None else False)
-        self._step: Callable[[float, float], tuple[float, int, float]]
+        self._step: Callable[[float, float], tuple[float, float, int, float]]
         if whole is None:
             self._step = QpStep(self.point, self.direction, solver or "hpipm")
         else:
@@ -167,20 +182,25 @@ class Sqp:
 
         No further step is begun after ``work`` iterations of the interior-point method in all; one
         that is cut off at ``OVER`` times that, where it can be, before it was solved is not taken.
+        Where a later program has no solution, the point at which least was left to change is.
         """
-        point, spent, before, damping, done = self.point, 0.0, np.inf, 0.0, 0
+        point, spent, before, damping, done = self.point, 0.0, np.inf, PROXIMAL, 0
+        best = np.inf, point.w
         for k in range(1, iterations + 1):
-            least = 0.0 if k == 1 else PROXIMAL
             most = math.inf if k == 1 else OVER * work - done
-            miss, count, seconds = self._step(max(damping, least), most)
+            miss, size, count, seconds = self._step(damping, most)
             spent += seconds
             done += count
             if not miss <= MISS and k > 1 and done >= OVER * work:
                 return SqpOutcome(True, False, k - 1, before, spent, done)
+            if not miss <= MISS and best[0] < np.inf:
+                point.w[:] = best[1]
+                return SqpOutcome(True, False, k - 1, best[0], spent, done)
             if not miss <= MISS:  # NaN, too
                 return SqpOutcome(False, False, k, np.inf, spent, done)
+            if k > 1 and size < best[0]:
+                best = size, point.w.copy()
             point.w += self.direction
-            size = float(np.max(np.abs(self.direction)))
             if size <= self.tolerance:
                 return SqpOutcome(True, True, k, size, spent, done)
             if done >= work:
@@ -191,19 +211,13 @@ class Sqp:
         return SqpOutcome(True, False, k, size, spent, done)
 
 
-def _diagonal(program: TrackingProgram) -> NDArray[np.intp]:
-    """Where the Hessian's stored diagonal entries stand among its entries."""
-    rows, columns = program.h_sparsity.get_triplet()
-    return np.flatnonzero(np.array(rows) == np.array(columns))
-
-
 def _infinite(bounds: Array) -> Array:
     """Bounds of the QP with its stand-in for infinity taken back."""
     open_ends: Array = np.copysign(np.inf, bounds)
     return np.where(np.abs(bounds) >= UNBOUNDED, open_ends, bounds)
 
 
-LONGEST = 5.0
+LONGEST = 2.0
 """Processor seconds of one solve by IPOPT; a controller that waits longer has lost its plant."""
 
 
