@@ -100,6 +100,11 @@ class TrajectoryFeedback:
         """See :class:`Controller`."""
         self._integrals.reset()
 
+    @property
+    def inversion(self) -> Inversion:
+        """Of the dead zones of its commands."""
+        return self._inversion
+
     def aims(self, t: float) -> dict[str, float]:
         """The motion's positions at a time [s]; its last ones afterwards."""
         names = [p.name for p in self.plant.resting()]
@@ -198,8 +203,8 @@ def tvlqr(
     inner = inversion.inner
     controls = [v.name for v in inner.inputs if not v.disturbance]
     along = linearize_along(inner, given, inputs=controls)
-    ends = (given.array([v.name for v in kind])[-1] for kind in (inner.states, inner.inputs))
-    weighting = Weighting.about(inner, *ends, weights, effort, integral)
+    x, u = (given.array([v.name for v in kind])[-1] for kind in (inner.states, inner.inputs))
+    weighting = Weighting.about(inner, x, u, weights, effort, integral)
     no_influence("tvlqr", inner, along.A, along.B, controls)
     a, b, q, r = _along(weighting, along, outputs)
     follow = Stuck.of(along.plant, along.A[-1], along.B[-1], along.inputs)

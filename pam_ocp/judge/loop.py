@@ -211,8 +211,8 @@ def _manner(
         told = f", swinging by {_told(motion.variable(name), swing)} at {often:.2g} Hz"
         if behind:
             told += (
-                f", while the dead zone of {', '.join(behind)} is crossed behind a part that moves, "
-                "which takes time"
+                f", while the dead zone of {', '.join(behind)} is crossed behind a part that "
+                "moves, which takes time"
             )
         return told
     begin, end = abs(error[second][0]), abs(error[-1])

@@ -88,7 +88,7 @@ def test_at_rest_a_design_for_held_inputs_is_that_of_dlqr(slide):
     motion = pam.simulate(slide, inputs, t=np.linspace(0, 0.2, 21), start=begin)
     law = tvlqr(slide, motion, sample_time=4e-3, sampled=True)
     still = lqr(slide, rest, sample_time=4e-3, sampled=True)
-    assert law.K == pytest.approx(np.tile(still.K, (len(law.K), 1, 1)), rel=1e-3, abs=1e-6)
+    assert pytest.approx(np.tile(still.K, (len(law.K), 1, 1)), rel=1e-3, abs=1e-6) == law.K
 
 
 def test_a_motion_without_inputs_is_refused_and_a_wrong_end_too(slide, hanging):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -13,10 +14,10 @@ from ...core.variables import Variable
 from ...judge.costs import COSTS, mechanical_power, muscles_of
 from ...judge.statement import require_expression, subject, times_seconds
 from ...plants.plant import Plant
-from .problem import Budget, Objective
+from .problem import Budget, Objective, Problem
 from .symbols import Symbols
 
-__all__ = ["FORMS", "Symbols", "budget", "follows_inputs", "objective"]
+__all__ = ["FORMS", "Symbols", "budget", "follows_inputs", "objective", "regularised"]
 
 FORMS = ("integral", "square", "final", "peak")
 _FORM = re.compile(rf"({'|'.join(FORMS)})\((.+)\)$")
@@ -100,6 +101,13 @@ def objective(
         bool(economical),
         _in_words(weights, units, (track, integrand, final)),
     )
+
+
+def regularised(problem: Problem, weight: float) -> Problem:
+    """The problem with a small cost of the squared inputs beside the time."""
+    goal = problem.objective
+    added = weight * goal.time * _squared_inputs(problem.plant)
+    return replace(problem, objective=replace(goal, integrand=goal.integrand + added))
 
 
 def _squared_inputs(plant: Plant) -> ca.SX:
