@@ -99,9 +99,7 @@ class FreeRunFit:
             evidence = evidence_of(self.plant, known, names, u, self.rig, begin)
         own = {n: c.stderr for n, c in self.spread.coefficients.items()}
         given = None if self._whole else own
-        return adequacy_of(
-            evidence, 1 / spreads(self.plant, names, self.training.measured), given
-        )
+        return adequacy_of(evidence, 1 / spreads(self.plant, names, self.training.measured), given)
 
     @property
     def _whole(self) -> bool:
