@@ -220,7 +220,7 @@ def test_standard_errors_count_several_outputs_with_the_weights_of_the_fit() -> 
     both = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "previous")
     fit = fit_free_run(off(), both, list(TRUE), horizon=None, outputs=list(noise), judge=False)
     assert fit.adequacy.adequate
-    runs = runs_of(fit.plant, both, None, None, list(noise), 2, fit.options["steps"])
+    runs = runs_of(fit.plant, both, **fit.options)
     rollout = Rollout(fit.plant, runs, fit.unknowns, fit.rig)
     slopes = rollout.jacobian(fit.z, damped=False)
     each = rollout.weights.max() * np.array(list(noise.values())) / rollout.spread

@@ -195,3 +195,26 @@ def test_parameters_that_cannot_be_fitted() -> None:
         fit_free_run(rubbing(), record(1), ["friction", "idle"], **common)  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="fricton"):
         fit_free_run(rubbing(), record(1), ["fricton"], **common)  # type: ignore[arg-type]
+
+
+def test_a_motion_that_is_small_beside_its_nominal_is_fitted_by_least_squares() -> None:
+    """2 mrad of a joint whose nominal is 1 rad: no row is taken for a parting of the ways."""
+    plant = pam.Plant("swinging", "a joint with a spring")
+    q, w = plant.state("q", unit="rad"), plant.state("w", unit="rad/s")
+    u, k, c = plant.input("u"), plant.parameter("k", 40.0), plant.parameter("c", 1.5)
+    plant.der(q, w)
+    plant.der(w, u - k * q - c * w)
+    t = 0.01 * np.arange(400)
+    columns = {"u": 0.05 * force(t, 5)}
+    run = pam.simulate(plant, columns, t=t, interpolation="linear", rtol=1e-10)
+    noise = 1e-4
+    columns["q"] = run["q"] + noise * np.random.default_rng(6).standard_normal(t.size)
+    shown = pam.Trajectory(t, columns, [plant.variable(n) for n in columns], "linear")
+    beside = plant.with_values(k=50.0, c=1.0)
+    fit = fit_free_run(beside, shown, ["k", "c"], horizon=None, judge=False)
+    runs = runs_of(fit.plant, shown, **{**fit.options, "outputs": ["q"]})
+    rollout = Rollout(fit.plant, runs, fit.unknowns, fit.rig)
+    assert rollout.normal(fit.z)[3] == 0
+    slopes, errors = rollout.jacobian(fit.z, damped=False), rollout.residuals(fit.z)
+    cosines = slopes.T @ errors / np.linalg.norm(slopes, axis=0) / np.linalg.norm(errors)
+    assert np.abs(cosines).max() < 1e-3

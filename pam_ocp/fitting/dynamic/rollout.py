@@ -23,7 +23,8 @@ from .runs import Runs
 __all__ = ["ASTRAY", "Rollout", "spreads"]
 
 WILD = 1e2
-"""Sensitivity (spreads per unit of a scaled unknown) from which a sample's row is damped.
+"""Sensitivity (spreads per unit of a scaled unknown; of a start, per what may move it) from which a
+sample's row is damped.
 
 Beside a parting of the ways (stick or slide), or where the plant is unstable, a slope holds for
 changes far smaller than any step, and would outweigh all other runs. Its row keeps its direction,
@@ -69,6 +70,7 @@ class Rollout:
         self._late = _late(plant, runs, unknowns, self._rig)
         self._count = runs.steps + len(self._late)
         self._local = unknowns.shared + len(unknowns.own_starts)
+        self._reach = self._reaches()
         self._move, self._tangent = _functions(plant, runs, unknowns, self._rig, self._count)
         self._parts = {deep: self._cut(deep) for deep in (False, True)}
 
@@ -120,7 +122,7 @@ class Rollout:
             m, k, ny = y.shape
             errors = self._error(part.rows, y).reshape(m, k * ny)
             per_spread = slopes / self.spread[:, None]
-            size = np.abs(per_spread).max(axis=3, initial=0.0)
+            size = np.abs(per_spread * self._reach).max(axis=3, initial=0.0)
             size[np.isnan(self.runs.measured[part.rows, :k])] = 0.0
             wild = ~(size <= WILD)
             if damped:
@@ -141,6 +143,23 @@ class Rollout:
         error = np.clip(error, -ASTRAY, ASTRAY)
         error[np.isnan(measured)] = 0.0
         return np.asarray(error * self.weights[rows, : predicted.shape[1], None])
+
+    def _reaches(self) -> Array:
+        """How far local unknowns may move, in their scales, for WILD: the start of a motion that is
+        small beside its nominal by no more than it, or every row of it would be called wild.
+        """
+        u, found = self._unknowns, np.ones(self._local)
+        order = [v.name for v in self._plant.states]
+        velocity = self._plant.positions
+        for name, spread in zip(self.runs.names, self.spread, strict=True):
+            if name not in order:
+                continue
+            part = min(1.0, float(spread) / self._plant.variable(name).nominal)
+            own = {order.index(n) for n in (name, velocity.get(name, name))}
+            places = [j for j, i in zip(u.places("starts"), u.starts, strict=True) if i in own]
+            places += [u.shared + k for k, i in enumerate(u.own_starts) if i in own]
+            found[places] = part
+        return found
 
     def _scattered(self, rows: NDArray[np.intp], slopes: Array, nz: int) -> Array:
         """Columns of a record's own starts to their places in z."""
