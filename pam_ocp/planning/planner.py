@@ -24,7 +24,7 @@ from ..core.errors import (
     require_positive,
 )
 from ..core.plausible import outside
-from ..core.stop import TimeIsUp, deadline, turns, verb
+from ..core.stop import TimeIsUp, deadline, spared, turns, verb
 from ..judge.statement import Avoid, Constraint, Cyclic, Phase, Statement, Stop
 from ..judge.verdict import TOLERANCE
 from ..operating.held import Memory
@@ -54,6 +54,9 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 __all__ = ["Planner", "plan"]
+
+GRACE = 10.0
+"""Seconds, at most, for the verdict on a plan that was found when the time was up."""
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -365,9 +368,10 @@ class Planner:
         figures |= trust(refinement, climb, tolerance)
         seconds = {"seconds": time.perf_counter() - begin, "build_seconds": self._build_seconds}
         figures |= seconds
-        best = refinement.best.explained(tolerance or TOLERANCE)
         meshes, first = tuple(refinement.meshes), refinement.first
-        result = assembled(best.found, statement, figures, best, meshes, first, tolerance)
+        with spared(GRACE):  # what there is to show is judged, whatever the time
+            best = refinement.best.explained(tolerance or TOLERANCE)
+            result = assembled(best.found, statement, figures, best, meshes, first, tolerance)
         program = best.found.program
         known = (self._program, *self._finer)
         if best.found.multiplied and not any(program.nlp is each.nlp for each in known):

@@ -18,7 +18,7 @@ from .solvers.diagnosis import Conflict, advice, elastic, resolving
 from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, narrowing, widened
 from .solvers.side_by_side import solved_side_by_side
-from .solvers.solver import Ipopt, Outcome
+from .solvers.solver import SETTLED, Ipopt, Outcome
 from .starts import Ends, tasks
 from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
 from .transcription.leading import by_leading
@@ -61,7 +61,8 @@ class Run:
         again : where that fails, from there with the barrier of a cold start.
         """
         guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
-        found = self.from_guess(guess, "near")
+        # where the coarse motion is none of its own, the finer one is damped towards it
+        found = self.from_guess(guess, "finer" if coarse.outcome.status == SETTLED else "near")
         return found if found.outcome.ended or not again else self.from_guess(guess)
 
     def directly(self, coarse: Solved) -> Solved:

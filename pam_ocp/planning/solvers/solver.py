@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # loaded with the first re-solve
     from .newton import Newton
     from .optimality import Optimality
 
-__all__ = ["SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "limit"]
+__all__ = ["SETTLED", "SOLVERS", "Ipopt", "Outcome", "Progress", "Solver", "limit"]
 
 LOG = logging.getLogger(__name__)
 
