@@ -37,6 +37,8 @@ HELD = 1e-9
 """What is left of what should vanish, in nominals, where inputs hold a plant."""
 STEPS = 20
 """Of Newton's method towards such inputs."""
+LEVELS, WIDE = 41, 100.0
+"""Of each input, from end to end of its range, or as far as so many nominals."""
 SPEED = 10.0
 """Times its nominal in a second: the unit of a state's rate."""
 
@@ -155,9 +157,10 @@ def _holding(
     known = np.isfinite(low) & np.isfinite(high)
     middle = np.where(known, (np.where(known, low, 0.0) + np.where(known, high, 0.0)) / 2, starts)
     tried: list[tuple[float, int, Array]] = []
-    for method in (_newton, _least_squares):  # the former needs no SciPy, and mostly does
-        for guess in (near[free], starts, middle):
-            w = method(at, np.clip(guess / nominal, *box), box)
+    guesses = [np.clip(guess / nominal, *box) for guess in (near[free], starts, middle)]
+    for method in (_newton, _scanning, _least_squares):  # the first need no SciPy, and mostly do
+        for guess in guesses:
+            w = method(at, guess, box)
             tried.append((float(np.abs(at(w)[0]).max(initial=0.0)), len(tried), w))
             if tried[-1][0] < HELD:
                 break
@@ -181,6 +184,19 @@ def _newton(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
             break
         w = np.clip(w - np.linalg.lstsq(slope, value, rcond=1e-12)[0], *box)
     return w
+
+
+def _scanning(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
+    """From the best of some levels of each input in turn: where rates saturate (a slew limit),
+    slopes are zero nearly everywhere, and no step leads to where the inputs would hold the plant.
+    """
+    w = np.array(w, float)
+    for i, (low, high) in enumerate(np.clip(box, -WIDE, WIDE).T):
+        levels, missed = np.linspace(low, high, LEVELS), []
+        for w[i] in levels:
+            missed.append(float(np.sum(at(w)[0] ** 2)))
+        w[i] = levels[int(np.argmin(missed))]
+    return _newton(at, w, box)
 
 
 def _least_squares(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
