@@ -777,9 +777,7 @@ class Check:
     def largest(self, name: str) -> float:
         """Largest value along the run; around the largest samples it is run again, finely."""
         found = []
-        for piece, (t, x, u) in enumerate(
-            zip(self.motion.t, self.motion.x, self.motion.u, strict=True)
-        ):
+        for piece, (x, u) in enumerate(zip(self.motion.x, self.motion.u, strict=True)):
             row = self.along([name], x, u)[0]
             found += [(float(value), piece, i) for i, value in enumerate(row)]
         found.sort(reverse=True)

@@ -225,18 +225,19 @@ def begun(
     places = {p.name for p in plant.resting(_spoken(plant, [point]))}
     said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
     kept_by = held(plant, memory)
-    resting = at_rest(plant, x, kept_by) if not isinstance(memory, Mapping) else kept_by
-    given = resting | _sums(plant)
+    given = kept_by | _sums(plant)
+    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies}]
+    rates = plant.function(plant.x, plant.u, plant.p)[0]
+    wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
+    still = _still(plant, x, u, wanted, limits, point.time)
+    if not isinstance(memory, Mapping):
+        given |= at_rest(plant, x, kept_by, still)
     for name, value in given.items():
         if name in plant.copies:
             continue
         i = names.index(name)
         off = abs(float(x[i]) - value) / float(nominal[i])
         yield f"{point.label}: {name} at the start", off, name in said
-    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies}]
-    rates = plant.function(plant.x, plant.u, plant.p)[0]
-    wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
-    still = _still(plant, x, u, wanted, limits, point.time)
     moving = any(n.startswith("der(") for n in point.stop.values)
     for i, rate, far in zip(kept, *_away(plant, x, still, kept), strict=True):
         off = max(rate, far)
