@@ -534,16 +534,10 @@ class Check:
             others = [np.array([v.start or 0.0 for v in self.plant.inputs]), self.following(x)]
             moving = min([moving, *(self.moving(x, each) for each in others)], key=len)
         for name, drift in moving.items():
-            gives_up = EDGE if name in self.slidden else 0.0
-            self.expect("start", f"{name} drifts before it", drift, DRIFT + gives_up)
-
-    @cached_property
-    def slidden(self) -> set[str]:
-        """The memories that the task itself puts where they have slid fully."""
-        memory = self.asked.get("memory", "virgin")
-        held = {v.name for v in self.plant.states if v.memory == "held"}
-        chosen = set(memory) if isinstance(memory, Mapping) else held
-        return set() if memory == "virgin" else held & chosen
+            v = self.plant.variable(name)
+            slid = v.memory == "held" and self.remembered(v) in {v.min, v.max} - {v.start}
+            allowed = DRIFT + EDGE * abs(self.remembered(v)) / v.nominal if slid else DRIFT
+            self.expect("start", f"{name} drifts before it", drift, allowed)
 
     def moving(self, x: Array, u: Array) -> dict[str, float]:
         """The states that do not stay while inputs stand, and that the verdict does not name."""
@@ -581,7 +575,6 @@ class Check:
         these come to by themselves where the plant stands (a largest contraction so far is no less
         than the present one).
         """
-        memory = self.asked.get("memory", "virgin")
         for v in self.plant.states:
             if v.name in values or self.answer.names(v.name):
                 continue
@@ -589,14 +582,17 @@ class Check:
                 warmer = abs(known[v.name] - v.start)
                 self.expect("start", f"{v.name} = {known[v.name]:.1f} K", warmer, WARMER)
             if v.memory == "held":
-                wanted = v.start
-                if isinstance(memory, Mapping):
-                    wanted = memory.get(v.name, v.start)
-                elif memory != "virgin":
-                    wanted = self.slid(v, memory)
+                wanted = self.remembered(v)
                 low, high = sorted((wanted, self.alone(v, wanted, u)))
                 miss = max(low - known[v.name], known[v.name] - high) / v.nominal
                 self.expect("start", f"memory {v.name} = {known[v.name]:.4g}", miss, TOLERANCE)
+
+    def remembered(self, v: Any) -> float:
+        """What the task says that a memory holds."""
+        memory = self.asked.get("memory", "virgin")
+        if isinstance(memory, Mapping):
+            return float(memory.get(v.name, v.start))
+        return float(v.start) if memory == "virgin" else self.slid(v, memory)
 
     def alone(self, memory: Any, value: float, u: Array) -> float:
         """Where a memory comes to from a value while all else stands as the answer begins."""

@@ -39,6 +39,8 @@ STEPS = 20
 """Of Newton's method towards such inputs."""
 LEVELS, WIDE = 41, 100.0
 """Of each input, from end to end of its range, or as far as so many nominals."""
+BISECTIONS = 40
+"""Between two of these."""
 SPEED = 10.0
 """Times its nominal in a second: the unit of a state's rate."""
 
@@ -187,15 +189,30 @@ def _newton(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
 
 
 def _scanning(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
-    """From the best of some levels of each input in turn: where rates saturate (a slew limit),
-    slopes are zero nearly everywhere, and no step leads to where the inputs would hold the plant.
+    """From the best of some levels of each input in turn, and of where something changes its sign
+    between two of them: where rates saturate (a slew limit), slopes are zero nearly everywhere, and
+    no step leads to where the inputs would hold the plant.
     """
     w = np.array(w, float)
+
+    def values(i: int, level: float) -> Array:
+        w[i] = level
+        return at(w)[0]
+
     for i, (low, high) in enumerate(np.clip(box, -WIDE, WIDE).T):
-        levels, missed = np.linspace(low, high, LEVELS), []
-        for w[i] in levels:
-            missed.append(float(np.sum(at(w)[0] ** 2)))
-        w[i] = levels[int(np.argmin(missed))]
+        levels = [*np.linspace(low, high, LEVELS)]
+        rows = np.array([values(i, level) for level in levels])
+        change = np.where(rows[:-1] * rows[1:] < 0, np.abs(np.diff(rows, axis=0)), 0.0)
+        if change.any():
+            k, row = np.unravel_index(int(np.argmax(change)), change.shape)
+            one, other, below = levels[k], levels[k + 1], rows[k, row] < 0
+            for _ in range(BISECTIONS):
+                middle = (one + other) / 2
+                same = (values(i, middle)[row] < 0) == below
+                one, other = (middle, other) if same else (one, middle)
+            levels.append(one)
+            rows = np.vstack([rows, values(i, one)])
+        w[i] = levels[int(np.argmin(np.sum(rows**2, axis=1)))]
     return _newton(at, w, box)
 
 
