@@ -234,7 +234,7 @@ def test_a_spool_stands_where_its_command_holds_it_before_a_motion():
 def test_a_spool_held_beside_its_middle_has_not_moved_in_its_play():
     """Against a leak it is held open; what its play would do with another command is no matter."""
     spool = pam.feeds.FirstOrderSpool(time=0.01, hysteresis=0.02)
-    feed = pam.feeds.SpoolValve(spool=spool, gas=pam.gas.Gas(leak=1e-10))
+    feed = pam.feeds.SpoolValve(spool=spool, leak=1e-10)
     plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
     rest = plant.equilibrium(x=0.02)
     start = np.array([rest[v.name] for v in plant.states], float)
