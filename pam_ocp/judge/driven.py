@@ -30,6 +30,8 @@ PARTS = 100
 """Parts of a motion, at least, each with the points of Lobatto's rule."""
 LEAST = 2
 """Parts of a piece of the inputs, at least."""
+PEAKS, FINE = 6, 65
+"""Cells in which a largest value is looked for again, and points in each."""
 _TAUS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
 _WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 """Lobatto's rule with five points, exact to degree 7."""
@@ -82,6 +84,23 @@ class Driven:
         """(n,) integrals of values (n, cells, 5)."""
         h = self.t[:, -1] - self.t[:, 0]
         return np.asarray(np.einsum("nck,k,c->n", values, _WEIGHTS, h))
+
+    def largest(self, expression: ca.SX, inputs: PiecewisePolynomial) -> float:
+        """Largest value of an expression: where it seems to be large, the motion is run again with
+        points close together, for a peak is as narrow as a jump of an input makes it.
+        """
+        values = self.values([expression])[0]
+        top = float(values.max())
+        for cell in np.argsort(-values.max(axis=1))[:PEAKS]:
+            t = np.linspace(self.t[cell, 0], self.t[cell, -1], FINE)
+            start = self.x[:, cell, 0]
+            states = Integration.over(self.plant, inputs, t, start, rtol=TOLERANCE)()
+            if states is None:
+                continue
+            u, slope = _inputs(inputs, t[None, :])
+            fine = Driven(self.plant, self.trajectory, t[None], states.T[:, None], u, slope)
+            top = max(top, float(fine.values([expression]).max()))
+        return top
 
     def sides(self, time: float) -> list[tuple[Array, Array, Array]]:
         """(states, inputs, their rates) at the ends of the cells that meet at a time."""

@@ -37,6 +37,10 @@ HELD = 1e-9
 """What is left of what should vanish, in nominals, where inputs hold a plant."""
 STEPS = 20
 """Of Newton's method towards such inputs."""
+LEVELS, WIDE = 41, 100.0
+"""Of each input, from end to end of its range, or as far as so many nominals."""
+BISECTIONS = 40
+"""Between two of these."""
 SPEED = 10.0
 """Times its nominal in a second: the unit of a state's rate."""
 
@@ -155,9 +159,10 @@ def _holding(
     known = np.isfinite(low) & np.isfinite(high)
     middle = np.where(known, (np.where(known, low, 0.0) + np.where(known, high, 0.0)) / 2, starts)
     tried: list[tuple[float, int, Array]] = []
-    for method in (_newton, _least_squares):  # the former needs no SciPy, and mostly does
-        for guess in (near[free], starts, middle):
-            w = method(at, np.clip(guess / nominal, *box), box)
+    guesses = [np.clip(guess / nominal, *box) for guess in (near[free], starts, middle)]
+    for method in (_newton, _scanning, _least_squares):  # the first need no SciPy, and mostly do
+        for guess in guesses:
+            w = method(at, guess, box)
             tried.append((float(np.abs(at(w)[0]).max(initial=0.0)), len(tried), w))
             if tried[-1][0] < HELD:
                 break
@@ -181,6 +186,34 @@ def _newton(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
             break
         w = np.clip(w - np.linalg.lstsq(slope, value, rcond=1e-12)[0], *box)
     return w
+
+
+def _scanning(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
+    """From the best of some levels of each input in turn, and of where something changes its sign
+    between two of them: where rates saturate (a slew limit), slopes are zero nearly everywhere, and
+    no step leads to where the inputs would hold the plant.
+    """
+    w = np.array(w, float)
+
+    def values(i: int, level: float) -> Array:
+        w[i] = level
+        return at(w)[0]
+
+    for i, (low, high) in enumerate(np.clip(box, -WIDE, WIDE).T):
+        levels = [*np.linspace(low, high, LEVELS)]
+        rows = np.array([values(i, level) for level in levels])
+        change = np.where(rows[:-1] * rows[1:] < 0, np.abs(np.diff(rows, axis=0)), 0.0)
+        if change.any():
+            k, row = np.unravel_index(int(np.argmax(change)), change.shape)
+            one, other, below = levels[k], levels[k + 1], rows[k, row] < 0
+            for _ in range(BISECTIONS):
+                middle = (one + other) / 2
+                same = (values(i, middle)[row] < 0) == below
+                one, other = (middle, other) if same else (one, middle)
+            levels.append(one)
+            rows = np.vstack([rows, values(i, one)])
+        w[i] = levels[int(np.argmin(np.sum(rows**2, axis=1)))]
+    return _newton(at, w, box)
 
 
 def _least_squares(at: _Residual, w: Array, box: tuple[Array, Array]) -> Array:
@@ -209,18 +242,19 @@ def begun(
     places = {p.name for p in plant.resting(_spoken(plant, [point]))}
     said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
     kept_by = held(plant, memory)
-    resting = at_rest(plant, x, kept_by) if not isinstance(memory, Mapping) else kept_by
-    given = resting | _sums(plant)
+    given = kept_by | _sums(plant)
+    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies}]
+    rates = plant.function(plant.x, plant.u, plant.p)[0]
+    wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
+    still = _still(plant, x, u, wanted, limits, point.time)
+    if not isinstance(memory, Mapping):
+        given |= at_rest(plant, x, kept_by, still)
     for name, value in given.items():
         if name in plant.copies:
             continue
         i = names.index(name)
         off = abs(float(x[i]) - value) / float(nominal[i])
         yield f"{point.label}: {name} at the start", off, name in said
-    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies}]
-    rates = plant.function(plant.x, plant.u, plant.p)[0]
-    wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
-    still = _still(plant, x, u, wanted, limits, point.time)
     moving = any(n.startswith("der(") for n in point.stop.values)
     for i, rate, far in zip(kept, *_away(plant, x, still, kept), strict=True):
         off = max(rate, far)

@@ -74,15 +74,18 @@ def held(plant: Plant, memory: Memory = "virgin") -> dict[str, float]:
     return found
 
 
-def at_rest(plant: Plant, x: Array, memory: Mapping[str, float]) -> dict[str, float]:
-    """{held memory: value} that stay while all else stands still at x; those of ``memory`` where
-    they do.
+def at_rest(
+    plant: Plant, x: Array, memory: Mapping[str, float], u: Array | None = None
+) -> dict[str, float]:
+    """{held memory: value} that stay while all else stands still at x under the inputs u (by
+    default their start values); those of ``memory`` where they do.
 
     The largest contraction of a muscle so far is no less than the one at which it stands. Slow
     motion of a rounded law (less than ``APART`` of nominal in all) counts as none.
     """
     found = dict(memory)
-    names, p, u = [v.name for v in plant.states], plant.vector("parameter"), plant.vector("input")
+    names, p = [v.name for v in plant.states], plant.vector("parameter")
+    u = plant.vector("input") if u is None else u
     for name, value in memory.items():
         i, v = names.index(name), plant.variable(name)
         here = np.array(x, float)

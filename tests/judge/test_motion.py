@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -104,6 +105,35 @@ def test_an_acceleration_behind_a_lag_must_have_gone():
     assert by["stop 1: v settled"] == pytest.approx(0.2, rel=1e-2)  # no input keeps it there
 
 
+def test_inputs_that_hold_a_plant_are_found_behind_a_slew_limit():
+    """p' = clip((u - p)/0.01, -1, 1): but for u within 0.01 of p its slope is zero."""
+    plant = pam.Plant("slewing")
+    x, v, p = plant.state("x", unit="m"), plant.state("v", unit="m/s"), plant.state("p")
+    u = plant.input("u", min=0.0, max=7.0)
+    plant.der(x, v)
+    plant.der(v, p - x - v)
+    plant.der(p, ca.fmin(ca.fmax((u - p) / 0.01, -1.0), 1.0))
+    steady = PiecewisePolynomial(np.array([0.0, 0.1]), np.array([[[2.0]]]))
+    said = Statement([{"x": 5.03}, pam.Stop({}, rest=False)])
+    begun = judge(plant, said, Motion(np.array([5.03, 0.0, 5.03]), steady, (0.1,)))
+    assert begun.violation < 1e-6
+    higher = Statement([{"x": 7.1}, pam.Stop({}, rest=False)])
+    beyond = judge(plant, higher, Motion(np.array([7.1, 0.0, 7.1]), steady, (0.1,)))
+    assert beyond.constraint == "stop 1: p settled"
+
+
+def test_the_largest_value_is_found_between_points():
+    """Two lags of 4 ms in a row, the first at 1: s t e^(-t/s)/s is 1/e at most."""
+    plant = pam.Plant("lags")
+    a, b = plant.state("a"), plant.state("b")
+    plant.der(a, (plant.input("u") - a) / 0.004)
+    plant.der(b, (a - b) / 0.004)
+    zero = PiecewisePolynomial(np.array([0.0, 1.0]), np.zeros((1, 1, 1)))
+    said = Statement([{"b": 0.0}, {"b": 0.0}], minimise="peak(b)", rest=False)
+    judgement = judge(plant, said, Motion(np.array([1.0, 0.0]), zero, (1.0,)))
+    assert judgement.objective == pytest.approx(np.exp(-1), rel=2e-4)
+
+
 def test_limits_hold_between_points_and_on_both_sides_of_a_jump():
     top = np.sqrt(A * WAY)
     assert found(bang_bang(), bounds={"v": (None, 1.5)})["v"] == pytest.approx(top - 1.5, rel=1e-6)
@@ -199,6 +229,20 @@ def test_a_spool_stands_where_its_command_holds_it_before_a_motion():
     plan = pam.plan(plant, [{"x": 0.01}, {"x": 0.04}], method=pam.Collocation(15, 3))
     assert plan.verified
     assert abs(plan.trajectory["muscle.valve.spool"][0]) < 0.021  # closed, or in its overlap
+
+
+def test_a_spool_held_beside_its_middle_has_not_moved_in_its_play():
+    """Against a leak it is held open; what its play would do with another command is no matter."""
+    spool = pam.feeds.FirstOrderSpool(time=0.01, hysteresis=0.02)
+    feed = pam.feeds.SpoolValve(spool=spool, leak=1e-10)
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, feed=feed)
+    rest = plant.equilibrium(x=0.02)
+    start = np.array([rest[v.name] for v in plant.states], float)
+    assert rest["muscle.valve.spool"] > 1e-3
+    held = PiecewisePolynomial(np.array([0.0, 0.5]), np.full((1, 1, 1), rest["muscle.command"]))
+    for memory in ("virgin", "below"):  # positions do not move a spool
+        said = Statement([{"x": 0.02}, {"x": 0.02}], memory=memory)
+        assert judge(plant, said, Motion(start, held, (0.5,))).violation < 1e-3
 
 
 def test_a_plan_from_a_file_is_judged_by_the_words_in_it(tmp_path):

@@ -217,6 +217,79 @@ def test_a_receiver_above_what_its_compressor_brings_about_is_seen(study, kinds)
         assert kinds(answer, ({"x": 0.02}, {"x": 0.02}), plant=plant, duration=1.0) == wrong
 
 
+def still(study, plant, rest):
+    """The answer of a plant that stays where it rests for a second."""
+    state = np.array([[rest[v.name] for v in plant.states]], float)
+    inputs = np.array([[[rest[v.name] for v in plant.inputs]]], float)
+    begin = np.array([0.0])
+    return study.motion_check.Answer(begin, state, np.array([0.0, 1.0]), inputs, (1.0,), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("parts", "memory", "others"),
+    [
+        # slid fully, elements give up their last 2 % at rest
+        ({"losses": pam.losses.MaxwellSlip()}, "above", ("virgin", "below")),
+        ({"losses": pam.losses.BoucWen()}, "below", ("virgin", "above")),
+        # positions do not move a spool
+        (
+            {"feed": pam.feeds.SpoolValve(spool=pam.feeds.FirstOrderSpool(hysteresis=0.02))},
+            "below",
+            (),
+        ),
+    ],
+)
+def test_memories_begin_where_the_task_says(study, kinds, parts, memory, others):
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, **parts)
+    answer = still(study, plant, plant.equilibrium(x=0.02, memory=memory))
+    stops, words = ({"x": 0.02}, {"x": 0.02}), {"plant": plant, "duration": 1.0}
+    assert kinds(answer, stops, memory=memory, **words) == set()
+    for other in others:
+        assert kinds(answer, stops, memory=other, **words) == {"start"}
+
+
+def test_a_muscle_has_reached_at_least_where_it_stands(study, kinds):
+    plant = pam.HangingLoad("DMSP-20-400N", 10.0, losses=pam.losses.Preconditioning())
+    stops, words = ({"x": 0.02}, {"x": 0.02}), {"plant": plant, "duration": 1.0}
+    here = plant.equilibrium(x=0.02)["muscle.contraction"]
+    for reached, wrong in ((0.0, {"start"}), (here + 5e-4, set()), (here + 0.05, {"start"})):
+        rest = plant.equilibrium(x=0.02, memory={"muscle.reached": reached})
+        assert kinds(still(study, plant, rest), stops, **words) == wrong
+
+
+def test_differences_are_derivatives_beside_a_stiff_part_too(study, kinds):
+    """x'' = f, f' = (1 - f)/s with s = 10 us: at the start f is 0, 20 us later 0.86."""
+    plant, s, t = pam.Plant("stiff"), 1e-5, np.linspace(0.0, 1.0, 11)
+    x, v, f = plant.state("x", unit="m"), plant.state("v", unit="m/s"), plant.state("f")
+    plant.der(x, v)
+    plant.der(v, f)
+    plant.der(f, (plant.input("u", min=0.0, max=1.0) - f) / s)
+    grown = 1 - np.exp(-t / s)
+    states = np.column_stack([t**2 / 2 - s * t + s**2 * grown, t - s * grown, grown])
+    answer = study.motion_check.Answer(
+        t, states, np.array([0.0, 1.0]), np.ones((1, 1, 1)), (1.0,), 1.0
+    )
+    stops = ({"x": 0.0}, pam.Stop({}, rest=False))
+    assert kinds(answer, stops, plant=plant, duration=1.0) == set()
+    states[:, 2] = 1.0  # f = 1 from the start: an acceleration
+    states[:, 0], states[:, 1] = t**2 / 2, t
+    assert "acceleration" in kinds(answer, stops, plant=plant, duration=1.0)
+
+
+def test_a_peak_between_samples_counts(study, kinds):
+    """Two lags of 0.4 ms in a row, the first at 1: the second has 1/e at most."""
+    plant, s, t = pam.Plant("lags"), 4e-4, np.array([0.0, 1.0])
+    a, b = plant.state("a"), plant.state("b")
+    plant.der(a, (plant.input("u") - a) / s)
+    plant.der(b, (a - b) / s)
+    states, breaks = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([0.0, 1.0])
+    stops = (pam.Stop({}, rest=False),) * 2
+    for said, wrong in ((np.exp(-1), set()), (0.36, {"objective"})):
+        answer = study.motion_check.Answer(t, states, breaks, np.zeros((1, 1, 1)), (1.0,), said)
+        words = {"plant": plant, "minimise": "peak(b)", "duration": 1.0, "positions": ()}
+        assert kinds(answer, stops, **words) == wrong
+
+
 def test_a_plan_of_the_library_has_nothing_wrong(study, kinds):
     plant, stops = pam.HangingLoad("DMSP-20-200N", 10.0), ({"x": 0.01}, {"x": 0.03})
     plan = pam.plan(plant, list(stops), minimise="work", duration=0.5)

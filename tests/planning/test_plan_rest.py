@@ -263,6 +263,17 @@ def test_air_is_not_saved_by_venting_what_was_given():
     assert plan.objective > 0.1  # grams
 
 
+def test_least_air_begins_with_muscles_as_warm_as_their_surroundings():
+    """Without rows for air and rubber it began at 500 K, and saved the air that cools."""
+    gas = pam.gas.Gas(heat=pam.muscles.ConstantHeatTransfer(50.0), rubber=pam.muscles.Rubber())
+    load = pam.HangingLoad("DMSP-20-200N", mass=10.0, feed=pam.feeds.SpoolValve(gas=gas))
+    with pytest.warns(pam.PlanWarning, match="at rest with muscle.pressure"):
+        plan = pam.plan(load, WAY, duration=0.5, minimise="air", method=Collocation(15, 3))
+    assert plan.verified
+    for name in ("muscle.temperature", "muscle.rubber_temperature"):
+        assert plan.trajectory[name][0] == pytest.approx(load.variable(name).start, abs=0.01)
+
+
 # ---- where muscles are slack, or a dead band hides what acts -------------------------------------
 def accelerations_at_the_ends(plan, velocity):
     plant, run = plan.plant, plan.replay.trajectory

@@ -129,10 +129,17 @@ def with_given_pressures(
         )
         for n, value in values.items()
     ]
-    # with pressures at rest accelerations vanish by themselves: they would be said twice
-    kept = [
-        c
-        for c in problem.nodes[0]
-        if not (c.label.endswith(("at rest", "settled")) and ca.depends_on(c.expression, symbols))
+    # with pressures at rest forces balance by themselves: they would be said twice
+    fixed = {*free, *places, *first.values}
+    open_ = [
+        s for v, s in zip(plant.states, ca.vertsplit(plant.x), strict=True) if v.name not in fixed
     ]
-    return replace(problem, nodes=((*kept, *given), *problem.nodes[1:]))
+    unknown = ca.vertcat(*open_, plant.u, problem.m)
+
+    def follows(c: Condition) -> bool:
+        if c.label.endswith("settled"):
+            return not ca.depends_on(c.expression, unknown)
+        return c.label.endswith("at rest") and bool(ca.depends_on(c.expression, symbols))
+
+    node = (*(c for c in problem.nodes[0] if not follows(c)), *given)
+    return replace(problem, nodes=(node, *problem.nodes[1:]))
