@@ -144,7 +144,8 @@ def _by_cells(states: Array, cells: int) -> Array:
     """(nx, cells, points) of states (times, nx) that follow each other, each cell with its ends."""
     points = (len(states) - 1) // cells
     inner = states[:-1].reshape(cells, points, -1)
-    return np.concatenate([inner, states[points::points, None]], axis=1).transpose(2, 0, 1)
+    whole = np.concatenate([inner, states[points::points, None]], axis=1)
+    return np.asarray(whole.transpose(2, 0, 1))
 
 
 def _apart(times: Array, near: float) -> Array:
