@@ -30,8 +30,8 @@ PARTS = 100
 """Parts of a motion, at least, each with the points of Lobatto's rule."""
 LEAST = 2
 """Parts of a piece of the inputs, at least."""
-PEAKS, FINE = 6, 65
-"""Cells in which a largest value is looked for again, and points in each."""
+FINE = 65
+"""Points of a cell at which a largest value is looked for."""
 _TAUS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
 _WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 """Lobatto's rule with five points, exact to degree 7."""
@@ -86,21 +86,19 @@ class Driven:
         return np.asarray(np.einsum("nck,k,c->n", values, _WEIGHTS, h))
 
     def largest(self, expression: ca.SX, inputs: PiecewisePolynomial) -> float:
-        """Largest value of an expression: where it seems to be large, the motion is run again with
-        points close together, for a peak is as narrow as a jump of an input makes it.
+        """Largest value of an expression: the motion is run again with points close together, for
+        a peak is as narrow as a jump of an input makes it.
         """
-        values = self.values([expression])[0]
-        top = float(values.max())
-        for cell in np.argsort(-values.max(axis=1))[:PEAKS]:
-            t = np.linspace(self.t[cell, 0], self.t[cell, -1], FINE)
-            start = self.x[:, cell, 0]
-            states = Integration.over(self.plant, inputs, t, start, rtol=TOLERANCE)()
-            if states is None:
-                continue
-            u, slope = _inputs(inputs, t[None, :])
-            fine = Driven(self.plant, self.trajectory, t[None], states.T[:, None], u, slope)
-            top = max(top, float(fine.values([expression]).max()))
-        return top
+        ends = self.t[:, [0, -1]]
+        t = ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * np.linspace(0.0, 1.0, FINE)
+        every = np.append(t[:, :-1].ravel(), ends[-1, 1])
+        run = Integration.over(self.plant, inputs, every, self.x[:, 0, 0], rtol=TOLERANCE)
+        states = run()
+        if states is None:  # the coarser run has come through
+            return float(self.values([expression]).max())
+        x = _by_cells(run.at(every, states), len(t))
+        fine = Driven(self.plant, self.trajectory, t, x, *_inputs(inputs, t))
+        return float(fine.values([expression]).max())
 
     def sides(self, time: float) -> list[tuple[Array, Array, Array]]:
         """(states, inputs, their rates) at the ends of the cells that meet at a time."""
@@ -138,9 +136,7 @@ def driven(
     for splits in range(SPLITS + 1):
         t = edges[:, :1] + (edges[:, 1:] - edges[:, :1]) * _TAUS
         every, states, beside = _integrated(plant, start, inputs, t, asked)
-        x = np.concatenate(
-            [states[:-1].reshape(len(t), -1, states.shape[1]), states[4::4, None]], axis=1
-        ).transpose(2, 0, 1)
+        x = _by_cells(states, len(t))
         u, slope = _inputs(inputs, t)
         rough = _unresolved(plant, t, x, u)
         if splits == SPLITS or not rough.any():
@@ -176,6 +172,14 @@ def _unresolved(plant: Plant, t: Array, x: Array, u: Array) -> NDArray[np.bool_]
     nominal = plant.vector("state", attribute="nominal")[:, None, None]
     missed = np.abs(x @ _SLOPES.T - h * known) / nominal
     return np.asarray(missed.max(axis=(0, 2)) > RESOLVED)
+
+
+def _by_cells(states: Array, cells: int) -> Array:
+    """(nx, cells, points) of states (times, nx) that follow each other, each cell with its ends."""
+    points = (len(states) - 1) // cells
+    inner = states[:-1].reshape(cells, points, -1)
+    whole = np.concatenate([inner, states[points::points, None]], axis=1)
+    return np.asarray(whole.transpose(2, 0, 1))
 
 
 def _apart(times: Array, near: float) -> Array:

@@ -223,6 +223,9 @@ def _drives(plant: Plant) -> Array:
     else:  # no position is a state: the velocities themselves say the way
         moving = np.ones(len(velocities))
     drives = slopes[memories][:, velocities] @ moving
+    speeds = [names.index(v) for q in plant.resting() for v in q.velocities]
+    if speeds:  # what they do not move (the play of a spool, a tank) is left as it was
+        drives *= (rates[:, speeds] > NOTHING * rates.max(axis=1, initial=0.0)[:, None]).any(axis=1)
     return np.where(np.abs(drives) > NOTHING * np.abs(drives).max(initial=0.0), drives, 0.0)
 
 

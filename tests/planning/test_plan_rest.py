@@ -8,6 +8,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError
+from pam_ocp.operating.held import held
 
 METHOD = Collocation(10, 5)
 
@@ -261,6 +262,16 @@ def test_air_is_not_saved_by_venting_what_was_given():
         at_rest["muscle.pressure"], rel=1e-5
     )
     assert plan.objective > 0.1  # grams
+
+
+def test_a_tank_holds_what_it_was_filled_with_from_whichever_side_the_load_came():
+    tank = pam.feeds.Receiver(2e-3, pressure=5e5, source=None, wall_conductance=2.0)
+    feed = pam.feeds.SpoolValve(supply=tank)
+    slide = pam.AntagonisticSlide("DMSP-20-200N", feed=feed)
+    load = pam.HangingLoad("DMSP-20-200N", 10.0, feed=feed, losses=pam.losses.BoucWen())
+    for memory, side in (("above", -1.0), ("below", 1.0)):
+        assert held(slide, memory) == {"receiver.air_pressure": 5e5}
+        assert held(load, memory) == {"receiver.air_pressure": 5e5, "muscle.hysteresis": side}
 
 
 def test_least_air_begins_with_muscles_as_warm_as_their_surroundings():

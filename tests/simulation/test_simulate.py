@@ -29,7 +29,7 @@ def test_a_hanging_load_under_a_function_of_time_agrees_with_scipy(hanging):
     command = lambda t: 4 * BAR + BAR * np.sin(12 * t)  # noqa: E731
     t = np.linspace(0.0, 1.0, 41)
     motion = pam.simulate(hanging, {"muscle.command": command}, t=t, rtol=1e-11)
-    expected = scipy_states(hanging, command, t)
+    expected = scipy_states(hanging, command, t, rtol=1e-12)
     nominal = hanging.vector("state", attribute="nominal")
     assert np.max(np.abs(motion.array(motion.named("state")) - expected) / nominal) < 1e-7
 

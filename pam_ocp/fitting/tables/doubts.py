@@ -207,8 +207,9 @@ def _sentinels(numbers: Array, column: Column) -> NDArray[np.bool_]:
         end = int(gaps[1] * max(spans[0], 1e-300) > gaps[0] * max(spans[1], 1e-300))
         value, count = (values[-1], counts[-1]) if end else (values[0], counts[0])
         apart = gaps[end] / max(spans[end], 1e-300)
+        outside = (value > 0) == bool(end)  # 99999 Pa below all others is a pressure
         if not (
-            (_usual_mark(value) and apart >= APART)
+            (_usual_mark(value) and outside and apart >= APART)
             or (_absurd(value, count, column) and apart >= FAR_APART)
         ):
             break
