@@ -212,7 +212,9 @@ def test_a_relative_cache_of_xdg_does_not_count(
     monkeypatch.delenv("PAM_OCP_CACHE", raising=False)
     monkeypatch.delenv("LOCALAPPDATA", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", "here")
-    assert cache.cache_folder() == Path.home() / ".cache" / "pam_ocp"
+    monkeypatch.setenv("HOME", str(tmp_path))  # who runs this may have none
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    assert cache.cache_folder() == tmp_path / ".cache" / "pam_ocp"
     assert Path(_environment()["ZIG_GLOBAL_CACHE_DIR"]).is_absolute()
 
 
