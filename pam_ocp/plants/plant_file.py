@@ -81,7 +81,7 @@ def named_plant(
         try:
             signature(found).bind(muscle, **parts)
         except TypeError as error:
-            *first, last = ["muscle", *(f"{n}=" for n in parts)]
+            *first, last = ["a muscle", *(f"{n}=" for n in parts)]
             given = f"{', '.join(first)} and {last}" if first else last
             raise InputError(f"{name} cannot take {given} ({error}); give {wanted}") from None
     plant = found if isinstance(found, Plant) else found(muscle, **parts)

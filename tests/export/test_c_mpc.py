@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -117,14 +118,22 @@ def test_a_loop_is_the_same_bit_for_bit(kind, at, exports):
 
 @pytest.mark.slow
 @needs_compiler
-@pytest.mark.parametrize(
-    ("there", "kind"),
-    [(on_aarch64, "regulated"), (on_aarch64, "valved"), (on_cortex_m7, "regulated")],
-)
-def test_other_processors_give_the_same_bits(there, kind, exports):
-    """With valves it calls pow, which a bare target lacks and the two C libraries have alike."""
-    _, folder = exports(kind)
+@pytest.mark.parametrize("there", [on_aarch64, on_cortex_m7])
+def test_other_processors_give_the_same_bits(there, exports):
+    _, folder = exports("regulated")
     assert bits_of(there(folder, "mpc")) == bits_of(selftest(folder, "mpc"))
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_another_c_library_gives_the_same_but_for_the_last_digits_of_pow(exports):
+    """With valves it calls pow, whose last bit no standard fixes; 20 steps may add up a hundred."""
+    _, folder = exports("valved")
+    printed = on_aarch64(folder, "mpc")
+    assert "passed" in printed
+    deviation = re.search(r"largest deviation ([0-9.e+-]+)", printed)
+    assert deviation is not None
+    assert float(deviation[1]) < 100 * 2.0**-52
 
 
 @pytest.mark.slow
