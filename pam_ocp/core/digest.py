@@ -52,6 +52,17 @@ DEEPEST = 200
 """Objects within objects."""
 DERIVED = frozenset({"__firstlineno__", "__static_attributes__", "__doc__"})
 """Members of a class that come from where and how it is written."""
+MODULE = frozenset(vars(types.ModuleType(""))) | {
+    *(
+        "__builtins__",
+        "__file__",
+        "__cached__",
+        "__path__",
+        "__annotations__",
+        "__warningregistry__",
+    ),
+}
+"""Members of a module that come from where it lies."""
 READERS = ("open", "loadtxt", "genfromtxt", "fromfile", "memmap", "loadmat")
 """Names of what reads a file; so do those that begin with read_ or load_."""
 HIDDEN = {
@@ -75,6 +86,11 @@ HIDDEN = {
     "requests": "asks other machines",
     "sqlite3": "asks a database",
     "input": "asks at the keyboard",
+    **dict.fromkeys(
+        ("time.time", "time.time_ns", "time.perf_counter", "time.monotonic", "now", "utcnow"),
+        "asks the clock",
+    ),
+    **dict.fromkeys(("uuid1", "uuid4", "urandom", "secrets"), "is another at each call"),
     "CDLL": "calls compiled code",
     "LoadLibrary": "calls compiled code",
 }
@@ -454,7 +470,7 @@ class _Walk:
         if release is not None:
             yield release.encode()
         else:
-            yield self.of({n: v for n, v in vars(module).items() if n[:2] != "__"})
+            yield self.of({n: v for n, v in vars(module).items() if n not in MODULE})
 
     def _class(self, kind: type) -> Iterator[bytes]:
         yield kind.__qualname__.encode()

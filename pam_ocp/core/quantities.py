@@ -14,6 +14,10 @@ __all__ = ["TOO_LARGE", "is_quantity", "known_keys", "pair", "quantity", "table"
 
 TOO_LARGE = "is larger than any float (1.8e308)"
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+_PRESSURE = re.compile(
+    r"(?P<unit>[kM]?Pa|m?bar|psi)\s*\(?\s*(?P<kind>a|g|abs\.?|absolute|gauge)\s*\)?$", re.IGNORECASE
+)
+"""A unit of pressure that says from where it counts: "bar(g)", "psig", "bar abs"."""
 
 
 def table(where: str, value: Any) -> Mapping[str, Any]:
@@ -60,6 +64,13 @@ def quantity(where: str, value: Any, *units: str) -> float:
         raise InputError(f"{where} {TOO_LARGE}")
     if not name:
         return number
+    said = _PRESSURE.match(name)
+    if said and said["kind"][0] in "aA":
+        raise InputError(
+            f"{where} = {value!r}: pressures are gauge pressures here; take the ambient pressure "
+            "(1.013 bar) off"
+        )
+    name = said["unit"] if said else name
     try:
         measured = unit_of(name)
     except UnknownNameError as error:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError, require_finite
 from ..numerics.newton import iterate, least_squares
 from ..plants.plant import Plant, Values, require_plant
-from .held import Memory, held
+from .held import Memory, at_rest, held
 from .operating_point import OperatingPoint
 
 __all__ = ["TOLERANCE", "Expressions", "Rest", "VariedRest", "posed"]
@@ -119,13 +119,26 @@ class Rest:
         return np.concatenate([point.x, point.u, [point[n] for n in self.free]])
 
     def point(self, z: Array) -> OperatingPoint:
-        """The point of given unknowns; its plant has the free parameters' values."""
+        """The point of given unknowns; its plant has the free parameters' values.
+
+        A memory that would not stay (a largest contraction so far below the present one) is where
+        it comes to.
+        """
         n, m = len(self.plant.states), len(self.plant.inputs)
         plant = self.plant
         if self.free:
             plant = plant.with_values(dict(zip(self.free, z[n + m :], strict=True)))
-        error = float(np.abs(self.residual(z)).max())
-        return OperatingPoint(plant, z[:n], z[n : n + m], error)
+        left = at_rest(plant, z[:n], self.pinned, z[n : n + m])
+        if left != self.pinned:
+            other = type(self)(self.plant, self.values, self.free, self.more, left)
+            stays = other.converged(z)
+            if stays is not None:
+                return OperatingPoint(plant, stays[:n], stays[n : n + m], other.worst(stays))
+        return OperatingPoint(plant, z[:n], z[n : n + m], self.worst(z))
+
+    def worst(self, z: Array) -> float:
+        """The largest residual at given unknowns."""
+        return float(np.abs(self.residual(z)).max())
 
     def residual(self, point: Array) -> Array:
         value: Array = np.asarray(self.function(point, self.p)[0], dtype=float)

@@ -43,7 +43,7 @@ from .search import Search
 from .settling import Settling
 from .shortcuts import carried
 from .solvers.backend import KEPT, Backend, SolverName
-from .solvers.diagnosis import explanation
+from .solvers.diagnosis import advice, explanation
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
 from .starts import MOST
@@ -193,10 +193,10 @@ def plan(
         return planner._solve(None, guess, tolerance, starts, {}, time_limit)
 
 
-def _nothing_yet(plant: Plant) -> PlanError:
+def _nothing_yet(plant: Plant, advised: str = "") -> PlanError:
     return PlanError(
         f"{deadline()} was over before a plan was found for {plant.name}; allow more time, or "
-        "fewer intervals"
+        f"fewer intervals. {advised}".removesuffix(". ")
     )
 
 
@@ -318,7 +318,7 @@ class Planner:
         except TimeIsUp:
             if time_limit is None:  # somebody else's limit
                 raise
-            raise _nothing_yet(program.problem.plant) from None
+            raise _nothing_yet(program.problem.plant, advice(program)) from None
         outcome, build = found[0].outcome, self._build_seconds
         figures["iterations"] = outcome.iterations
         if not outcome.success:

@@ -34,7 +34,8 @@ class Preconditioning:
     stiffness : K [N] per unit of contraction. softening : s, 0 .. 1. width : [1].
     reached : contraction to which it has been exercised before; 0 for a virgin one.
 
-    Rest takes m as it starts, whatever the side from which the load came.
+    Rest takes m as it starts, or the contraction at rest where that is larger, whatever the side
+    from which the load came.
     Source: R. W. Ogden, D. G. Roxburgh, Proc. R. Soc. A 455 (1999) 2861-2877, eta = 1 - (1/r)
     erf[(Wm - W)/m], with tanh for erf and the contraction in place of the energy W (our
     simplifications: for one spring both grow together). L. Mullins, Rubber Chem. Technol. 42 (1969)

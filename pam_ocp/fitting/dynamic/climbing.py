@@ -146,7 +146,7 @@ def climbed(
         seconds,
     )
     values = {v.name: float(v.start or 0.0) for v in plant.parameters}
-    freed = {m for g in groups(plant, rung.free, {}) for m in g.members}
+    freed = {m for g in groups(plant, rung.free) for m in g.members}
     kept = {plant.parameters[m].name for m in freed}
     return fit, {**before, **{n: values[n] for n in kept}}, fastest
 
@@ -224,7 +224,7 @@ def _best_start(
 
 
 def _labels(plant: Plant, rung: Rung) -> set[str]:
-    return {g.name for g in groups(plant, rung.free, {})}
+    return {g.name for g in groups(plant, rung.free)}
 
 
 def _left_out(

@@ -35,7 +35,7 @@ from .estimation import (
     estimate,
     require_influence,
 )
-from .experiment import groups, measured_names, prepare
+from .experiment import groups, measured_names, prepare, recorded
 from .gauss_newton import GRACE, TIMED
 from .outcome import outcome
 from .plant_fit import ACCURATE, PlantFit
@@ -146,13 +146,13 @@ def fit_plant(
     (True, ())
     """
     began = time.perf_counter()
-    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
     low, high = _delays(delay)
     noisy = _input_noise(plant, input_noise, noise)
     ways = _ways(plant, chosen, method, bool(noisy or process_noise))
     unknowns = Unknowns(
-        groups(plant, free, dict(bounds or {})),
+        groups(plant, free, bounds),
         names,
         _places("offsets", offsets, plant, names),
         _places("gains", gains, plant, names),

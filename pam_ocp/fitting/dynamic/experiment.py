@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import FitError, InputError, PamError, UnknownNameError
+from ...core.errors import (
+    FitError,
+    InputError,
+    PamError,
+    UnknownNameError,
+    require_ends,
+    require_instance,
+    require_names,
+)
 from ...core.signals import merged, signals
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ...simulation.simulator import simulate
 from ..statistics import Array
 
-__all__ = ["Experiment", "InputErrors", "ParameterGroup", "groups", "measured_names", "prepare"]
+__all__ = [
+    "Experiment",
+    "InputErrors",
+    "ParameterGroup",
+    "groups",
+    "measured_names",
+    "prepare",
+    "recorded",
+]
 
 
 @dataclass(frozen=True)
@@ -107,72 +123,98 @@ class Experiment:
 
 
 def groups(
-    plant: Plant, free: Sequence[str | Sequence[str]], bounds: Mapping[str, tuple[float, float]]
+    plant: Plant,
+    free: Sequence[str | Sequence[str]],
+    bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> list[ParameterGroup]:
     """The unknown parameters, from names, patterns (``muscle*.a1``: equal) and tuples (equal)."""
-    order = {v.name: i for i, v in enumerate(plant.parameters)}
-    found: list[ParameterGroup] = []
-    for entry in free:
-        if isinstance(entry, str) and "*" in entry:
-            names = [n for n in order if fnmatchcase(n, entry)]
-            if not names:
-                raise UnknownNameError("pattern in free", entry, order)
-        else:
-            names = [plant.variable(n).name for n in ([entry] if isinstance(entry, str) else entry)]
-        label = entry if isinstance(entry, str) and "*" in entry else " = ".join(names)
-        for name in names:
-            if name not in order:
-                raise InputError(
-                    f"free: {name} is a {plant.variable(name).causality}; only parameters are "
-                    "fitted (initial states are unknown anyway)"
-                )
-        variables = [plant.variable(n) for n in names]
-        values = [float(v.start or 0.0) for v in variables]
-        if max(values) - min(values) > 1e-9 * variables[0].nominal:
-            raise InputError(
-                f"free: {label} are to be equal but start from {min(values):g} .. {max(values):g}; "
-                "set them equal with plant.with_values(...)"
-            )
-        low, high = bounds.get(label, (-np.inf, np.inf))
-        scale = (
-            abs(values[0]) if abs(values[0]) > 1e-3 * variables[0].nominal else variables[0].nominal
-        )
-        found.append(
-            ParameterGroup(
-                label,
-                tuple(order[n] for n in names),
-                values[0],
-                scale,
-                max(low, *(v.min for v in variables))
-                if len(variables) > 1
-                else max(low, variables[0].min),
-                min(high, *(v.max for v in variables))
-                if len(variables) > 1
-                else min(high, variables[0].max),
-                variables[0].unit,
-                variables[0].description,
-            )
-        )
+    require_instance("plant", plant, Plant, "give a Plant, such as HangingLoad(...)")
+    if not isinstance(bounds, Mapping | None):
+        raise InputError(f"bounds = {bounds!r}: give {{free parameter: (low, high)}}")
+    places = {v.name: i for i, v in enumerate(plant.parameters)}
+    ends = dict(bounds or {})
+    found = [_group(plant, entry, places, ends) for entry in _entries(free)]
     labels = [g.name for g in found]
-    places = [m for g in found for m in g.members]
-    if len(set(places)) < len(places):
+    members = [m for g in found for m in g.members]
+    if len(set(members)) < len(members):
         raise InputError(f"free names a parameter twice: {', '.join(labels)}")
-    for name in bounds:
+    for name in ends:
         if name not in labels:
             raise UnknownNameError("parameter in bounds that is not free:", name, labels)
-    for group in found:
-        if not group.low <= group.value <= group.high:
-            raise InputError(
-                f"{group.name} starts at {group.value:g}, outside its bounds {group.low:g} .. "
-                f"{group.high:g}; start elsewhere with plant.with_values(...)"
-            )
     return found
+
+
+def _entries(free: Sequence[str | Sequence[str]]) -> list[str | Sequence[str]]:
+    given = [free] if isinstance(free, str) else free
+    entries = list(given) if isinstance(given, Iterable) else [given]
+    for entry in entries:
+        require_names("free", entry)
+    return entries
+
+
+def _group(
+    plant: Plant,
+    entry: str | Sequence[str],
+    places: Mapping[str, int],
+    bounds: Mapping[str, tuple[float, float]],
+) -> ParameterGroup:
+    """The unknown that one entry of ``free`` names, at the plant's value, within its bounds."""
+    if isinstance(entry, str) and "*" in entry:
+        label, names = entry, [n for n in places if fnmatchcase(n, entry)]
+        if not names:
+            raise UnknownNameError("pattern in free", entry, places)
+    else:
+        names = [plant.variable(n).name for n in ([entry] if isinstance(entry, str) else entry)]
+        label = " = ".join(names)
+    for name in names:
+        if name not in places:
+            raise InputError(
+                f"free: {name} is a {plant.variable(name).causality}; only parameters are "
+                "fitted (initial states are unknown anyway)"
+            )
+    variables = [plant.variable(n) for n in names]
+    one, values = variables[0], [float(v.start or 0.0) for v in variables]
+    if max(values) - min(values) > 1e-9 * one.nominal:
+        raise InputError(
+            f"free: {label} are to be equal but start from {min(values):g} .. {max(values):g}; "
+            "set them equal with plant.with_values(...)"
+        )
+    low = max(v.min for v in variables)
+    high = min(v.max for v in variables)
+    if label in bounds:
+        given = require_ends(f"bounds[{label!r}]", bounds[label], one.unit)
+        low, high = max(low, given[0]), min(high, given[1])
+    if not low <= values[0] <= high:
+        raise InputError(
+            f"{label} starts at {values[0]:g}, outside its bounds {low:g} .. {high:g}; start "
+            "elsewhere with plant.with_values(...)"
+        )
+    return ParameterGroup(
+        label,
+        tuple(places[n] for n in names),
+        values[0],
+        abs(values[0]) if abs(values[0]) > 1e-3 * one.nominal else one.nominal,
+        low,
+        high,
+        one.unit,
+        one.description,
+    )
+
+
+def recorded(records: Trajectory | Sequence[Trajectory]) -> list[Trajectory]:
+    """One record or several as a list; what is no record is named."""
+    kinds = (Trajectory, list, tuple)
+    require_instance(
+        "records", records, kinds, "give a Trajectory (of read_record), or a list of them"
+    )
+    return [records] if isinstance(records, Trajectory) else list(records)
 
 
 def measured_names(
     plant: Plant, records: Sequence[Trajectory], outputs: Sequence[str] | None
 ) -> list[str]:
     """The states and outputs of the plant that all records hold, or those that are asked for."""
+    require_instance("plant", plant, Plant, "give a Plant, such as HangingLoad(...)")
     if not records:
         raise InputError("records is empty: give at least one Trajectory (see read_record)")
     for i, record in enumerate(records):

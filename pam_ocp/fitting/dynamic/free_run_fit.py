@@ -26,7 +26,7 @@ from ..statistics import Array
 from .between import decided
 from .descent import Descent, descend
 from .disturbances import Disturbances, disturbed
-from .experiment import groups, measured_names
+from .experiment import groups, measured_names, recorded
 from .fineness import LEAST_STEPS, MOST_STEPS, fine_runs, fineness
 from .free_run_result import FreeRunFit, ran
 from .hidden import hidden_states, settled_starts
@@ -191,14 +191,14 @@ def fit_free_run(
     True
     """
     began = time.perf_counter()
-    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    chosen = recorded(records)
     pushed = Disturbances(plant)
     if disturbance:
-        groups(plant, free, dict(bounds or {}))  # refused in terms of the plant that was given
+        groups(plant, free, bounds)  # refused in terms of the plant that was given
         names = require_names("disturbance", disturbance)
         pushed = disturbed(plant, names, measured_names(plant, chosen, outputs))
         plant, free, correct = pushed.plant, [*free, *pushed.rates], correct or True
-    wanted = groups(plant, free, dict(bounds or {}))
+    wanted = groups(plant, free, bounds)
     options: dict[str, Any] = {
         "horizon": horizon,
         "every": every,

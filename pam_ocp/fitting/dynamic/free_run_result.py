@@ -22,6 +22,7 @@ from ..statistics import Array, Coefficient, student_t
 from .adequacy import Adequacy, adequacy_of
 from .descent import descend
 from .evidence import evidence_of
+from .experiment import recorded
 from .hidden import settled_starts
 from .rig import Rig, RunUnknowns, unknowns_of
 from .rollout import Rollout, spreads
@@ -177,7 +178,7 @@ class FreeRunFit:
         Starts that each record has for itself are estimated from it; nothing else is. ``options``
         of the runs that differ, such as ``every``.
         """
-        chosen = [records] if isinstance(records, Trajectory) else list(records)
+        chosen = recorded(records)
         known = [r if r.interpolation_known else r.running(self.interpolation) for r in chosen]
         options = {**self.options, "outputs": list(self.training.names), **options}
         if not self.own_starts:

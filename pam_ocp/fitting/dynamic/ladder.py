@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.cases import Place
-from ...core.errors import FitError, InputError, OutOfTime, require_count
+from ...core.errors import FitError, InputError, OutOfTime, UnknownNameError, require_count
 from ...core.interrupts import interruptible
 from ...core.progress import counted
 from ...core.stop import TimeIsUp, check, limited, spared
@@ -30,7 +30,7 @@ from ..statistics import student_t
 from .adequacy import Adequacy, adequacy_of
 from .climbing import Task, climbed
 from .evidence import evidence_of
-from .experiment import ParameterGroup, groups, measured_names
+from .experiment import ParameterGroup, groups, measured_names, recorded
 from .ladder_result import Ladder, Part, RungFit, compared
 from .rig import Rig, unknowns_of
 from .rungs import LADDER, Builder, Rung, rungs_of
@@ -109,7 +109,7 @@ def fit_ladder(
     ['static', '+ lag']
     """
     began = time.perf_counter()
-    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    chosen = recorded(records)
     ladder = (
         rungs_of(build, free, feed=feed, dynamic=dynamic, names=rungs)
         if callable(build)
@@ -120,7 +120,7 @@ def fit_ladder(
     parts = _parts(chosen, require_count("folds", folds, 3))
     fold = _folds(chosen, parts, folds)
     number = usual_steps(chosen) if steps is None else require_count("steps", steps)
-    task = Task(chosen, names, parts, fold, number, dict(bounds or {}))
+    task = Task(chosen, names, parts, fold, number, _bounds(ladder, bounds))
     with limited(time_limit):
         found = _climbed_all(ladder, task, executor, progress)
         with spared(REPORTING):
@@ -139,6 +139,21 @@ def fit_ladder(
             return replace(result, adequacy=adequacy, seconds=time.perf_counter() - began)
 
 
+def _bounds(
+    ladder: Sequence[Rung], bounds: Mapping[str, tuple[float, float]] | None
+) -> dict[str, tuple[float, float]]:
+    """Each belongs to a parameter that some rung frees and holds its value."""
+    given = dict(bounds or {})
+    free = [{g.name for g in groups(rung.plant, rung.free)} for rung in ladder]
+    for name in given:
+        if not any(name in each for each in free):
+            every = sorted(set().union(*free))
+            raise UnknownNameError("parameter in bounds that no rung frees:", name, every)
+    for rung, names in zip(ladder, free, strict=True):
+        groups(rung.plant, rung.free, {n: ends for n, ends in given.items() if n in names})
+    return given
+
+
 def _adequacy(ladder: Ladder, rung: Rung, records: Sequence[Trajectory]) -> Adequacy:
     """Of the chosen rung, its dead times exact as in its runs."""
     fit, names = ladder.chosen, list(ladder.outputs)
@@ -155,9 +170,9 @@ def _adequacy(ladder: Ladder, rung: Rung, records: Sequence[Trajectory]) -> Adeq
             for r in records
         ]
     known = {v.name for v in plant.parameters}
-    every = zip(rung.free, groups(fit.plant, rung.free, {}), strict=True)
+    every = zip(rung.free, groups(fit.plant, rung.free), strict=True)
     free = [entry for entry, group in every if _all_in(fit.plant, group, known)]
-    unknowns, _ = unknowns_of(plant, groups(plant, free, {}), names, len(records), 1.0)
+    unknowns, _ = unknowns_of(plant, groups(plant, free), names, len(records), 1.0)
     rig = Rig({n: d for n, d in times.items() if d})
     evidence = evidence_of(plant, records, names, unknowns, rig, unknowns.guess)
     weights = 1 / np.array([max(fit.rmse[n], 1e-300) for n in names])

@@ -14,7 +14,7 @@ from ...simulation.compare import RecordComparison, compare_with_record
 from ...simulation.simulator import simulate
 from ..statistics import Array, Linearisation
 from .estimation import FitTask, PlantEstimate, head_names
-from .experiment import Experiment, measured_names, prepare
+from .experiment import Experiment, measured_names, prepare, recorded
 from .gauss_newton import reduced_jacobian, solve
 from .plant_fit import PlantFit
 from .transcribe import Unknowns
@@ -193,5 +193,5 @@ def replay(fit: PlantFit, record: Trajectory) -> Trajectory:
 
 def validate(fit: PlantFit, records: Trajectory | Sequence[Trajectory]) -> list[RecordComparison]:
     """See :meth:`PlantFit.validate`."""
-    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    chosen = recorded(records)
     return [compare_with_record(replay(fit, r), r, fit.measured) for r in chosen]

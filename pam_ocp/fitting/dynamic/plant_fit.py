@@ -115,7 +115,7 @@ class PlantFit:
         free = [tuple(n.split(" = ")) if " = " in n else n for n in self.parameters[:count]]
         unknowns, _ = unknowns_of(
             self.plant,
-            groups(self.plant, free, {}),
+            groups(self.plant, free),
             names,
             len(self.records),
             float(np.median(np.diff(self.records[0].t))),

@@ -141,7 +141,7 @@ def _present(
         plain = entry if isinstance(entry, str) else tuple(entry)
         if required or plain in known:
             found.append(plain)
-    groups(plant, found, {})  # refuses what is no parameter
+    groups(plant, found)  # refuses what is no parameter
     return found
 
 

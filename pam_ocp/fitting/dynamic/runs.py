@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import InputError, require_count, require_instance, require_positive
+from ...core.errors import InputError, require_count, require_positive
 from ...core.shown import shown
 from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..statistics import Array
-from .experiment import measured_names
+from .experiment import measured_names, recorded
 from .run_inputs import RunInputs
 
 __all__ = ["FreeRun", "Runs", "runs_of"]
@@ -182,11 +182,7 @@ def runs_of(
     steps: int,
     warm_up: float = 0.0,
 ) -> Runs:
-    kinds = (Trajectory, list, tuple)
-    require_instance(
-        "records", records, kinds, "give a Trajectory (of read_record), or a list of them"
-    )
-    chosen = [records] if isinstance(records, Trajectory) else list(records)
+    chosen = recorded(records)
     names = measured_names(plant, chosen, outputs)
     require_count("history", history, 2)
     require_count("steps", steps)

@@ -50,7 +50,7 @@ class FreeRunStructure:
         """Number of unknowns; of a disturbance its rate and its gain."""
         pushed = self.options.get("disturbance", ())
         count = 1 if isinstance(pushed, str) else len(pushed)
-        return float(len(groups(self.plant, self.free, {})) + 2 * count)
+        return float(len(groups(self.plant, self.free)) + 2 * count)
 
     def fit(self, records: Sequence[Trajectory], /) -> FreeRunFit:
         """See :func:`fit_free_run`."""
@@ -110,7 +110,7 @@ class PlantStructure:
     @property
     def complexity(self) -> float:
         """Number of unknowns."""
-        return float(len(groups(self.plant, self.free, {})))
+        return float(len(groups(self.plant, self.free)))
 
     def fit(self, records: Sequence[Trajectory], /) -> PlantFit:
         """See :func:`fit_plant`."""

@@ -211,7 +211,7 @@ def design_signal(
     if isinstance(known, Coverage):
         return close_gap(known, duration, sample, inputs, limits, max(tries, 1) * 3, seed)
     plant, information, sigma = _known(known, noise)
-    unknown = groups(plant, _free(known, free), {})
+    unknown = groups(plant, _free(known, free))
     names = [g.name for g in unknown]
     if criterion not in ("D", "A"):
         raise InputError(f"criterion = {criterion!r}: choose 'D' or 'A'")

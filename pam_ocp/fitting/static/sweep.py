@@ -4,10 +4,12 @@ range.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...core.plausible import UnitWarning
 from ..statistics import Array
 from ..tables.force_table import ForceTable
 from .least_squares import LeastSquares, sizes
@@ -84,9 +86,10 @@ class Sweep:
         """
         cost, best, root = self.results
         kept = cost <= max(float(limits.max()), float(cost.min()))
-        there = replace(
-            self.problem, cells=ForceTable(p, kappa, np.zeros(p.size)), weights=np.ones(p.size)
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UnitWarning)  # said where the places came in
+            cells = ForceTable(p, kappa, np.zeros(p.size))
+        there = replace(self.problem, cells=cells, weights=np.ones(p.size))
         _, target, columns, good = there.linear_in(self.values[kept][:, None], there.evaluate)
         force = np.einsum("mnk,mk->mn", columns, best[kept]) - target
         along = np.einsum("mnk,mkl->mnl", columns, root[kept])
