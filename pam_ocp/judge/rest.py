@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..core.errors import SimulationError
 from ..operating.held import Memory, at_rest, held
 from ..plants.plant import Plant
-from ..plants.stillness import settled_names, totals
+from ..plants.stillness import settled_names, store_names, totals
 from ..simulation.simulator import simulate
 from .asked import Limit, Point
 from .driven import Driven
@@ -243,7 +243,8 @@ def begun(
     said = {plant.variable(n).name for n in point.stop.values if "(" not in n} - places
     kept_by = held(plant, memory)
     given = kept_by | _sums(plant)
-    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies}]
+    stores = {*store_names(plant)}
+    kept = [i for i, n in enumerate(names) if n not in {*given, *plant.copies} - stores]
     rates = plant.function(plant.x, plant.u, plant.p)[0]
     wanted = ca.vertcat(*(rates[i] / (SPEED * nominal[i]) for i in kept))
     still = _still(plant, x, u, wanted, limits, point.time)

@@ -4,7 +4,7 @@ and a point is chosen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Literal, TypeAlias
 
 import casadi as ca
@@ -31,6 +31,8 @@ APART = 0.05
 """Distance from where it came to, in units of nominal, that counts as elsewhere."""
 IDLE = 1e-6
 """Rates [nominal/s] at which a plant stays."""
+QUICK, SLOW = 1.0, 0.1
+"""Rates [nominal/s] of what relaxes at once, and of what has."""
 FAR = 100.0
 """Distance in nominals to which it is asked."""
 NOTHING = 1e-9
@@ -80,8 +82,9 @@ def at_rest(
     """{held memory: value} that stay while all else stands still at x under the inputs u (by
     default their start values); those of ``memory`` where they do.
 
-    The largest contraction of a muscle so far is no less than the one at which it stands. Slow
-    motion of a rounded law (less than ``APART`` of nominal in all) counts as none.
+    The largest contraction of a muscle so far is no less than the one at which it stands; a play
+    beyond an envelope that has narrowed there is at the envelope. Slow motion of a rounded law
+    counts as none.
     """
     found = dict(memory)
     names, p = [v.name for v in plant.states], plant.vector("parameter")
@@ -94,16 +97,37 @@ def at_rest(
             here[i] = level  # noqa: B023 - called before they change
             return float(plant.function(here, u, p)[0][i]) / v.nominal  # noqa: B023
 
-        way = v.max if rate(value) > IDLE else v.min if rate(value) < -IDLE else value
-        if way == value or not np.isfinite(way) or abs(rate(way)) > IDLE:
-            continue
-        moving, still = value, way
-        while abs(still - moving) > 1e-9 * v.nominal:
-            middle = (moving + still) / 2
-            moving, still = (middle, still) if abs(rate(middle)) > IDLE else (moving, middle)
-        if abs(still - value) > APART * v.nominal:
-            found[name] = still
+        came = _came_to(rate, value, (v.min, v.max), v.nominal)
+        if abs(came - value) > APART * v.nominal:
+            found[name] = came
     return found
+
+
+def _came_to(
+    rate: Callable[[float], float], value: float, ends: tuple[float, float], nominal: float
+) -> float:
+    """Where a state comes to from a value: all the way where an end of its range is still; from a
+    quick motion to where it has become slow.
+    """
+    begin = rate(value)
+    way, idle = ends[begin > 0], IDLE
+    if abs(begin) <= IDLE or not np.isfinite(way):
+        return value
+    moving, still = value, way
+    if abs(rate(way)) > IDLE:
+        if abs(begin) < QUICK:
+            return value
+        idle = SLOW
+        levels = np.linspace(value, way, PLACES)
+        slow = [k for k, z in enumerate(levels) if rate(z) * np.sign(begin) <= idle]
+        if not slow:
+            return value
+        moving, still = levels[slow[0] - 1], levels[slow[0]]
+    while abs(still - moving) > 1e-9 * nominal:
+        middle = (moving + still) / 2
+        quicker = rate(middle) * np.sign(begin) > idle
+        moving, still = (middle, still) if quicker else (moving, middle)
+    return float(still)
 
 
 def driven_names(plant: Plant) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -94,12 +95,23 @@ def equilibrium(
         inner = equilibrium(
             inversion.inner, wanted, free=free, expressions=expressions, guess=near, memory=memory
         )
-        return inversion.left(inner)
+        return _polished(
+            inversion.left(inner), posed(Search, plant, wanted, free, expressions, memory)
+        )
     search = posed(Search, plant, wanted, free, expressions, memory)
     point, nearest = search.solve(guess)
     if point is None:
         raise EquilibriumError(why_not(search, nearest))
     return point
+
+
+def _polished(near: OperatingPoint, search: Search) -> OperatingPoint:
+    """A point whose commands were inverted, brought to rest: where a dead zone is rounded, they
+    are not exact.
+    """
+    z = search.vector(near)
+    found = search.converged(z)
+    return replace(near, residual=search.worst(z)) if found is None else search.point(found)
 
 
 # ---- when there is none -------------------------------------------------------------------------

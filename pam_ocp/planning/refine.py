@@ -77,7 +77,8 @@ class Refinement:
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
-        self._warm: Start = "last" if self.kinks else "warm"
+        # with kinks costs are flat: what a correction shifts is brought back, and no more
+        self._warm: Start = "still" if self.kinks else "warm"
         self.cut = False
         """Whether a time limit ended it."""
         try:
@@ -200,7 +201,7 @@ class Refinement:
                 break
             solver = self.backend.build(found.program)
             outcome = solver(program, found.outcome.w, self._warm, found.outcome)
-            if not outcome.ended and self._warm == "warm":
+            if not outcome.ended and self._warm != "last":
                 self.iterations += outcome.iterations
                 self._warm = "last"
                 outcome = solver(program, found.outcome.w, self._warm, found.outcome)

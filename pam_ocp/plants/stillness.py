@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..core import units
 from ..core.system import System
 
-__all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "totals"]
+__all__ = ["Position", "rate_of", "rest_rows", "resting", "settled_names", "store_names", "totals"]
 
 Array: TypeAlias = NDArray[np.float64]
 Pattern: TypeAlias = NDArray[np.bool_]
@@ -334,6 +334,21 @@ def totals(plant: System) -> tuple[str, ...]:
         n
         for i, n in enumerate(names)
         if not a[:, i].any() and n not in positions and not plant.variable(n).memory
+    )
+
+
+def store_names(plant: System) -> tuple[str, ...]:
+    """Held memories that inputs or the like of pressures fill and empty (a tank without a source):
+    whatever they hold, they keep it at rest. Shapes (slip, play) follow motion alone.
+    """
+    names, a, b = _structure(plant)
+    moving = {n for p in resting(plant) for n in (p.name, *p.velocities)}
+    held = {v.name for v in plant.states if v.memory == "held"}
+    others = [i for i, n in enumerate(names) if n not in moving | held]
+    return tuple(
+        n
+        for i, n in enumerate(names)
+        if n in held and _measures(plant, n) == 2 and (b[i].any() or a[i, others].any())
     )
 
 

@@ -1,5 +1,6 @@
 """The digest of what runs: another after every change that matters, the same after all others."""
 
+import datetime
 import functools
 import importlib
 import os
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 
 import casadi as ca
 import numpy as np
@@ -280,9 +282,19 @@ def called_back():
     return ca.Function("f", [x], [double(x)])
 
 
+def at_the_clock(t):
+    return t + time.time()
+
+
+def by_the_date(t):
+    return datetime.datetime.now()
+
+
 @pytest.mark.parametrize(
     ("thing", "words"),
     [
+        (at_the_clock, "at_the_clock asks the clock"),
+        (by_the_date, "by_the_date asks the clock"),
         (outside, "outside reads a file that is named as it runs"),
         (surroundings, "surroundings imports what is named as it runs"),
         (named_late, "named_late imports what is named as it runs"),

@@ -275,6 +275,12 @@ def test_a_wrong_model_is_given_away_by_its_residuals(rig: pam.Plant, records: A
         ({"noise": {"x": 1e-5}}, "muscle1.pressure is measured too"),
         ({"bounds": {"mass": (1.0, 2.0)}}, "in bounds that is not free"),
         ({"bounds": {"damping": (30.0, 40.0)}}, "starts at 20, outside its bounds"),
+        ({"bounds": {"damping": 30.0}}, r"bounds\['damping'\] = 30.0: give \(low, high\)"),
+        ({"bounds": {"damping": ("1 bar", 40.0)}}, "measures something else than 'N.s/m'"),
+        ({"bounds": {"damping": (0.0, 10**400)}}, "larger than any float"),
+        ({"bounds": 3.0}, r"bounds = 3.0: give \{free parameter"),
+        ({"free": 3}, "free = 3: give a name in quotes"),
+        ({"free": [None]}, "free = None: give a name in quotes"),
         ({"outputs": ["muscle1.command"]}, "neither a state nor an output"),
         ({"inputs": {"x": 1.0}}, "x is a state, not an input"),
     ],
@@ -284,6 +290,33 @@ def test_bad_arguments_are_refused_in_words(
 ) -> None:
     with pytest.raises(InputError, match=words):
         fit_plant(rig, records, **{"free": ["damping"], **arguments})
+
+
+@pytest.mark.parametrize(
+    ("plant", "given", "words"),
+    [
+        (None, "the records", "plant is a NoneType: give a Plant"),
+        ("the rig", None, "records is a NoneType: give a Trajectory"),
+        ("the rig", [None], "record 1 is a NoneType"),
+    ],
+)
+def test_what_is_no_plant_and_no_record_is_named(
+    plant: Any, given: Any, words: str, rig: pam.Plant, records: Any
+) -> None:
+    chosen = rig if plant else plant, records if given == "the records" else given
+    with pytest.raises(InputError, match=words):
+        fit_plant(*chosen, ["damping"])
+    with pytest.raises(InputError, match=words):
+        pam.fit_free_run(*chosen, ["damping"], horizon=0.2)
+
+
+def test_bounds_may_be_texts_with_units(rig: pam.Plant, records: Any) -> None:
+    free, outputs = ["damping"], ["x"]
+    texts = fit_plant(
+        rig, records, free, outputs=outputs, bounds={"damping": ("0.01 N.s/mm", "1 N.s/mm")}
+    )
+    numbers = fit_plant(rig, records, free, outputs=outputs, bounds={"damping": (10.0, 1000.0)})
+    assert texts.values == pytest.approx(numbers.values, rel=1e-9)
 
 
 def test_records_that_cannot_serve_are_refused(rig: pam.Plant, records: Any) -> None:

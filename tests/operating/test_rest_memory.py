@@ -389,3 +389,42 @@ def test_a_load_study_takes_losses_and_a_side():
         assert 0 < case.settling_time < 4
     plain = pam.load_study(MUSCLE, (20.0,), (3 * BAR,)).cases[0]
     assert found["below"].overshoot < plain.overshoot
+
+
+def test_a_virgin_rubber_at_rest_has_been_as_far_as_it_stands():
+    loss = pam.losses.Preconditioning(reached=0.03)
+    plant = hanging(loss, feed=pam.feeds.Regulator())
+    small, large = plant.equilibrium(x=0.004), plant.equilibrium(x=0.04)
+    assert small["muscle.reached"] == pytest.approx(0.03)
+    assert large["muscle.reached"] == pytest.approx(0.04 / LENGTH, abs=1e-3)
+    rates = np.asarray(plant.function(large.x, large.u, plant.vector("parameter"))[0]).ravel()
+    assert np.abs(rates[:-1]).max() < 1e-4  # of the rest nothing moves either
+
+
+def test_a_play_that_has_slid_stands_at_the_envelope_of_its_place():
+    """z is the force in parts of the envelope at the end of the stroke: fully slid it is not 1, but
+    C(kappa)/C(end), with C = contracting (1 + growth kappa)."""
+    loss = pam.losses.PrandtlIshlinskii((10.0,), (6.0,), (0.004,), contracting_growth=2.0)
+    plant = hanging(loss, feed=pam.feeds.Regulator())
+    point = plant.equilibrium({"x": 0.04}, memory="below")
+    end = MUSCLE.contraction_range[1]
+    expected = (1 + 2.0 * 0.04 / LENGTH) / (1 + 2.0 * end)
+    assert point["muscle.play1"] == pytest.approx(expected, abs=0.03)  # it is rounded
+    assert point["muscle.play1"] < 0.9
+
+
+@pytest.mark.parametrize("leak", [2e-12, 1e-11])
+def test_a_leaking_pair_rests_at_commands_that_feed_the_leaks(leak):
+    """Within the dead zone the inverted commands left 2e-3 bar/s, which nobody said."""
+    feed = pam.feeds.SpoolValve(leak=leak)
+    plant = pam.AntagonisticSlide("DMSP-20-200N", 2.0, feed=feed, damping=50.0)
+    point = plant.equilibrium({"x": -0.006, "muscle1.pressure": 2.5e5})
+    rates = np.asarray(plant.function(point.x, point.u, plant.vector("parameter"))[0]).ravel()
+    assert np.abs(rates).max() < 1e-6  # Pa/s
+    run = pam.simulate(
+        plant,
+        dict(zip(("muscle1.command", "muscle2.command"), point.u, strict=True)),
+        t=[0.0, 5.0],
+        start=dict(zip((v.name for v in plant.states), point.x, strict=True)),
+    )
+    assert run["muscle1.pressure"][-1] == pytest.approx(2.5e5, abs=10.0)

@@ -24,8 +24,8 @@ Array: TypeAlias = NDArray[np.float64]
 
 NOTABLE = 1e-6
 """Violations below this part of nominal are rounding."""
-ENOUGH = 4.0
-"""Times the limit of a first solve: for a re-solve that has to converge to say anything."""
+ENOUGH = 1000
+"""Iterations of a re-solve that has to converge to say anything."""
 RESOLVING = 25, 2
 """Intervals of a leg, at least, and their degree, on which conflicts are looked for."""
 NAMED = 3
@@ -90,8 +90,8 @@ def elastic(program: Program, guess: Array, options: Mapping[str, Any] | None) -
         "f": ca.sum1(above) + ca.sum1(below),
         "g": g + ca.mtimes(pick, below - above),
     }
-    ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": 1000}
-    ipopt["max_cpu_time"] = ENOUGH * limit(program)
+    ipopt = {"print_level": 0, "sb": "yes", **DEFAULTS, "tol": 1e-7, "max_iter": ENOUGH}
+    ipopt["max_cpu_time"] = limit(program)
     ipopt.update(options or {})
     zero = np.zeros(2 * len(chosen))
     (lbx, ubx), (lbg, ubg) = program.bounds(), program.limits()

@@ -18,7 +18,6 @@ DEFAULTS: dict[str, Any] = {
     "constr_viol_tol": 1e-9,
     "compl_inf_tol": 1e-10,  # objectives to 1e-8, so that their differences are worth something
     "acceptable_iter": 0,
-    "max_iter": 500,
     "mu_init": 1e-2,
     # with mu_init 1e-2: 33 iterations for 40 to 150 on time-optimal motions
     "alpha_for_y": "bound-mult",
@@ -86,30 +85,38 @@ that is let down takes no work, whenever it goes), so Newton's steps are long, a
 the constraints by its square. It is settled then, see ``DAMPED``.
 """
 DAMPED: dict[str, float] = {
-    **dict.fromkeys(("along", "last", "between", "finer"), 1e-4),
+    **dict.fromkeys(("last", "finer"), 1e-4),
     "settled": 1e-2,
-    **dict.fromkeys(("still", "back"), 1.0),
+    **dict.fromkeys(("along", "between", "still"), 1.0),
 }
 """Added to the Hessian's diagonal for starts that are near: steps along which costs are flat become
 short (K. Levenberg, Quart. Appl. Math. 2 (1944) 164-168), and the solution is one that lies near.
 Gradients, and so optima, stay as they are.
 """
 
-ROUGHLY: dict[str, Any] = {**WANDERING, "acceptable_iter": 5, "acceptable_dual_inf_tol": 1e-5}
-"""For places on a way that are left again: their costs need not be the least to the last digit."""
-
-ALONG: dict[str, Any] = {**WARM, "max_iter": 150, **ROUGHLY}
-"""From one place of a path to the next on the same mesh, by its multipliers: a sixth of the
-iterations of a step without, whose first curvature is wrong.
+PLACE: dict[str, Any] = {
+    "acceptable_iter": 1,
+    "acceptable_tol": 1.0,
+    "acceptable_dual_inf_tol": 1e-1,
+    "acceptable_constr_viol_tol": 1e-5,
+    "acceptable_compl_inf_tol": 1e-4,
+    "max_iter": 60,
+}
+"""For places on a way that are left again: back to the constraints by the shortest way. Costs need
+not be the least there, and where they are flat a solver goes on for hundreds of iterations.
 """
+
+ALONG: dict[str, Any] = {**WARM, **PLACE}
+"""From one place of a path to the next on the same mesh, by its multipliers."""
 
 LAST: dict[str, Any] = {**WANDERING, **WARM, "max_iter": 150}
 """To the end of a path: the same, and costs are at their least."""
 
-FINER: dict[str, Any] = {**STEP, **ROUGHLY}
-"""From one mesh to the next. Ends as soon as at a place that is left again ("between"), which this
-need not be: then costs are brought to their least.
-"""
+BETWEEN: dict[str, Any] = {**NEAR, **PLACE}
+"""The same from one mesh to the next."""
+
+FINER: dict[str, Any] = {**WANDERING, **STEP, "acceptable_iter": 5, "acceptable_dual_inf_tol": 1e-5}
+"""From one mesh to the next, costs at their least."""
 
 SETTLED: dict[str, Any] = {
     **WARM,
@@ -124,16 +131,13 @@ fatrop's solutions. Where they are flat this goes on for ever in small steps, ea
 the constraints again.
 """
 
-STILL: dict[str, Any] = {**SETTLED, "acceptable_constr_viol_tol": 1e-8, "max_iter": 20}
-"""From there back to the constraints by the shortest way: a motion as exact as any."""
-
-BACK: dict[str, Any] = {
-    **STILL,
-    **dict.fromkeys(("acceptable_tol", "acceptable_dual_inf_tol"), 1e-5),
-    "acceptable_constr_viol_tol": 1e-6,
-    "acceptable_compl_inf_tol": WANDERING["acceptable_compl_inf_tol"],
+STILL: dict[str, Any] = {
+    **WARM,
+    **PLACE,
+    "acceptable_dual_inf_tol": 2e-2,
+    "acceptable_constr_viol_tol": 1e-7,
 }
-"""The same at once, for places on a way that are left again."""
+"""From there back to the constraints by the shortest way: a motion as exact as any."""
 
 Start: TypeAlias = Literal[
     "cold",
@@ -148,7 +152,6 @@ Start: TypeAlias = Literal[
     "finer",
     "settled",
     "still",
-    "back",
 ]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": WANDERING,
@@ -159,9 +162,8 @@ STARTS: dict[Start, dict[str, Any]] = {
     "warm": {**WANDERING, **WARM},
     "along": ALONG,
     "last": LAST,
-    "between": FINER,
+    "between": BETWEEN,
     "finer": FINER,
     "settled": SETTLED,
     "still": STILL,
-    "back": BACK,
 }

@@ -25,7 +25,6 @@ from .ipopt_options import (
     BARRIER_OF_TIME,
     DAMPED,
     DEFAULTS,
-    ROUGHLY,
     STARTS,
     WANDERING,
     Start,
@@ -42,17 +41,27 @@ LOG = logging.getLogger(__name__)
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
 
-SHORTEST_LIMIT, LIMIT = 3.0, 1.5e-3
-"""Processor seconds of one solve, at least and for each unknown: some ten times what a solve takes.
-Where the linear algebra gets stuck in fill-in another start is the better use of time.
+WORK, ITERATIONS, FEW = 1e6, (250, 500), 30
+"""Iterations times unknowns of one solve, and iterations at least and at most: from far away, and
+where a motion is there already whose costs are all that is left to gain.
 """
-PATIENCE = 3.0
-"""Times as much for all but the first start."""
+LIMIT = 60.0, 2e-2
+"""Processor seconds of one solve, at least and for each unknown, which none needs: where the linear
+algebra gets stuck in fill-in another start is the better use of time. What is found depends on
+iterations.
+"""
+
+
+def most_iterations(program: Program, start: Start) -> int:
+    """Of one solve: hundreds are worth it where they cost little."""
+    own = STARTS[start].get("max_iter")
+    least, most = ITERATIONS if own is None else (min(FEW, own), own)
+    return int(np.clip(WORK / program.nlp["x"].numel(), least, most))
 
 
 def limit(program: Program) -> float:
-    """Processor seconds of one solve from the first guess."""
-    return max(SHORTEST_LIMIT, LIMIT * program.nlp["x"].numel())
+    """Processor seconds of one solve, at most."""
+    return max(LIMIT[0], LIMIT[1] * program.nlp["x"].numel())
 
 
 STOPPED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
@@ -66,15 +75,17 @@ ENDED_BLOCKED = ("Infeasible_Problem_Detected", "Restoration_Failed")
 violation of ``LITTLE`` at most.
 """
 LITTLE = 1e-3
-SETTLING = ("settled", "still", "back")
-"""Starts of what brings an outcome to a place."""
-ON_A_WAY = ("along", "between")
-"""Starts to places that are left again."""
+SETTLING = ("settled", "still", "along", "between")
+"""Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
 """Residual of the constraints from which on what has settled is not led on for more."""
 CLOSE = 1e-2, 1.0
 """Residuals of stationarity and constraints from which damped steps end a solve in 20 iterations or
 so that went to and fro for hundreds.
+"""
+NEARLY = 1e-2, 1e-2
+"""The same from which a motion is brought back to its constraints as it is: where costs are flat,
+hundreds of damped iterations more gain next to nothing.
 """
 
 
@@ -116,19 +127,20 @@ class Outcome:
     @property
     def wandered(self) -> bool:
         """Whether it ended at an optimum that is no one place; see ``WANDERING``."""
-        return self.astray("cold")
-
-    def astray(self, start: Start) -> bool:
-        """The same for any start: places on a way that are left again are less of an optimum."""
-        wanted = ROUGHLY if start in ON_A_WAY else WANDERING
-        slope, violation = (wanted[f"acceptable_{n}"] for n in ("dual_inf_tol", "constr_viol_tol"))
+        slope, violation = (WANDERING[f"acceptable_{n}_tol"] for n in ("dual_inf", "constr_viol"))
         late, blocked = self.within(slope, violation), self.within(slope, LITTLE, ENDED_BLOCKED)
         return self.status == ACCEPTABLE or late or blocked
 
-    @property
-    def close(self) -> bool:
-        """Whether it ended for want of time near an optimum."""
-        return self.within(*CLOSE)
+    def led_on(self, damped: bool) -> tuple[Start, ...]:
+        """The starts that bring it to a place; none where it is at one, or at nothing.
+
+        damped : whether its steps were.
+        """
+        if self.wandered:
+            return "settled", "still"
+        if damped:
+            return ("still",) if self.within(*NEARLY) else ()
+        return ("last", "still") if self.within(*CLOSE) else ()
 
     def within(
         self, stationarity: float, violation: float, ended: tuple[str, ...] = ENDED_LATE
@@ -218,8 +230,9 @@ class Ipopt:
 
     def _options(self, name: Start) -> dict[str, Any]:
         """Of the solver of this name, but for its functions."""
-        time = limit(self.program) * (1.0 if name == "cold" else PATIENCE)
-        own = STARTS[name]
+        time, own = limit(self.program), dict(STARTS[name])
+        if name in DAMPED or "max_iter" not in own:
+            own["max_iter"] = most_iterations(self.program, name)
         if self._acceptance_given:
             own = {n: v for n, v in own.items() if not n.startswith("acceptable")}
         chosen = {"print_level": 0, "sb": "yes", **DEFAULTS, **own, "max_cpu_time": time}
@@ -294,33 +307,21 @@ class Ipopt:
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
         LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
-        if start in SETTLING or (start in DAMPED and not outcome.astray(start)):
-            return outcome
-        return self.settled(program, outcome, start)
+        return outcome if start in SETTLING else self.settled(program, outcome, start)
 
     def settled(self, program: Program, outcome: Outcome, start: Start = "cold") -> Outcome:
-        """The outcome, brought to a place where it wandered; a failure where that fails.
-
-        Places on a way that are left again need not have their costs at the least.
-        """
+        """The outcome, brought to a place where it wandered; a failure where that fails."""
         out_of_limit = outcome.status in ENDED_LATE and any(n in self._given for n in LIMITS)
-        astray = outcome.astray(start)
-        if self._acceptance_given or out_of_limit or not (astray or outcome.close):
+        starts = outcome.led_on(start in DAMPED)
+        if self._acceptance_given or out_of_limit or not starts:
             return outcome
-        starts: tuple[Start, ...] = ("settled", "still")
-        if not astray:  # led on with costs at their least in the end
-            starts = ("last", "still")
-        elif start in ON_A_WAY:
-            starts = ("back",)
         found, solves = outcome, [outcome]
         for following in starts:
             found = self(program, found.w, following, found)
             solves.append(found)
-            if not found.success or found.log[-1]["inf_pr"] <= EXACT:
+            exact = found.success and found.log[-1]["inf_pr"] <= EXACT
+            if exact or not (found.success or found.within(*NEARLY)):
                 break
-        if start == "finer" and found.status in ENDED_LATE:  # it ended too soon to be settled
-            found = self(program, found.w, "last", found)
-            solves.append(found)
         spent: dict[str, Any] = {
             "iterations": sum(each.iterations for each in solves),
             "seconds": sum(each.seconds for each in solves),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -15,7 +15,7 @@ from ...core.errors import InputError, PamError
 from ...judge.statement import subject
 from ...numerics.solvers import nlpsol
 from ...plants.plant import Plant
-from ...plants.stillness import rest_rows
+from ...plants.stillness import rest_rows, totals
 from ..problem.problem import Problem, limits
 from ..solvers.narrowing import has_roundings
 from .mesh import Mesh
@@ -39,6 +39,8 @@ Signal: TypeAlias = Callable[[Array], Array]
 IDLE = 1e-6
 """Least change of a state's rate, in nominals per second and nominal of an input, to be influence.
 """
+AT_REST = 1e-5
+"""Rates [nominal/s] of a point of rest, at most."""
 PLACES = 8
 """Parts of a way between two stops whose ends are points of rest."""
 LEVELS = 12
@@ -120,14 +122,25 @@ def _rests(problem: Problem) -> list[tuple[Array, Array]]:
     return found
 
 
-def _rest(plant: Plant, known: dict[str, float]) -> tuple[Array, Array] | None:
-    """(states, inputs) of a point of rest with these values; None when there is none."""
-    try:
-        point = plant.equilibrium(**known)
-    except PamError:
-        return None
-    x, u = ([point[v.name] for v in kind] for kind in (plant.states, plant.inputs))
-    return np.array(x), np.array(u)
+def _rest(
+    plant: Plant, known: dict[str, float], completed: bool = False
+) -> tuple[Array, Array] | None:
+    """(states, inputs) of a point of rest with these values; None when there is none.
+
+    completed : with as many pressures at their start values as inputs are open then.
+    """
+    controls = [v for v in plant.inputs if not v.disturbance]
+    pressures = [v for v in plant.states if v.unit == "Pa" and not v.memory]
+    open_ones = [v for v in pressures if v.name not in known and v.name not in plant.copies]
+    open_inputs = max(len(controls) - len(known), 0) if completed else 0
+    for added in combinations(open_ones, open_inputs):
+        try:
+            point = plant.equilibrium(**known, **{v.name: v.start for v in added})
+        except PamError:
+            continue
+        x, u = ([point[v.name] for v in kind] for kind in (plant.states, plant.inputs))
+        return np.array(x), np.array(u)
+    return None
 
 
 def wants_balance(problem: Problem) -> bool:
@@ -301,9 +314,17 @@ def _sampled(
     return np.concatenate([*parts, *scaled])
 
 
-def rest_point(problem: Problem, stop: dict[str, object]) -> Array:
-    """The states in which the plant rests at a stop, nearest to their start values."""
-    return _node(problem, stop, balanced=True)[0]
+def rest_point(problem: Problem, stop: dict[str, object]) -> Array | None:
+    """The states in which the plant rests at a stop, nearest to their start values; None where
+    none are found.
+    """
+    plant = problem.plant
+    x, u = _node(problem, stop, balanced=True)
+    rates = np.asarray(plant.function(x, u, plant.vector("parameter"))[0], float).ravel()
+    sums = totals(plant)
+    moving = [abs(r) > AT_REST * v.nominal for r, v in zip(rates, plant.states, strict=True)]
+    still = [m for m, v in zip(moving, plant.states, strict=True) if v.name not in sums]
+    return None if any(still) else x
 
 
 def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> tuple[Array, Array]:
@@ -356,7 +377,7 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> t
     )
     if not solver.stats()["success"]:
         # from start values behind a clamp (a slack tendon) this finds nothing
-        return _rest(plant, known) or (x, u)
+        return _rest(plant, known, True) or (x, u)
     point = np.asarray(found["x"], float).ravel() * scale
     return point[: len(x)], point[len(x) :]
 
