@@ -539,10 +539,8 @@ class Check:
         if moving:  # under the inputs that leave the fewest states to blame
             others = [np.array([v.start or 0.0 for v in self.plant.inputs]), self.following(x)]
             moving = min([moving, *(self.moving(x, each) for each in others)], key=len)
-        for name, drift in moving.items():
-            v = self.plant.variable(name)
-            edge = EDGE * abs(self.remembered(v)) / v.nominal if name in self.at_edges else 0.0
-            self.expect("start", f"{name} drifts before it", drift, DRIFT + edge)
+        for name, (drift, allowed) in moving.items():
+            self.expect("start", f"{name} drifts before it", drift, allowed)
 
     @cached_property
     def at_edges(self) -> set[str]:
@@ -550,15 +548,24 @@ class Check:
         held = [v for v in self.plant.states if v.memory == "held"]
         return {v.name for v in held if self.remembered(v) in {v.min, v.max} - {v.start}}
 
-    def moving(self, x: Array, u: Array) -> dict[str, float]:
-        """The states that do not stay while inputs stand, and that the verdict does not name: a
-        memory at its edge by itself, all others while such memories keep what they hold.
+    def moving(self, x: Array, u: Array) -> dict[str, tuple[float, float]]:
+        """{state: (how far it moves, how far it may)} of those that do not stay while inputs stand,
+        and that the verdict does not name: memories at their edges by themselves, all others while
+        these keep what they hold.
         """
         edges = self.at_edges
         drifts = self.drifts(x, u)
         if edges:
             drifts = self.drifts(x, u, edges) | {n: drifts[n] for n in edges}
-        return {n: d for n, d in drifts.items() if not (d <= DRIFT or self.answer.names(n))}
+        allowed = dict.fromkeys(drifts, DRIFT)
+        for name in edges:
+            v = self.plant.variable(name)
+            allowed[name] += EDGE * abs(self.remembered(v)) / v.nominal
+        return {
+            n: (d, allowed[n])
+            for n, d in drifts.items()
+            if not (d <= allowed[n] or self.answer.names(n))
+        }
 
     @cached_property
     def sums(self) -> set[str]:

@@ -35,6 +35,11 @@ FINE = 65
 _TAUS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
 _WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 """Lobatto's rule with five points, exact to degree 7."""
+_SIMPSON = np.array([1.0, 0.0, 4.0, 0.0, 1.0]) / 6.0
+EXACT, LITTLE = 1e-4, 1e-3
+"""Part of an integral that cells may be off by, all together; and of what it would be without
+signs, below which it counts as that.
+"""
 _POWERS = np.vander(_TAUS, increasing=True)
 _SLOPES = np.column_stack([np.zeros(5), _POWERS[:, :4] * np.arange(1, 5)]) @ np.linalg.inv(_POWERS)
 """(points, points) from values at the points to slopes of the polynomial through them, by tau."""
@@ -60,6 +65,7 @@ class Driven:
     x: Array
     u: Array
     slope: Array
+    inputs: PiecewisePolynomial
 
     @cached_property
     def _arguments(self) -> list[ca.SX]:
@@ -77,28 +83,56 @@ class Driven:
         return found.reshape(len(expressions), *self.t.shape)
 
     def integral(self, integrands: Sequence[ca.SX]) -> Array:
-        """(integrands,) over the whole motion."""
-        return self.summed(self.values(integrands))
+        """(integrands,) over the whole motion.
+
+        Cells in which Simpson's rule says otherwise are split and run again: a flow that turns
+        round between the points is a small part of what flows, and may be all that is left of it.
+        """
+        run = self
+        for splits in range(SPLITS + 1):
+            values = run.values(integrands)
+            found, h = run.summed(values), run.t[:, -1] - run.t[:, 0]
+            rough = h * np.abs(values @ (_WEIGHTS - _SIMPSON))
+            size = np.maximum(np.abs(found), LITTLE * run.summed(np.abs(values)))
+            if splits == SPLITS or np.all(rough.sum(axis=1) <= EXACT * size):
+                break
+            beyond = np.any(rough > EXACT * size[:, None] / len(h), axis=0)
+            finer = run._halved(np.flatnonzero(beyond))
+            if finer is None:
+                break
+            run = finer
+        return found
+
+    def _halved(self, cells: NDArray[np.intp]) -> Driven | None:
+        """The same with these cells in two; None where the integrator gives up."""
+        ends = np.append(self.t[:, 0], self.t[-1, -1])
+        edges = np.sort(np.append(ends, self.t[cells].mean(axis=1)))
+        return self._run(edges[:-1, None] + np.diff(edges)[:, None] * _TAUS)
+
+    def _run(self, t: Array) -> Driven | None:
+        """The motion once more, in cells with points at these times (cells, points)."""
+        every = np.append(t[:, :-1].ravel(), t[-1, -1])
+        run = Integration.over(self.plant, self.inputs, every, self.x[:, 0, 0], rtol=TOLERANCE)
+        states = run()
+        if states is None:
+            return None
+        x = _by_cells(run.at(every, states), len(t))
+        u, slope = _inputs(self.inputs, t)
+        return Driven(self.plant, self.trajectory, t, x, u, slope, self.inputs)
 
     def summed(self, values: Array) -> Array:
         """(n,) integrals of values (n, cells, 5)."""
         h = self.t[:, -1] - self.t[:, 0]
         return np.asarray(np.einsum("nck,k,c->n", values, _WEIGHTS, h))
 
-    def largest(self, expression: ca.SX, inputs: PiecewisePolynomial) -> float:
+    def largest(self, expression: ca.SX) -> float:
         """Largest value of an expression: the motion is run again with points close together, for
         a peak is as narrow as a jump of an input makes it.
         """
         ends = self.t[:, [0, -1]]
-        t = ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * np.linspace(0.0, 1.0, FINE)
-        every = np.append(t[:, :-1].ravel(), ends[-1, 1])
-        run = Integration.over(self.plant, inputs, every, self.x[:, 0, 0], rtol=TOLERANCE)
-        states = run()
-        if states is None:  # the coarser run has come through
-            return float(self.values([expression]).max())
-        x = _by_cells(run.at(every, states), len(t))
-        fine = Driven(self.plant, self.trajectory, t, x, *_inputs(inputs, t))
-        return float(fine.values([expression]).max())
+        fine = self._run(ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * np.linspace(0.0, 1.0, FINE))
+        # else the coarser run has come through
+        return float((fine or self).values([expression]).max())
 
     def sides(self, time: float) -> list[tuple[Array, Array, Array]]:
         """(states, inputs, their rates) at the ends of the cells that meet at a time."""
@@ -144,7 +178,7 @@ def driven(
         middles = edges[rough].mean(axis=1)
         edges = np.array(list(pairwise(np.sort(np.append(edges[:, 0], [*middles, end])))))
     trajectory = evaluated(plant, every, states, inputs)
-    return Driven(plant, trajectory, t, x, u, slope), beside
+    return Driven(plant, trajectory, t, x, u, slope, inputs), beside
 
 
 def _integrated(

@@ -260,7 +260,7 @@ def _objective(run: Driven, goal: Goal, inputs: PiecewisePolynomial) -> float:
     if not goal.final.is_zero():
         total += float(run.values([goal.final])[0, -1, -1])
     for weight, value in goal.peaks:
-        total += weight * run.largest(value, inputs)
+        total += weight * run.largest(value)
     for weight, value, aim in goal.tracked:
         wanted = aim(run.t) if isinstance(aim, Profile) else aim
         total += weight * float(run.summed((run.values([value]) - wanted) ** 2)[0])

@@ -35,7 +35,7 @@ from .climb import Climb
 from .keywords import SEARCH, PlanKeywords, require_known
 from .problem.formulation import formulate
 from .problem.objective import follows_inputs
-from .refine import Refinement
+from .refine import CLOSER, Refinement
 from .renewal import renewed
 from .result import Plan
 from .run import Run
@@ -55,6 +55,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Planner", "plan"]
 
+STRICTER, NEARLY, LEAST = 2, 30.0, 1e-6
+"""Times that a plan is refined beyond its tolerance where the judge misses that, by so many
+tolerances at most; and to which at least.
+"""
 GRACE = 10.0
 """Seconds, at most, for the verdict on a plan that was found when the time was up."""
 
@@ -360,7 +364,41 @@ class Planner:
         begin: float,
         tolerance: float | None,
     ) -> Plan:
-        """The plan of what refinement came to."""
+        """The plan of what refinement came to; refined further where the judge sees more in what is
+        left of its errors than the mesh does (a load that is stiff beside its pressures).
+        """
+        given = statement, climb, figures, begin, tolerance
+        result = self._assembled(refinement, *given)
+        for _ in range(STRICTER):
+            missed = max(result.verdict.error, result.verdict.violation)
+            if result.verified or tolerance is None or not refinement.met() or refinement.cut:
+                break
+            if not tolerance < missed <= NEARLY * tolerance:
+                break
+            wanted = min(CLOSER * tolerance**2 / missed, refinement.best.miss / 2)
+            closer = Refinement(refinement.best, max(wanted, LEAST), self._backend)
+            closer.first, closer.meshes = refinement.first, [*refinement.meshes, *closer.meshes[1:]]
+            closer.iterations += refinement.iterations
+            if closer.best is refinement.best:
+                break
+            refinement = closer
+            result = self._assembled(refinement, *given)
+        if not result.verified:
+            message = f"the plan of {result.plant.name} is {result.verdict}"
+            warnings.warn(message, PlanWarning, stacklevel=outside())
+        return result
+
+    def _assembled(
+        self,
+        refinement: Refinement,
+        statement: Statement,
+        climb: Climb,
+        figures: dict[str, Any],
+        begin: float,
+        tolerance: float | None,
+    ) -> Plan:
+        """The plan of a refinement, judged."""
+        figures = dict(figures)
         if refinement.cut or deadline().over:
             figures["ended"] = f"{deadline()} was over"
         spent = refinement.iterations + climb.iterations
@@ -376,9 +414,6 @@ class Planner:
         known = (self._program, *self._finer)
         if best.found.multiplied and not any(program.nlp is each.nlp for each in known):
             self._finer.append(program)
-        if not result.verified:
-            message = f"the plan of {result.plant.name} is {result.verdict}"
-            warnings.warn(message, PlanWarning, stacklevel=outside())
         return result
 
     def _with(self, values: Values | None, changed: Mapping[str, Any]) -> Program:

@@ -123,6 +123,8 @@ def test_the_zero_of_a_load_cell_is_taken_off_all_forces_when_asked() -> None:
     mended = table.with_floor("zero")
     assert np.mean((mended.force - PULL)[PULL > 0]) == pytest.approx(0.0, abs=1.5)
     assert mended.with_floor("zero").force == pytest.approx(mended.force)  # once is enough
+    with pytest.raises(pam.InputError, match="'5 N', 'found', 'zero' or None"):
+        table.with_floor("what")
 
 
 @pytest.mark.parametrize(

@@ -254,6 +254,12 @@ def test_when_time_is_over_the_rungs_climbed_remain(
         ({"folds": 60}, InputError, "too few for 180 parts"),
         ({"outputs": ["mass"]}, InputError, "mass is neither a state nor an output"),
         ({"dynamic": ["x"]}, InputError, "x is a state; only parameters"),
+        (
+            {"bounds": {"gian": (0.5, 2.0)}},
+            UnknownNameError,
+            "in bounds that no rung frees: 'gian'",
+        ),
+        ({"bounds": {"gain": 2.0}}, InputError, r"bounds\['gain'\] = 2.0: give \(low, high\)"),
     ],
 )
 def test_what_cannot_be_is_refused(

@@ -122,6 +122,28 @@ def test_inputs_that_hold_a_plant_are_found_behind_a_slew_limit():
     assert beyond.constraint == "stop 1: p settled"
 
 
+def test_a_tank_that_drains_before_a_motion_is_no_rest():
+    """Level h' = -in, w' = in - out: with both ways open w stands, and the tank runs empty."""
+    plant = pam.Plant("tank")
+    tank = plant.state("tank", unit="Pa", start=5e5, min=0.0, max=1e6, nominal=1e5, memory="held")
+    x, v = plant.state("x", unit="m"), plant.state("v", unit="m/s")
+    w = plant.state("w", unit="Pa", start=1e5, nominal=1e5)
+    fill, vent = (plant.input(n, min=0.0, max=1.0) for n in ("fill", "vent"))
+    flows = fill * (tank - w), vent * w
+    plant.der(tank, -flows[0])
+    plant.der(w, flows[0] - flows[1])
+    plant.der(x, v)
+    plant.der(v, 1e-5 * w - v - x)
+    said = Statement(
+        [{"x": 1.0}, pam.Stop({}, rest=False)],
+        constraints=[pam.Constraint(vent, low=0.5, name="leaky")],
+    )
+    open_ways = PiecewisePolynomial(np.array([0.0, 0.1]), np.array([[[0.125, 0.5]]]))
+    judgement = judge(plant, said, Motion(np.array([5e5, 1.0, 0.0, 1e5]), open_ways, (0.1,)))
+    by = {f.label: f.by for f in judgement.findings}
+    assert by["stop 1: tank settled"] > 0.01
+
+
 def test_the_largest_value_is_found_between_points():
     """Two lags of 4 ms in a row, the first at 1: s t e^(-t/s)/s is 1/e at most."""
     plant = pam.Plant("lags")

@@ -171,7 +171,7 @@ class ForceTable:
         if floor is None or floor == "found":
             return replace(self, floor=floor, censored=None)
         if floor != "zero":
-            if isinstance(floor, str) and floor.strip().isalpha():
+            if str(floor).strip().isalpha():
                 raise InputError(
                     f"floor = {floor!r}: give a force such as '5 N', 'found', 'zero' or None"
                 )
