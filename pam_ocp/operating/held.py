@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError, SimulationError
 from ..plants.plant import Plant
-from ..plants.stillness import settled_names
+from ..plants.stillness import settled_names, store_names
 from ..simulation.simulator import simulate
 
 __all__ = ["Memory", "at_rest", "carried", "driven_names", "held", "held_names", "surroundings"]
@@ -170,6 +170,7 @@ def _surroundings(plant: Plant) -> dict[str, float]:
     except SimulationError:
         return {}
     x = np.array([run[n][-1] for n in names])
+    still = np.asarray(plant.function(x, u, p)[0], float) / sizes[:, None]
     found = {}
     for name in marked:
         i, nominal = names.index(name), plant.states[names.index(name)].nominal
@@ -180,10 +181,13 @@ def _surroundings(plant: Plant) -> dict[str, float]:
         elsewhere = elsewhere[np.abs(elsewhere - x[i]) > APART * nominal]
         columns = np.tile(x[:, None], len(elsewhere))
         columns[i] = elsewhere
-        rates = np.abs(np.asarray(plant.function(columns, u, p)[0], float)) / sizes[:, None]
-        if np.min(rates.max(axis=0), initial=np.inf) <= IDLE:
+        rates = np.asarray(plant.function(columns, u, p)[0], float) / sizes[:, None]
+        moved = np.abs(rates - still).max(axis=0) + np.abs(rates[i])  # others may still creep
+        if np.min(moved, initial=np.inf) <= IDLE:
             found[name] = float(x[i])
-    return found
+    # the air in a store is as warm as it stands there: what drains it would cool it
+    stores = {n.rpartition(".")[0] for n in (*found, *store_names(plant))} - {""}
+    return found | {n: float(x[names.index(n)]) for n in marked if n.rpartition(".")[0] in stores}
 
 
 def carried(plant: Plant, x: Array, u: Array, state: str, offset: float) -> dict[str, float]:

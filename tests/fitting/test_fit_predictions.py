@@ -91,16 +91,16 @@ def test_muscles_of_a_joint_fit_predict_likewise() -> None:
         member.predict("3 bar", 10)
 
 
-def test_a_pressure_says_from_where_it_counts(part) -> None:
-    assert part.predict("1.5 bar(g)", 0.15).force == part.predict("1.5 bar", 0.15).force
-    assert part.predict("1.5 barg", 0.15).force == part.predict(1.5e5, 0.15).force
+def test_a_pressure_says_from_where_it_counts(fit: Any) -> None:
+    assert fit.predict("1.5 bar(g)", 0.15).force == fit.predict("1.5 bar", 0.15).force
+    assert fit.predict("1.5 barg", 0.15).force == fit.predict(1.5e5, 0.15).force
     for absolute in ("2.5 bar abs", "2.5 bara", "36 psia"):
         with pytest.raises(InputError, match="gauge pressures here; take the ambient"):
-            part.predict(absolute, 0.15)
+            fit.predict(absolute, 0.15)
 
 
-def test_one_doubt_is_said_once(part) -> None:
+def test_one_doubt_is_said_once(fit: Any) -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        part.predict(3, 0.1)
+        fit.predict(3, 0.1)
     assert sum("did you mean 3 bar" in str(w.message) for w in said) == 1

@@ -259,7 +259,7 @@ def test_when_time_is_over_the_rungs_climbed_remain(
             UnknownNameError,
             "in bounds that no rung frees: 'gian'",
         ),
-        ({"bounds": {"gain": 2.0}}, InputError, r"bounds\['gain'\] = 2.0: give \(low, high\)"),
+        ({"bounds": {"muscle*.gain": 2.0}}, InputError, r"= 2.0: give \(low, high\)"),
     ],
 )
 def test_what_cannot_be_is_refused(

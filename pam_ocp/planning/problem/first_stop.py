@@ -16,7 +16,7 @@ from ...judge.costs import COSTS
 from ...judge.statement import Statement, Stop, subject
 from ...operating.held import at_rest, driven_names, held, held_names, surroundings
 from ...plants.plant import Plant
-from ...plants.stillness import Position, settled_names, store_names, totals
+from ...plants.stillness import Position, settled_names, totals
 from ..transcription.guess import rest_point
 from .limits import range_of
 from .problem import Condition, Problem, Range
@@ -77,8 +77,7 @@ def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -
     those that settle by themselves is as it says, and so is what it names the rate of.
     """
     places = {n for p in positions for n in (p.name, *p.velocities)}
-    memories = {*held_names(plant), *surroundings(plant)} - {*store_names(plant)}
-    kept = {*places, *totals(plant), *memories, *plant.copies}
+    kept = {*places, *totals(plant), *held_names(plant), *surroundings(plant), *plant.copies}
     own = {n for n in settled_names(plant) if n in first.values}
     moved = [n for n in driven_names(plant) if n not in kept and n not in own]
     rates = [f"der({n})" for n in moved if f"der({n})" not in first.values]
@@ -109,7 +108,13 @@ def with_given_pressures(
     symbols = ca.vertcat(*(plant.expression(n) for n in free))
     if not free or ca.depends_on(spoken, symbols):
         return problem
-    x = rest_point(problem, problem.stops[0])
+    held_there = {c.label: c.low for c in problem.nodes[0] if c.label.endswith(" held")}
+    memory = {
+        n: held_there[f"stop 1: {n} held"]
+        for n in held_names(plant)
+        if f"stop 1: {n} held" in held_there
+    }
+    x = rest_point(problem, problem.stops[0] | memory)
     if x is None:
         return problem
     values = {v.name: float(x[i]) for i, v in enumerate(plant.states) if v.name in free}

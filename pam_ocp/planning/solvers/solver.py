@@ -79,7 +79,7 @@ SETTLING = ("settled", "still", "along", "between")
 """Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
 """Residual of the constraints from which on what has settled is not led on for more."""
-CLOSE = 1e-2, 1.0
+CLOSE = 1e-2, 3.0
 """Residuals of stationarity and constraints from which damped steps end a solve in 20 iterations or
 so that went to and fro for hundreds.
 """

@@ -132,7 +132,8 @@ def _rest(
     controls = [v for v in plant.inputs if not v.disturbance]
     pressures = [v for v in plant.states if v.unit == "Pa" and not v.memory]
     open_ones = [v for v in pressures if v.name not in known and v.name not in plant.copies]
-    open_inputs = max(len(controls) - len(known), 0) if completed else 0
+    said = [n for n in known if plant.variable(n).memory != "held"]
+    open_inputs = max(len(controls) - len(said), 0) if completed else 0
     for added in combinations(open_ones, open_inputs):
         try:
             point = plant.equilibrium(**known, **{v.name: v.start for v in added})
@@ -323,7 +324,8 @@ def rest_point(problem: Problem, stop: dict[str, object]) -> Array | None:
     rates = np.asarray(plant.function(x, u, plant.vector("parameter"))[0], float).ravel()
     sums = totals(plant)
     moving = [abs(r) > AT_REST * v.nominal for r, v in zip(rates, plant.states, strict=True)]
-    still = [m for m, v in zip(moving, plant.states, strict=True) if v.name not in sums]
+    kept = {*sums, *(v.name for v in plant.states if v.memory == "held" and v.name in stop)}
+    still = [m for m, v in zip(moving, plant.states, strict=True) if v.name not in kept]
     return None if any(still) else x
 
 
@@ -352,13 +354,15 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> t
     rest = (p, 0.0, np.zeros(problem.r.numel()), np.array(problem.aims), np.ones(problem.m.numel()))
     low, high = limits(leg.path) if leg.path else (np.zeros(0), np.zeros(0))
     aims = np.array([value / subject(plant, n)[0].nominal for n, value in known.items()])
-    still = np.zeros(len(x))
+    # a memory that is given keeps what it holds; rounded, it may give up some of it
+    free = [i for i, v in enumerate(plant.states) if v.memory != "held" or v.name not in known]
+    still = np.zeros(len(free))
     box = np.array([leg.bounds[v.name] for v in (*plant.states, *plant.inputs)]) / scale[:, None]
     nlp = {
         "x": z,
         "f": ca.sumsqr(z - given),
         "g": ca.veccat(
-            plant.function(state, given_input, p)[0] / x_nominal,
+            (plant.function(state, given_input, p)[0] / x_nominal)[free],
             problem.function("wanted", wanted)(state, given_input, *rest),
             problem.conditions("path", leg.path)(state, given_input, *rest),
         ),
