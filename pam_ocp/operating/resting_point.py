@@ -95,9 +95,10 @@ def equilibrium(
         inner = equilibrium(
             inversion.inner, wanted, free=free, expressions=expressions, guess=near, memory=memory
         )
-        return _polished(
-            inversion.left(inner), posed(Search, plant, wanted, free, expressions, memory)
-        )
+        left = inversion.left(inner)
+        if len(plant.inputs) != len(inversion.inner.inputs):  # two valves for one opening are exact
+            return left
+        return _polished(left, posed(Search, plant, wanted, free, expressions, memory))
     search = posed(Search, plant, wanted, free, expressions, memory)
     point, nearest = search.solve(guess)
     if point is None:

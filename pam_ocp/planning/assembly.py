@@ -41,9 +41,10 @@ def assembled(
     samples = (
         check.samples if check else evaluated(plant, solution.t, solution.states, solution.inputs)
     )
+    said = [words for words in (outcome.warning, figures.get("warning")) if words]
     statistics = {
-        **({"warning": outcome.warning} if outcome.warning else {}),
         **figures,
+        **({"warning": "; ".join(said)} if said else {}),
         "solver": outcome.solver,
         "solve_seconds": outcome.seconds,
         "variables": len(outcome.w),

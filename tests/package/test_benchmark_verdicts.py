@@ -252,10 +252,12 @@ def test_a_muscle_has_reached_at_least_where_it_stands(study, kinds):
     plant = pam.HangingLoad("DMSP-20-400N", 10.0, losses=pam.losses.Preconditioning())
     stops, words = ({"x": 0.02}, {"x": 0.02}), {"plant": plant, "duration": 1.0}
     here = plant.equilibrium(x=0.02)["muscle.contraction"]
-    for reached, wrong in ((0.0, {"start"}), (here + 5e-4, set()), (here + 0.05, {"start"})):
-        rest = plant.equilibrium(x=0.02)
-        x = np.where([v.name == "muscle.reached" for v in plant.states], reached, rest.x)
-        assert kinds(still(study, plant, replace(rest, x=x)), stops, **words) == wrong
+    hard = plant.with_values({"muscle.softening_part": 0.0}).equilibrium(x=0.02)
+    x = np.where([v.name == "muscle.reached" for v in plant.states], 0.0, hard.x)
+    assert kinds(still(study, plant, replace(hard, x=x)), stops, **words) == {"start"}
+    for reached, wrong in ((here + 2e-3, set()), (here + 0.05, {"start"})):
+        rest = plant.equilibrium(x=0.02, memory={"muscle.reached": reached})
+        assert kinds(still(study, plant, rest), stops, **words) == wrong
 
 
 def test_differences_are_derivatives_beside_a_stiff_part_too(study, kinds):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import chain, combinations, pairwise
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -132,9 +132,8 @@ def _rest(
     controls = [v for v in plant.inputs if not v.disturbance]
     pressures = [v for v in plant.states if v.unit == "Pa" and not v.memory]
     open_ones = [v for v in pressures if v.name not in known and v.name not in plant.copies]
-    said = [n for n in known if plant.variable(n).memory != "held"]
-    open_inputs = max(len(controls) - len(said), 0) if completed else 0
-    for added in combinations(open_ones, open_inputs):
+    more = range(len(controls) + 1 if completed else 1)  # two valves of a muscle count as one
+    for added in chain.from_iterable(combinations(open_ones, count) for count in more):
         try:
             point = plant.equilibrium(**known, **{v.name: v.start for v in added})
         except PamError:
