@@ -140,7 +140,7 @@ class Approach:
         here = self._here.outcome
         if part < 1.0:
             return self._on(self.run, part, here.w, "along", here)
-        there = self._on(self.run, part, here.w, "still", here)
+        there = self._on(self.run, part, here.w, "along", here)
         if not there.outcome.success:
             return self._on(self.run, part, here.w, "last", here)
         least = self._on(self.run, part, there.outcome.w, "last", there.outcome)

@@ -88,7 +88,6 @@ DAMPED: dict[str, float] = {
     **dict.fromkeys(("last", "finer"), 1e-4),
     "settled": 1e-2,
     **dict.fromkeys(("along", "between", "still"), 1.0),
-    "back": 10.0,
 }
 """Added to the Hessian's diagonal for starts that are near: steps along which costs are flat become
 short (K. Levenberg, Quart. Appl. Math. 2 (1944) 164-168), and the solution is one that lies near.
@@ -101,7 +100,7 @@ PLACE: dict[str, Any] = {
     "acceptable_dual_inf_tol": 1e-1,
     "acceptable_constr_viol_tol": 1e-5,
     "acceptable_compl_inf_tol": 1e-4,
-    "max_iter": 25,
+    "max_iter": 60,
 }
 """For places on a way that are left again: back to the constraints by the shortest way. Costs need
 not be the least there, and where they are flat a solver goes on for hundreds of iterations.
@@ -136,16 +135,9 @@ STILL: dict[str, Any] = {
     **WARM,
     **PLACE,
     "acceptable_dual_inf_tol": 2e-2,
-    "acceptable_constr_viol_tol": 3e-6,
-    "max_iter": 60,
+    "acceptable_constr_viol_tol": 1e-7,
 }
-"""From there back to the constraints by the shortest way: far below what a replay
-is judged by."""
-
-BACK: dict[str, Any] = {**STILL, "acceptable_dual_inf_tol": 1e-1}
-"""The same by shorter steps: where costs are steep, each of them leaves the constraints by its
-square again.
-"""
+"""From there back to the constraints by the shortest way: a motion as exact as any."""
 
 Start: TypeAlias = Literal[
     "cold",
@@ -160,7 +152,6 @@ Start: TypeAlias = Literal[
     "finer",
     "settled",
     "still",
-    "back",
 ]
 STARTS: dict[Start, dict[str, Any]] = {
     "cold": WANDERING,
@@ -175,5 +166,4 @@ STARTS: dict[Start, dict[str, Any]] = {
     "finer": FINER,
     "settled": SETTLED,
     "still": STILL,
-    "back": BACK,
 }

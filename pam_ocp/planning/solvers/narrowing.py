@@ -95,7 +95,7 @@ def narrowing(
     failed = last
     while last.success and here < 1.0:
         there = min(1.0, here + step)
-        outcome = solved(there, last.w, "along" if there < 1.0 else "still", last)
+        outcome = solved(there, last.w, "along", last)
         if there == 1.0 and not outcome.stopped:
             least = solved(there, (outcome if outcome.success else last).w, "last", last)
             outcome = least if least.ended else outcome

@@ -78,9 +78,7 @@ LITTLE = 1e-3
 LEAST_COST = 1e-5
 """Residual of stationarity up to which costs count as the least."""
 SLOWLY = "the search ended where costs fell slowly and may not be at their least (slope {:.0e})"
-BESIDE = 1e-1, 1e-2
-"""The same for places on a way."""
-SETTLING = ("settled", "still", "back", "along", "between")
+SETTLING = ("settled", "still", "along", "between")
 """Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
 """Residual of the constraints from which on what has settled is not led on for more."""
@@ -146,15 +144,6 @@ class Outcome:
         if damped:
             return ("still",) if self.within(*NEARLY) else ()
         return ("last", "still") if self.within(*CLOSE) else ()
-
-    def after(self, earlier: Outcome) -> Outcome:
-        """With what was spent on a solve before."""
-        return replace(
-            self,
-            iterations=earlier.iterations + self.iterations,
-            seconds=earlier.seconds + self.seconds,
-            log=(*earlier.log, *self.log),
-        )
 
     def within(
         self, stationarity: float, violation: float, ended: tuple[str, ...] = ENDED_LATE
@@ -321,13 +310,7 @@ class Ipopt:
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
         LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
-        if start not in SETTLING:
-            return self.settled(program, outcome, start)
-        limited = any(n in self._given for n in LIMITS)
-        if limited or start in ("settled", "back") or not outcome.within(*BESIDE):
-            return outcome
-        back = self(program, outcome.w, "back", outcome)
-        return back.after(outcome) if back.success else outcome
+        return outcome if start in SETTLING else self.settled(program, outcome, start)
 
     def settled(self, program: Program, outcome: Outcome, start: Start = "cold") -> Outcome:
         """The outcome, brought to a place where it wandered; a failure where that fails."""
@@ -342,23 +325,19 @@ class Ipopt:
             exact = found.success and found.log[-1]["inf_pr"] <= EXACT
             if exact or not (found.success or found.within(*NEARLY)):
                 break
-        for earlier in reversed(solves[:-1]):
-            found = found.after(earlier)
+        spent: dict[str, Any] = {
+            "iterations": sum(each.iterations for each in solves),
+            "seconds": sum(each.seconds for each in solves),
+            "log": tuple(line for each in solves for line in each.log),
+        }
         if found.success:
             slope = found.log[-1]["inf_du"]
             said = SLOWLY.format(slope) if slope > LEAST_COST else found.warning
-            return replace(found, status=SETTLED, warning=said)
+            return replace(found, status=SETTLED, warning=said, **spent)
         if found.stopped:
-            return found
+            return replace(found, **spent)
         status = outcome.status if outcome.status != ACCEPTABLE else ENDED_LATE[0]
-        return replace(
-            outcome,
-            success=False,
-            status=status,
-            iterations=found.iterations,
-            seconds=found.seconds,
-            log=found.log,
-        )
+        return replace(outcome, success=False, status=status, **spent)
 
     def _by_newton(self, given: Mapping[str, Array], warm: Outcome, begin: float) -> Outcome | None:
         """By Newton's method from a neighbour's optimum; None where IPOPT has to solve it.
