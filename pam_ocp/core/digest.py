@@ -52,16 +52,9 @@ DEEPEST = 200
 """Objects within objects."""
 DERIVED = frozenset({"__firstlineno__", "__static_attributes__", "__doc__"})
 """Members of a class that come from where and how it is written."""
-MODULE = frozenset(vars(types.ModuleType(""))) | {
-    *(
-        "__builtins__",
-        "__file__",
-        "__cached__",
-        "__path__",
-        "__annotations__",
-        "__warningregistry__",
-    ),
-}
+MODULE = frozenset(vars(types.ModuleType(""))) | frozenset(
+    f"__{n}__" for n in ("builtins", "file", "cached", "path", "annotations", "warningregistry")
+)
 """Members of a module that come from where it lies."""
 READERS = ("open", "loadtxt", "genfromtxt", "fromfile", "memmap", "loadmat")
 """Names of what reads a file; so do those that begin with read_ or load_."""

@@ -7,17 +7,15 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from .calibration import spelled
 from .exceptions import InputError, UnknownNameError
+from .units import Unit
 from .units import unit as unit_of
 
 __all__ = ["TOO_LARGE", "is_quantity", "known_keys", "pair", "quantity", "table"]
 
 TOO_LARGE = "is larger than any float (1.8e308)"
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
-_PRESSURE = re.compile(
-    r"(?P<unit>[kM]?Pa|m?bar|psi)\s*\(?\s*(?P<kind>a|g|abs\.?|absolute|gauge)\s*\)?$", re.IGNORECASE
-)
-"""A unit of pressure that says from where it counts: "bar(g)", "psig", "bar abs"."""
 
 
 def table(where: str, value: Any) -> Mapping[str, Any]:
@@ -64,20 +62,26 @@ def quantity(where: str, value: Any, *units: str) -> float:
         raise InputError(f"{where} {TOO_LARGE}")
     if not name:
         return number
-    said = _PRESSURE.match(name)
-    if said and said["kind"][0] in "aA":
-        raise InputError(
-            f"{where} = {value!r}: pressures are gauge pressures here; take the ambient pressure "
-            "(1.013 bar) off"
-        )
-    name = said["unit"] if said else name
-    try:
-        measured = unit_of(name)
-    except UnknownNameError as error:
-        raise InputError(f"{where} = {value!r}: {error}") from None
+    measured = _unit(where, value, name)
     if not any(measured.compatible(unit_of(u)) for u in units):
         raise InputError(f"{where} = {value!r}: this measures something else than {expected}")
     return number * measured.factor
+
+
+def _unit(where: str, value: str, name: str) -> Unit:
+    """The unit of a text; of a pressure also as files spell it, "bar(g)" or "psig"."""
+    try:
+        return unit_of(name)
+    except UnknownNameError as error:
+        known = spelled(name)
+        if known.endswith(" abs"):
+            raise InputError(
+                f"{where} = {value!r}: pressures are gauge pressures here; take the ambient "
+                "pressure (1.013 bar) off"
+            ) from None
+        if known not in ("Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi"):
+            raise InputError(f"{where} = {value!r}: {error}") from None
+        return unit_of(known)
 
 
 def is_quantity(value: Any) -> bool:

@@ -145,7 +145,7 @@ def judge(
     found += _start(run, statement, wanted)
     found = [Finding(f.label, float(f.by), bool(f.said)) for f in found]
     ordered = sorted((f for f in found if not f.by <= 0.0), key=lambda f: -f.by)
-    objective = _objective(run, wanted.goal, motion.inputs)
+    objective = _objective(run, wanted.goal)
     deviation = _deviation(run, states, claimed)
     return Judgement(tuple(ordered), objective, run.trajectory, "", *deviation)
 
@@ -253,7 +253,7 @@ def _start(run: Driven, statement: Statement, wanted: Asked) -> list[Finding]:
 
 
 # ---- the objective ------------------------------------------------------------------------------
-def _objective(run: Driven, goal: Goal, inputs: PiecewisePolynomial) -> float:
+def _objective(run: Driven, goal: Goal) -> float:
     total = goal.time * float(run.t[-1, -1] - run.t[0, 0])
     if not goal.integrand.is_zero():
         total += float(run.integral([goal.integrand])[0])
@@ -264,7 +264,7 @@ def _objective(run: Driven, goal: Goal, inputs: PiecewisePolynomial) -> float:
     for weight, value, aim in goal.tracked:
         wanted = aim(run.t) if isinstance(aim, Profile) else aim
         total += weight * float(run.summed((run.values([value]) - wanted) ** 2)[0])
-    return total + goal.rate * _rate(run.plant, inputs) if goal.rate else total
+    return total + goal.rate * _rate(run.plant, run.inputs) if goal.rate else total
 
 
 def _rate(plant: Plant, inputs: PiecewisePolynomial) -> float:

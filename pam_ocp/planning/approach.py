@@ -138,12 +138,11 @@ class Approach:
         their least, where a solver gets there.
         """
         here = self._here.outcome
-        if part < 1.0:
-            return self._on(self.run, part, here.w, "along", here)
         there = self._on(self.run, part, here.w, "along", here)
-        if not there.outcome.success:
-            return self._on(self.run, part, here.w, "last", here)
-        least = self._on(self.run, part, there.outcome.w, "last", there.outcome)
+        if part < 1.0 or there.outcome.stopped:
+            return there
+        near = there.outcome if there.outcome.success else here
+        least = self._on(self.run, part, near.w, "last", near)
         return least if least.outcome.ended else there
 
     def _on(

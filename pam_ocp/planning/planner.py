@@ -6,7 +6,7 @@ import functools
 import time
 import warnings
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -312,10 +312,11 @@ class Planner:
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
+        assemble = functools.partial(self._assembled, statement, climb, figures, begin, tolerance)
         if tolerance is not None and guess is not None and starts in (None, 1):
             finer = self._carried(program, guess, tolerance, climb)
             if finer is not None:
-                return self._result(finer, statement, climb, figures, begin, tolerance)
+                return self._result(finer, assemble, tolerance)
         search = Search(run, statement, climb, starts, tolerance, figures)
         try:
             found = search.found(guess)
@@ -334,7 +335,7 @@ class Planner:
         refinement = settling.brought(found)
         if guess is None:
             refinement = settling.resolved(refinement)
-        return self._result(refinement, statement, climb, figures, begin, tolerance)
+        return self._result(refinement, assemble, tolerance)
 
     def _carried(
         self, program: Program, guess: Plan, tolerance: float, climb: Climb
@@ -358,17 +359,13 @@ class Planner:
     def _result(
         self,
         refinement: Refinement,
-        statement: Statement,
-        climb: Climb,
-        figures: dict[str, Any],
-        begin: float,
+        assembled: Callable[[Refinement], Plan],
         tolerance: float | None,
     ) -> Plan:
         """The plan of what refinement came to; refined further where the judge sees more in what is
         left of its errors than the mesh does (a load that is stiff beside its pressures).
         """
-        given = statement, climb, figures, begin, tolerance
-        result = self._assembled(refinement, *given)
+        result = assembled(refinement)
         for _ in range(STRICTER):
             missed = max(result.verdict.error, result.verdict.violation)
             if result.verified or tolerance is None or not refinement.met() or refinement.cut:
@@ -377,12 +374,10 @@ class Planner:
                 break
             wanted = min(CLOSER * tolerance**2 / missed, refinement.best.miss / 2)
             closer = Refinement(refinement.best, max(wanted, LEAST), self._backend)
-            closer.first, closer.meshes = refinement.first, [*refinement.meshes, *closer.meshes[1:]]
-            closer.iterations += refinement.iterations
             if closer.best is refinement.best:
                 break
-            refinement = closer
-            result = self._assembled(refinement, *given)
+            refinement = refinement.followed_by(closer)
+            result = assembled(refinement)
         if not result.verified:
             message = f"the plan of {result.plant.name} is {result.verdict}"
             warnings.warn(message, PlanWarning, stacklevel=outside())
@@ -390,12 +385,12 @@ class Planner:
 
     def _assembled(
         self,
-        refinement: Refinement,
         statement: Statement,
         climb: Climb,
-        figures: dict[str, Any],
+        figures: Mapping[str, Any],
         begin: float,
         tolerance: float | None,
+        refinement: Refinement,
     ) -> Plan:
         """The plan of a refinement, judged."""
         figures = dict(figures)

@@ -90,6 +90,13 @@ class Refinement:
         """Whether the best solution meets the tolerance."""
         return self.best.miss <= self.tolerance
 
+    def followed_by(self, then: Refinement) -> Refinement:
+        """The one after this, with the meshes and iterations of both."""
+        again = then.meshes[0] == self.meshes[-1]
+        then.meshes = [*self.meshes, *then.meshes[again:]]
+        then.first, then.iterations = self.first, self.iterations + then.iterations
+        return then
+
     def _refine(self) -> None:
         first, asked = self.best, self.meshes[0].form == BY_ARCS
         if asked and np.isfinite(self.tolerance) and not self.kinks and self._by_arcs():

@@ -96,7 +96,7 @@ class Settling:
         if not _less(other, refinement):
             return refinement
         climb.follow(own.climb)
-        return _after(refinement, other)
+        return refinement.followed_by(other)
 
     def _resettled(self, refinement: Refinement, tolerance: float) -> Refinement:
         """Settled from its own mesh, and refined again."""
@@ -110,7 +110,7 @@ class Settling:
         if finer is found:
             return refinement
         again = Refinement(checked(finer), tolerance, self.search.run.backend)
-        return _after(refinement, again) if _less(again, refinement) else refinement
+        return refinement.followed_by(again) if _less(again, refinement) else refinement
 
     def _refined(self, found: Sequence[Solved]) -> Refinement:
         """The best solution, refined; where that is not verified, the next best that is.
@@ -153,10 +153,3 @@ def _less(one: Refinement, other: Refinement) -> bool:
     """Whether a refinement that is met is less dear than another."""
     costs = [each.best.found.outcome.objective for each in (one, other)]
     return one.met() and costs[0] < costs[1]
-
-
-def _after(first: Refinement, then: Refinement) -> Refinement:
-    """The second, with the meshes of both."""
-    then.meshes = [*first.meshes, *then.meshes]
-    then.first, then.iterations = first.first, first.iterations + then.iterations
-    return then

@@ -278,7 +278,7 @@ def test_a_wrong_model_is_given_away_by_its_residuals(rig: pam.Plant, records: A
         ({"bounds": {"damping": 30.0}}, r"bounds\['damping'\] = 30.0: give \(low, high\)"),
         ({"bounds": {"damping": ("1 bar", 40.0)}}, "measures something else than 'N.s/m'"),
         ({"bounds": {"damping": (0.0, 10**400)}}, "larger than any float"),
-        ({"bounds": 3.0}, r"bounds = 3.0: give \{free parameter"),
+        ({"bounds": 3.0}, r"bounds is a float: give \{free parameter"),
         ({"free": 3}, "free = 3: give a name in quotes"),
         ({"free": [None]}, "free = None: give a name in quotes"),
         ({"outputs": ["muscle1.command"]}, "neither a state nor an output"),

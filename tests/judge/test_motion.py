@@ -144,6 +144,22 @@ def test_a_tank_that_drains_before_a_motion_is_no_rest():
     assert by["stop 1: tank settled"] > 0.01
 
 
+def test_an_integral_of_what_turns_round_is_that_of_its_two_halves():
+    """What flows one way and back nearly cancels: v counts in full beyond v0, and by the part k
+    below; k leaves a thousandth of either. By hand, with v from 0 to V at a constant rate and back:
+    the area of the tip of the triangle, (V - v0)^2/A, less k times the rest."""
+    v0, top = 0.4567 * np.sqrt(A * WAY), np.sqrt(A * WAY)
+    tip, rest = (top - v0) ** 2 / A, WAY - (top - v0) ** 2 / A
+    k = 0.999 * tip / rest
+    plant = cart()
+    v = plant.expression("v")
+    beyond = ca.fmax(v - v0, 0.0)
+    said = Statement(STOPS, minimise={}, integrand=beyond - k * (v - beyond))
+    objective = judge(plant, said, bang_bang()).objective
+    assert objective == pytest.approx(tip - k * rest, abs=1e-6)
+    assert abs(tip - k * rest) < 2e-3 * tip
+
+
 def test_the_largest_value_is_found_between_points():
     """Two lags of 4 ms in a row, the first at 1: s t e^(-t/s)/s is 1/e at most."""
     plant = pam.Plant("lags")

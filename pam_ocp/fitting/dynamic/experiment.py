@@ -28,6 +28,7 @@ __all__ = [
     "Experiment",
     "InputErrors",
     "ParameterGroup",
+    "bounds_of",
     "groups",
     "measured_names",
     "prepare",
@@ -129,10 +130,8 @@ def groups(
 ) -> list[ParameterGroup]:
     """The unknown parameters, from names, patterns (``muscle*.a1``: equal) and tuples (equal)."""
     require_instance("plant", plant, Plant, "give a Plant, such as HangingLoad(...)")
-    if not isinstance(bounds, Mapping | None):
-        raise InputError(f"bounds = {bounds!r}: give {{free parameter: (low, high)}}")
+    ends = bounds_of(bounds)
     places = {v.name: i for i, v in enumerate(plant.parameters)}
-    ends = dict(bounds or {})
     found = [_group(plant, entry, places, ends) for entry in _entries(free)]
     labels = [g.name for g in found]
     members = [m for g in found for m in g.members]
@@ -142,6 +141,12 @@ def groups(
         if name not in labels:
             raise UnknownNameError("parameter in bounds that is not free:", name, labels)
     return found
+
+
+def bounds_of(bounds: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
+    """{free parameter: (low, high)}, or an InputError."""
+    require_instance("bounds", bounds, Mapping, "give {free parameter: (low, high)}", none=True)
+    return dict(bounds or {})
 
 
 def _entries(free: Sequence[str | Sequence[str]]) -> list[str | Sequence[str]]:

@@ -30,7 +30,7 @@ from ..statistics import student_t
 from .adequacy import Adequacy, adequacy_of
 from .climbing import Task, climbed
 from .evidence import evidence_of
-from .experiment import ParameterGroup, groups, measured_names, recorded
+from .experiment import ParameterGroup, bounds_of, groups, measured_names, recorded
 from .ladder_result import Ladder, Part, RungFit, compared
 from .rig import Rig, unknowns_of
 from .rungs import LADDER, Builder, Rung, rungs_of
@@ -143,7 +143,7 @@ def _bounds(
     ladder: Sequence[Rung], bounds: Mapping[str, tuple[float, float]] | None
 ) -> dict[str, tuple[float, float]]:
     """Each belongs to a parameter that some rung frees and holds its value."""
-    given = dict(bounds or {})
+    given = bounds_of(bounds)
     free = [{g.name for g in groups(rung.plant, rung.free)} for rung in ladder]
     for name in given:
         if not any(name in each for each in free):

@@ -40,17 +40,16 @@ def left_by_the_past(
     sums = [n for n in totals(plant) if n not in first.values]
     starts = {n: float(plant.variable(n).start or 0.0) for n in sums}
     conditions = [condition(n, "at its start", value, value) for n, value in starts.items()]
-    memory = {n: v for n, v in held(plant, statement.memory).items() if n not in first.values}
     if statement.cyclic:  # the cycle itself says what they hold
         if statement.memory != "virgin":
             raise InputError(
                 f"memory = {statement.memory!r}: a cyclic motion closes its memories by "
                 "itself; leave it out"
             )
-        ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
+        kept = [n for n in held_names(plant) if n not in first.values]
+        ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in kept}
         return conditions + [condition(n, "in its range", *ends) for n, ends in ranges.items()]
-    if not isinstance(statement.memory, Mapping):
-        memory = at_rest(plant, _named_states(plant, first), memory)
+    memory = _memory(plant, statement, first)
     left = {n: v for n, v in surroundings(plant).items() if n not in plant.copies}
     memory |= {n: v for n, v in left.items() if n not in first.values}
     conditions += [condition(n, "held", value, value) for n, value in memory.items()]
@@ -58,6 +57,14 @@ def left_by_the_past(
         return conditions
     settled = [n for n in settled_names(plant) if n not in {*first.values, *memory}]
     return conditions + [condition(f"der({n})", "settled", 0.0, 0.0) for n in settled]
+
+
+def _memory(plant: Plant, statement: Statement, first: Stop) -> dict[str, float]:
+    """What held memories hold at the first stop, but for those that it names."""
+    memory = {n: v for n, v in held(plant, statement.memory).items() if n not in first.values}
+    if isinstance(statement.memory, Mapping):
+        return memory
+    return at_rest(plant, _named_states(plant, first), memory)
 
 
 def _named_states(plant: Plant, stop: Stop) -> NDArray[np.float64]:
@@ -108,13 +115,7 @@ def with_given_pressures(
     symbols = ca.vertcat(*(plant.expression(n) for n in free))
     if not free or ca.depends_on(spoken, symbols):
         return problem
-    held_there = {c.label: c.low for c in problem.nodes[0] if c.label.endswith(" held")}
-    memory = {
-        n: held_there[f"stop 1: {n} held"]
-        for n in held_names(plant)
-        if f"stop 1: {n} held" in held_there
-    }
-    x = rest_point(problem, problem.stops[0] | memory)
+    x = rest_point(problem, problem.stops[0] | _memory(plant, statement, first))
     if x is None:
         return problem
     values = {v.name: float(x[i]) for i, v in enumerate(plant.states) if v.name in free}

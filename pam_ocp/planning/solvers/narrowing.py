@@ -97,7 +97,8 @@ def narrowing(
         there = min(1.0, here + step)
         outcome = solved(there, last.w, "along", last)
         if there == 1.0 and not outcome.stopped:
-            least = solved(there, (outcome if outcome.success else last).w, "last", last)
+            near = outcome if outcome.success else last
+            least = solved(there, near.w, "last", near)  # costs at their least
             outcome = least if least.ended else outcome
         if not outcome.ended:  # others are active there
             outcome = solved(there, last.w, "dash")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...core.errors import InputError, PamError
 from ...judge.statement import subject
 from ...numerics.solvers import nlpsol
+from ...operating.held import held_names
 from ...plants.plant import Plant
 from ...plants.stillness import rest_rows, totals
 from ..problem.problem import Problem, limits
@@ -321,11 +322,12 @@ def rest_point(problem: Problem, stop: dict[str, object]) -> Array | None:
     plant = problem.plant
     x, u = _node(problem, stop, balanced=True)
     rates = np.asarray(plant.function(x, u, plant.vector("parameter"))[0], float).ravel()
-    sums = totals(plant)
-    moving = [abs(r) > AT_REST * v.nominal for r, v in zip(rates, plant.states, strict=True)]
-    kept = {*sums, *(v.name for v in plant.states if v.memory == "held" and v.name in stop)}
-    still = [m for m, v in zip(moving, plant.states, strict=True) if v.name not in kept]
-    return None if any(still) else x
+    kept = {*totals(plant), *(n for n in held_names(plant) if n in stop)}
+    still = all(
+        abs(rate) <= AT_REST * v.nominal or v.name in kept
+        for rate, v in zip(rates, plant.states, strict=True)
+    )
+    return x if still else None
 
 
 def _node(problem: Problem, stop: dict[str, object], balanced: bool) -> tuple[Array, Array]:
@@ -354,7 +356,8 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> t
     low, high = limits(leg.path) if leg.path else (np.zeros(0), np.zeros(0))
     aims = np.array([value / subject(plant, n)[0].nominal for n, value in known.items()])
     # a memory that is given keeps what it holds; rounded, it may give up some of it
-    free = [i for i, v in enumerate(plant.states) if v.memory != "held" or v.name not in known]
+    kept = {n for n in held_names(plant) if n in known}
+    free = [i for i, v in enumerate(plant.states) if v.name not in kept]
     still = np.zeros(len(free))
     box = np.array([leg.bounds[v.name] for v in (*plant.states, *plant.inputs)]) / scale[:, None]
     nlp = {
@@ -380,7 +383,7 @@ def _balance(problem: Problem, known: dict[str, float], x: Array, u: Array) -> t
     )
     if not solver.stats()["success"]:
         # from start values behind a clamp (a slack tendon) this finds nothing
-        return _rest(plant, known, True) or (x, u)
+        return _rest(plant, known, completed=True) or (x, u)
     point = np.asarray(found["x"], float).ravel() * scale
     return point[: len(x)], point[len(x) :]
 
