@@ -398,7 +398,7 @@ def single(rng: Draw) -> Made:
         tendon = size / length * rng.uniform(20, 200)
         stretch = weight / tendon
         plant = pam.SeriesLoad(muscle, mass, tendon, **common)
-        positions = tuple(n for n, _ in plant.positions.items())
+        positions = tuple(plant.load_positions)
     else:
         feed_words = "position feedback"
         plant = pam.RegulatedLoad(

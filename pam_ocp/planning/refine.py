@@ -23,6 +23,7 @@ from .run import Run
 from .solvers.backend import Backend
 from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks
+from .solvers.solver import SETTLED
 from .transcription.mesh import Mesh, halved, held, refined, watched
 from .transcription.solution import unpack
 from .transcription.transcription import transcribe
@@ -77,8 +78,9 @@ class Refinement:
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
         self.warning = ""
-        # with kinks costs are flat: what a correction shifts is brought back, and no more
-        self._warm: Start = "still" if self.kinks else "warm"
+        # where costs are flat (with kinks they are) what a correction shifts is brought back
+        flat = self.kinks or self.first.outcome.status == SETTLED
+        self._warm: Start = "still" if flat else "warm"
         self.cut = False
         """Whether a time limit ended it."""
         try:
@@ -257,6 +259,10 @@ class Refinement:
         if isinstance(coarse.program, Corrected) and _alike(mesh, coarse.program.mesh):
             program = corrected(program, coarse.solution) or program
         run = Run(program, self.backend)
+        if coarse.outcome.status == SETTLED:  # costs are flat
+            found = run.beside(coarse)
+            if found is not None:
+                return self._taken(found)
         if directly:
             return self._taken(run.directly(coarse))
         return self._taken(run.refined(coarse, again=mesh.form.control != "polynomial"))

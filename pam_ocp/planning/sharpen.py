@@ -42,11 +42,14 @@ def gains(found: Solved) -> Array | None:
     """What each interval keeps the objective from, by the first order: an estimate, good to a
     factor of two or so.
 
-    None where inputs are neither held nor linear, or the interval knows no points (shooting).
+    None where inputs are neither held nor linear, the interval knows no points (shooting), or the
+    solution has no multipliers.
     """
     mesh, problem = found.program.mesh, found.program.problem
     form = mesh.form
     if form.control == "polynomial" or form.scheme == "shooting" or not problem.plant.inputs:
+        return None
+    if not np.any(found.outcome.lam_g):
         return None
     freed = transcribe(
         problem, Mesh(mesh.intervals, _Freed(form.scheme, form.control, form.guarded))

@@ -189,7 +189,7 @@ def test_short_steps_lead_back_to_the_constraints():
         return np.maximum(least - values, values - most).max()
 
     assert violation(scattered) > 1e-5
-    for start, exact in (("still", 1e-7), ("along", 1e-5), ("between", 1e-5)):
+    for start, exact in (("still", 1e-8), ("along", 1e-4), ("between", 1e-4)):
         back = solver(program, scattered, start, None if start == "between" else found)
         assert back.success
         assert violation(back.w) <= exact
@@ -235,10 +235,10 @@ def test_a_motion_that_is_nearly_there_is_brought_back_as_it_is(residuals, start
 
 
 def test_iterations_are_many_where_they_cost_little():
-    """1e6 iterations times unknowns, whatever the machine."""
+    """3e6 iterations times unknowns, whatever the machine; a third where a motion is there."""
     small, large = work_program(4), work_program(200)
     for program in (small, large):
         options = Ipopt(program)._options("cold")["ipopt"]
-        expected = np.clip(1e6 / program.nlp["x"].numel(), 250, 500)
+        expected = np.clip(3e6 / program.nlp["x"].numel(), 250, 1500)
         assert options["max_iter"] == int(expected)
         assert Ipopt(program)._options("last")["ipopt"]["max_iter"] <= 150

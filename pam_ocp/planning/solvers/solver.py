@@ -41,9 +41,9 @@ LOG = logging.getLogger(__name__)
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
 
-WORK, ITERATIONS, FEW = 1e6, (250, 500), 30
-"""Iterations times unknowns of one solve, and iterations at least and at most: from far away, and
-where a motion is there already whose costs are all that is left to gain.
+FAR, NEAR_BY = (3e6, 250, 1500), (1e6, 30)
+"""Iterations times unknowns of one solve, iterations at least and at most: from far away (hundreds
+are worth it there), and where a motion is there already whose costs are all that is left to gain.
 """
 LIMIT = 60.0, 2e-2
 """Processor seconds of one solve, at least and for each unknown, which none needs: where the linear
@@ -54,9 +54,9 @@ iterations.
 
 def most_iterations(program: Program, start: Start) -> int:
     """Of one solve: hundreds are worth it where they cost little."""
-    own = STARTS[start].get("max_iter")
-    least, most = ITERATIONS if own is None else (min(FEW, own), own)
-    return int(np.clip(WORK / program.nlp["x"].numel(), least, most))
+    own, n = STARTS[start].get("max_iter"), program.nlp["x"].numel()
+    work, least, most = FAR if own is None else (NEAR_BY[0], min(NEAR_BY[1], own), own)
+    return int(np.clip(work / n, least, most))
 
 
 def limit(program: Program) -> float:
@@ -78,7 +78,7 @@ LITTLE = 1e-3
 LEAST_COST = 1e-5
 """Residual of stationarity up to which costs count as the least."""
 SLOWLY = "the search ended where costs fell slowly and may not be at their least (slope {:.0e})"
-SETTLING = ("settled", "still", "along", "between")
+SETTLING = ("settled", "still")
 """Starts of what brings an outcome to a place, or on its way there."""
 EXACT = 1e-7
 """Residual of the constraints from which on what has settled is not led on for more."""
@@ -140,7 +140,7 @@ class Outcome:
         damped : whether its steps were.
         """
         if self.wandered:
-            return "settled", "still"
+            return ("still",) if damped and self.success else ("settled", "still")
         if damped:
             return ("still",) if self.within(*NEARLY) else ()
         return ("last", "still") if self.within(*CLOSE) else ()
@@ -255,6 +255,11 @@ class Ipopt:
             if name in DAMPED and "hess_lag" in options:
                 options["hess_lag"] = _damped(options["hess_lag"], DAMPED[name])
             nlp, problem = self.program.nlp, self._library or self.program.nlp
+            if name == "still":  # the length of a step in place of costs
+                problem = {**nlp, "f": ca.MX(0)}
+                options.pop("grad_f", None)
+                options["jac_g"] = self._derivatives["jac_g"]
+                options["hess_lag"] = _unity(self._derivatives["hess_lag"])
             sizes = (nlp["x"].numel(), nlp["g"].numel(), nlp["p"].numel())
             report = self._progress if self._report else None
             try:
@@ -303,14 +308,25 @@ class Ipopt:
             if found is not None:
                 return found
         solver = self._solver(start)
-        if warm is not None:
+        if warm is not None and start != "still":
             given |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         self._iteration, self._limits = 0, (given["lbg"], given["ubg"])
         result = solver(**given)
         arrays = {k: np.asarray(result[k], float).ravel() for k in ("x", "f", "lam_g", "lam_x")}
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
+        if start == "still":
+            outcome = self._beside(outcome, given["p"], warm)
         LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
         return outcome if start in SETTLING else self.settled(program, outcome, start)
+
+    def _beside(self, found: Outcome, p: Array, warm: Outcome | None) -> Outcome:
+        """What was brought back to the constraints, with its costs, and the multipliers of where
+        it was (zeros where none are known).
+        """
+        value = float(self._first.get_function("nlp_f")(found.w, p))
+        given = (0.0 * found.lam_g, 0.0 * found.lam_x) if warm is None else (warm.lam_g, warm.lam_x)
+        status = SETTLED if found.success else found.status
+        return replace(found, objective=value, status=status, lam_g=given[0], lam_x=given[1])
 
     def settled(self, program: Program, outcome: Outcome, start: Start = "cold") -> Outcome:
         """The outcome, brought to a place where it wandered; a failure where that fails."""
@@ -318,10 +334,11 @@ class Ipopt:
         starts = outcome.led_on(start in DAMPED)
         if self._acceptance_given or out_of_limit or not starts:
             return outcome
-        found, solves = outcome, [outcome]
+        found, solves, slope = outcome, [outcome], outcome.log[-1]["inf_du"]
         for following in starts:
             found = self(program, found.w, following, found)
             solves.append(found)
+            slope = slope if following == "still" else found.log[-1]["inf_du"]
             exact = found.success and found.log[-1]["inf_pr"] <= EXACT
             if exact or not (found.success or found.within(*NEARLY)):
                 break
@@ -331,7 +348,6 @@ class Ipopt:
             "log": tuple(line for each in solves for line in each.log),
         }
         if found.success:
-            slope = found.log[-1]["inf_du"]
             said = SLOWLY.format(slope) if slope > LEAST_COST else found.warning
             return replace(found, status=SETTLED, warning=said, **spent)
         if found.stopped:
@@ -409,6 +425,14 @@ def _damped(hessian: ca.Function, value: float) -> ca.Function:
     exact = hessian(*given)
     found = exact + value * ca.MX.eye(exact.size1())
     return ca.Function(hessian.name(), given, [found], names, hessian.name_out())
+
+
+def _unity(hessian: ca.Function) -> ca.Function:
+    """In place of a Lagrangian's Hessian: that of half the square of a step."""
+    names = hessian.name_in()
+    given = [ca.MX.sym(n, hessian.sparsity_in(i)) for i, n in enumerate(names)]
+    unity = ca.DM.eye(hessian.size1_out(0))
+    return ca.Function(hessian.name(), given, [unity], names, hessian.name_out())
 
 
 def _log(iterations: Mapping[str, Any]) -> tuple[dict[str, float], ...]:
