@@ -225,7 +225,7 @@ def one(seed: int, k: int, fault: str) -> dict[str, Any] | None:
         inside[entry] = bool(low <= true <= high)
     return {
         "fault": fault,
-        "cause": a.cause,
+        "cause": a.cause or ("not tested" if a.untested else ""),
         "tested": bool(a.tests),
         "inside": inside,
         "way": way,

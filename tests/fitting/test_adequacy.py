@@ -4,6 +4,7 @@ makes a fit worse.
 
 from __future__ import annotations
 
+from itertools import groupby, takewhile
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 import pam_ocp as pam
 from pam_ocp.fitting import Adequacy, fit_free_run, fit_plant
-from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise
+from pam_ocp.fitting.dynamic.adequacy import noise_of, record_noise, residual_adequacy
 
 TRUE = {"damping": 80.0, "muscle.lag": 0.08}
 PATTERN = {"damping": 80.0, "muscle*.lag": 0.08}
@@ -314,3 +315,103 @@ def test_another_record_of_the_same_kind_is_covered_and_an_absurd_one_is_not() -
     absurd = fit.coverage(heavy, uncertainty=False)
     assert absurd.verdict == "absurd"
     assert "which the plant cannot" in absurd.report()
+
+
+# ---- fits that are not at their least squares ----------------------------------------------------
+def white(seed: int, ratio: float = 1.0) -> tuple[list[str], list[Any], list[Any], int]:
+    """White residuals of x on a smooth motion, in two records; ratio : how much too large."""
+    random, t = np.random.default_rng(seed), 0.01 * np.arange(400)
+    noise = [NOISE * random.standard_normal((400, 1)) for _ in range(2)]
+    return ["x"], [ratio * e for e in noise], [0.02 * np.sin(2 * t)[:, None] + e for e in noise], 4
+
+
+def test_residuals_alone_are_judged_at_the_level_that_is_promised() -> None:
+    said = [residual_adequacy(*white(seed), {"mass": 1.0}).cause != "" for seed in range(300)]
+    assert sum(said) <= 9  # of 300 at 1 %: 1 in 900 of more
+
+
+def test_residuals_alone_tell_what_is_larger_than_the_noise_and_no_cause() -> None:
+    found = residual_adequacy(*white(1, ratio=1.5), {"mass": 1.0}, {"mass": 3.0})
+    assert found.cause == "not told"
+    assert found.excess == pytest.approx(1.5, rel=0.15)
+    assert "cannot be told" in found.sentence
+    assert found.stderr["mass"] == pytest.approx(np.hypot(1.0, 3.0), rel=0.05)
+
+
+def settling() -> pam.Plant:
+    """A pressure that is never negative, and a position that follows it."""
+    plant = pam.Plant("settling", "a position that follows a pressure")
+    u, rate = plant.input("u", start=1.0), plant.parameter("rate", 4.0, min=0.1)
+    p, x = plant.state("p", start=1.0, min=0.0), plant.state("x", start=1.0)
+    plant.der(p, 2 * (u - p))
+    plant.der(x, rate * (p - x))
+    return plant
+
+
+def test_no_start_outside_its_range_takes_up_what_is_missing() -> None:
+    """The record begins at a pressure of -1, by the closed solution of both equations; the least
+    squares of all starts that the plant knows leave more than the noise.
+    """
+    t = 0.02 * np.arange(200)
+    late = np.maximum(t - 2.0, 0.0)  # a step of the input by one at 2 s
+    first = 1 - 4 * np.exp(-2 * t) + 3 * np.exp(-4 * t)  # from p = -1, x = 0
+    x = first + np.where(t > 2.0, 1 - 2 * np.exp(-2 * late) + np.exp(-4 * late), 0.0)
+    columns = {"x": x + 1e-3 * np.random.default_rng(6).standard_normal(t.size)}
+    columns["u"] = np.where(t < 2.0 - 1e-9, 1.0, 2.0)
+    shown = pam.Trajectory(t, columns, interpolation="previous")
+    fit = fit_plant(settling(), shown, ["rate"], outputs=["x"])
+    assert fit.at_bound == ("p(0)",)
+    assert fit.rmse["x"] > 0.02
+    assert len(fit.adequacy.tests) > 2  # those of causes: motions were found
+    assert fit.adequacy.excess > 20  # with a start at -1 residuals are the noise
+    assert not fit.adequacy.adequate
+
+
+def test_a_fit_that_time_ended_shows_the_motion_of_its_values(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Collocation begins at the measured states, which meet the record and no equation: its first
+    iterate has no residuals.
+    """
+    from pam_ocp.fitting.dynamic import gauss_newton
+    from pam_ocp.fitting.dynamic.gauss_newton import TIMED
+
+    def ended(program: Any, weights: Any, guess: Any, *_: Any) -> Any:
+        return gauss_newton._solution(program, weights, guess, TIMED, 1)
+
+    monkeypatch.setattr("pam_ocp.fitting.dynamic.gauss_newton._interior_point", ended)
+    shown = record("friction")
+    fit = fit_plant(off(), shown, list(TRUE))
+    assert fit.status == TIMED
+    run = pam.simulate(
+        fit.plant,
+        {"muscle.command": shown["muscle.command"]},
+        t=shown.t,
+        start=fit.starts[0],
+        interpolation="previous",
+    )
+    error = np.sqrt(np.mean((shown["x"] - run["x"]) ** 2))
+    assert fit.rmse["x"] == pytest.approx(error, rel=1e-3)
+    assert not fit.adequacy.adequate
+    for name, shift in fit.adequacy.shifts.items():
+        assert fit.coefficients[name].stderr >= abs(shift)
+
+
+def test_short_horizons_leave_the_full_one_its_evaluations() -> None:
+    """An evaluation of a sixteenth of all samples costs a sixteenth of one of all."""
+    stages: list[str] = []
+    poor = hanging(damping=1500.0, **{"muscle.lag": 0.8})
+    fit_free_run(
+        poor,
+        record("friction"),
+        list(TRUE),
+        horizon=None,
+        begin_short=True,
+        evaluations=6,
+        progress=lambda stage, *_: stages.append(stage),
+        judge=False,
+    )
+    short = stages.index("full horizon")
+    full = [stage for stage, _ in groupby(stages)].index("full horizon")
+    assert full >= 2  # horizons of 4, 16, ... samples
+    assert len(list(takewhile("full horizon".__eq__, stages[short:]))) > max(6 - short, 1)

@@ -7,7 +7,8 @@ against the noise found in high differences of the records (J. Rice, Annals of S
 1215-1230), which knows of no model; and score tests, one of each possible cause (see
 :mod:`.suspects`). Where any of them rejects, causes are tested once more, on residuals whitened as
 autoregressive noise: what is significant even so is no coloured noise, and the single suspect that
-takes up most of them names the cause.
+takes up most of them names the cause. Where there are no motions at their least squares to ask for
+causes, the first two kinds judge the fit's own residuals.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..static.correlation import neighbours
 from ..statistics import Array
 from .evidence import Evidence, Motion, projected, solved
 from .suspects import CAUSES, Suspect
 
-__all__ = ["Adequacy", "AdequacyTest", "Noise", "adequacy_of", "noise_of"]
+__all__ = ["Adequacy", "AdequacyTest", "Noise", "adequacy_of", "noise_of", "residual_adequacy"]
 
 LEVEL = 0.01
 """Probability that an adequate model is called inadequate."""
@@ -76,14 +78,14 @@ class Adequacy:
     """What the residuals of a dynamic fit tell about its model.
 
     cause : "" for an adequate model, else the likeliest of "drift", "friction or hysteresis",
-    "scale", "lag", "floor", "law", "coloured noise", "unknown". subject : what it concerns; amount
-    [unit] : as much of it describes the residuals. explained : part of the excess over white noise
-    that it takes up. tests : all that were made. noise : of each measured variable as its record
-    shows it without a model; rms : of the residuals [its unit]. correlation : of neighbouring
-    residuals. shifts : by how much fitted values would change with the cause in the model.
-    stderr : standard errors, with autocorrelated residuals and these shifts counted, and how far
-    whole motions put the values where that is farther than chance. dof : degrees of freedom, of as
-    many independent residuals as tell as much.
+    "scale", "lag", "floor", "law", "coloured noise", "unknown", "not told" (there are no motions to
+    tell it from). subject : what it concerns; amount [unit] : as much of it describes the
+    residuals. explained : part of the excess over white noise that it takes up. tests : all that
+    were made. noise : of each measured variable as its record shows it without a model; rms : of
+    the residuals [its unit]. correlation : of neighbouring residuals. shifts : by how much fitted
+    values would change with the cause in the model. stderr : standard errors, with autocorrelated
+    residuals and these shifts counted, and how far whole motions put the values where that is
+    farther than chance. dof : degrees of freedom, of as many independent residuals as tell as much.
 
     Examples
     --------
@@ -103,6 +105,8 @@ class Adequacy:
     shifts: Mapping[str, float] = field(default_factory=dict)
     stderr: Mapping[str, float] = field(default_factory=dict)
     dof: int = 0
+    untested: str = ""
+    """Why nothing was tested, where that is a reason to doubt the fit."""
 
     @property
     def adequate(self) -> bool:
@@ -116,7 +120,11 @@ class Adequacy:
 
     @property
     def sentence(self) -> str:
-        """What is likely to be missing, in one sentence; empty for an adequate model."""
+        """What is likely to be missing, or that nothing was tested, in one sentence; empty for an
+        adequate model.
+        """
+        if self.untested:
+            return f"whether the model is adequate was not tested: {self.untested}"
         return "" if self.adequate else _sentence(self)
 
     def report(self) -> str:
@@ -129,8 +137,8 @@ class Adequacy:
         head = self.sentence or (
             "the residuals show no sign of an inadequate model"
             if self.tests
-            else "the residuals were not tested: they are as small as the integration's error, or "
-            "the plant cannot be followed through the records"
+            else "the residuals were not tested: they are as small as the integration's error, "
+            "too few, or those of a smoothed motion"
         )
         return "\n".join([f"    {head}", *rows])
 
@@ -138,7 +146,8 @@ class Adequacy:
 
 
 UNTESTED = Adequacy()
-"""Of records without noise, or that the plant cannot be followed through."""
+"""Of records without noise, or too short for it."""
+LOST = Adequacy(untested="the plant cannot be followed through the records")
 
 
 def _sentence(a: Adequacy) -> str:
@@ -158,11 +167,13 @@ def _sentence(a: Adequacy) -> str:
         f"correlation of {max(a.correlation.values(), default=0.0):.2f})",
         "unknown": "what is missing looks like none of drift, friction, scale, lag or coloured "
         "noise",
+        "not told": "of what cannot be told, as the fit is not where motions through the records "
+        "are nearest to them, or these cannot be followed",
     }[a.cause]
     worst = max(a.noise, key=lambda n: a.rms[n] / max(a.noise[n], 1e-300))
     found = (
         f"the model is inadequate to these records (residuals of {worst} are {a.excess:.2g} times "
-        f"its noise): probably {likely}"
+        f"its noise): {'' if a.cause == 'not told' else 'probably '}{likely}"
     )
     moved = {
         n: s / e for n, s in a.shifts.items() if (e := a.stderr.get(n, 0.0)) and abs(s) > 0.5 * e
@@ -282,11 +293,10 @@ def adequacy_of(
     rounding: records without noise.
     """
     if evidence is None:
-        return UNTESTED
+        return LOST
     motions = evidence.motions
     rms = _roots(motions)
-    reach = np.array([np.ptp(np.concatenate(evidence.measured)[:, i]) for i in range(len(rms))])
-    if np.any(rms <= np.maximum(EXACT * evidence.integration, RESOLVED * reach)):
+    if np.any(rms <= np.maximum(EXACT * evidence.integration, _resolved(evidence.measured))):
         return UNTESTED
     case = _Case(evidence, motions, 1 / rms, _columns(evidence))
     base = case.regressed(())
@@ -298,6 +308,47 @@ def adequacy_of(
     rejected = any(t.rejects for t in tests)
     cause = _likeliest(case, base) if rejected else _Cause("", case.noises(base), base)
     return _verdict(case, base, cause, tests, noise, weights, stderr)
+
+
+def residual_adequacy(
+    names: Sequence[str],
+    residuals: Sequence[Array],
+    measured: Sequence[Array],
+    lost: int,
+    stderr: Mapping[str, float],
+    apart: Mapping[str, float] | None = None,
+) -> Adequacy:
+    """By the residuals of a fit alone, (K, ny) in each record.
+
+    lost : degrees of freedom that the fit took. stderr : of its values; apart : how far from them
+    the least squares lie, as far as that is known.
+    """
+    every, shares = np.concatenate(residuals), lost / len(names)
+    dof = every.size - lost
+    if dof < FEWEST:
+        return UNTESTED
+    sigma = np.sqrt(np.sum(every**2, axis=0) / (len(every) - shares))
+    if np.any(sigma <= _resolved(measured)):
+        return UNTESTED
+    series = [[r[:, j] for r in residuals] for j in range(len(names))]
+    test, noise = _noise_test(measured, names, sigma, dof, LEVEL / 2)
+    tests = (_whiteness(series, LEVEL / 2), test)
+    effective = [noise_of(r, lost=shares).effective for r in series]
+    wide, far = 1 / np.sqrt(min(effective)), apart or {}
+    return Adequacy(
+        "not told" if any(t.rejects for t in tests) else "",
+        tests=tests,
+        noise=noise,
+        rms=dict(zip(names, sigma.tolist(), strict=True)),
+        correlation={n: neighbours(r) for n, r in zip(names, series, strict=True)},
+        stderr={n: float(np.hypot(e * wide, far.get(n, 0.0))) for n, e in stderr.items()},
+        dof=max(int(sum(effective) * len(every) - lost), 2),
+    )
+
+
+def _resolved(measured: Sequence[Array]) -> Array:
+    """Of each variable, what no sensor resolves."""
+    return np.asarray(RESOLVED * np.ptp(np.concatenate(measured), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,21 +475,14 @@ def _times(first: Sequence[Array], second: Sequence[Array]) -> list[Array]:
 
 
 def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dict[str, float]]:
-    from scipy.special import chdtrc, fdtrc, ndtr
+    from scipy.special import fdtrc
 
     causes = [c for c in CAUSES if case.of(c)]
     level = LEVEL / (2 + len(causes))
-    statistic, lags = _portmanteau(case, base)
-    tests = [AdequacyTest("whiteness", statistic, (lags, 0), float(chdtrc(lags, statistic)), level)]
-    noise, most = {}, 0.0
-    for j, name in enumerate(case.evidence.outputs):
-        sigma, error = record_noise([y[:, j] for y in case.evidence.measured])
-        noise[name] = min(sigma, float(base.sigma[j])) or float(base.sigma[j])
-        own = np.sqrt(error**2 + 2 / base.dof)
-        ratio = float(base.sigma[j] / max(sigma, 1e-300))
-        most = max(most, (min(ratio, 1e6) ** 2 - 1) / own if np.isfinite(own) else 0.0)
-    chance = 1 - (1 - float(ndtr(-most))) ** len(noise) if most < 8 else 0.0
-    tests.append(AdequacyTest("noise of the records", most, (base.dof, 0), chance, level))
+    series = [[r[:, j] for r in base.residuals] for j in range(len(case.weights))]
+    e = case.evidence
+    test, noise = _noise_test(e.measured, e.outputs, base.sigma, base.dof, level)
+    tests = [_whiteness(series, level), test]
     for cause in causes:
         wider = case.regressed(case.of(cause))
         more = wider.columns - base.columns
@@ -450,21 +494,38 @@ def _tests(case: _Case, base: _Regressed) -> tuple[tuple[AdequacyTest, ...], dic
     return tuple(tests), noise
 
 
-def _portmanteau(case: _Case, base: _Regressed) -> tuple[float, int]:
-    """Of Ljung and Box, over all series; (statistic, degrees of freedom)."""
+def _noise_test(
+    measured: Sequence[Array], names: Sequence[str], sigma: Array, dof: int, level: float
+) -> tuple[AdequacyTest, dict[str, float]]:
+    """Whether residuals of these sizes are larger than the noise that the records show; and it."""
+    from scipy.special import ndtr
+
+    noise, most = {}, 0.0
+    for j, name in enumerate(names):
+        own, error = record_noise([y[:, j] for y in measured])
+        noise[name] = min(own, float(sigma[j])) or float(sigma[j])
+        scatter = np.sqrt(error**2 + 2 / dof)
+        ratio = float(sigma[j] / max(own, 1e-300))
+        most = max(most, (min(ratio, 1e6) ** 2 - 1) / scatter if np.isfinite(scatter) else 0.0)
+    chance = 1 - (1 - float(ndtr(-most))) ** len(noise) if most < 8 else 0.0
+    return AdequacyTest("noise of the records", most, (dof, 0), chance, level), noise
+
+
+def _whiteness(variables: Sequence[Sequence[Array]], level: float) -> AdequacyTest:
+    """The portmanteau of Ljung and Box, over all variables with their series of residuals."""
+    from scipy.special import chdtrc
+
     total, lags = 0.0, 0
-    shortest = min(len(r) for r in base.residuals)
-    for j in range(len(case.weights)):
-        series = [r[:, j] for r in base.residuals]
+    for series in variables:
         n = sum(len(s) for s in series)
-        most = max(1, min(int(10 * np.log10(n)), shortest // 3))
+        most = max(1, min(int(10 * np.log10(n)), min(len(s) for s in series) // 3))
         zero = sum(float(s @ s) for s in series)
         for k in range(1, most + 1):
             pairs = sum(len(s) - k for s in series)
             r = sum(float(s[k:] @ s[:-k]) for s in series) / zero
             total += n * (n + 2) * r**2 / max(pairs, 1)
         lags += most
-    return total, lags
+    return AdequacyTest("whiteness", total, (lags, 0), float(chdtrc(lags, total)), level)
 
 
 # ---- causes -------------------------------------------------------------------------------------
@@ -520,22 +581,17 @@ def _verdict(
     e = case.evidence
     k = len(e.names)
     rms = dict(zip(e.outputs, base.sigma.tolist(), strict=True))
-    follows = {
-        name: float(
-            sum(r[1:, j] @ r[:-1, j] for r in base.residuals)
-            / max(sum(r[:, j] @ r[:, j] for r in base.residuals), 1e-300)
-        )
-        for j, name in enumerate(e.outputs)
-    }
+    follows = {n: neighbours([r[:, j] for r in base.residuals]) for j, n in enumerate(e.outputs)}
     shifts = (cause.fit.values[:k] - base.values[:k]) * -e.scale if cause.chosen else np.zeros(k)
     # the noise that the values were found in: with all that the model leaves out
     covariance = _covariance(case, case.noises(base), weights)
     stderr = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * e.scale
-    off = shifts**2
     if given is not None:
         stderr = np.array([given[n] for n in e.names])
-        apart = np.abs(e.shifts * e.scale)
-        off += np.where((apart > APART * stderr) | bool(cause.name), apart**2, 0.0)
+    apart = np.abs(e.shifts * e.scale)
+    # values of a search that did not end are apart, too
+    counts = (apart > APART * stderr) | (given is not None and bool(cause.name))
+    off = shifts**2 + np.where(counts, apart**2, 0.0)
     stderr = np.sqrt(stderr**2 + off)
     subject, amount, unit = _subject(case, cause)
     part = 0.0

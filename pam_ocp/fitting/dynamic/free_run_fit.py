@@ -170,7 +170,8 @@ def fit_free_run(
     bounds : {free parameter: (low, high)}, within those of its variable.
     begin_short : whether horizons grow; by default where runs of more than 16 samples go astray at
         the plant's values.
-    evaluations : of all runs with their derivatives, at most. Other arguments as for
+    evaluations : of all runs with their derivatives, at most; those of shorter horizons count by
+        their samples. Other arguments as for
         :func:`free_run`. Where a record does not say how its inputs ran between samples, both ways
         are fitted and the likelier counts.
     progress : True prints each step; a function is called as progress(stage, evaluations, cost).
@@ -294,11 +295,14 @@ class _Search:
     ) -> tuple[float, Descent]:
         """Horizon by horizon; the search over the full ones has what evaluations are left."""
         u, spent, guess, before = self.unknowns, 0, z, rollout.cost(z)
+        cost = 0.0  # of the evaluations, in those of the full horizon
         for h in self._stages(rollout, z, before):
             part = self._shorter(records, h)
             if spent == 0:
                 _require_sense(part, z, u)
             found = self._search(part, z, f"{h:g} s", spent, max(self.evaluations // 6, 2))
+            share = part.runs.length.sum() / rollout.runs.length.sum()
+            cost += share * (found.evaluations - spent)
             spent, z = found.evaluations, found.z
             if found.timed:
                 return before, found
@@ -306,7 +310,7 @@ class _Search:
             _require_sense(rollout, z, u)
         elif not rollout.cost(z) < before:
             z = guess  # short runs say little of what takes long
-        budget = max(self.evaluations - spent, 1)
+        budget = max(self.evaluations - int(np.ceil(cost)), 1)
         return before, self._search(rollout, z, "full horizon", spent, budget)
 
     def _not_worse(

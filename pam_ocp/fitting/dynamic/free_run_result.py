@@ -19,7 +19,7 @@ from ...core.trajectory import Trajectory
 from ...plants.plant import Plant
 from ..static.report import coefficient_line
 from ..statistics import Array, Coefficient, student_t
-from .adequacy import Adequacy, adequacy_of
+from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .descent import descend
 from .evidence import evidence_of
 from .experiment import recorded
@@ -99,6 +99,14 @@ class FreeRunFit:
             begin = np.where(edge, u.guess, self.z)
             evidence = evidence_of(self.plant, known, names, u, self.rig, begin)
         own = {n: c.stderr for n, c in self.spread.coefficients.items()}
+        if evidence is None and self._whole:
+            runs = self.training
+            seen = [~np.isnan(m).any(axis=1) for m in runs.measured]
+            errors, measured = (
+                [a[s] for a, s in zip(part, seen, strict=True)]
+                for part in (runs.measured - runs.predicted, runs.measured)
+            )
+            return residual_adequacy(names, errors, measured, len(self.z), own)
         given = None if self._whole else own
         return adequacy_of(evidence, 1 / spreads(self.plant, names, self.training.measured), given)
 

@@ -27,8 +27,7 @@ def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFi
     solution, sigma, plant, u = estimate.solution, estimate.sigma, task.plant, task.unknowns
     names = head_names(task, delay_free)
     count = len(names) - len(task.experiments) * len(plant.states)
-    linearisation, at_bound = _linearised(task, estimate, names, count)
-    values = linearisation.values
+    values = _values(task, estimate)
     first = len(u.groups)
     fitted = plant.with_values(
         {
@@ -46,8 +45,6 @@ def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFi
     nominal = np.array([plant.variable(n).nominal for n in u.names])
     sizes = np.cumsum([len(e.t) for e in task.experiments])[:-1]
     residuals = tuple(np.split(solution.residuals * nominal, sizes))
-    # of a smoothed motion the residuals are smaller than the noise, which is given then
-    scatter = sigma if u.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
     simulated = (
         _smoothed(task, residuals)
         if u.process
@@ -56,6 +53,17 @@ def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFi
             for e, s in zip(_corrected(task, solution.jumps), starts, strict=True)
         )
     )
+    if solution.timed and not u.process:
+        # the states of a search that did not end need not move as the plant does
+        residuals = tuple(
+            e.record.array(u.names)[-len(e.t) :] - s.array(u.names)
+            for e, s in zip(task.experiments, simulated, strict=True)
+        )
+        solution = replace(solution, residuals=np.concatenate(residuals) / nominal)
+    # of a smoothed motion the residuals are smaller than the noise, which is given then
+    scatter = sigma if u.process else np.sqrt(np.mean(solution.residuals**2, axis=0))
+    ended = replace(estimate, solution=solution)
+    linearisation, at_bound = _linearised(task, ended, values, names, count)
     return PlantFit(
         plant=fitted,
         records=tuple(e.record for e in task.experiments),
@@ -83,8 +91,16 @@ def outcome(task: FitTask, estimate: PlantEstimate, delay_free: bool) -> PlantFi
     )
 
 
+def _values(task: FitTask, estimate: PlantEstimate) -> Array:
+    """Of all unknowns but the states along the records."""
+    values = estimate.solution.w[: estimate.program.head] * estimate.program.head_scale
+    first = len(task.unknowns.groups)
+    values[first : first + len(task.unknowns.gains)] += 1.0
+    return np.asarray(values)
+
+
 def _linearised(
-    task: FitTask, estimate: PlantEstimate, names: Sequence[str], count: int
+    task: FitTask, estimate: PlantEstimate, values: Array, names: Sequence[str], count: int
 ) -> tuple[Linearisation, tuple[str, ...]]:
     """The unknowns with their statistics, and which of them ended at a bound.
 
@@ -93,9 +109,7 @@ def _linearised(
     solution, program, sigma = estimate.solution, estimate.program, estimate.sigma
     plant, u = task.plant, task.unknowns
     jacobian = reduced_jacobian(program, 1 / sigma, solution.w)
-    values = solution.w[: program.head] * program.head_scale
     first = len(u.groups)
-    values[first : first + len(u.gains)] += 1.0
     units = [g.unit for g in u.groups] + ["1"] * len(u.gains)
     units += [plant.variable(u.names[i]).unit for i in u.offsets]
     units += ["s"] * (count - len(units))  # a free delay

@@ -20,9 +20,10 @@ from ...plants.plant import Plant
 from ...simulation.compare import RecordComparison, compare_with_record
 from ..static.correlation import neighbours, widening
 from ..statistics import Array, Coefficient, Linearisation, coefficient_frame, student_t
-from .adequacy import Adequacy, adequacy_of
+from .adequacy import Adequacy, adequacy_of, residual_adequacy
 from .evidence import Evidence, evidence_of
 from .experiment import groups
+from .gauss_newton import DONE
 from .rig import Rig, unknowns_of
 from .transcribe import FitMethod
 
@@ -39,6 +40,8 @@ ACCURATE = 0.02
 """
 FOLLOWED = 1.5
 """Times the fit's own residuals that those of the motions which are tested may be."""
+BEHIND = 0.95
+"""The same, from which on the fit is not where motions through the records are nearest to them."""
 COLOURED = 0.3
 """Correlation of neighbouring residuals from which intervals are called too narrow."""
 
@@ -103,11 +106,33 @@ class PlantFit:
     @cached_property
     def adequacy(self) -> Adequacy:
         """What the residuals of one motion through each record tell about the model; see
-        :class:`Adequacy`. Of a smoothed motion, of inputs with errors, of records that are not
-        sampled at equal steps, or of memories whose kinks need a simulation nothing is tested.
+        :class:`Adequacy`. Of a smoothed motion or of inputs with errors nothing is tested; of
+        records that are not sampled at equal steps, or memories whose kinks need a simulation, only
+        whether the fit's residuals are the records' noise.
         """
         if self.process_noise or self.input_noise or not self.records:
             return Adequacy()
+        evidence, apart = self._evidence(), {}
+        if evidence is not None:
+            strays = _strays(evidence, np.array([self.rmse[n] for n in self.measured]))
+            weights = 1 / np.array([self.noise[n] for n in self.measured])
+            found = adequacy_of(evidence, weights) if strays < FOLLOWED else Adequacy()
+            if found.cause or (strays < FOLLOWED and (strays > BEHIND or self.status not in DONE)):
+                return found
+            moved = np.abs(evidence.shifts * evidence.scale).tolist()
+            apart = dict(zip(evidence.names, moved, strict=True))
+        return self._by_residuals(apart)
+
+    def _by_residuals(self, apart: Mapping[str, float]) -> Adequacy:
+        rows = zip(self.records, self.residuals, strict=True)
+        measured = [r.array(self.measured)[-len(e) :] for r, e in rows]
+        linear = self.linearisation
+        stderr = dict(zip(linear.names, linear.stderr().tolist(), strict=True))
+        lost = len(linear.names)
+        return residual_adequacy(self.measured, self.residuals, measured, lost, stderr, apart)
+
+    def _evidence(self) -> Evidence | None:
+        """Motions through the records from the fit's values."""
         linear, names = self.linearisation, list(self.measured)
         found = dict(zip(linear.names, linear.values, strict=True))
         free_delay = "delay" in self.parameters
@@ -130,19 +155,18 @@ class PlantFit:
             _complete(r if r.interpolation_known else r.running(self.interpolation), self.inputs)
             for r in self.records
         ]
-        evidence = evidence_of(self.plant, records, names, unknowns, rig, z)
-        if evidence is None or _strays(evidence, np.array([self.rmse[n] for n in names])):
-            return Adequacy()
-        return adequacy_of(evidence, 1 / np.array([self.noise[n] for n in names]))
+        return evidence_of(self.plant, records, names, unknowns, rig, z)
 
     @cached_property
     def coefficients(self) -> dict[str, Coefficient]:
         """Every unknown but the initial states, by name; standard errors with autocorrelated
-        residuals counted, and where the model is inadequate, with what that may shift.
+        residuals counted, and where the model is inadequate or the search did not end, with what
+        that may shift.
         """
         linear = self.linearisation
         a = self.adequacy
-        told = {n: e for n, e in a.stderr.items() if not (a.adequate or n in self.at_bound)}
+        plain = a.adequate and self.status in DONE
+        told = {n: e for n, e in a.stderr.items() if not (plain or n in self.at_bound)}
         rows = zip(linear.names, linear.values, linear.stderr(), linear.units, strict=True)
         return {
             n: Coefficient(
@@ -249,7 +273,7 @@ class PlantFit:
     def warnings(self) -> tuple[str, ...]:
         """What to know before the parameters are trusted; empty when there is nothing."""
         found = []
-        if self.status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
+        if self.status not in DONE:
             found.append(
                 f"the search did not come to its end ({self.status} after {self.iterations} "
                 "iterations): these are the best values until then"
@@ -323,13 +347,14 @@ class PlantFit:
         return f"PlantFit({self.plant.name!r}: {shown})"
 
 
-def _strays(evidence: Evidence, rmse: Array) -> bool:
-    """Whether motions with free starts meet the records worse than the fit did: then the steps of
-    their integration do not follow the plant (a memory, a play), and say nothing of the model.
+def _strays(evidence: Evidence, rmse: Array) -> float:
+    """How large residuals of motions with free starts are in those of the fit. Where they are
+    larger, the steps of their integration do not follow the plant (a memory, a play), and say
+    nothing of the model; where they are smaller, they say nothing of the fit.
     """
     every = np.concatenate([m.error for m in evidence.motions])
     ratio = np.sqrt(np.mean(every**2, axis=0)) / np.maximum(rmse, 1e-300)
-    return bool(np.exp(np.mean(np.log(np.maximum(ratio, 1e-300)))) > FOLLOWED)
+    return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-300)))))
 
 
 def _complete(record: Trajectory, inputs: Mapping[str, float]) -> Trajectory:
