@@ -2,6 +2,8 @@
 stop.
 """
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -341,3 +343,41 @@ def test_what_only_pushes_beyond_a_dead_band_is_led_to_rest(spring):
     plan = pam.plan(plant, [{"x": 0.0}, {"x": 0.1}], duration=1.5, minimise="effort")
     assert plan.verified
     assert accelerations_at_the_ends(plan, "v") == pytest.approx([0.0, 0.0], abs=1e-2)
+
+
+@pytest.mark.parametrize("minimise", ["effort", "air"])
+def test_what_has_slid_under_pressure_begins_at_the_envelope_of_that_pressure(minimise):
+    """Dry friction (1 + per_pressure p) F0: a falling pressure lets go what it does not hold, so
+    the state, in units of the widest envelope, is at (1 + per_pressure p)/(1 + per_pressure most).
+    """
+    per_pressure, most = 1.5e-6, 6e5
+    slip = pam.losses.MaxwellSlip((4.0, 3.0), (0.003, 0.01), per_pressure=per_pressure)
+    muscle = pam.muscle("DMSP-20-400N")
+    feed = pam.feeds.SpoolValve() if minimise == "air" else pam.feeds.Regulator()
+    plant = pam.HangingLoad(muscle, 12.0, losses=slip, feed=feed)
+    assert plant.variable("muscle.pressure").max == pytest.approx(most)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pam.PlanWarning)  # pressures are given where air counts
+        plan = pam.plan(
+            plant, [{"x": 0.02}, {"x": 0.035}], duration=0.8, minimise=minimise, memory="above"
+        )
+    assert plan.verified
+    begin = plan.trajectory
+    share = (1 + per_pressure * begin["muscle.pressure"][0]) / (1 + per_pressure * most)
+    assert share < 0.8
+    for name in ("muscle.slip1", "muscle.slip2"):
+        # rounded, it gives up or keeps a little
+        assert -1.03 * share <= begin[name][0] <= -0.95 * share
+
+
+def test_a_pair_that_chooses_its_pressures_begins_at_their_envelopes():
+    slip = pam.losses.MaxwellSlip((4.0,), (0.003,), per_pressure=1.5e-6)
+    plant = pam.AntagonisticSlide("DMSP-20-400N", 3.0, losses=slip, feed=pam.feeds.Regulator())
+    most = plant.variable("muscle1.pressure").max
+    wish = {"duration": 0.6, "minimise": "effort", "memory": "below"}
+    plan = pam.plan(plant, [{"x": -0.008}, {"x": 0.01}], **wish)
+    assert plan.verified
+    for k in (1, 2):
+        pressure = plan.trajectory[f"muscle{k}.pressure"][0]
+        share = (1 + 1.5e-6 * pressure) / (1 + 1.5e-6 * most)
+        assert 0.95 * share <= abs(plan.trajectory[f"muscle{k}.slip1"][0]) <= 1.03 * share

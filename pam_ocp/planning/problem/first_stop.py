@@ -24,6 +24,10 @@ from .problem import Condition, Problem, Range
 __all__ = ["left_by_the_past", "settled_before", "with_given_pressures"]
 
 
+ROUNDS = 10
+"""From a pressure to memories at their envelopes to the pressure there, at most."""
+
+
 def left_by_the_past(
     plant: Plant, statement: Statement, first: Stop, bounds: Mapping[str, Range]
 ) -> list[Condition]:
@@ -49,22 +53,59 @@ def left_by_the_past(
         kept = [n for n in held_names(plant) if n not in first.values]
         ranges = {n: (plant.variable(n).min, plant.variable(n).max) for n in kept}
         return conditions + [condition(n, "in its range", *ends) for n, ends in ranges.items()]
-    memory = _memory(plant, statement, first)
     left = {n: v for n, v in surroundings(plant).items() if n not in plant.copies}
-    memory |= {n: v for n, v in left.items() if n not in first.values}
-    conditions += [condition(n, "held", value, value) for n, value in memory.items()]
+    left = {n: v for n, v in left.items() if n not in first.values}
+    conditions += [condition(n, "held", value, value) for n, value in left.items()]
+    memory = _slid(plant, statement, first)
+    for n, value in memory.items():
+        variable, expression = subject(plant, n)
+        label, off = f"stop 1: {n} held", expression - value
+        conditions.append(Condition(label, off, 0.0, 0.0, variable.nominal, variable))
     if first.rest:
         return conditions
-    settled = [n for n in settled_names(plant) if n not in {*first.values, *memory}]
+    settled = [n for n in settled_names(plant) if n not in {*first.values, *memory, *left}]
     return conditions + [condition(f"der({n})", "settled", 0.0, 0.0) for n in settled]
 
 
-def _memory(plant: Plant, statement: Statement, first: Stop) -> dict[str, float]:
-    """What held memories hold at the first stop, but for those that it names."""
+def _memory(
+    plant: Plant, statement: Statement, first: Stop, x: NDArray[np.float64] | None = None
+) -> dict[str, float]:
+    """What held memories hold at the first stop, but for those that it names, with the states x (by
+    default what it names, and start values).
+    """
     memory = {n: v for n, v in held(plant, statement.memory).items() if n not in first.values}
     if isinstance(statement.memory, Mapping):
         return memory
-    return at_rest(plant, _named_states(plant, first), memory)
+    return at_rest(plant, _named_states(plant, first) if x is None else x, memory)
+
+
+def _slid(plant: Plant, statement: Statement, first: Stop) -> dict[str, ca.SX]:
+    """The same as expressions: envelopes that are wider under pressure are lines in it."""
+    x = _named_states(plant, first)
+    memory = _memory(plant, statement, first)
+    found = {n: ca.SX(value) for n, value in memory.items()}
+    if isinstance(statement.memory, Mapping):
+        return found
+    places = {n for q in plant.resting() for n in (q.name, *q.velocities)}
+    passive = {*places, *held_names(plant), *first.values}
+    rates = ca.vertcat(*(plant.expression(f"der({n})") for n in memory))
+    depends = ca.which_depends(rates, plant.x, 1, False) if memory else []
+    for i, (v, widens) in enumerate(zip(plant.states, depends, strict=False)):
+        if not widens or v.name in passive or not np.isfinite(v.max - v.min):
+            continue
+        quarters = v.min + (v.max - v.min) * np.array([0.25, 0.75])
+        ends = []
+        for level in quarters:
+            beside = np.array(x)
+            beside[i] = level
+            ends.append(_memory(plant, statement, first, beside))
+        for n in memory:
+            slope = float((ends[1][n] - ends[0][n]) / (quarters[1] - quarters[0]))
+            if slope:  # at x, a start value, nothing may lie beyond its envelope
+                found[n] += ends[0][n] - memory[n] + slope * (plant.x[i] - float(quarters[0]))
+    for n, line in found.items():
+        found[n] = ca.fmin(ca.fmax(line, plant.variable(n).min), plant.variable(n).max)
+    return found
 
 
 def _named_states(plant: Plant, stop: Stop) -> NDArray[np.float64]:
@@ -115,9 +156,13 @@ def with_given_pressures(
     symbols = ca.vertcat(*(plant.expression(n) for n in free))
     if not free or ca.depends_on(spoken, symbols):
         return problem
-    x = rest_point(problem, problem.stops[0] | _memory(plant, statement, first))
-    if x is None:
-        return problem
+    x = None
+    for _ in range(ROUNDS):
+        before, x = x, rest_point(problem, problem.stops[0] | _memory(plant, statement, first, x))
+        if x is None:
+            return problem
+        if before is not None and np.allclose(x, before, rtol=1e-9):
+            break
     values = {v.name: float(x[i]) for i, v in enumerate(plant.states) if v.name in free}
     shown = ", ".join(f"{n} = {plant.variable(n).shown(value)}" for n, value in values.items())
     warnings.warn(
