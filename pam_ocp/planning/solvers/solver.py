@@ -41,7 +41,7 @@ LOG = logging.getLogger(__name__)
 Array: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = "Callable[[int, float, float], None] | bool"
 
-FAR, NEAR_BY = (3e6, 250, 1500), (1e6, 30)
+FAR, NEAR_BY = (3e6, 250, 800), (1e6, 30)
 """Iterations times unknowns of one solve, iterations at least and at most: from far away (hundreds
 are worth it there), and where a motion is there already whose costs are all that is left to gain.
 """
