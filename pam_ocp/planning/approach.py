@@ -7,7 +7,6 @@ motion is resolved before each step, most steps take some ten.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -25,7 +24,7 @@ from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, rounded_at
 from .solvers.solver import Outcome
 from .transcription.guess import from_solution
-from .transcription.mesh import Mesh, refined
+from .transcription.mesh import doubled_at_most
 from .transcription.solution import unpack
 from .transcription.transcription import Program, transcribe
 
@@ -43,26 +42,14 @@ at least before it is given up.
 """
 FASTER, SLOWER = 1.4, 0.4
 """Of these parts, after a step that led to a solution, and after one that did not."""
-REFINEMENTS, GROWTH = 6, 2.0
-"""At each place, at most; and times as many points in each."""
+REFINEMENTS = 6
+"""At each place, at most."""
 NEAR_ENOUGH = 0.5
 """Part of the path from which on its motions differ so little from those at its end that inputs
 need little change to land these.
 """
 EFFORT = 1.2e7
 """Iterations times unknowns of the way, at most: a minute or so."""
-
-
-def _finer(mesh: Mesh, errors: Sequence[float]) -> Mesh:
-    """A mesh that resolves the motion, or one of at most ``GROWTH`` times as many points, finer
-    where errors are the largest.
-    """
-    allowed, most = RESOLVED / len(errors), GROWTH * sum(i.degree for i in mesh.intervals)
-    finer = refined(mesh, errors, allowed, True)
-    while sum(i.degree for i in finer.intervals) > most:
-        allowed *= 4.0
-        finer = refined(mesh, errors, allowed, True)
-    return finer
 
 
 def resolvable(program: Program) -> bool:
@@ -124,7 +111,7 @@ class Approach:
             mesh, solution = self._here.program.mesh, self._here.solution
             plant = chosen_plant(self._here.program.problem, solution)
             errors = interval_errors(plant, mesh, solution)
-            finer = _finer(mesh, errors)
+            finer = doubled_at_most(mesh, errors, RESOLVED / len(errors), True)
             if sum(errors) <= RESOLVED or finer == mesh or self._effort > EFFORT:
                 return
             run = Run(transcribe(problem, finer), self.backend)

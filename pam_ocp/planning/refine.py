@@ -24,7 +24,7 @@ from .solvers.backend import Backend
 from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks
 from .solvers.solver import SETTLED
-from .transcription.mesh import Mesh, halved, held, refined, watched
+from .transcription.mesh import Mesh, doubled_at_most, halved, held, refined, watched
 from .transcription.solution import unpack
 from .transcription.transcription import transcribe
 
@@ -292,7 +292,7 @@ class Refinement:
         # errors of intervals add up, and may grow along the motion; stops may see more of them
         growth = max(1.0, worst / sum(errors)) if np.isfinite(worst) and sum(errors) > 0 else 1.0
         allowed = self.tolerance / len(errors) / growth
-        return [refined(mesh, errors, allowed, kinks), *by_limits]
+        return [doubled_at_most(mesh, errors, allowed, kinks), *by_limits]
 
 
 def _missed(current: Checked) -> float:

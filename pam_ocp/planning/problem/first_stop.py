@@ -24,8 +24,10 @@ from .problem import Condition, Problem, Range
 __all__ = ["left_by_the_past", "settled_before", "with_given_pressures"]
 
 
-ROUNDS = 10
-"""From a pressure to memories at their envelopes to the pressure there, at most."""
+ROUNDS, SAME = 10, 1e-6
+"""From a pressure to memories at their envelopes to the pressure there, at most, and until these
+change by less [nominal].
+"""
 
 
 def left_by_the_past(
@@ -136,6 +138,22 @@ def settled_before(plant: Plant, first: Stop, positions: tuple[Position, ...]) -
     ]
 
 
+def _rest_at(problem: Problem, statement: Statement, first: Stop) -> NDArray[np.float64] | None:
+    """Rest at the first stop, with memories at the envelopes of its pressures; None where none is
+    found.
+    """
+    plant, x = problem.plant, None
+    memory = _memory(plant, statement, first)
+    for _ in range(ROUNDS):
+        x = rest_point(problem, problem.stops[0] | memory)
+        if x is None:
+            break
+        before, memory = memory, _memory(plant, statement, first, x)
+        if all(abs(memory[n] - before[n]) <= SAME * plant.variable(n).nominal for n in memory):
+            break
+    return x
+
+
 def with_given_pressures(
     problem: Problem, statement: Statement, first: Stop, positions: tuple[Position, ...]
 ) -> Problem:
@@ -156,13 +174,9 @@ def with_given_pressures(
     symbols = ca.vertcat(*(plant.expression(n) for n in free))
     if not free or ca.depends_on(spoken, symbols):
         return problem
-    x = None
-    for _ in range(ROUNDS):
-        before, x = x, rest_point(problem, problem.stops[0] | _memory(plant, statement, first, x))
-        if x is None:
-            return problem
-        if before is not None and np.allclose(x, before, rtol=1e-9):
-            break
+    x = _rest_at(problem, statement, first)
+    if x is None:
+        return problem
     values = {v.name: float(x[i]) for i, v in enumerate(plant.states) if v.name in free}
     shown = ", ".join(f"{n} = {plant.variable(n).shown(value)}" for n, value in values.items())
     warnings.warn(

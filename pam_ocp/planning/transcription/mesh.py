@@ -25,6 +25,7 @@ __all__ = [
     "Shooting",
     "coarsened",
     "doubled",
+    "doubled_at_most",
     "halved",
     "held",
     "merged",
@@ -397,3 +398,17 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool =
             parted = interval.split(parts, interval.degree if shooting else low, joined)
             intervals += [replace(part, raised=interval.raised) for part in parted]
     return Mesh(tuple(intervals), mesh.form)
+
+
+def doubled_at_most(
+    mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool = False
+) -> Mesh:
+    """The same for a tolerance that leaves the mesh at most twice as many points: finer where
+    errors are the largest. What is far finer at once has other optima, or too many unknowns.
+    """
+    most = 2 * sum(i.degree for i in mesh.intervals)
+    finer = refined(mesh, errors, tolerance, kinks)
+    while sum(i.degree for i in finer.intervals) > most:
+        tolerance *= 4.0
+        finer = refined(mesh, errors, tolerance, kinks)
+    return finer
