@@ -59,6 +59,8 @@ CORRECTIONS = 4
 LEFT = 0.5
 NEARLY = 10.0
 """Tolerances that a motion with kinks may miss, to be landed before its mesh is solved again."""
+POINTS = 1000
+"""Of a mesh, up to which one that is more than twice as fine is solved at once."""
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is slow to solve."""
 
@@ -292,7 +294,7 @@ class Refinement:
         # errors of intervals add up, and may grow along the motion; stops may see more of them
         growth = max(1.0, worst / sum(errors)) if np.isfinite(worst) and sum(errors) > 0 else 1.0
         allowed = self.tolerance / len(errors) / growth
-        return [doubled_at_most(mesh, errors, allowed, kinks), *by_limits]
+        return [doubled_at_most(mesh, errors, allowed, kinks, POINTS), *by_limits]
 
 
 def _missed(current: Checked) -> float:

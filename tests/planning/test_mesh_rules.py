@@ -8,7 +8,16 @@ import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
 from pam_ocp.planning.checked import checked
 from pam_ocp.planning.run import Run
-from pam_ocp.planning.transcription.mesh import Form, Interval, Mesh, halved, held, refined, watched
+from pam_ocp.planning.transcription.mesh import (
+    Form,
+    Interval,
+    Mesh,
+    doubled_at_most,
+    halved,
+    held,
+    refined,
+    watched,
+)
 from pam_ocp.planning.transcription.transcription import transcribe
 
 
@@ -217,3 +226,23 @@ def test_a_mesh_that_is_finer_for_states_only_has_the_same_optimum_where_states_
     t = np.linspace(0.0, 1.0, 50)
     assert fine.solution.inputs(t) == pytest.approx(coarse.solution.inputs(t), abs=1e-5)
     assert checked(fine).replay.objective == pytest.approx(fine.outcome.objective, rel=1e-6)
+
+
+def test_a_mesh_that_grows_at_most_twofold_is_finer_where_errors_are_largest():
+    mesh = Collocation(12, 3, control="constant").mesh(1)
+    errors = 10.0 ** np.random.default_rng(3).uniform(-6, 2, 12)
+    points = [sum(i.degree for i in m.intervals) for m in (mesh, refined(mesh, errors, 1e-7))]
+    assert points[1] > 2 * points[0]
+    grown = doubled_at_most(mesh, errors, 1e-7)
+    assert points[0] < sum(i.degree for i in grown.intervals) <= 2 * points[0]
+    ends = np.cumsum([i.fraction for i in mesh.intervals])
+    places = np.cumsum([i.fraction for i in grown.intervals])
+    share = np.bincount(
+        np.searchsorted(ends + 1e-9, places), [i.degree for i in grown.intervals], 12
+    )
+    rank = np.argsort(errors)
+    assert share[rank[-1]] > 3
+    assert share[rank[0]] == 3
+    assert doubled_at_most(mesh, errors, 1e2 * errors.max()) == mesh
+    lost = doubled_at_most(mesh, np.full(12, np.inf), 1e-7)  # nothing is known of the motion
+    assert sum(i.degree for i in lost.intervals) <= 2 * points[0]

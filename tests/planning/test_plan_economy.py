@@ -1,5 +1,7 @@
 """Economical motions: work is counted exactly where it is positive, and its least is found."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -93,6 +95,9 @@ def test_the_gradients_inside_the_intervals_tell_what_finer_meshes_gain(plant, s
     gained = coarse.objective - fine.objective
     assert gained > 0
     assert 0.5 * gained < gains(coarse._solved).sum() < 2 * gained
+    outcome = coarse._solved.outcome
+    unknown = replace(outcome, lam_g=0.0 * outcome.lam_g)  # brought back to the constraints alone
+    assert gains(replace(coarse._solved, outcome=unknown)) is None
 
 
 @pytest.mark.parametrize("cyclic", [False, True])

@@ -115,7 +115,7 @@ def test_what_does_not_settle_has_failed(monkeypatch):
         found, status="Maximum_Iterations_Exceeded", success=False, log=(*found.log, last)
     )
     assert astray.wandered
-    steep = {**last, "inf_du": 2e-6}
+    steep = {**last, "inf_du": 2 * WANDERING["acceptable_dual_inf_tol"]}
     assert not replace(astray, log=(steep,)).wandered
     assert not found.wandered or found.status == "Solved_To_Acceptable_Level"
     settled = solver.settled(program, astray)

@@ -8,7 +8,6 @@ __all__ = [
     "BARRIER_OF_TIME",
     "DAMPED",
     "DEFAULTS",
-    "LAST",
     "STARTS",
     "WANDERING",
     "Start",
@@ -76,7 +75,7 @@ DASH: dict[str, Any] = {**NEAR, "max_iter": 150}
 WANDERING: dict[str, Any] = {
     "acceptable_iter": 15,
     "acceptable_tol": 1e-2,
-    "acceptable_dual_inf_tol": 1e-3,
+    "acceptable_dual_inf_tol": 1e-6,
     "acceptable_constr_viol_tol": 1e-2,
     "acceptable_compl_inf_tol": 1e-8,
     "acceptable_obj_change_tol": 1e-7,
@@ -110,12 +109,7 @@ not be the least there, and where they are flat a solver goes on for hundreds of
 ALONG: dict[str, Any] = {**WARM, **PLACE}
 """From one place of a path to the next on the same mesh, by its multipliers."""
 
-LAST: dict[str, Any] = {
-    **WANDERING,
-    **WARM,
-    "acceptable_dual_inf_tol": 1e-6,
-    "max_iter": 150,
-}
+LAST: dict[str, Any] = {**WANDERING, **WARM, "max_iter": 150}
 """To the end of a path: the same, and costs are at their least."""
 
 BETWEEN: dict[str, Any] = {**NEAR, **PLACE}

@@ -25,7 +25,6 @@ from .ipopt_options import (
     BARRIER_OF_TIME,
     DAMPED,
     DEFAULTS,
-    LAST,
     STARTS,
     WANDERING,
     Start,
@@ -131,7 +130,7 @@ class Outcome:
     @property
     def wandered(self) -> bool:
         """Whether it ended at an optimum that is no one place; see ``WANDERING``."""
-        slope, violation = LAST["acceptable_dual_inf_tol"], WANDERING["acceptable_constr_viol_tol"]
+        slope, violation = (WANDERING[f"acceptable_{n}_tol"] for n in ("dual_inf", "constr_viol"))
         late, blocked = self.within(slope, violation), self.within(slope, LITTLE, ENDED_BLOCKED)
         return self.status == ACCEPTABLE or late or blocked
 

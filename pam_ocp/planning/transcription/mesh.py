@@ -401,12 +401,13 @@ def refined(mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool =
 
 
 def doubled_at_most(
-    mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool = False
+    mesh: Mesh, errors: Sequence[float], tolerance: float, kinks: bool = False, points: int = 0
 ) -> Mesh:
-    """The same for a tolerance that leaves the mesh at most twice as many points: finer where
-    errors are the largest. What is far finer at once has other optima, or too many unknowns.
+    """The same for a tolerance that leaves the mesh at most twice as many points, or ``points``:
+    finer where errors are the largest. What is far finer at once has other optima, or too many
+    unknowns.
     """
-    most = 2 * sum(i.degree for i in mesh.intervals)
+    most = max(points, 2 * sum(i.degree for i in mesh.intervals))
     finer = refined(mesh, errors, tolerance, kinks)
     while sum(i.degree for i in finer.intervals) > most:
         tolerance *= 4.0
