@@ -12,7 +12,7 @@ from conftest import hardening_cart as cart
 
 import pam_ocp as pam
 from pam_ocp import Collocation, InputError, Shooting
-from pam_ocp.planning.solvers.solver import Ipopt
+from pam_ocp.planning.solvers.solver import Ipopt, Outcome
 from pam_ocp.planning.transcription.derivatives import derivatives
 from pam_ocp.planning.transcription.guess import by_stops
 from pam_ocp.planning.transcription.stage_order import stage_ordered
@@ -315,6 +315,13 @@ def test_without_a_compiler_the_message_says_what_to_do(cache, monkeypatch):
             planner("radau", compiled=True)
     finally:
         fmu_compile._compiler.cache_clear()
+
+
+def test_what_ipopt_refuses_has_taken_no_iterations():
+    """CasADi leaves any number in ``iter_count`` then, which ended refinements by chance."""
+    arrays = dict.fromkeys(("x", "f", "lam_g", "lam_x"), np.zeros(1))
+    stats = {"return_status": "Not_Enough_Degrees_Of_Freedom", "success": False, "iterations": {}}
+    assert Outcome.of(arrays, {**stats, "iter_count": 282635696}, 0.0).iterations == 0
 
 
 # ---- warm starts --------------------------------------------------------------------------------

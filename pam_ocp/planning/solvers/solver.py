@@ -115,16 +115,17 @@ class Outcome:
     @classmethod
     def of(cls, arrays: Mapping[str, Array], stats: Mapping[str, Any], seconds: float) -> Outcome:
         """From what CasADi's interface to IPOPT gives."""
+        log = _log(stats.get("iterations") or {})
         return cls(
             arrays["x"],
             float(arrays["f"][0]),
             str(stats["return_status"]),
             bool(stats["success"]),
-            int(stats["iter_count"]),
+            int(stats["iter_count"]) if log else 0,  # of what IPOPT refuses it is any number
             seconds,
             arrays["lam_g"],
             arrays["lam_x"],
-            _log(stats.get("iterations") or {}),
+            log,
         )
 
     @property
