@@ -61,6 +61,8 @@ NEARLY = 10.0
 """Tolerances that a motion with kinks may miss, to be landed before its mesh is solved again."""
 POINTS = 1000
 """Of a mesh, up to which one that is more than twice as fine is solved at once."""
+HARDLY = 1.25
+"""Times as many unknowns, at most, for which costs that are flat are not looked at again."""
 MORE_INTERVALS = 300
 """Refinement ends before it adds more: a mesh that grows so is slow to solve."""
 
@@ -79,6 +81,8 @@ class Refinement:
         self.corrects = self.kinks or first.found.program.problem.objective.economical
         self.meshes = [first.found.program.mesh]
         self.iterations = 0
+        self._sought = len(first.found.outcome.w)
+        """Unknowns of the last mesh on which costs were looked at."""
         self.warning = ""
         # where costs are flat (with kinks they are) what a correction shifts is brought back
         flat = self.kinks or self.first.outcome.status == SETTLED
@@ -261,10 +265,12 @@ class Refinement:
         if isinstance(coarse.program, Corrected) and _alike(mesh, coarse.program.mesh):
             program = corrected(program, coarse.solution) or program
         run = Run(program, self.backend)
-        if coarse.outcome.status == SETTLED:  # costs are flat
+        size = program.nlp["x"].numel()
+        if coarse.outcome.status == SETTLED and size <= HARDLY * self._sought:  # costs are flat
             found = run.beside(coarse)
             if found is not None:
                 return self._taken(found)
+        self._sought = size
         if directly:
             return self._taken(run.directly(coarse))
         return self._taken(run.refined(coarse, again=mesh.form.control != "polynomial"))

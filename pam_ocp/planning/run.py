@@ -34,8 +34,6 @@ REGULAR = 1e-3
 """Cost of the squared inputs, in nominals and times the weight of the time: a motion of an arm with
 four muscles is found in 130 iterations, where 300 without it end nowhere.
 """
-HARDLY = 1.25
-"""Times as many unknowns, at most: what a finer mesh gains then is not worth a search."""
 COARSER = (4, 2)
 """Intervals in one, where the mesh that was asked for led to nothing."""
 FROM_COARSER: tuple[Start, ...] = ("step", "cold", "adaptive")
@@ -68,12 +66,8 @@ class Run:
         return found if found.outcome.ended or not again else self.from_guess(guess)
 
     def beside(self, coarse: Solved) -> Solved | None:
-        """The motion next to that of a mesh with hardly fewer points, whatever it costs; None where
-        there is more than a little new, or none is next to it.
-        """
+        """The motion next to that of a coarser mesh, whatever it costs; None where none is."""
         guess = from_solution(self.program.problem, self.program.mesh, coarse.solution)
-        if len(guess) > HARDLY * len(coarse.outcome.w):
-            return None
         found = self._solution(self.solver(self.program, guess, "still"))
         return found if found.outcome.ended else None
 

@@ -69,45 +69,38 @@ def left_by_the_past(
     return conditions + [condition(f"der({n})", "settled", 0.0, 0.0) for n in settled]
 
 
-def _memory(
-    plant: Plant, statement: Statement, first: Stop, x: NDArray[np.float64] | None = None
-) -> dict[str, float]:
-    """What held memories hold at the first stop, but for those that it names, with the states x (by
-    default what it names, and start values).
+def _kept(plant: Plant, statement: Statement, first: Stop) -> dict[str, float]:
+    """What held memories hold at the first stop as the statement says, but for those that it names;
+    without envelopes.
     """
-    memory = {n: v for n, v in held(plant, statement.memory).items() if n not in first.values}
-    if isinstance(statement.memory, Mapping):
-        return memory
-    return at_rest(plant, _named_states(plant, first) if x is None else x, memory)
+    return {n: v for n, v in held(plant, statement.memory).items() if n not in first.values}
 
 
 def _slid(plant: Plant, statement: Statement, first: Stop) -> dict[str, ca.SX]:
-    """The same as expressions: envelopes that are wider under pressure are lines in it."""
+    """What they come to there: envelopes that are wider under pressure are lines in it."""
+    kept = _kept(plant, statement, first)
+    if isinstance(statement.memory, Mapping) or not kept:
+        return {n: ca.SX(value) for n, value in kept.items()}
     x = _named_states(plant, first)
-    memory = _memory(plant, statement, first)
+    memory = at_rest(plant, x, kept)
     found = {n: ca.SX(value) for n, value in memory.items()}
-    if isinstance(statement.memory, Mapping):
-        return found
     places = {n for q in plant.resting() for n in (q.name, *q.velocities)}
     passive = {*places, *held_names(plant), *first.values}
     rates = ca.vertcat(*(plant.expression(f"der({n})") for n in memory))
-    depends = ca.which_depends(rates, plant.x, 1, False) if memory else []
-    for i, (v, widens) in enumerate(zip(plant.states, depends, strict=False)):
-        if not widens or v.name in passive or not np.isfinite(v.max - v.min):
+    widens = ca.which_depends(rates, plant.x, 1, False)
+    for i, v in enumerate(plant.states):
+        if not widens[i] or v.name in passive or not np.isfinite(v.max - v.min):
             continue
-        quarters = v.min + (v.max - v.min) * np.array([0.25, 0.75])
-        ends = []
-        for level in quarters:
-            beside = np.array(x)
-            beside[i] = level
-            ends.append(_memory(plant, statement, first, beside))
+        quarters = [float(v.min + part * (v.max - v.min)) for part in (0.25, 0.75)]
+        low, high = (
+            at_rest(plant, np.where(np.arange(len(x)) == i, level, x), kept) for level in quarters
+        )
         for n in memory:
-            slope = float((ends[1][n] - ends[0][n]) / (quarters[1] - quarters[0]))
+            slope = float(high[n] - low[n]) / (quarters[1] - quarters[0])
             if slope:  # at x, a start value, nothing may lie beyond its envelope
-                found[n] += ends[0][n] - memory[n] + slope * (plant.x[i] - float(quarters[0]))
-    for n, line in found.items():
-        found[n] = ca.fmin(ca.fmax(line, plant.variable(n).min), plant.variable(n).max)
-    return found
+                found[n] += low[n] - memory[n] + slope * (plant.x[i] - quarters[0])
+    ends = {n: (plant.variable(n).min, plant.variable(n).max) for n in memory}
+    return {n: ca.fmin(ca.fmax(line, ends[n][0]), ends[n][1]) for n, line in found.items()}
 
 
 def _named_states(plant: Plant, stop: Stop) -> NDArray[np.float64]:
@@ -143,12 +136,14 @@ def _rest_at(problem: Problem, statement: Statement, first: Stop) -> NDArray[np.
     found.
     """
     plant, x = problem.plant, None
-    memory = _memory(plant, statement, first)
+    kept = _kept(plant, statement, first)
+    told = isinstance(statement.memory, Mapping)
+    memory = kept if told else at_rest(plant, _named_states(plant, first), kept)
     for _ in range(ROUNDS):
         x = rest_point(problem, problem.stops[0] | memory)
-        if x is None:
+        if x is None or told:
             break
-        before, memory = memory, _memory(plant, statement, first, x)
+        before, memory = memory, at_rest(plant, x, kept)
         if all(abs(memory[n] - before[n]) <= SAME * plant.variable(n).nominal for n in memory):
             break
     return x
