@@ -46,8 +46,7 @@ DEEPEST = 12
 EXACT = 5.0
 """Residuals below so many errors of the integration are not looked at: records without noise."""
 RESOLVED = 1e-5
-"""The same, in parts of what the variable ranges over: no sensor resolves that much, it is what a
-simulation or a file rounds."""
+"""The same, in parts of a variable's range: less is what a simulation or a file rounds."""
 
 
 @dataclass(frozen=True)
@@ -165,10 +164,9 @@ def _sentence(a: Adequacy) -> str:
         "model (force law, load, damping)",
         "coloured noise": f"the noise of {a.subject} is coloured (neighbouring residuals have a "
         f"correlation of {max(a.correlation.values(), default=0.0):.2f})",
-        "unknown": "what is missing looks like none of drift, friction, scale, lag or coloured "
-        "noise",
-        "not told": "of what cannot be told, as the fit is not where motions through the records "
-        "are nearest to them, or these cannot be followed",
+        "unknown": "something that looks like none of drift, friction, scale, lag, coloured noise",
+        "not told": "what is missing cannot be told, because motions through the records cannot be "
+        "followed, or are nearer to them than the fit is",
     }[a.cause]
     worst = max(a.noise, key=lambda n: a.rms[n] / max(a.noise[n], 1e-300))
     found = (
