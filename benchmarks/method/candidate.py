@@ -20,7 +20,7 @@ from pam_ocp.planning.result import Solved
 from pam_ocp.planning.solvers.backend import Backend, Solver
 from pam_ocp.planning.solvers.ipopt_options import Start
 from pam_ocp.planning.solvers.narrowing import rounded_at
-from pam_ocp.planning.solvers.solver import Outcome
+from pam_ocp.planning.solvers.solver import SETTLED, Outcome
 from pam_ocp.planning.transcription.guess import from_solution
 from pam_ocp.planning.transcription.mesh import Mesh
 from pam_ocp.planning.transcription.solution import unpack
@@ -31,6 +31,9 @@ __all__ = ["Candidate", "Engine", "Stage"]
 Array: TypeAlias = NDArray[np.float64]
 
 LOG = logging.getLogger(__name__)
+
+HARDLY = 1.25
+"""Times as many unknowns: a mesh so little finer has next to nothing to gain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +115,8 @@ class Engine:
         self.first, self.solver, self.backend, self.settings = first, solver, backend, settings
         self._near = backend.near()
         self.stages: list[Stage] = [] if stages is None else stages
+        self.sought = 0
+        """Unknowns of the mesh on which flat costs were last brought to their least."""
         self.work = 0.0
         """Iterations times unknowns."""
 
@@ -121,7 +126,7 @@ class Engine:
 
     def of(self, problem: Problem) -> Engine:
         """For the same problem in other inputs; its solves are written down here."""
-        from .transcription.transcription import transcribe
+        from pam_ocp.planning.transcription.transcription import transcribe
 
         first = transcribe(problem, self.first.mesh)
         return Engine(first, self._near.build(first), self.backend, self.settings, self.stages)
@@ -183,4 +188,12 @@ class Engine:
         """From the solution on another mesh."""
         program = self.program(mesh)
         guess = from_solution(program.problem, mesh, near.solution)
-        return self.solve(mesh, place, guess, "near", why)
+        start: Start = "near" if place == 1.0 else "between"
+        if place == 1.0 and near.outcome.status == SETTLED:
+            size = program.nlp["x"].numel()
+            if size <= HARDLY * self.sought:  # costs are flat: the motion next to it
+                found = self.solve(mesh, place, guess, "still", why)
+                if found.outcome.success:
+                    return found
+            self.sought, start = size, "finer"
+        return self.solve(mesh, place, guess, start, why)

@@ -83,6 +83,11 @@ def add_plan(commands: Any) -> None:
     add_allow_code(plan)
     plan.add_argument("--progress", action="store_true", help="show each iteration as it runs")
     plan.add_argument("--log", action="store_true", help="print the solver's iterations afterwards")
+    plan.add_argument(
+        "--explain",
+        action="store_true",
+        help="print what the search did, stage by stage: why, and how long it took",
+    )
     add_json(plan)
     plan.set_defaults(run=_plan)
 
@@ -107,12 +112,14 @@ def _plan(options: argparse.Namespace) -> int:
     except InputError as error:
         raise InputError(f"{options.problem}: {error}") from error
     except PlanError as error:
-        if options.log and error.plan is not None:
-            tell(options, _log(error.plan))
+        for asked, text in ((options.log, _log), (options.explain, _explained)):
+            if asked and error.plan is not None:
+                tell(options, text(error.plan))
         print(f"pam-ocp plan: {options.problem}: {error}", file=sys.stderr)
         return 1
-    if options.log:
-        tell(options, _log(found))
+    for asked, text in ((options.log, _log), (options.explain, _explained)):
+        if asked:
+            tell(options, text(found))
     tell(options, found, lambda: _data(found))
     for written in _written(found, options):
         wrote(options, written)
@@ -183,6 +190,10 @@ def _written(plan: Plan, options: argparse.Namespace) -> list[Path]:
 
         done.append(save_input_table(plan.trajectory, options.fmu_inputs))
     return done
+
+
+def _explained(plan: Plan) -> str:
+    return plan.explain()
 
 
 def _log(plan: Plan) -> str:

@@ -23,6 +23,7 @@ from .solvers.backend import Backend
 from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, rounded_at
 from .solvers.solver import Outcome
+from .stages import stage
 from .transcription.guess import from_solution
 from .transcription.mesh import doubled_at_most
 from .transcription.solution import unpack
@@ -85,7 +86,8 @@ class Approach:
             if step < LEAST or self._effort > EFFORT:
                 return None
             there = min(1.0, self._part + step)
-            found = self._onward(there)
+            with stage("smoothing", f"place {there:.2f} of the path"):
+                found = self._onward(there)
             if found.outcome.stopped:
                 return None
             if not found.outcome.success:
@@ -115,7 +117,9 @@ class Approach:
             if sum(errors) <= RESOLVED or finer == mesh or self._effort > EFFORT:
                 return
             run = Run(transcribe(problem, finer), self.backend)
-            found = self._on(run, self._part, from_solution(problem, finer, solution), "between")
+            guess = from_solution(problem, finer, solution)
+            with stage("smoothing", f"dynamics unresolved by {sum(errors):.1g}"):
+                found = self._on(run, self._part, guess, "between")
             if not found.outcome.success:
                 return
             self.run, self._here = run, found

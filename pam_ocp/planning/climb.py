@@ -21,6 +21,7 @@ from .run import Run
 from .sharpen import gains, sharpened
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks
+from .stages import stage
 from .transcription.mesh import Mesh, coarsened, doubled
 from .transcription.transcription import transcribe
 
@@ -138,7 +139,14 @@ class Climb:
         """
         problem = run.program.problem
         first = Run(transcribe(problem, meshes[0]), self.backend)
-        found = [each for each in search(first) if each.outcome.ended]
+        with stage("coarse meshes", "from few intervals to many"):
+            return self._climbed(search(first), run, meshes, partly)
+
+    def _climbed(
+        self, starts: list[Solved], run: Run, meshes: list[Mesh], partly: bool
+    ) -> list[Solved]:
+        problem = run.program.problem
+        found = [each for each in starts if each.outcome.ended]
         runs = [*(Run(transcribe(problem, mesh), self.backend) for mesh in meshes[1:]), run]
         top: list[Solved] = []
         last: list[Solved] = []
@@ -175,9 +183,10 @@ class Climb:
             if self.gap <= tolerance:
                 break
             mesh = sharpened(found.program.mesh, gained)
-            finer = self._on(mesh, found)
-            if finer is None and gained is not None and self.effort < EFFORT / 2:
-                finer = self._on(doubled(found.program.mesh), found)
+            with stage("objective", f"finer meshes may lower it by {100 * self.gap:.2g} %"):
+                finer = self._on(mesh, found)
+                if finer is None and gained is not None and self.effort < EFFORT / 2:
+                    finer = self._on(doubled(found.program.mesh), found)
             if finer is None:
                 break
             self.change = self._part(abs(finer.outcome.objective - found.outcome.objective), finer)

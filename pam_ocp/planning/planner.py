@@ -46,6 +46,7 @@ from .solvers.backend import KEPT, Backend, SolverName
 from .solvers.diagnosis import advice, explanation
 from .solvers.side_by_side import starts_on
 from .solvers.solver import Progress
+from .stages import Stage, as_data, recorded, stage
 from .starts import MOST
 from .transcription.mesh import Collocation, Method, Shooting
 from .transcription.transcription import Program, transcribe
@@ -301,6 +302,19 @@ class Planner:
         changed: Mapping[str, Any],
         time_limit: float | None,
     ) -> Plan:
+        with recorded() as stages:
+            return self._found(values, guess, tolerance, starts, changed, time_limit, stages)
+
+    def _found(
+        self,
+        values: Values | None,
+        guess: Plan | None,
+        tolerance: float | None,
+        starts: int | None,
+        changed: Mapping[str, Any],
+        time_limit: float | None,
+        stages: Sequence[Stage],
+    ) -> Plan:
         begin = time.perf_counter()
         if tolerance is not None:
             require_positive("tolerance", tolerance)
@@ -312,7 +326,8 @@ class Planner:
         run = Run(program, self._backend, self._solver)
         figures: dict[str, Any] = {}
         climb = Climb(self._backend)
-        assemble = functools.partial(self._assembled, statement, climb, figures, begin, tolerance)
+        said = statement, climb, figures, stages, begin, tolerance
+        assemble = functools.partial(self._assembled, *said)
         if tolerance is not None and guess is not None and starts in (None, 1):
             finer = self._carried(program, guess, tolerance, climb)
             if finer is not None:
@@ -328,6 +343,7 @@ class Planner:
         figures["iterations"] = outcome.iterations
         if not outcome.success:
             figures |= {"seconds": time.perf_counter() - begin, "build_seconds": build}
+            figures["stages"] = as_data(stages)
             failed = assembled(found[0], statement, figures, conflicts=run.conflicts)
             words = explanation(failed.plant.name, outcome, run.conflicts, run.feasible)
             raise PlanError(words, failed)
@@ -373,7 +389,8 @@ class Planner:
             if not tolerance < missed <= NEARLY * tolerance:
                 break
             wanted = min(CLOSER * tolerance**2 / missed, refinement.best.miss / 2)
-            closer = Refinement(refinement.best, max(wanted, LEAST), self._backend)
+            with stage("mesh", f"the judge finds {missed:.1g}"):
+                closer = Refinement(refinement.best, max(wanted, LEAST), self._backend)
             if closer.best is refinement.best:
                 break
             refinement = refinement.followed_by(closer)
@@ -388,12 +405,13 @@ class Planner:
         statement: Statement,
         climb: Climb,
         figures: Mapping[str, Any],
+        stages: Sequence[Stage],
         begin: float,
         tolerance: float | None,
         refinement: Refinement,
     ) -> Plan:
         """The plan of a refinement, judged."""
-        figures = dict(figures)
+        figures = {**figures, "stages": as_data(stages)}
         if refinement.cut or deadline().over:
             figures["ended"] = f"{deadline()} was over"
         spent = refinement.iterations + climb.iterations

@@ -24,6 +24,7 @@ from .solvers.backend import Backend
 from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks
 from .solvers.solver import SETTLED
+from .stages import stage
 from .transcription.mesh import Mesh, doubled_at_most, halved, held, refined, watched
 from .transcription.solution import unpack
 from .transcription.transcription import transcribe
@@ -122,7 +123,7 @@ class Refinement:
         self._rounds(first, POLYNOMIAL_ROUNDS, POLYNOMIAL_ITERATIONS)
         if self.met():
             return
-        following = self._solved(held(self.meshes[0]), first.found)
+        following = self._held(first)
         if following is not None:
             self._rounds(following, ROUNDS, ITERATIONS)
         self.warn()
@@ -157,16 +158,22 @@ class Refinement:
             if following is not None:
                 self._rounds(following, ROUNDS, ITERATIONS)
         if not self.met() and self.meshes[0].form.control == "polynomial":
-            following = self._solved(held(self.meshes[0]), first.found)
+            following = self._held(first)
             if following is not None:
                 self._rounds(following, ROUNDS, ITERATIONS)
         self.warn()
+
+    def _held(self, first: Checked) -> Checked | None:
+        """With inputs that are held, in place of polynomials."""
+        with stage("mesh", "polynomial inputs do not meet the tolerance"):
+            return self._solved(held(self.meshes[0]), first.found)
 
     def _approached(self, rough: Solved) -> Checked | None:
         """By way of wide roundings, from a solution that has the motion at large."""
         mesh = rough.program.mesh
         run = Run(transcribe(rough.program.problem, mesh), self.backend)
-        wide = run.widely(rough)
+        with stage("smoothing", "a finer mesh was not solved at once"):
+            wide = run.widely(rough)
         self.iterations += wide.outcome.iterations
         if not wide.outcome.success:
             return None
@@ -187,7 +194,8 @@ class Refinement:
                 return
             following = None
             for finer in self._meshes(current, i)[: 1 if directly else None]:
-                following = self._solved(finer, current.found, directly)
+                with stage("mesh", f"tolerance missed by {current.miss:.1g}"):
+                    following = self._solved(finer, current.found, directly)
                 if following is not None:
                     break
                 if self.best.miss <= self.tolerance / CLOSER:  # no more is promised
@@ -215,11 +223,12 @@ class Refinement:
             if program is None:
                 break
             solver = self.backend.build(found.program)
-            outcome = solver(program, found.outcome.w, self._warm, found.outcome)
-            if not outcome.ended and self._warm != "last":
-                self.iterations += outcome.iterations
-                self._warm = "last"
+            with stage("defect correction", f"dynamics miss by {_missed(current):.1g}"):
                 outcome = solver(program, found.outcome.w, self._warm, found.outcome)
+                if not outcome.ended and self._warm != "last":
+                    self.iterations += outcome.iterations
+                    self._warm = "last"
+                    outcome = solver(program, found.outcome.w, self._warm, found.outcome)
             if not outcome.ended and not tried:
                 # dearer economical motions are sought on finer meshes first
                 economical = program.problem.objective.economical

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -31,6 +32,7 @@ from .replay import Replay
 from .solvers import duals
 from .solvers.diagnosis import Conflict
 from .solvers.solver import Ipopt, Outcome
+from .stages import table
 from .transcription.mesh import Mesh
 from .transcription.solution import Solution
 from .transcription.transcription import Program
@@ -312,6 +314,12 @@ class Plan:
     def save(self, path: str | Path) -> Path:
         """Write the plan as .npz; :func:`pam_ocp.load_plan` reads it and replays it anew."""
         return courtesy.save_plan(self, path)
+
+    def explain(self) -> str:
+        """What the search did, stage by stage: why each program was solved, what it took, and what
+        its motion costs; for a plan that takes long. The same as data: ``statistics["stages"]``.
+        """
+        return table(self.statistics.get("stages", ()), self.statistics.get("seconds", math.nan))
 
     def to_excel(self, path: str | Path) -> Path:
         """Write a workbook (.xlsx): verdict and figures, the motion in display units, charts.

@@ -19,6 +19,7 @@ from .solvers.ipopt_options import Start
 from .solvers.narrowing import has_kinks, narrowing, widened
 from .solvers.side_by_side import solved_side_by_side
 from .solvers.solver import SETTLED, Ipopt, Outcome
+from .stages import stage
 from .starts import Ends, tasks
 from .transcription.guess import by_rests, by_stops, from_solution, wants_balance
 from .transcription.leading import by_leading
@@ -118,6 +119,11 @@ class Run:
         """
         kinks = has_kinks(self.program.problem)
         program = widened(self.program) if kinks else self.program
+        with stage("starts", f"{starts} of them"):
+            return self._started(program, starts, wide)
+
+    def _started(self, program: Program, starts: int, wide: bool) -> tuple[list[Solved], Ends]:
+        kinks = has_kinks(self.program.problem)
         own, *others = tasks(program.problem, program.mesh, starts)
         begin = time.perf_counter()
         first = self.solver(program, own.guess, own.start)
@@ -157,6 +163,10 @@ class Run:
         """After a start that failed: coarser meshes, another guess, the elastic re-solve's; then
         failure.
         """
+        with stage("other guesses", "the usual ones led to nothing"):
+            return self._after(found)
+
+    def _after(self, found: Solved) -> Solved:
         problem, mesh = self.program.problem, self.program.mesh
         again = self._from_regularised()
         if again is not None:
@@ -275,7 +285,8 @@ class Run:
             if found.outcome.ended:
                 return found
         problem, mesh = self.program.problem, self.program.mesh
-        return self.from_guess(by_stops(problem, mesh, balanced=wants_balance(problem)))
+        with stage("starts", "the usual guess"):
+            return self.from_guess(by_stops(problem, mesh, balanced=wants_balance(problem)))
 
     def from_guess(
         self, guess: Array, start: Start = "cold", warm: Outcome | None = None

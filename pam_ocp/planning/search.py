@@ -25,6 +25,7 @@ from .result import Plan, Solved
 from .run import Run
 from .shortcuts import by_coarser
 from .solvers.narrowing import has_kinks, widened
+from .stages import stage
 from .starts import Ends, number_of_starts
 from .transcription.mesh import Mesh
 from .transcription.transcription import transcribe
@@ -108,7 +109,8 @@ class Search:
         left = deadline().remaining()
         own = replace(self, climb=Climb(self.run.backend))
         try:
-            with limited(max(left / 2, 1e-3) if left < np.inf else None):
+            half = limited(max(left / 2, 1e-3) if left < np.inf else None)
+            with half, stage("valve openings", "in place of commands, which have dead zones"):
                 return own._back_from(opened, meshes, self.tolerance)
         except OutOfTime:
             return None
@@ -227,7 +229,8 @@ class Search:
         wide : with the widest roundings.
         """
         program, backend = run.program, self.run.backend
-        guess = guess_in_openings(program.problem, program.mesh, self.statement, backend, wide)
+        with stage("valve openings", "a start without dead zones"):
+            guess = guess_in_openings(program.problem, program.mesh, self.statement, backend, wide)
         if guess is None:
             return None
         return run.wide_from(guess) if wide else run.from_guess(guess, "near")

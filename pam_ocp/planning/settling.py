@@ -19,6 +19,7 @@ from .result import Solved
 from .run import Run
 from .search import Search
 from .solvers.narrowing import has_kinks
+from .stages import stage
 from .transcription.mesh import doubled
 from .transcription.transcription import transcribe
 
@@ -87,7 +88,8 @@ class Settling:
             return refinement
         finer = Run(transcribe(run.program.problem, mesh), run.backend)
         own = replace(self.search, run=finer, climb=Climb(run.backend), figures={})
-        found = own.found(None)
+        with stage("second search", "refinement made the motion dearer: on twice the intervals"):
+            found = own.found(None)
         if not found[0].outcome.success:
             return refinement
         settling = Settling(own)

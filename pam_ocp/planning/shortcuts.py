@@ -18,6 +18,7 @@ from .result import Solved
 from .run import Run
 from .solvers.backend import Backend
 from .solvers.narrowing import has_kinks
+from .stages import stage
 from .transcription.mesh import merged
 from .transcription.transcription import Program, transcribe
 
@@ -38,7 +39,9 @@ def by_coarser(run: Run, climb: Climb) -> Solved | None:
     if run.backend.name != "ipopt":  # somebody's choice for such meshes
         return None
     backend = run.backend.near()
-    coarse = Run(transcribe(problem, merged(mesh, -(-each // FEW))), backend).usual(None)
+    few = merged(mesh, -(-each // FEW))
+    with stage("coarse meshes", "many intervals are solved from few"):
+        coarse = Run(transcribe(problem, few), backend).usual(None)
     climb.iterations += coarse.outcome.iterations
     if not coarse.outcome.success:
         return None

@@ -332,8 +332,9 @@ def test_the_command_plans_and_writes(capsys, tmp_path):
 
 def test_an_impossible_motion_has_exit_code_1_and_names_the_conflict(capsys, tmp_path):
     file = written(tmp_path, 'duration = "30 ms"\nmethod = { intervals = 10 }', PLANT, STOPS)
-    code, out, err = run(capsys, "plan", file, "--log")
+    code, out, err = run(capsys, "plan", file, "--log", "--explain")
     assert code == 1
+    assert "other guesses" in out
     assert "The most violated constraint is stop" in err
     assert "violation" in out
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import InputError, require_flag
+from ..stages import written
 from ..transcription.transcription import Program
 from .ipopt_options import Start
 from .solver import SOLVERS, Ipopt, Outcome, Progress, Solver
@@ -106,6 +107,7 @@ class _FatropFirst:
         if start == "adaptive":
             return self._ipopt(program, guess, start)
         found = self._fatrop(program, guess)
+        written(program, start, found, found.seconds)
         if not found.success:
             instead = self._ipopt(program, guess, start, warm)
             warning = f"{found.status}; solved by IPOPT instead"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...core.variables import Variable
 from ...plants.plant import Plant
 from ..problem.problem import Problem
+from ..stages import stage
 from ..transcription.transcription import Program
 from .ipopt_options import Start
 from .solver import Outcome, Solver
@@ -77,7 +78,8 @@ def narrowing(
         part: float, w: NDArray[np.float64], how: Start, warm: Outcome | None = None
     ) -> Outcome:
         nonlocal iterations, seconds
-        outcome = solver(rounded_at(program, part), w, how, warm)
+        with stage("smoothing", f"place {part:.2f} of the path"):
+            outcome = solver(rounded_at(program, part), w, how, warm)
         iterations, seconds = iterations + outcome.iterations, seconds + outcome.seconds
         return outcome
 

@@ -34,6 +34,7 @@ from ...core.executors import placed
 from ...core.stop import TimeIsUp, check
 from ...numerics.blas import environment
 from ...numerics.solvers import Nlp, nlpsol
+from ..stages import written
 from ..starts import Task
 from ..transcription.transcription import Program
 from .solver import Ipopt, Outcome
@@ -89,18 +90,25 @@ def solved_side_by_side(
             if isinstance(answer, Exception):
                 raise answer
             found[i] = Outcome.of(*answer)
-    return _settled(ipopt, program, found, len(tasks))
+    return _settled(ipopt, program, tasks, found, set(found))
 
 
 def _settled(
-    ipopt: Ipopt, program: Program, found: Mapping[int, Outcome], count: int
+    ipopt: Ipopt,
+    program: Program,
+    tasks: Sequence[Task],
+    found: Mapping[int, Outcome],
+    elsewhere: set[int],
 ) -> list[Outcome]:
     """Those that wandered brought to a place, while there is time; in the order of their tasks.
 
-    Raises TimeIsUp where that has ended the search before a success.
+    elsewhere : those that were not solved in this process. Raises TimeIsUp where that has ended
+    the search before a success.
     """
-    ended, late = [], len(found) < count
+    ended, late = [], len(found) < len(tasks)
     for i in sorted(found):
+        if i in elsewhere:
+            written(program, tasks[i].start, found[i], found[i].seconds)
         try:
             ended.append(ipopt.settled(program, found[i]))
         except TimeIsUp:
@@ -164,10 +172,12 @@ def _by_processes(
     except TimeIsUp:
         pass
     finally:
+        elsewhere: set[int] = set()
         for worker in workers:
             worker.end()
             found |= worker.found
-    return _settled(ipopt, program, found, len(tasks))
+            elsewhere |= set(worker.found)
+    return _settled(ipopt, program, tasks, found, elsewhere)
 
 
 def _processors() -> int:

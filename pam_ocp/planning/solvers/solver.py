@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ...core.errors import InputError
 from ...core.registry import Registry
 from ...numerics.solvers import Nlp, nlpsol
+from ..stages import written
 from ..transcription.derivatives import derivatives
 from ..transcription.transcription import Program
 from .compiled import compiled as compiled_library
@@ -302,11 +303,12 @@ class Ipopt:
 
         start : of ``STARTS``. warm : an outcome whose multipliers start the solve, too.
         """
-        begin = time.perf_counter()
+        begin, processor = time.perf_counter(), time.process_time()
         given = self.arguments(program, guess)
         if start == "warm" and warm is not None:
             found = self._by_newton(given, warm, begin)
             if found is not None:
+                written(program, start, found, time.process_time() - processor)
                 return found
         solver = self._solver(start)
         if warm is not None and start != "still":
@@ -317,7 +319,7 @@ class Ipopt:
         outcome = Outcome.of(arrays, solver.stats(), time.perf_counter() - begin)
         if start == "still":
             outcome = self._beside(outcome, given["p"], warm)
-        LOG.info("IPOPT, %s start: %s, %.2f s", start, outcome.status, outcome.seconds)
+        written(program, start, outcome, time.process_time() - processor)
         return outcome if start in SETTLING else self.settled(program, outcome, start)
 
     def _beside(self, found: Outcome, p: Array, warm: Outcome | None) -> Outcome:

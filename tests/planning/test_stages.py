@@ -1,0 +1,71 @@
+"""What a search says of itself."""
+
+import logging
+
+import pytest
+from conftest import benchmark_slide
+
+import pam_ocp as pam
+
+STOPS = [{"x": -0.01}, {"x": 0.01}]
+COARSE = pam.Collocation(12, 3)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return pam.plan(benchmark_slide(pam.feeds.Regulator()), STOPS, method=COARSE)
+
+
+def test_every_iteration_of_a_plan_belongs_to_a_stage(plan):
+    stages = plan.statistics["stages"]
+    assert sum(s["iterations"] for s in stages) == plan.statistics["iterations"]
+    assert stages[0]["name"] == "starts"
+    assert stages[0]["intervals"] == 12
+    assert all(s["seconds"] > 0 and s["reason"] for s in stages)
+    finer = [s for s in stages if s["name"] == "mesh"]
+    assert len(finer) == len(plan.meshes) - 1
+    assert finer[-1]["intervals"] == plan.statistics["intervals"]
+    assert finer[-1]["objective"] == pytest.approx(plan.statistics["objective_on_mesh"], rel=1e-12)
+
+
+def test_stages_are_said_as_they_happen(plan, caplog):
+    with caplog.at_level(logging.INFO, logger="pam_ocp.planning"):
+        again = pam.plan(plan.plant, STOPS, method=COARSE)
+    said = [r.getMessage() for r in caplog.records if r.name.endswith("stages")]
+    assert len(said) == len(again.statistics["stages"])
+    assert said[0].startswith("starts (the usual guess): 12 intervals")
+
+
+def test_an_explanation_has_a_line_for_each_stage_and_sums_their_seconds(plan):
+    lines = plan.explain().splitlines()
+    stages = plan.statistics["stages"]
+    assert len(lines) == len(stages) + 2
+    for line, s in zip(lines[1:], stages, strict=False):
+        assert line.startswith(s["name"])
+        assert line.endswith(s["reason"])
+    starts = sum(s["seconds"] for s in stages if s["name"] == "starts")
+    assert f"starts {starts:.2f} s" in lines[-1]
+
+
+def test_stages_go_with_a_plan_into_its_file(plan, tmp_path):
+    loaded = pam.load_plan(plan.save(tmp_path / "plan.npz"), plan.plant)
+    assert loaded.explain() == plan.explain()
+
+
+def test_starts_that_run_elsewhere_are_stages_too():
+    plant = benchmark_slide(pam.feeds.SpoolValve())
+    plan = pam.plan(plant, STOPS, method=COARSE, starts=3, tolerance=None)
+    starts = [s for s in plan.statistics["stages"] if s["name"] == "starts"]
+    assert {s["reason"] for s in starts} == {"2 of them"}  # the third is from openings
+    ends = plan.statistics["starts"]
+    assert [s["iterations"] for s in starts[:1]] == [ends[0]["iterations"]]
+    assert any(s["name"] == "valve openings" for s in plan.statistics["stages"])
+
+
+def test_a_failed_plan_explains_itself():
+    plant = benchmark_slide(pam.feeds.Regulator())
+    with pytest.raises(pam.PlanError) as caught:
+        pam.plan(plant, STOPS, method=COARSE, duration=0.01)
+    names = [s["name"] for s in caught.value.plan.statistics["stages"]]
+    assert names[0] == "starts"
+    assert "other guesses" in " ".join(names)
