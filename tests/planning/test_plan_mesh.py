@@ -21,6 +21,7 @@ def by_valve() -> pam.Plant:
     return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.9, feed=pam.feeds.SpoolValve())
 
 
+@pytest.mark.slow
 def test_inputs_end_within_their_bounds_between_the_points_too(by_valve):
     with pytest.warns(pam.PlanWarning, match="not verified"):
         loose = pam.plan(by_valve, TASK, method=METHOD, tolerance=None, starts=1)
