@@ -30,7 +30,7 @@ PAGES = {
 }
 
 
-LONG = {"fmu", "howto", "ladder", "self_excited"}
+LONG = {"fmu", "howto", "ladder", "self_excited", "vibration"}
 
 
 @pytest.mark.parametrize(

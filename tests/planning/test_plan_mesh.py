@@ -92,6 +92,7 @@ def test_what_is_seen_beyond_its_limit_is_checked_then_held_back_then_split():
     assert len(held.intervals) == 7 * 8
 
 
+@pytest.mark.slow
 def test_kinks_are_narrowed_on_meshes_that_resolve_the_motion_with_as_many_inputs_as_asked_for():
     # a slide that swings while pressures cost little
     slip = pam.losses.MaxwellSlip((6.0, 6.0), (0.005, 0.02))
