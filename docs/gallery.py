@@ -105,7 +105,7 @@ def run(name: str, folder: Path) -> Path:
         if before.metadata.get("source") == made.metadata.source:
             return target
     with tempfile.TemporaryDirectory() as place:
-        NotebookClient(made, timeout=300, resources={"metadata": {"path": place}}).execute()
+        NotebookClient(made, timeout=1800, resources={"metadata": {"path": place}}).execute()
     pictures = [
         output.data["image/png"]
         for cell in made.cells

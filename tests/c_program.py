@@ -7,7 +7,9 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,29 @@ import pytest
 from pam_ocp.core.block import Block
 from pam_ocp.export.c_code.files import field_names
 
-COMPILER = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
+
+@cache
+def works(compiler: str, *flags: str) -> bool:
+    """Whether a program that this compiler makes with these flags runs here: it is tried."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "a.c").write_text("int main(void) { return 0; }\n")
+        for command in ([compiler, *flags, "a.c", "-o", "a"], [str(Path(folder) / "a")]):
+            try:
+                if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
+                    return False
+            except OSError:
+                return False
+    return True
+
+
+def require_works(compiler: str | None, *flags: str) -> None:
+    """A skip unless programs made by this compiler with these flags run here."""
+    if compiler is None or not works(compiler, *flags):
+        pytest.skip(f"needs {compiler or 'a C compiler'} with {' '.join(flags)}")
+
+
+COMPILER = next((c for c in map(shutil.which, ("gcc", "cc", "clang")) if c and works(c)), None)
+SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 STRICT = (
     *("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion"),
     *("-Wshadow", "-Wdouble-promotion", "-Werror"),

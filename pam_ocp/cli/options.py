@@ -58,14 +58,21 @@ def require_outputs(options: argparse.Namespace) -> None:
         if target.suffix.lower() not in endings:
             shown = ", ".join(endings[:3])
             raise InputError(f"--{name} {target}: give a name that ends in {shown}")
-        require_place(target)
+        require_places(target)
 
 
 def require_places(*targets: Path | None) -> None:
-    """Files can be written there: asked before a long run, not after it. Raises WriteError."""
+    """Files can be written there: asked before a long run, not after it.
+
+    Raises WriteError, and InputError for a workbook without XlsxWriter.
+    """
     for target in targets:
         if target is not None:
             require_place(target)
+            if target.suffix.lower() == ".xlsx":
+                from ..figures.workbook.book import require_writer
+
+                require_writer()
 
 
 def pairs(option: str, texts: Sequence[str]) -> dict[str, str]:

@@ -55,7 +55,7 @@ def _library(path: str | os.PathLike[str], kind: str, extra: str = "studies") ->
         except ImportError as missing:
             raise InputError(
                 f"{os.fspath(path)}: reading {kind} needs a package that is not installed "
-                f"({missing}): pip install pam_ocp[{extra}], or save the table as CSV"
+                f"({missing}): pip install 'pam_ocp[{extra}]', or save the table as CSV"
             ) from None
 
 
@@ -76,7 +76,7 @@ def frame(
     try:
         import pandas as pd
     except ImportError:
-        raise InputError("to_pandas needs pandas: pip install pam_ocp[studies]") from None
+        raise InputError("to_pandas needs pandas: pip install 'pam_ocp[studies]'") from None
     return pd.DataFrame(rows, columns=list(columns), index=pd.Index(index, name=name))
 
 
@@ -104,7 +104,7 @@ def read_sheets(
     of its own size is not believed. Raises InputError, also without openpyxl, and UnknownNameError.
     """
     require_file(path)
-    with _library(path, "an .xlsx file"):
+    with _library(path, "an .xlsx file", "excel"):
         from openpyxl import load_workbook
 
         require_unpacked(path, MOST_SHEET_BYTES)

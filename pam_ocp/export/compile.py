@@ -80,6 +80,7 @@ _WINDOWS_FLAGS = (
 which zig would have to build first: most of a minute on a new machine."""
 
 _FLAGS = ("-std=c11", "-O2", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
+_MSVC_FLAGS = ("/nologo", "/std:c11", "/O2", "/LD", "/fp:precise", "/utf-8")
 
 
 def platforms_named(names: Iterable[str] | None) -> tuple[Platform, ...]:
@@ -116,37 +117,81 @@ def native() -> Platform:
 # ---- compilers ----------------------------------------------------------------------------------
 
 
+CROSS = "pip install 'pam_ocp[cross]'"
+_PROBE = "#include <math.h>\ndouble probe(double x);\ndouble probe(double x) { return exp(x); }\n"
+
+
 @dataclass(frozen=True)
 class _Compiler:
     command: tuple[str, ...]
     version: str
     """Part of the cache's key."""
-    cross: bool
+    cross: bool = False
+    """zig, which builds for every platform."""
+
+    @property
+    def is_msvc(self) -> bool:
+        return Path(self.command[0]).stem.lower() == "cl"
 
 
 @cache
-def _compiler() -> _Compiler:
-    if util.find_spec("ziglang") is not None:
-        return _Compiler(
-            (sys.executable, "-m", "ziglang", "cc"), f"zig {metadata.version('ziglang')}", True
+def _zig() -> _Compiler | None:
+    """The cross compiler, where the extra [cross] is installed."""
+    if util.find_spec("ziglang") is None:
+        return None
+    command = (sys.executable, "-m", "ziglang", "cc")
+    return _Compiler(command, f"zig {metadata.version('ziglang')}", True)
+
+
+@cache
+def _local() -> _Compiler | None:
+    """The first C compiler of this machine that makes a shared library when it is tried."""
+    names = ("cl", "gcc", "clang") if os.name == "nt" else ("cc", "gcc", "clang")
+    for path in filter(None, map(shutil.which, names)):
+        version = () if Path(path).stem.lower() == "cl" else ("--version",)  # cl shows it of itself
+        shown = subprocess.run([path, *version], capture_output=True, text=True, check=False)
+        line = (shown.stdout or shown.stderr).partition("\n")[0]
+        compiler = _Compiler((path,), line)
+        platform = native()
+        output = f"probe{platform.suffix}"
+        command = _command(compiler, platform, output, "probe.c")
+        try:
+            with Processes() as running:
+                _compile(running, {"probe.c": _PROBE}, command, output, platform)
+        except (ExportError, OSError) as error:
+            LOG.info("%s is not used: %s", path, error)
+        else:
+            return compiler
+    return None
+
+
+def _compiler(platform: Platform, alone: bool) -> _Compiler:
+    """Who builds for this platform: for this machine ``alone`` its own compiler where there is
+    one; else zig, so that a unit for several platforms has the same bytes wherever it is made.
+    """
+    here = platform == native()
+    compiler = (_local() if here and alone else None) or _zig() or (_local() if here else None)
+    if compiler is not None:
+        return compiler
+    if here:
+        raise ExportError(
+            "no C compiler works here; install one (gcc, clang, Visual C++), or the cross compiler "
+            f"of the extra [cross]: {CROSS}"
         )
-    for name in ("cc", "gcc", "clang"):
-        path = shutil.which(name)
-        if path:
-            shown = subprocess.run([path, "--version"], capture_output=True, text=True, check=False)
-            return _Compiler((path,), shown.stdout.partition("\n")[0], False)
-    raise ExportError("no C compiler is found; install zig: pip install ziglang")
+    raise ExportError(
+        f"binaries for {platform.name}, another platform than this machine's, need the cross "
+        f"compiler of the extra [cross]: {CROSS}; or give platforms='native'"
+    )
 
 
 def _command(compiler: _Compiler, platform: Platform, output: str, source: str) -> list[str]:
+    if compiler.is_msvc:
+        return [*compiler.command, *_MSVC_FLAGS, source, f"/Fe:{output}", "/link", "/Brepro"]
     command = [*compiler.command, *_FLAGS]
     if compiler.cross:
         command += ["-target", platform.target]
-    elif platform != native():
-        raise ExportError(
-            f"{compiler.command[0]} builds for this machine only; for {platform.name} install zig "
-            "(pip install ziglang), or give platforms='native'"
-        )
+    elif platform.name.startswith("x86-"):  # as zig does; the machine may be one of 64 bits
+        command += ["-m32", "-msse2", "-mfpmath=sse"]
     if platform.suffix != ".dll":
         command.append("-fPIC")
     if platform.is_darwin:
@@ -175,13 +220,15 @@ def compile_library(
     platform: Platform,
     identifier: str,
     processes: Processes | None = None,
+    alone: bool = True,
 ) -> bytes:
     """The shared library ``identifier`` for one platform, from the cache when it is there.
 
-    processes : among them the compiler runs, where several do. Raises ExportError with the
+    processes : among them the compiler runs, where several do. alone : nothing is built for other
+    platforms with it. Raises ExportError where there is no compiler for the platform, and with the
     compiler's words when the sources do not compile.
     """
-    compiler = _compiler()
+    compiler = _compiler(platform, alone)
     output = f"{identifier}{platform.suffix}"
     command = _command(compiler, platform, output, main)
     if _WINDOWS_SOURCE in command:
@@ -219,7 +266,7 @@ def _compile(
         # relative names and an empty surrounding: no path of this machine gets into the binary
         done = running.run(command, folder, _environment())
         if done.returncode != 0:
-            words = done.stderr.strip().splitlines()[:5]
+            words = (done.stderr or done.stdout).strip().splitlines()[:5]
             raise ExportError(f"the compiler failed for {platform.name}: {' / '.join(words)}")
         return (folder / output).read_bytes()
 
@@ -251,10 +298,13 @@ def compile_all(
 ) -> dict[str, bytes]:
     """The library for each platform, by the platform's name; two compilers at a time."""
     chosen = list(platforms)
+    alone = chosen == [p for p in chosen if p == native()]
+    for platform in chosen:  # before the first one is built
+        _compiler(platform, alone)
     with ThreadPoolExecutor(max_workers=2) as pool, Processes() as running:
 
         def compiled(platform: Platform) -> bytes:
-            return compile_library(sources, main, platform, identifier, running)
+            return compile_library(sources, main, platform, identifier, running, alone)
 
         try:
             return dict(zip((p.name for p in chosen), pool.map(compiled, chosen), strict=True))

@@ -224,7 +224,11 @@ def _alike(plant: Plant, machine: MachinePlant) -> bool:
 
 # ---- single functions ---------------------------------------------------------------------------
 
-_HEAD = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n'
+_HEAD = """\
+#ifdef __GNUC__
+#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))
+#endif
+"""
 
 
 def quick(function: ca.Function, compiled: bool | None) -> ca.Function:

@@ -146,7 +146,7 @@ def plan(
         many intervals (its first call is slower, and re-solves by IPOPT start warmer). It runs in a
         process of its own that is ended after ``options={"time_limit": 20.0}`` seconds. What it
         leaves unsolved IPOPT solves; ``statistics["warning"]`` says so. Progress is that of IPOPT.
-    compiled : IPOPT's functions compiled (zig or cc) and kept for the next time; pays for
+    compiled : IPOPT's functions compiled (cc or zig) and kept for the next time; pays for
         :class:`Shooting` solved many times (a third of the time), little for collocation.
     options : of the solver, over its defaults here.
     time_limit : [s] of the whole search, refinement and replay included (the building of the

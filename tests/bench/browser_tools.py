@@ -218,7 +218,13 @@ class Hand:
         drag = plot.find_element("css selector", ".nsewdrag")
         mouse = ActionChains(self.driver, duration=50)
         mouse.move_to_element_with_offset(drag, round(at[0]) - 2, round(at[1])).perform()
-        mouse.move_by_offset(2, 0).pause(0.2).click().perform()
+        mouse.move_by_offset(2, 0).perform()
+        end = time.monotonic() + 20.0  # the picture heeds a click once it has seen the mouse there
+        while time.monotonic() < end and not self.driver.execute_script(
+            "return Boolean(arguments[0]._hoverdata)", plot
+        ):
+            time.sleep(0.05)
+        mouse.pause(0.1).click().perform()
 
     def traces(self, label):
         """The data that a picture shows."""

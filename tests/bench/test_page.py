@@ -251,6 +251,7 @@ def test_two_browsers_have_a_session_each_and_two_windows_may_share_one(hand, se
     hand.sees("Nothing yet")  # what was done in the other window
 
 
+@pytest.mark.slow
 def test_a_killed_page_is_resumed_with_what_was_done_and_can_be_undone(driver, tmp_path):
     hand = Hand(driver)
     server = Server(tmp_path)

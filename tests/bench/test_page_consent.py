@@ -58,6 +58,7 @@ def test_a_plant_of_ones_own_where_code_is_allowed(allowing, tmp_path):
     assert hand.complaints() == []
 
 
+@pytest.mark.slow
 def test_a_session_that_names_code_is_refused_where_it_is_not_allowed(driver, tmp_path):
     """As it came from somebody else, or from a page that was started with the consent."""
     pytest.importorskip("nicegui")

@@ -51,6 +51,7 @@ def ran(state, folder, **options):
     return run_study(path, folder / "out", cache=folder / "kept", **options)
 
 
+@pytest.mark.slow
 def test_the_runs_of_all_kinds_of_controllers(tmp_path):
     state = {**SLIDE, "controllers": LAWS}
     result = ran(state, tmp_path)
@@ -63,6 +64,7 @@ def test_the_runs_of_all_kinds_of_controllers(tmp_path):
         assert numbers["push.max"][0] == 12.0
 
 
+@pytest.mark.slow
 def test_an_fmu_held_against_rest_a_system_and_c_code(tmp_path, monkeypatch):
     exports = [
         unit("exports1"),

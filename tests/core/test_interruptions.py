@@ -142,7 +142,8 @@ def works():
     """{name: what is done again and again}, each from what stands ready."""
     plant, point = hanging()
     table = pam.read_table("DMSP-20-300_static.csv", rest_length=0.300)
-    record = pam.simulate(plant, {"muscle.command": 3e5}, t=[0.002 * i for i in range(30)])
+    pushed = cart()  # 2500 fits, each begun anew: the least that goes through all of it
+    pushes = pam.simulate(pushed, {"u": 1.0}, t=[0.05 * i for i in range(8)])
     weights = {"track": {"x": 1.0}, "rate": {"muscle.command": 0.1}}
     mpc = pam.Mpc(plant, horizon=5, sample_time=0.01, compiled=False, **weights)
     said = {"sample_time": 0.01, "measured": {"x": 1e-4}, "start": point}
@@ -154,7 +155,7 @@ def works():
         "build": planner,
         "simulate": lambda: pam.simulate(plant, {"muscle.command": 3e5}, duration=0.01),
         "fit_force": lambda: pam.fit_force(table),
-        "fit_plant": lambda: pam.fit_plant(plant, record, ["mass"], outputs=["x"]),
+        "fit_plant": lambda: pam.fit_plant(pushed, pushes, ["mass"], outputs=["x"]),
         "mpc": lambda: mpc.control(now, {"x": 0.045}),
         "kalman": lambda: (kalman.correct({"x": 0.041}), kalman.predict({"muscle.command": 2e5})),
         "window": lambda: (window.correct({"x": 0.041}), window.predict({"muscle.command": 2e5})),

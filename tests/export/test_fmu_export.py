@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -270,15 +271,59 @@ def test_without_compiler_the_remedy_is_named(
 ) -> None:
     from pam_ocp.export import compile as compiler
 
-    monkeypatch.setattr(compiler.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
-    compiler._compiler.cache_clear()
-    try:
-        with pytest.raises(ExportError, match="pip install ziglang"):
-            export_fmu(oscillator(), tmp_path / "plant.fmu", platforms="native")
-    finally:
-        compiler._compiler.cache_clear()
+    monkeypatch.setattr(compiler, "_zig", lambda: None)
+    monkeypatch.setattr(compiler, "_local", lambda: None)
+    with pytest.raises(ExportError, match=r"no C compiler .*gcc.*pip install 'pam_ocp\[cross\]'"):
+        export_fmu(oscillator(), tmp_path / "plant.fmu", platforms="native")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def tools(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A folder that alone is searched for compilers, with scripts put into it."""
+    from pam_ocp.export import compile as compiler
+
+    folder = tmp_path / "tools"
+    folder.mkdir()
+    search = shutil.which
+    monkeypatch.setattr(compiler.shutil, "which", lambda name: search(name, path=str(folder)))
+
+    def add(name: str, script: str) -> Path:
+        (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+        (folder / name).chmod(0o755)
+        return folder / name
+
+    compiler._local.cache_clear()
+    yield add
+    compiler._local.cache_clear()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="scripts of a shell")
+def test_the_compiler_of_this_machine_is_taken_first_where_it_works(tools: Any) -> None:
+    from pam_ocp.export import compile as compiler
+
+    tools("cc", "exit 1")  # is there, and makes nothing
+    assert compiler._local() is None
+    assert compiler._compiler(compiler.native(), alone=True).cross
+    compiler._local.cache_clear()
+    real = shutil.which("gcc") or shutil.which("clang")
+    if real is None:
+        pytest.skip("no C compiler here")
+    gcc = tools("gcc", f'exec "{real}" "$@"')
+    assert compiler._compiler(compiler.native(), alone=True).command == (str(gcc),)
+    # among other platforms all are zig's: the same bytes wherever the unit is made
+    assert compiler._compiler(compiler.native(), alone=False).cross
+
+
+def test_visual_c_is_asked_in_its_own_words() -> None:
+    from pam_ocp.export import compile as compiler
+
+    cl = compiler._Compiler((r"C:\VC\bin\cl.exe" if os.name == "nt" else "/vc/cl.exe",), "19.4")
+    command = compiler._command(cl, compiler.PLATFORMS["x86_64-windows"], "plant.dll", "fmu.c")
+    assert command[1:] == [
+        *("/nologo", "/std:c11", "/O2", "/LD", "/fp:precise", "/utf-8"),
+        *("fmu.c", "/Fe:plant.dll", "/link", "/Brepro"),
+    ]
 
 
 def test_a_name_that_c_keeps_for_itself_is_changed(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from c_program import SANITIZED, needs_compiler, require_works
 from conftest import BAR, benchmark_slide, flat
 from scipy.linalg import expm
 
@@ -66,17 +67,12 @@ def built(folder: Path, fmi: str, plant: pam.Plant, program: str, *flags: str) -
     return target
 
 
-needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc with sanitizers")
-
-
-@needs_gcc
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [benchmark_slide, lonely])
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_a_million_random_calls_do_no_harm(fmi: str, make: Any, tmp_path: Path) -> None:
-    fuzz = built(
-        tmp_path, fmi, make(), "fuzz", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
-    )
+    require_works("gcc", *SANITIZED)
+    fuzz = built(tmp_path, fmi, make(), "fuzz", *SANITIZED)
     for seed in range(4):
         done = subprocess.run(
             [str(fuzz), "250000", str(seed)], capture_output=True, text=True, check=False
@@ -85,30 +81,23 @@ def test_a_million_random_calls_do_no_harm(fmi: str, make: Any, tmp_path: Path) 
         assert "0 silent" in done.stdout
 
 
-@needs_gcc
 @pytest.mark.slow
 @pytest.mark.parametrize("sanitizer", ["address,undefined", "thread"])
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_eight_threads_do_as_one_under_sanitizers(fmi: str, sanitizer: str, tmp_path: Path) -> None:
-    program = built(
-        tmp_path,
-        fmi,
-        benchmark_slide(),
-        "threads",
-        f"-fsanitize={sanitizer}",
-        "-fno-sanitize-recover=all",
-        "-pthread",
-    )
+    flags = (f"-fsanitize={sanitizer}", "-fno-sanitize-recover=all", "-pthread")
+    require_works("gcc", *flags)
+    program = built(tmp_path, fmi, benchmark_slide(), "threads", *flags)
     done = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
     assert "0 of 8 threads differ, failed: 0" in done.stdout
 
 
-@needs_gcc
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="needs valgrind")
 @pytest.mark.parametrize("fmi", VERSIONS)
 def test_valgrind_finds_no_error_and_no_leak(fmi: str, tmp_path: Path) -> None:
+    require_works("gcc")
     fuzz = built(tmp_path, fmi, benchmark_slide(), "fuzz")
     command = ["valgrind", "-q", "--error-exitcode=9", "--leak-check=full", str(fuzz), "10000", "3"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -138,19 +127,15 @@ def test_a_stiff_linear_plant_of_badly_scaled_states_follows_the_matrix_exponent
         assert np.max(np.abs(found - expected) / scale) < 1e-6
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler of the system")
+@needs_compiler
 def test_without_zig_the_compiler_of_the_system_builds_for_this_machine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiler.util, "find_spec", lambda name: None)
-    compiler._compiler.cache_clear()
-    try:
-        found = check_fmu(exported(tmp_path, "2.0"))
-        assert found.ok, str(found)
-        with pytest.raises(ExportError, match="for this machine only"):
-            export_fmu(benchmark_slide(), tmp_path / "all.fmu")
-    finally:
-        compiler._compiler.cache_clear()
+    monkeypatch.setattr(compiler, "_zig", lambda: None)
+    found = check_fmu(exported(tmp_path, "2.0"))
+    assert found.ok, str(found)
+    with pytest.raises(ExportError, match=r"aarch64-linux, .*pip install 'pam_ocp\[cross\]'"):
+        export_fmu(benchmark_slide(), tmp_path / "all.fmu")
 
 
 @pytest.mark.parametrize("fmi", VERSIONS)

@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import sys
 
 import casadi as ca
 import numpy as np
@@ -10,8 +11,10 @@ import openpyxl
 import pytest
 
 import pam_ocp as pam
+from pam_ocp.cli.main import main
 from pam_ocp.figures.workbook.formula import LONGEST, formula_of
 from pam_ocp.muscles.law import LAWS
+from pam_ocp.studies.steps.step import Job
 
 BAR = 1e5
 
@@ -202,3 +205,17 @@ def test_a_plans_workbook_begins_with_its_verdict_and_another_ending_is_refused(
         plan.to_excel(tmp_path / "plan.csv")
     with pytest.raises(pam.InputError, match="does not exist"):
         plan.to_excel(tmp_path / "none" / "plan.xlsx")
+
+
+def test_without_xlsxwriter_the_extra_is_named_before_any_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "xlsxwriter", None)
+    motion = pam.Trajectory([0.0, 1.0], {"x": [0.0, 1.0]}, [pam.Variable("x", "output", unit="m")])
+    sentence = r"XlsxWriter: pip install 'pam_ocp\[excel\]'"
+    with pytest.raises(pam.InputError, match=sentence):
+        motion.to_excel(tmp_path / "m.xlsx")
+    assert main(["simulate", "HangingLoad", "--out", str(tmp_path / "m.xlsx")]) == 2
+    assert re.search(sentence, capsys.readouterr().err)
+    job = Job("motion", {}, {}, tmp_path, tmp_path)
+    with pytest.warns(UserWarning, match=rf"motion/m\.xlsx is left out: .*{sentence}"):
+        job.workbook(motion, "m.xlsx")
+    assert list(tmp_path.iterdir()) == []

@@ -100,6 +100,7 @@ def test_fits_of_whole_motions_say_it_too() -> None:
     assert fit.coefficients["damping"].stderr > 5 * plain
 
 
+@pytest.mark.slow
 def test_parameters_that_a_pattern_holds_equal_are_values_of_the_fit_like_others() -> None:
     fits = [fit_plant(off(), record("coloured noise"), list(free)) for free in (TRUE, PATTERN)]
     one, other = (f.adequacy.stderr for f in fits)

@@ -151,6 +151,7 @@ def test_the_chosen_coefficient_gains_most_where_it_is_asked_for(fit: ForceFit) 
     assert one.stderr_before["a3"] == pytest.approx(fit.coefficients["a3"].stderr)
 
 
+@pytest.mark.slow
 def test_promised_standard_errors_are_the_scatter_of_re_fits(fit: ForceFit) -> None:
     """200 synthetic tables of the old and the new cells, fitted from scratch."""
     design = design_cells(fit_force(fit.table, errors="independent"), 12)

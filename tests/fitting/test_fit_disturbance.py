@@ -65,6 +65,7 @@ def both() -> tuple[pam.fitting.FreeRunFit, pam.fitting.FreeRunFit]:
     return fitted(), fitted(disturbance=["w"])
 
 
+@pytest.mark.slow
 def test_unseen_records_are_predicted_better(both: Any) -> None:
     unseen = [record(s) for s in (101, 102, 103, 104)]
     plain, pushed = (fit.validate(unseen) for fit in both)
@@ -72,6 +73,7 @@ def test_unseen_records_are_predicted_better(both: Any) -> None:
         assert pushed.rmse_over(h)["q"] < 0.8 * plain.rmse_over(h)["q"]
 
 
+@pytest.mark.slow
 def test_gains_are_those_of_the_kalman_filter(both: Any) -> None:
     a, _, q = matrices()
     c = np.array([[1.0, 0.0, 0.0]])
@@ -86,6 +88,7 @@ def test_gains_are_those_of_the_kalman_filter(both: Any) -> None:
         assert low < true < high, name
 
 
+@pytest.mark.slow
 def test_the_plant_by_itself_is_what_it_was(both: Any) -> None:
     fit = both[1]
     own = sprung().with_values({n: fit.values[n] for n in "kcg"})

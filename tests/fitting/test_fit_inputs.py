@@ -68,6 +68,7 @@ def test_a_record_that_does_not_say_it_stays_open(rig: pam.Plant, tmp_path: Path
         read_record(path, rig, inputs="zoh")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["previous", "linear"])
 def test_the_likelihood_decides_how_inputs_ran(rig: pam.Plant, way: str) -> None:
     record = measured(rig, run(rig, 3, way), 3)

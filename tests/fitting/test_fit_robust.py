@@ -66,6 +66,7 @@ def test_cells_off_by_100_n_move_a_robust_fit_by_less_than_2_n(loss: Any) -> Non
             assert moved(fit_force(table), fit_force(wrong)) > 5.0  # plain squares do not stand it
 
 
+@pytest.mark.slow
 def test_a_bisquare_is_moved_no_more_than_by_losing_the_wrong_cells() -> None:
     """Isolated errors of 100 N count no more at all, also at the edge of the table."""
     taut = table_20().taut

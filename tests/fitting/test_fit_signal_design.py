@@ -148,6 +148,7 @@ def test_information_is_that_of_finite_differences_of_simulations(
     assert list(design.stderr.values()) == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_designed_record_beats_random_ones_when_it_is_fitted(
     rig: pam.Plant, design: SignalDesign
 ) -> None:
@@ -172,6 +173,7 @@ def correlation_free(fit: pam.fitting.PlantFit) -> np.ndarray:
     return np.asarray(fit.covariance / np.outer(values, values))
 
 
+@pytest.mark.slow
 def test_promised_standard_errors_are_the_scatter_of_fits() -> None:
     plant, noise = oscillator(), {"x": 5e-4}
     found = design_signal(

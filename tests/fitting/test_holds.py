@@ -158,6 +158,7 @@ def test_wrong_holds_do_not_move_a_robust_fit(spring):
     assert any("3 of 49 holds" in text for text in robust.warnings)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say(spring):
     x = np.linspace(0.005, 0.055, 40)
     at_0, at_1 = (np.asarray(LAW.tension(p, x / REST_LENGTH)) for p in (0.0, 1e5))

@@ -159,6 +159,7 @@ def test_dead_times_that_differ_are_lines_of_states(record: pam.Trajectory) -> N
 
 
 # ---- the ladder ----------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_the_rung_that_made_the_record_is_chosen(ladder: Ladder) -> None:
     assert ladder.chosen.name == "+ dead time"
     assert [r.worse for r in ladder.rungs] == [True, True, False]

@@ -325,7 +325,7 @@ def test_readers_that_need_a_package_say_how_it_is_installed(cases, monkeypatch)
 
     monkeypatch.setitem(sys.modules, "h5py", None)
     (case,) = (c for c in cases if c.name == "v73.mat")
-    with pytest.raises(InputError, match=r"h5py.*pip install pam_ocp\[hdf5\]"):
+    with pytest.raises(InputError, match=r"h5py.*pip install 'pam_ocp\[hdf5\]'"):
         pam.read_table(case.source)
 
 

@@ -300,7 +300,9 @@ def test_a_source_of_the_wrong_kind_is_refused() -> None:
 
 def test_a_missing_package_is_named_with_the_way_round_it(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setitem(sys.modules, "openpyxl", None)
-    with pytest.raises(InputError, match=r"openpyxl.*save the table as CSV"):
+    with pytest.raises(
+        InputError, match=r"openpyxl.*pip install 'pam_ocp\[excel\]', or save the table as CSV"
+    ):
         read_table(write(tmp_path, "t.xlsx", ""), rest_length=L0)
 
 

@@ -30,7 +30,12 @@ PAGES = {
 }
 
 
-@pytest.mark.parametrize("page", PAGES)
+LONG = {"fmu", "howto", "ladder", "self_excited", "vibration"}
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, marks=pytest.mark.slow) if p in LONG else p for p in PAGES]
+)
 def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(PAGES[page], f"docs/{page}.md", "exec"), {"__name__": "__main__"})

@@ -79,8 +79,13 @@ def test_every_public_callable_shows_an_example(room):
     assert [name for name, thing in ROOMS[room].items() if not examples(thing)] == []
 
 
+LONG = {"pam.export", "pam.fitting", "pam.planning"}
+
+
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize("room", ROOMS)
+@pytest.mark.parametrize(
+    "room", [pytest.param(r, marks=pytest.mark.slow) if r in LONG else r for r in ROOMS]
+)
 def test_the_examples_of_a_room_print_what_they_say(room, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")

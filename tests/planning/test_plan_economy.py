@@ -63,6 +63,7 @@ def test_the_least_work_of_a_block_is_that_of_the_slowest_trapezoid():
     assert plan.objective == pytest.approx(least_work_of_the_block(0.1, 0.4), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_work_of_an_antagonistic_pair_is_that_along_its_motion_and_settles():
     plant = pam.AntagonisticSlide(MUSCLE, 2.0)
     wanted = {"duration": 0.3, "minimise": "work"}
@@ -100,6 +101,7 @@ def test_the_gradients_inside_the_intervals_tell_what_finer_meshes_gain(plant, s
     assert gains(replace(coarse._solved, outcome=unknown)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cyclic", [False, True])
 def test_work_with_pressures_as_inputs_settles_on_linear_ones(cyclic):
     """Each jump of a held pressure costs work: on 360 held intervals it is 15 % more."""
@@ -146,6 +148,7 @@ def test_a_spool_needs_as_much_for_a_cycle_as_two_valves_of_its_conductance():
     assert spool.objective == pytest.approx(two.objective, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_what_refinement_made_dearer_is_settled_on_the_mesh_that_resolves_it():
     plant = pam.HangingLoad(MUSCLE, 1.0, feed=pam.feeds.OnOffValves())
     stops, wanted = [{"x": 0.01}, {"x": 0.035}], {"duration": 1.0, "minimise": "air"}
@@ -235,6 +238,7 @@ def test_openings_take_half_of_a_time_limit_and_commands_have_the_rest(monkeypat
     assert 0 < left[0] <= 500.0
 
 
+@pytest.mark.slow
 def test_the_gradients_tell_what_is_gained_on_finer_meshes_of_linear_inputs():
     plant = pam.AntagonisticSlide(MUSCLE, 2.0, feed=pam.feeds.IdealPressure())
     wanted = {"duration": 0.4, "minimise": "work", "tolerance": None}
@@ -440,6 +444,7 @@ def test_a_motion_that_costs_nothing_has_settled_whatever_its_gradients_say(monk
     assert plan.statistics["intervals"] == 50
 
 
+@pytest.mark.slow
 def test_where_many_motions_cost_nothing_one_of_them_is_found_and_settles():
     # a load on a tendon is let down: no work is taken from the muscle on any slow way
     plant = pam.SeriesLoad(MUSCLE, 15.0, 1.4e5)

@@ -21,6 +21,7 @@ def by_valve() -> pam.Plant:
     return pam.HangingLoad(pam.muscle("DMSP-20-400N"), 20.9, feed=pam.feeds.SpoolValve())
 
 
+@pytest.mark.slow
 def test_inputs_end_within_their_bounds_between_the_points_too(by_valve):
     with pytest.warns(pam.PlanWarning, match="not verified"):
         loose = pam.plan(by_valve, TASK, method=METHOD, tolerance=None, starts=1)
@@ -91,6 +92,7 @@ def test_what_is_seen_beyond_its_limit_is_checked_then_held_back_then_split():
     assert len(held.intervals) == 7 * 8
 
 
+@pytest.mark.slow
 def test_kinks_are_narrowed_on_meshes_that_resolve_the_motion_with_as_many_inputs_as_asked_for():
     # a slide that swings while pressures cost little
     slip = pam.losses.MaxwellSlip((6.0, 6.0), (0.005, 0.02))

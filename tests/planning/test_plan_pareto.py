@@ -84,6 +84,7 @@ def test_rate_is_swept_as_the_second():
     assert rate[0] > 720 / time[0] ** 5
 
 
+@pytest.mark.slow
 def test_time_against_the_largest_force(slide):
     """Each point is the plan of least time under that force: solved alone, it is the same."""
     stops, method = [{"x": -0.01}, {"x": 0.01}], Collocation(15)

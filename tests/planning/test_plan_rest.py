@@ -95,6 +95,7 @@ def test_a_lag_before_the_force_must_have_settled_but_may_not_rest():
         assert abs(motion["u"][-1] - motion["f"][-1]) / 0.1 > 1.0
 
 
+@pytest.mark.slow
 def test_a_stop_is_a_place_where_inputs_could_hold_the_plant():
     """A thrown ball has no velocity at its height, but cannot stay there: |u| < g."""
     plant = pam.Plant("ball")
@@ -227,6 +228,7 @@ def test_a_sensor_has_settled_and_a_total_begins_at_its_start():
 
 
 # ---- economical motions -------------------------------------------------------------------------
+@pytest.mark.slow
 def test_least_work_of_a_slide_is_found_and_is_what_its_replay_gives():
     slide = pam.AntagonisticSlide(pam.muscle("DMSP-20-200N"))
     plan = pam.plan(
@@ -286,6 +288,7 @@ def test_a_tank_does_not_drain_through_open_valves_before_a_motion():
     assert plan.trajectory["receiver.air_temperature"][0] == pytest.approx(293.15, abs=0.3)
 
 
+@pytest.mark.slow
 def test_where_pressures_are_given_the_plant_rests():
     """Leaks have to be fed, creep has to have come to its end: no rest was found, and start values
     stood for it."""
@@ -301,6 +304,7 @@ def test_where_pressures_are_given_the_plant_rests():
     assert plan.verified
 
 
+@pytest.mark.slow
 def test_least_air_begins_with_muscles_as_warm_as_their_surroundings():
     """Without rows for air and rubber it began at 500 K, and saved the air that cools."""
     gas = pam.gas.Gas(heat=pam.muscles.ConstantHeatTransfer(50.0), rubber=pam.muscles.Rubber())
@@ -345,6 +349,7 @@ def test_what_only_pushes_beyond_a_dead_band_is_led_to_rest(spring):
     assert accelerations_at_the_ends(plan, "v") == pytest.approx([0.0, 0.0], abs=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("minimise", ["effort", "air"])
 def test_what_has_slid_under_pressure_begins_at_the_envelope_of_that_pressure(minimise):
     """Dry friction (1 + per_pressure p) F0: a falling pressure lets go what it does not hold, so

@@ -35,6 +35,7 @@ MASS = {"draws": forces, "start": "same", "method": Collocation(8, 3, "linear")}
 FROM_TO = [{"x": 0.0}, {"x": 1.0}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 100])
 def test_the_back_off_in_time_is_that_of_the_normal_distribution(seed):
     """Effort wants time, the spread of 0.1 m allows T with |f| T^2/2 < 0.1 for 95 %: 0.32 s."""
@@ -181,6 +182,7 @@ def found(plant):  # noqa: F811 - the fixture
     )
 
 
+@pytest.mark.slow
 def test_a_sample_that_was_never_used_confirms_the_share(plant, found):  # noqa: F811
     assert found.verified
     assert found.share.value >= 0.95

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 
@@ -58,8 +60,7 @@ def test_it_rests_and_its_linear_model_is_that_of_differences(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FEEDS)
-@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+@pytest.mark.parametrize(("name", "fmi"), zip(FEEDS, cycle(["2.0", "3.0"])))
 def test_its_fmu_moves_as_it_does_in_python(name, fmi, tmp_path):
     plant = hanging(FEEDS[name])
     t = np.linspace(0, 0.5, 51)

@@ -143,6 +143,7 @@ def test_a_second_run_does_nothing_and_a_change_runs_what_stands_on_it(place):
 BEHIND_THE_LOAD = ("lifted", "linear", "again", "same")
 
 
+@pytest.mark.slow
 def test_other_measurements_run_all_and_another_order_of_keys_nothing(place):
     changed(
         place,
@@ -292,6 +293,7 @@ def test_a_killed_study_goes_on_where_it_was(done, fresh):
     assert tables(place / "out") == tables(done / "out")
 
 
+@pytest.mark.slow
 def test_what_is_kept_but_damaged_is_made_anew(place):
     for path in (place / "cache").rglob("output.pkl"):
         path.write_bytes(path.read_bytes()[:40])

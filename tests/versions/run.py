@@ -69,7 +69,7 @@ def install(venv: Path, python: str, requirements: list[str]) -> Path:
     if not venv.exists():
         subprocess.run([python, "-m", "venv", str(venv)], check=True)
     inside = venv / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    subprocess.run([str(inside), *PIP, *requirements, "-e", str(ROOT)], check=True)
+    subprocess.run([str(inside), *PIP, *requirements, "-e", f"{ROOT}[cross,excel]"], check=True)
     return inside
 
 

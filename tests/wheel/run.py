@@ -50,6 +50,25 @@ sys.exit(not pam.check_fmu(path).ok)
 """
 
 
+LIGHT = """
+import pam_ocp as pam, warnings
+load = pam.HangingLoad(pam.muscle("DMSP-20-300"), mass=5.0)
+motion = pam.simulate(load, duration=0.1)
+for write, words in ((lambda: pam.export_fmu(load, "load.fmu"), "pam_ocp[cross]"),
+                     (lambda: motion.to_excel("m.xlsx"), "pam_ocp[excel]")):
+    try:
+        write()
+    except (pam.ExportError, pam.InputError) as error:
+        assert f"pip install '{words}'" in str(error), error
+    else:
+        raise SystemExit(f"{words} is not asked for")
+try:
+    print("FMU", pam.check_fmu(pam.export_fmu(load, "load.fmu", platforms="native")).ok)
+except pam.ExportError as error:
+    print(error)
+"""
+
+
 def tell(*command: str | Path, folder: Path, clean: bool = True) -> str:
     """What a command prints; ends all when it fails. clean: no path of Python's from outside."""
     environment = {k: v for k, v in os.environ.items() if not (clean and k.startswith("PYTHON"))}
@@ -182,6 +201,9 @@ def main() -> None:
         print(f"{wheel.name} ({len(files)} files) and {archive.name} hold what belongs", flush=True)
 
         pip(python, "install", wheel)
+        light = tell(python, "-c", LIGHT, folder=work)
+        print(f"the wheel without extras: {light}", flush=True)
+        pip(python, "install", f"{wheel}[cross,excel]")
         run_installed(python, commands, work / "of_wheel", tour=True)
         print("the wheel runs in an empty folder: import, FMU, tour", flush=True)
         pip(python, "uninstall", "--yes", "pam_ocp")

@@ -22,11 +22,21 @@ from ...core.errors import InputError
 from ...core.files import require_ending
 from ..canvas import COLOURS
 
-__all__ = ["MOST_ROWS", "Book", "address", "column_name"]
+__all__ = ["MOST_ROWS", "Book", "address", "column_name", "require_writer"]
 
 MOST_ROWS = 1_048_000
 """Of a sheet (Excel: 1 048 576)."""
 _EPOCH = datetime(2000, 1, 1)
+
+
+def require_writer() -> None:
+    """InputError where XlsxWriter is not installed."""
+    try:
+        import xlsxwriter  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "writing a workbook needs XlsxWriter: pip install 'pam_ocp[excel]'"
+        ) from None
 
 
 def column_name(index: int) -> str:
@@ -69,11 +79,13 @@ class Book:
     def writing(cls, path: str | os.PathLike[str], title: str) -> Iterator[Book]:
         """A workbook that is in its place when the block ends, all of it or nothing.
 
-        Raises InputError for another ending than .xlsx, WriteError where nothing can be written.
+        Raises InputError for another ending than .xlsx and without XlsxWriter, WriteError where
+        nothing can be written.
         """
+        require_ending(path, ".xlsx", "a workbook")
+        require_writer()
         import xlsxwriter
 
-        require_ending(path, ".xlsx", "a workbook")
         content = io.BytesIO()
         options = {"in_memory": True, "nan_inf_to_errors": True, "strings_to_formulas": False}
         workbook = xlsxwriter.Workbook(content, {**options, "strings_to_urls": False})

@@ -1,4 +1,4 @@
-"""A program's functions as machine code: C by CasADi, compiled by zig or cc, kept by content.
+"""A program's functions as machine code: C by CasADi, compiled by cc or zig, kept by content.
 
 It pays where the functions cost more than the linear algebra: on re-solves by shooting, 0.3 to 0.4
 of the time; for collocation 0.7 to 0.9. The compiler takes a few seconds, once.
@@ -18,8 +18,10 @@ __all__ = ["compiled"]
 
 NAME = "pam_ocp_plan"
 HEAD = """\
+#ifdef __GNUC__
 #define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))
 #pragma GCC diagnostic ignored "-Wint-conversion"
+#endif
 """
 """The compiler is told to hide what is not declared otherwise; and where a mapped function has an
 argument without entries, CasADi copies nothing to an address written as a number."""

@@ -149,7 +149,7 @@ class FitStep(Step):
         )
         save_muscle(muscle, job.out / "muscle.toml")
         fit.to_json(job.out / "fit.json")
-        fit.to_excel(job.out / "fit.xlsx")
+        job.workbook(fit, "fit.xlsx")
         job.save(fit.plot())
         _write_coefficients(fit, job.out / "coefficients.csv")
         return Made(

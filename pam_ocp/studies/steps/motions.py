@@ -72,7 +72,7 @@ class PlanStep(Moves):
         if not found.solved:
             raise PlanError(f"no plan was found: {found.status}", found)
         found.save(job.out / "plan.npz")
-        found.to_excel(job.out / "plan.xlsx")
+        job.workbook(found, "plan.xlsx")
         write_motion(found.trajectory, job)
         job.save(found.plot())
         numbers = {"duration": (found.duration, "s"), "objective": (found.objective, "1")}
@@ -133,7 +133,7 @@ class SimulateStep(Moves):
             arguments["start"] = plant.equilibrium(values("rest", plant, job.said["rest"]))
         motion = simulate(plant, **arguments)
         write_motion(motion, job)
-        motion.to_excel(job.out / "motion.xlsx")
+        job.workbook(motion, "motion.xlsx")
         job.save(motion.plot())
         return Made(motion, f"{motion.duration:g} s simulated", numbers=ends(motion))
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import csv
 import io
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from ...core.exceptions import InputError
+from ...core.plausible import outside
 from ...core.quantities import is_quantity, quantity
 from ...core.registry import Registry
 
@@ -85,6 +87,17 @@ class Job:
         from ...figures.saved import save_figure
 
         return save_figure(figure, self.out / name)
+
+    def workbook(self, thing: Any, name: str) -> None:
+        """Write a result as a workbook; a warning says where the extra [excel] is missing."""
+        from ...figures.workbook.book import require_writer
+
+        try:
+            require_writer()
+        except InputError as error:
+            warnings.warn(f"{self.name}/{name} is left out: {error}", stacklevel=outside())
+        else:
+            thing.to_excel(self.out / name)
 
 
 @dataclass(frozen=True)
