@@ -123,6 +123,13 @@ class Nlp(Native):
             raise self._watch.error
         return found
 
+    def stats(self) -> dict[str, Any]:
+        """CasADi's, but no iterations of a program that IPOPT refused (CasADi has any number)."""
+        found: dict[str, Any] = self.function.stats()
+        if self._watch is not None and not any((found.get("iterations") or {}).values()):
+            found["iter_count"] = 0
+        return found
+
 
 def _require_bounds(given: Mapping[str, Any]) -> None:
     """InputError where a lower bound lies above its upper one, or is NaN."""

@@ -21,6 +21,7 @@ def test_more_equations_than_unknowns_print_nothing_and_are_a_status(capfd) -> N
     found = solver(x - 1, x - 2, of=x)
     found(lbg=0, ubg=0)
     assert found.stats()["return_status"] == "Not_Enough_Degrees_Of_Freedom"
+    assert found.stats()["iter_count"] == 0
     assert capfd.readouterr() == ("", "")
 
 
