@@ -21,7 +21,7 @@ def script(page):
     return "\n".join(lines)
 
 
-ELSEWHERE = {"dynamic_fits", "files", "fitting", "planning", "tutorial"}
+ELSEWHERE = {"dynamic_fits", "files", "fitting", "planning", "problem_files", "tutorial"}
 """Pages whose tests, in their rooms, also look at what is printed."""
 PAGES = {
     page.stem: code

@@ -1,4 +1,4 @@
-"""What docs/planning.md shows runs as it stands there."""
+"""What docs/planning.md and docs/problem_files.md show runs as it stands there."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,8 @@ from pam_ocp.judge.costs import COSTS
 from pam_ocp.planning.problem.objective import FORMS
 from pam_ocp.planning.problem.problem_file import _READERS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "planning.md").read_text("utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = "".join((DOCS / name).read_text("utf-8") for name in ("planning.md", "problem_files.md"))
 
 
 @pytest.mark.slow
