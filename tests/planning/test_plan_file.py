@@ -71,7 +71,7 @@ minimise = { time = 1.0, "final(x)" = -0.5 }
 tolerance = 1e-5
 integrand = "1e-3*v**2 + 0*time"
 final = "(x - 1e-3)**2"
-method = { kind = "Shooting", intervals = 10, steps = 6, control = "linear" }
+method = { kind = "Shooting", intervals = 4, steps = 2, control = "linear" }
 options = { max_iter = 50 }
 
 [[stops]]
@@ -131,7 +131,7 @@ def test_every_key_is_understood(tmp_path):
     assert found["memory"] == "below"
     assert found["duration"] == [0.2, (0.1, 1.0)]
     assert found["minimise"] == {"time": 1.0, "final(x)": -0.5}
-    assert found["method"] == Shooting(10, 6, "linear")
+    assert found["method"] == Shooting(4, 2, "linear")
     assert found["options"] == {"max_iter": 50}
     assert found["design"]["mass"] == pytest.approx((1.5, 2.5))
     assert found["budgets"] == {"effort": 3.0, "work": (None, 2.0)}

@@ -211,6 +211,7 @@ def test_scipy_judges_other_plants_alike(plant, found):  # noqa: F811
     assert kept.mean() > 0.75
 
 
+@pytest.mark.slow
 def test_a_list_of_unseen_plants_is_judged_too(plant):  # noqa: F811
     arguments = {"spread": {"x": WIDTH}, "duration": (0.02, 0.5), "method": METHOD}
     few, many = draws(plant, 3, 1), draws(plant, 40, 2)

@@ -112,6 +112,7 @@ def test_a_border_is_found_where_a_pair_is_born_and_crosses_between_two_points()
 # ---- how large it becomes ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_amplitude_in_a_map_is_that_of_scipy() -> None:
     muscle, c, lag, m = pam.muscle(MUSCLE), 40.0, 0.1, 20.0
     plant = RegulatedLoad(muscle, m, lag=lag, damping=c, gain=8.4e5)

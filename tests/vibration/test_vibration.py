@@ -324,6 +324,7 @@ def test_a_branch_reaches_the_cycle_found_by_simulation():
     assert there.amplitude("x") == pytest.approx(cycle.amplitude("x"), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_slack_makes_the_onset_a_jump():
     """At 80.8 mm the muscle goes slack at 20 mm amplitude: there the branch folds back.
 
