@@ -17,7 +17,7 @@ from ...plants.inversion import Inversion
 from ...plants.plant import Plant
 from .kinds import ACTIVE, HELD_BACK, LARGEST, LIMITED, SENT
 
-__all__ = ["Draft", "compensated", "least_norm", "per"]
+__all__ = ["Draft", "clipped", "compensated", "least_norm", "per"]
 
 Array: TypeAlias = NDArray[np.float64]
 Symbol: TypeAlias = Any
@@ -66,6 +66,16 @@ class Draft:
             nominal=variable.nominal,
             description=variable.description,
             **more,
+        )
+
+    def wanted(self, variable: Variable, start: float, first: str = "wanted") -> Symbol:
+        """The input ``wanted.NAME``: what a variable of a plant is to reach."""
+        return self.input(
+            f"{first}.{variable.name}",
+            start,
+            unit=variable.unit,
+            nominal=variable.nominal,
+            description=f"to be reached: {variable.description}",
         )
 
     def column(self, variables: Iterable[Variable], prefix: str = "", **more: Any) -> Symbol:
@@ -298,6 +308,15 @@ def per(unit: str, *others: str) -> str:
     except InputError:
         return "1"
     return name
+
+
+def clipped(column: Symbol, low: Iterable[float], high: Iterable[float]) -> Symbol:
+    """Each entry within its range; an open end is no operation (in C it would be an infinity)."""
+    kept = []
+    for entry, least, most in zip(ca.vertsplit(column), low, high, strict=True):
+        value = ca.fmax(entry, float(least)) if np.isfinite(least) else entry
+        kept.append(ca.fmin(value, float(most)) if np.isfinite(most) else value)
+    return ca.vertcat(*kept)
 
 
 def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Symbol]:

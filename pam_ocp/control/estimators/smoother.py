@@ -17,7 +17,7 @@ import numpy as np
 from ...numerics.bounded_loop import inlined
 from .extended_kalman import Estimator
 
-__all__ = ["Side", "Smoother", "noise_of_step"]
+__all__ = ["Side", "Smoother"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Smoother:
     def moved(self, z: Any, u: Any, q: Any) -> tuple[Any, Any, Any]:
         """(following node, its Jacobian, covariance that the noise adds)."""
         after, a, half = inlined(self.predict, [z, u, q])
-        return after, a, noise_of_step(self.filter, a, half)
+        return after, a, self.filter.noise_of_step(a, half)
 
     def seen(self, z: Any, u: Any, q: Any, y: Any, has: Any) -> tuple[Any, Any, Any]:
         """(Jacobian, measured - expected, variances) of a node; what is missing has no rows."""
@@ -176,8 +176,3 @@ class Smoother:
         _, smoothed = back(ca.MX.zeros(n, 1), *turned)
         assert gains.shape == (n * rows, nodes)
         return ca.Function("smooth", [first, p, *given], [smoothed[:, order], square[:, nodes - 1]])
-
-
-def noise_of_step(filter: Estimator, a: Any, half: Any) -> Any:
-    """Covariance that the noise adds in a step; see :meth:`Estimator._step_noise`."""
-    return filter._simpson(a, half, ca.DM(filter._density), a.T, half.T)

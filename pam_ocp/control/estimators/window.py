@@ -15,10 +15,10 @@ from ...core.block import Block
 from ...core.variables import Variable
 from ...numerics.bounded_loop import repeated
 from ...numerics.portable import portable
-from ..estimators.moving_horizon import TOLERANCE, MovingHorizonEstimator
-from ..estimators.smoother import Side, Smoother
-from .filters import kept_variables
-from .kinds import BLOCKS, LARGEST, SENT
+from ..blocks.kinds import BLOCKS, LARGEST, SENT
+from .extended_kalman import estimated_variables
+from .moving_horizon import TOLERANCE, MovingHorizonEstimator
+from .smoother import Side, Smoother
 
 __all__ = ["moving_horizon"]
 
@@ -219,7 +219,7 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
         ["memory", "inputs", "parameters"],
         ["memory_next", "outputs"],
     )
-    kept = kept_variables(filter)
+    kept = estimated_variables(filter)
     loops = {"Gauss-Newton steps": filter.iterations}
     if window.sides:
         loops["passes of the smoother"] = filter.iterations * (PASSES + 1)
