@@ -158,7 +158,12 @@ class Estimator(ABC):
         """(z, u, q, covariance) -> (z, covariance a step on, Jacobian of the step)."""
         measured, weight = ca.SX.sym("measured", count), ca.SX.sym("weight", count)
         known = taken_in(
-            (mean, covariance), point[0], seen, measured, self._noise**2, ca.vertsplit(weight)
+            (mean, covariance),
+            point[0],
+            seen,
+            measured,
+            [*(self._noise**2).tolist()],
+            ca.vertsplit(weight),
         )
         arguments = [*point, mean, covariance, measured, weight]
         self.taking = ca.Function("taking", arguments, [*map(ca.densify, known)], {"cse": True})
@@ -333,7 +338,7 @@ def taken_in(
     at: ca.SX,
     seen: tuple[ca.SX, ca.SX],
     measured: ca.SX,
-    noise: Array,
+    noise: Sequence[float | ca.SX],
     weights: Sequence[ca.SX],
 ) -> tuple[ca.SX, ca.SX]:
     """Mean and covariance (n, n) after a measurement, from those before, ``known``.
@@ -347,7 +352,7 @@ def taken_in(
     mean, covariance = known
     values, slopes = seen
     eye = ca.SX.eye(mean.numel())
-    for i, (variance, weight) in enumerate(zip(noise.tolist(), weights, strict=True)):
+    for i, (variance, weight) in enumerate(zip(noise, weights, strict=True)):
         c = slopes[i, :]
         across = covariance @ c.T
         gain = across / (weight * (c @ across) + variance)
