@@ -396,10 +396,7 @@ def extended_filter(filter: KalmanFilter, name: str = "filter") -> Block:
         for j in range(n):
             draft.next(f"covariance.c{i}_{j}", p[i, j])
     for i, v in enumerate(estimated):
-        about = Variable(
-            f"deviation.{v.name}", "output", unit=v.unit, nominal=v.nominal, min=0.0, start=0.0
-        )
-        draft.output(about, ca.sqrt(ca.fmax(p[i, i], 0)) * float(filter._scale[i]))
+        draft.deviation(v, ca.sqrt(ca.fmax(p[i, i], 0)) * float(filter._scale[i]))
     draft.next("started", draft.kind(1))
     return draft.block()
 

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from ...core.block import Block
 from ...core.errors import InputError, require_count, require_finite, require_positive
 from ...core.stop import locked
-from ...core.variables import Variable
 from ...export.machine import quick
 from ...numerics.buffered import Buffered
 from ...numerics.portable import portable
 from ...plants.plant import Plant, Values
 from ...simulation.sampled import StepMethod
-from ..blocks.kinds import BLOCKS, LARGEST, SENT
+from ..blocks.draft import Draft
+from ..blocks.kinds import BLOCKS, LARGEST
 from ..controller import Estimate
 from ..kinds import ESTIMATORS
 from .extended_kalman import Estimator, estimated_variables
@@ -266,8 +266,12 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
         "covariance": n * n,
         "counts": 2,
     }
-    memory = ca.MX.sym("memory", sum(sizes.values()))
-    inputs, parameters = ca.MX.sym("inputs", m + len(controls)), ca.MX.sym("parameters", 0)
+    draft = Draft(
+        name, filter.sample_time, f"moving-horizon estimator, {filter.horizon} steps", ca.MX
+    )
+    measured = draft.column(filter.measured, missing=True)
+    sent = draft.sent(controls)
+    memory = draft.memories(_start(filter, sizes), "of the window")
     ends = np.cumsum([0, *sizes.values()]).tolist()
     part = dict(zip(sizes, ca.vertsplit(memory, ends), strict=True))
     z, y, has, u = (
@@ -275,7 +279,6 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
     )
     prior, p = part["prior"], part["covariance"]
     started, count = part["counts"][0], part["counts"][1]
-    measured, sent = inputs[:m], inputs[m:]
     good = ca.fabs(measured) <= LARGEST
     value = ca.if_else(good, measured, 0) / ca.DM([v.nominal for v in filter.measured])
 
@@ -299,79 +302,24 @@ def moving_horizon(filter: MovingHorizonEstimator, name: str = "estimator") -> B
     begun = [z, ca.MX.zeros(n * n), ca.MX(ca.DM(1.0))]
     z, covariance, _ = window.improve()(*begun, prior, p, u, then, y, has, real)
     scale = ca.DM(filter._scale)
-    told = z[:, nodes - 1] * scale
     square = ca.diag(ca.reshape(covariance, n, n))
     deviation = ca.sqrt(ca.fmax(square, 0)) * scale
     rest = [ca.vec(e) for e in (z, y, has, u)] + [prior, p, ca.MX(1), count]
-    step = ca.Function(
-        "step",
-        [memory, inputs, parameters],
-        [ca.densify(ca.vertcat(*rest)), ca.vertcat(told, deviation)],
-        ["memory", "inputs", "parameters"],
-        ["memory_next", "outputs"],
-    )
-    kept = estimated_variables(filter)
-    loops = {"Gauss-Newton steps": filter.iterations}
+    draft.next_memories(ca.densify(ca.vertcat(*rest)))
+    for i, v in enumerate(estimated_variables(filter)):
+        draft.estimate(v, z[i, nodes - 1] * scale[i])
+    for i, v in enumerate(estimated_variables(filter)):
+        draft.deviation(v, deviation[i])
+    draft.repeats("Gauss-Newton steps", filter.iterations)
     if window.sides:
-        loops["passes of the smoother"] = filter.iterations * (PASSES + 1)
-    return Block(
-        name=name,
-        sample_time=filter.sample_time,
-        inputs=tuple(_inputs(filter)),
-        outputs=tuple(_outputs(kept)),
-        parameters=(),
-        memory=tuple(_memory(filter, sizes)),
-        step=step,
-        description=f"moving-horizon estimator, {filter.horizon} steps",
-        missing=tuple(v.name for v in filter.measured),
-        loops=loops,
-    )
+        draft.repeats("passes of the smoother", filter.iterations * (PASSES + 1))
+    return draft.block()
 
 
-def _inputs(filter: MovingHorizonEstimator) -> list[Variable]:
-    pairs = [(v.name, v) for v in filter.measured]
-    pairs += [(SENT + v.name, v) for v in filter.given.controls]
-    return [
-        Variable(
-            name,
-            "input",
-            unit=v.unit,
-            nominal=v.nominal,
-            start=v.start or 0.0,
-            description=v.description,
-        )
-        for name, v in pairs
-    ]
-
-
-def _outputs(kept: list[Variable]) -> list[Variable]:
-    found = [
-        Variable(
-            f"estimate.{v.name}",
-            "output",
-            unit=v.unit,
-            nominal=v.nominal,
-            description=f"estimated: {v.description}",
-        )
-        for v in kept
-    ]
-    return found + [
-        Variable(
-            f"deviation.{v.name}", "output", unit=v.unit, nominal=v.nominal, min=0.0, start=0.0
-        )
-        for v in kept
-    ]
-
-
-def _memory(filter: MovingHorizonEstimator, sizes: dict[str, int]) -> list[Variable]:
+def _start(filter: MovingHorizonEstimator, sizes: dict[str, int]) -> Array:
+    """The block's memory before the first step."""
     start_z, start_p = filter._first
-    values = np.zeros(sum(sizes.values()))
-    nodes = filter.horizon + 1
-    values[: sizes["nodes"]] = np.tile(start_z[:, None], nodes).ravel(order="F")
-    at = sum(list(sizes.values())[:4])
-    values[at : at + len(start_z)] = start_z
-    values[at + len(start_z) : at + len(start_z) + start_p.size] = start_p.ravel()
-    return [
-        Variable(f"w{i + 1}", "state", start=float(value), description="of the window")
-        for i, value in enumerate(values)
-    ]
+    parts: dict[str, Array] = {n: np.zeros(size) for n, size in sizes.items()}
+    parts |= {"nodes": np.tile(start_z, filter.horizon + 1), "prior": start_z}
+    parts |= {"covariance": start_p.ravel()}
+    return np.concatenate([*parts.values()])

@@ -65,7 +65,7 @@ class SqpOutcome:
 GAP = 1e-8
 """Mean complementarity that ends a quadratic program: leaves 1e-5 of nominal in the step, below
 what SQP looks at."""
-SHARE, WORK, MISS, CHANGE = 0, 2, 3, 6
+LEFT, WORK, BROKEN, CHANGE = 0, 2, 3, 6
 """Places among the facts of a quadratic program: defects left, iterations, largest violation, how
 much the step changes.
 """
@@ -106,7 +106,7 @@ class MachineStep:
         self._direction[:] = self._whole[: len(self._direction)]
         told = facts[:, 0].tolist()
         # a sum shows what is no number, which a maximum may hide
-        miss = max(told[SHARE], told[MISS]) + 0.0 * float(np.sum(self._direction))
+        miss = max(told[LEFT], told[BROKEN]) + 0.0 * float(np.sum(self._direction))
         return miss, told[CHANGE], int(told[WORK]), perf_counter() - begin
 
 
