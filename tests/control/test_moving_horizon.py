@@ -4,8 +4,8 @@ load.
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
 from conftest import benchmark_slide
+from scipy.optimize import lsq_linear
 from test_estimate import H, damped_spring
 from test_mpc import double_integrator
 
