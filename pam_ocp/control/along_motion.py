@@ -364,13 +364,13 @@ def _final(
         return given, np.zeros_like(q)
     try:
         lift, pick = stuck
-        kept = lift.T @ q @ lift
-        _, p, used = stationary(pick @ a @ lift, pick @ b, kept, r, states, sample_time)
+        weights = lift.T @ q @ lift
+        _, p, used = stationary(pick @ a @ lift, pick @ b, weights, r, states, sample_time)
     except ValueError as error:
         raise InputError(
             f"tvlqr: no stationary LQR at the end of the motion ({error}); give final"
         ) from None
-    return pick.T @ p @ pick, pick.T @ (used - kept) @ pick
+    return pick.T @ p @ pick, pick.T @ (used - weights) @ pick
 
 
 # ---- as blocks ----------------------------------------------------------------------------------
@@ -448,8 +448,8 @@ def source(
     wanted = list(names or motion.names)
     begin, end = float(motion.t[0]), float(motion.t[-1])
     times = np.clip(sample_time * np.arange(_samples(end, sample_time)), begin, end)
-    distinct, place = np.unique(times, return_inverse=True)
-    table = motion.at(distinct).array(wanted)[place]
+    distinct, sample = np.unique(times, return_inverse=True)
+    table = motion.at(distinct).array(wanted)[sample]
     row = _row(draft, table)
     for i, n in enumerate(wanted):
         v = motion.variable(n)

@@ -278,10 +278,10 @@ class _PressureInputs:
         """The commands for {muscle: (pressure, its rate)}, as outputs of a block."""
         inner = self.inversion.inner
         values: dict[str, Any] = {f"{m}.pressure": targets[m][0] for m in self._set}
-        for m, (place, function, ends) in self._solved.items():
+        for m, (index, function, ends) in self._solved.items():
             wanted, slope = targets[m]
             rate = slope + (wanted - draft.like(inner.variable(f"{m}.pressure"))) / time
-            values[self._inputs[place]] = self._solve(draft, m, function, place, rate, ends)
+            values[self._inputs[index]] = self._solve(draft, m, function, index, rate, ends)
         sent = sent_by(self.inversion, values, draft)
         if self._loop is not None:
             names = {f"{m}.pressure": draft.like(inner.variable(f"{m}.pressure")) for m in targets}
@@ -297,7 +297,7 @@ class _PressureInputs:
         draft: Draft,
         m: str,
         function: ca.Function,
-        place: int,
+        index: int,
         rate: Symbol,
         ends: tuple[float, float],
     ) -> Symbol:
@@ -306,7 +306,7 @@ class _PressureInputs:
         sizes = {"x": len(inner.states), "u": 1, "rate": 1, "s": 6}
         x, u, wanted, s = (ca.SX.sym(n, k) for n, k in sizes.items())
         every = ca.SX(ca.DM(self._u))
-        every[place] = u
+        every[index] = u
         value = function(x, every, ca.DM(self._p))
         missed = ca.Function(f"missed_{m}", [x, u, wanted], [value - wanted])
         needed = set(ca.jacobian(value, x).sparsity().get_col())
@@ -374,8 +374,8 @@ class _Compensation:
     def __post_init__(self) -> None:
         o = self.owner
         self.inverse, self.plant = o.inverse, o.plant
-        words = "feed-forward by the inverse of the hysteresis"
-        self.draft = Draft(self.name, o.sample_time, words, ca.MX)
+        description = "feed-forward by the inverse of the hysteresis"
+        self.draft = Draft(self.name, o.sample_time, description, ca.MX)
         self.model = MemoryModel(o.plant, o.inverse.position, o.inverse.velocity)
 
     def _reference(self, first: str) -> tuple[Symbol, Symbol, Symbol, Symbol | None]:
@@ -392,9 +392,9 @@ class _Compensation:
         ahead = self._reference("ahead")
         started = draft.memory("started", description="1 after the first step")
         held = {n: draft.memory(f"memory.{n}", s) for n, s in self.model.values.items()}
-        kept = [draft.memory(f"model.{m}.pressure", unit="Pa", nominal=1e5) for m in muscles]
+        modelled = [draft.memory(f"model.{m}.pressure", unit="Pa", nominal=1e5) for m in muscles]
         first = pressures_of(draft, self.inverse, x, v, a, k, held)
-        now = [ca.if_else(started, p, first[i]) for i, p in enumerate(kept)]
+        now = [ca.if_else(started, p, first[i]) for i, p in enumerate(modelled)]
         added: list[Any] = [ca.MX(0)] * len(muscles)
         if o.frequency:
             error = x - draft.like(self.plant.variable(self.inverse.position))
@@ -404,7 +404,7 @@ class _Compensation:
             wanted = pressures_of(draft, self.inverse, x, v, a + more, k, held)
             added = [wanted[i] - p for i, p in enumerate(now)]
             draft.next("saturated", at_an_end(self.inverse, wanted))
-        after = self._moved(held, x, ahead[0], kept, started) if o.compensate else held
+        after = self._moved(held, x, ahead[0], modelled, started) if o.compensate else held
         coming = pressures_of(draft, self.inverse, *ahead, after)
         targets = {
             m: (now[i] + added[i], (coming[i] - now[i]) / o.sample_time)

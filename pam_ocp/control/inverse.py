@@ -112,8 +112,8 @@ class InverseDynamics:
         z = ca.vertcat(plant.x, plant.u)
         whole = ca.Function("inverse", [z, plant.p], [column, ca.densify(slopes)])
         here = ca.SX.sym("z", z.numel())
-        found, steep = whole(here, ca.DM(self._p))
-        return ca.Function("inverse", [here], [found, steep], {"cse": True})
+        values, steep = whole(here, ca.DM(self._p))
+        return ca.Function("inverse", [here], [values, steep], {"cse": True})
 
     def require_stiffness(self, stiffness: float | None) -> None:
         """InputError where a pair lacks its stiffness, or a single muscle has one."""
@@ -175,9 +175,9 @@ class Search:
         z, target = ca.MX.sym("z", self.size), ca.MX.sym("target", n)
         middle = ca.DM((self.low + self.high) / 2)
         both = self._search(list(range(n)), list(range(n)))
-        found, miss, inside = both(middle, z, target)
+        pressures, miss, inside = both(middle, z, target)
         if n == 1:
-            return ca.Function("inverse_dynamics", [z, target], [found])
+            return ca.Function("inverse_dynamics", [z, target], [pressures])
         met = ca.logic_or(ca.fmax(miss[0], miss[1]) <= MISS, inside)
         alone = [self._search([0], [1 - i]) for i in (0, 1)]
         best: Any = middle
@@ -194,7 +194,7 @@ class Search:
                 ca.if_else(better, new, old)
                 for new, old in zip((first, missed[1]), least, strict=True)
             )
-        return ca.Function("inverse_dynamics", [z, target], [_either(met, found, best)])
+        return ca.Function("inverse_dynamics", [z, target], [_either(met, pressures, best)])
 
     def _search(self, equations: list[int], unknown: list[int]) -> ca.Function:
         """(pressures to begin from, z, target) ->
@@ -205,8 +205,8 @@ class Search:
         here = ca.SX(z)
         for i, place in enumerate(self.place):
             here[int(place)] = w[i]
-        found, slopes = self.equations(here)
-        missed = found - target
+        values, slopes = self.equations(here)
+        missed = values - target
         step = _shortest(slopes[equations, unknown], missed[equations])
         moved, inside = ca.SX(w), ca.SX(1)
         for k, i in enumerate(unknown):
@@ -297,11 +297,11 @@ def pressures_of(
 
 def at_an_end(inverse: InverseDynamics, p: Symbol) -> Symbol:
     """Whether a pressure stands at an end of its range."""
-    found = type(p)(0)
+    at_end = type(p)(0)
     for i in range(len(inverse.muscles)):
         ends = ca.logic_or(p[i] <= float(inverse.low[i]), p[i] >= float(inverse.high[i]))
-        found = ca.fmax(found, ends)
-    return found
+        at_end = ca.fmax(at_end, ends)
+    return at_end
 
 
 @BLOCKS.register("InverseDynamics")

@@ -151,10 +151,10 @@ class PressureLoop:
 
     def inputs(self, wanted: Values, measured: Values) -> dict[str, Any]:
         """Inputs for wanted pressures {muscle: Pa}, openings as they are: numbers, or symbols."""
-        found: dict[str, Any] = {}
+        inputs: dict[str, Any] = {}
         for rule in self._rules:
-            found.update(rule(wanted, measured))
-        return found
+            inputs.update(rule(wanted, measured))
+        return inputs
 
     def __call__(self, wanted: Mapping[str, float], measured: Measured) -> dict[str, float]:
         """Inputs by name for wanted pressures {muscle: Pa}."""

@@ -138,8 +138,8 @@ class PointPid(ByBlock):
     def poles(self) -> NDArray[np.complex128]:
         """Of the closed loop [1/s], sorted by falling real part."""
         a, b, c = (np.asarray(getattr(self.loop, n)) for n in ("A", "B", "C"))
-        found = np.linalg.eigvals(a - b @ c)
-        return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
+        poles = np.linalg.eigvals(a - b @ c)
+        return np.asarray(poles[np.argsort(-poles.real)], dtype=np.complex128)
 
     # ---- a Controller ----------------------------------------------------------------------------
     def wanted(self, t: float) -> dict[str, float]:

@@ -140,7 +140,7 @@ def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -
     plant = family.plant
     draft = Draft(name, c.sample_time, "scheduled state feedback", ca.MX)
     start = c.where(0.0)
-    place = []
+    places = []
     for n, axis in family.axes.items():
         v = plant.variable(n)
         s = draft.input(
@@ -150,8 +150,8 @@ def scheduled_feedback(controller: ScheduledFeedback, name: str = "scheduled") -
             nominal=v.nominal,
             description="where the plant is to be: it chooses the gains",
         )
-        place.append(ca.fmin(ca.fmax(s, float(axis[0])), float(axis[-1])))
-    at = ca.vertcat(*place)
+        places.append(ca.fmin(ca.fmax(s, float(axis[0])), float(axis[-1])))
+    at = ca.vertcat(*places)
     axes = [np.asarray(axis, dtype=float).tolist() for axis in family.axes.values()]
     chosen = [plant.variable(n) for n in family.inputs]
     integrated = [plant.variable(n) for n in c.integrated]

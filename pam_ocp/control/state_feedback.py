@@ -156,8 +156,8 @@ class StateFeedback(ByBlock):
     def poles(self) -> NDArray[np.complex128]:
         """Of the closed loop [1/s], sorted by falling real part."""
         a, b, k = self._stuck(*self._augmented())
-        found = np.linalg.eigvals(a - b @ k)
-        return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
+        poles = np.linalg.eigvals(a - b @ k)
+        return np.asarray(poles[np.argsort(-poles.real)], dtype=np.complex128)
 
 
 # ---- as a block ---------------------------------------------------------------------------------
@@ -271,8 +271,8 @@ def acting(draft: Draft, inversion: Inversion | None, chosen: list[Variable]) ->
     """The chosen inputs that acted since the last step, openings from the commands sent."""
     if not inversion:
         return draft.sent(chosen)
-    found = opened_by(inversion, inversion.plant, draft)
-    return ca.vertcat(*(found[v.name] for v in chosen))
+    acted = opened_by(inversion, inversion.plant, draft)
+    return ca.vertcat(*(acted[v.name] for v in chosen))
 
 
 def at_rest(

@@ -46,10 +46,10 @@ class Draft:
         self.loops: dict[str, int] = {}
 
     def _enter(self, variable: Variable) -> Symbol:
-        kept = self._kept[variable.causality]
-        if variable.name not in kept:
-            kept[variable.name] = variable, self.kind.sym(variable.name)
-        return kept[variable.name][1]
+        entered = self._kept[variable.causality]
+        if variable.name not in entered:
+            entered[variable.name] = variable, self.kind.sym(variable.name)
+        return entered[variable.name][1]
 
     # ---- variables ----------------------------------------------------------------------------
     def input(self, name: str, start: float = 0.0, missing: bool = False, **about: Any) -> Symbol:
@@ -186,8 +186,8 @@ class Draft:
     @property
     def held_back(self) -> Symbol:
         """1 where a limit that the law cannot know acted on the last command."""
-        words = "1 where a rate or a narrower range acted on the last command"
-        return self.input(HELD_BACK, 0.0, description=words)
+        description = "1 where a rate or a narrower range acted on the last command"
+        return self.input(HELD_BACK, 0.0, description=description)
 
     def sent(self, variables: Iterable[Variable]) -> Symbol:
         """The commands that acted since the last step, as a column."""
@@ -231,7 +231,7 @@ class Draft:
             variables, symbol, following = self._column
             carried, symbols, after = carried + variables, [*symbols, symbol], [*after, following]
         results = [
-            _column(self.kind, found) for found in (after, [value for _, value in self._outputs])
+            _column(self.kind, column) for column in (after, [value for _, value in self._outputs])
         ]
         groups = [symbols, *([s for _, s in part] for part in (inputs, parameters))]
         return Block(
@@ -293,16 +293,16 @@ def sent_by(
     """(input of the plant, value) of inputs by inner name, openings through their inverse."""
     plant = inversion.plant
     p, x = known or (plant.vector("parameter"), states_beside(inversion, draft))
-    found: list[tuple[Variable, Symbol]] = []
+    results: list[tuple[Variable, Symbol]] = []
     for name, value in chosen.items():
         opening = inversion.opening_of(name)
         if opening is None:
-            found.append((plant.variable(name), value))
+            results.append((plant.variable(name), value))
             continue
         sent = inversion.inverse(opening)(value, p, x)
         commands = inversion.commands_of(opening)
-        found += [(plant.variable(c), sent[i]) for i, c in enumerate(commands)]
-    return found
+        results += [(plant.variable(c), sent[i]) for i, c in enumerate(commands)]
+    return results
 
 
 def states_beside(inversion: Inversion, draft: Draft) -> Symbol:
@@ -325,17 +325,17 @@ def opened_by(
     named = {v.name: sent[i] for i, v in enumerate(controls)}
     if not inversion:
         return named
-    found: dict[str, Symbol] = {}
+    inner: dict[str, Symbol] = {}
     p, x = known or (plant.vector("parameter"), states_beside(inversion, draft))
     for variable in inversion.inner.inputs:
         opening = inversion.opening_of(variable.name)
         if opening is None:
             if variable.name in named:
-                found[variable.name] = named[variable.name]
+                inner[variable.name] = named[variable.name]
             continue
         commands = ca.vertcat(*(named[c] for c in inversion.commands_of(opening)))
-        found[variable.name] = inversion.forward(opening)(commands, p, x)
-    return found
+        inner[variable.name] = inversion.forward(opening)(commands, p, x)
+    return inner
 
 
 def per(unit: str, *others: str) -> str:
@@ -361,11 +361,11 @@ def per(unit: str, *others: str) -> str:
 
 def clipped(column: Symbol, low: Iterable[float], high: Iterable[float]) -> Symbol:
     """Each entry within its range; an open end is no operation (in C it would be an infinity)."""
-    kept = []
+    within = []
     for entry, least, most in zip(ca.vertsplit(column), low, high, strict=True):
         value = ca.fmax(entry, float(least)) if np.isfinite(least) else entry
-        kept.append(ca.fmin(value, float(most)) if np.isfinite(most) else value)
-    return ca.vertcat(*kept)
+        within.append(ca.fmin(value, float(most)) if np.isfinite(most) else value)
+    return ca.vertcat(*within)
 
 
 def compensated(total: Symbol, carry: Symbol, more: Symbol) -> tuple[Symbol, Symbol]:

@@ -131,9 +131,9 @@ class BlockController:
             before = dict(self._told(t)) if self._told else {}
             return before | {f"wanted.{n}": at(t) for n, at in reference.items()}
 
-        found = BlockController(self.block, told)
-        found.parameters, found._reference = self.parameters, dict(reference)
-        return found
+        tracker = BlockController(self.block, told)
+        tracker.parameters, tracker._reference = self.parameters, dict(reference)
+        return tracker
 
     def wanted(self, t: float) -> dict[str, float]:
         """What the loop told to reach at a time [s]."""

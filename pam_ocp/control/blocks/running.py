@@ -76,10 +76,12 @@ class Running:
 
 
 def _again(block: Block, needed: Collection[str] | None, *arrays: Array) -> Running:
-    found = Running(block, needed)
-    for own, given in zip((found.memory, found.inputs, found.parameters), arrays, strict=True):
-        own[:] = given
-    return found
+    running = Running(block, needed)
+    for array, values in zip(
+        (running.memory, running.inputs, running.parameters), arrays, strict=True
+    ):
+        array[:] = values
+    return running
 
 
 class ByBlock:

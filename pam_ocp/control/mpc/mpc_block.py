@@ -145,22 +145,22 @@ def _told(draft: Draft, plant: Plant, name: str, estimated: bool) -> Symbol:
 
 def _bounds(draft: Draft, core: RealTimeIteration) -> Symbol:
     """The ends of limits, each a parameter."""
-    found = []
+    ends = []
     for bound in core.bounds:
         v, side = bound.limit.variable, "high" if bound.high else "low"
         words = f"{side}est {v.name} planned"
         about = {"unit": v.unit, "nominal": v.nominal, "description": words}
-        found.append(draft.parameter(f"{side}.{v.name}", bound.value, **about))
-    return ca.vertcat(*found)
+        ends.append(draft.parameter(f"{side}.{v.name}", bound.value, **about))
+    return ca.vertcat(*ends)
 
 
 def _fallback(draft: Draft, mpc: Mpc) -> Symbol:
     """Inputs where programs fail for too long, each a parameter; by default those at the start."""
     rest = mpc.inversion.rows(mpc.plant.vector("input")[None, :])[0]
     starts = dict(zip((v.name for v in mpc.model.inputs), rest, strict=True))
-    found = []
+    inputs = []
     for v in mpc.given.controls:
         words = f"{v.name} where programs fail for too long"
         about = {"unit": v.unit, "nominal": v.nominal, "description": words}
-        found.append(draft.parameter(f"fallback.{v.name}", float(starts[v.name]), **about))
-    return ca.vertcat(*found)
+        inputs.append(draft.parameter(f"fallback.{v.name}", float(starts[v.name]), **about))
+    return ca.vertcat(*inputs)
